@@ -1,22 +1,26 @@
 """adaptmg: multigrid for frictional contact on adaptively refined, non-nested meshes.
 
-``import adaptmg as am``; names are loaded when first used, so that importing stays fast. SI units throughout.
+``import adaptmg as am``; names are loaded when first used, so that importing stays fast. SI units
+throughout.
 
-Problem     ContactProblem; Contact, ContactPair, Tied, Periodic (obstacles Plane, GapFunction, Moving, Rigid); Support,
-            Symmetry, Spring, PointSupport, PointSpring; Pressure, Traction, BodyForce, InitialStrain, Preload;
-            Frictionless, Coulomb, Tresca; LoadPath
+Problem     ContactProblem; Contact, ContactPair, Tied, Periodic (obstacles Plane, GapFunction,
+Moving, Rigid); Support,
+            Symmetry, Spring, PointSupport, PointSpring; Pressure, Traction, BodyForce,
+            InitialStrain, Preload; Frictionless, Coulomb, Tresca; LoadPath
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
 Domain      Rectangle, Circle, Polygon, Outline, Cracked; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut,
-            Fuse, Common, Moved; Assembly of several bodies; ready problems in cases, problem data in problem
-Grids       Hierarchy (a Level for each grid): uniform, graded, from_meshes, ...; transfers Interpolation, PseudoL2, L2,
+            Fuse, Common, Moved; Assembly of several bodies; ready problems in cases, problem data
+            in problem
+Grids       Hierarchy (a Level for each grid): uniform, graded, from_meshes, ...; transfers
+Interpolation, PseudoL2, L2,
             LumpedL2, QuasiInterpolation; mesh, MeshArrays, SizeNear
 Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG; set_threads
 Ingredients Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel; corrections Truncated, Monotone, PaperCorrection;
             modules multigrid, smoother, transfer, solver
 Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
 Adapt       adapt (each Step); indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
-            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate, GoalEstimate;
-            module estimate
+            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate,
+            GoalEstimate; module estimate
 Matrices    discretise, DiscreteProblem, ContactNodes; discrete
 Show        plot, export
 Sweep       Study; designs and tables in study
@@ -34,7 +38,8 @@ __version__ = "0.1.0"
 #: sources that were edited later are not those that run
 _LOADED = time.time()
 
-# the names stand in __init__.pyi; not __all__, with which help(adaptmg) would show each class at length
+# the names stand in __init__.pyi; not __all__, with which help(adaptmg) would show each class at
+# length
 _load, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)
 
 
@@ -54,12 +59,16 @@ def _naming_arguments(kind: Any) -> None:
         try:
             made(self, *arguments, **named)
         except TypeError as error:
-            if error.__traceback__ is not None and error.__traceback__.tb_next is None:  # not from within the call
+            if (
+                error.__traceback__ is not None and error.__traceback__.tb_next is None
+            ):  # not from within the call
                 import inspect
 
                 taken = inspect.signature(kind)
                 names = [one.replace(annotation=one.empty) for one in taken.parameters.values()]
-                error.add_note(f"am.{kind.__name__}{taken.replace(parameters=names, return_annotation=taken.empty)}")
+                error.add_note(
+                    f"am.{kind.__name__}{taken.replace(parameters=names, return_annotation=taken.empty)}"
+                )
             raise
 
     kind.__init__ = __init__

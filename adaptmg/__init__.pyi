@@ -1,8 +1,18 @@
 """The public names, loaded when first used; this list is the one that lazy_loader reads."""
 
 from . import (
-    cases as cases, discrete as discrete, estimate as estimate, export as export, mesh as mesh, multigrid as multigrid,
-    plot as plot, problem as problem, smoother as smoother, solver as solver, study as study, transfer as transfer
+    cases as cases,
+    discrete as discrete,
+    estimate as estimate,
+    export as export,
+    mesh as mesh,
+    multigrid as multigrid,
+    plot as plot,
+    problem as problem,
+    smoother as smoother,
+    solver as solver,
+    study as study,
+    transfer as transfer,
 )
 from ._threads import set_threads as set_threads
 from .discrete.discretise import discretise as discretise
@@ -10,31 +20,73 @@ from .discrete.problem import ContactNodes as ContactNodes, DiscreteProblem as D
 from .estimate.adapt import adapt as adapt
 from .estimate.engines import Bisect as Bisect, Remesh as Remesh
 from .estimate.estimate import (
-    Doerfler as Doerfler, Estimate as Estimate, Maximum as Maximum, Recovery as Recovery, Residual as Residual
+    Doerfler as Doerfler,
+    Estimate as Estimate,
+    Maximum as Maximum,
+    Recovery as Recovery,
+    Residual as Residual,
 )
 from .estimate.goal import Goal as Goal, GoalEstimate as GoalEstimate
 from .estimate.quantities import (
-    ContactForce as ContactForce, Displacement as Displacement, MeanDisplacement as MeanDisplacement,
-    Opening as Opening
+    ContactForce as ContactForce,
+    Displacement as Displacement,
+    MeanDisplacement as MeanDisplacement,
+    Opening as Opening,
 )
 from .estimate.loop import Step as Step
 from .hierarchy import Hierarchy as Hierarchy, Level as Level
 from .mesh import MeshArrays as MeshArrays, SizeNear as SizeNear
 from .multigrid import (
-    CoarseSolve as CoarseSolve, Cycle as Cycle, Monotone as Monotone, NestedStart as NestedStart,
-    PaperCorrection as PaperCorrection
+    CoarseSolve as CoarseSolve,
+    Cycle as Cycle,
+    Monotone as Monotone,
+    NestedStart as NestedStart,
+    PaperCorrection as PaperCorrection,
 )
 from .problem import (
-    Assembly as Assembly, Axisymmetric as Axisymmetric, Ball as Ball, BodyForce as BodyForce, Box as Box,
-    Circle as Circle, Common as Common, Contact as Contact, ContactPair as ContactPair,
-    ContactProblem as ContactProblem, Coulomb as Coulomb, Cracked as Cracked, Cut as Cut, Cylinder as Cylinder,
-    Extrusion as Extrusion, Frictionless as Frictionless, Fuse as Fuse, GapFunction as GapFunction,
-    InitialStrain as InitialStrain, LoadPath as LoadPath, Moved as Moved, Moving as Moving, Outline as Outline,
-    Periodic as Periodic, Plane as Plane, PlaneStrain as PlaneStrain, PlaneStress as PlaneStress,
-    PointSpring as PointSpring, PointSupport as PointSupport, Polygon as Polygon, Preload as Preload,
-    Pressure as Pressure, Rectangle as Rectangle, Revolution as Revolution, Rigid as Rigid, Solid as Solid,
-    Spring as Spring, StepFile as StepFile, Support as Support, Symmetry as Symmetry, Tied as Tied,
-    Traction as Traction, Tresca as Tresca
+    Assembly as Assembly,
+    Axisymmetric as Axisymmetric,
+    Ball as Ball,
+    BodyForce as BodyForce,
+    Box as Box,
+    Circle as Circle,
+    Common as Common,
+    Contact as Contact,
+    ContactPair as ContactPair,
+    ContactProblem as ContactProblem,
+    Coulomb as Coulomb,
+    Cracked as Cracked,
+    Cut as Cut,
+    Cylinder as Cylinder,
+    Extrusion as Extrusion,
+    Frictionless as Frictionless,
+    Fuse as Fuse,
+    GapFunction as GapFunction,
+    InitialStrain as InitialStrain,
+    LoadPath as LoadPath,
+    Moved as Moved,
+    Moving as Moving,
+    Outline as Outline,
+    Periodic as Periodic,
+    Plane as Plane,
+    PlaneStrain as PlaneStrain,
+    PlaneStress as PlaneStress,
+    PointSpring as PointSpring,
+    PointSupport as PointSupport,
+    Polygon as Polygon,
+    Preload as Preload,
+    Pressure as Pressure,
+    Rectangle as Rectangle,
+    Revolution as Revolution,
+    Rigid as Rigid,
+    Solid as Solid,
+    Spring as Spring,
+    StepFile as StepFile,
+    Support as Support,
+    Symmetry as Symmetry,
+    Tied as Tied,
+    Traction as Traction,
+    Tresca as Tresca,
 )
 from .smoother.gauss_seidel import ProjectedGaussSeidel as ProjectedGaussSeidel
 from .smoother.system import OPEN as OPEN, SLIP as SLIP, STICK as STICK
@@ -50,8 +102,11 @@ from .solver.solve import solve as solve
 from .solver.truncated import Truncated as Truncated
 from .study.study import Study as Study
 from .transfer import (
-    Interpolation as Interpolation, L2 as L2, LumpedL2 as LumpedL2, PseudoL2 as PseudoL2,
-    QuasiInterpolation as QuasiInterpolation
+    Interpolation as Interpolation,
+    L2 as L2,
+    LumpedL2 as LumpedL2,
+    PseudoL2 as PseudoL2,
+    QuasiInterpolation as QuasiInterpolation,
 )
 
 __version__: str

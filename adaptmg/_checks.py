@@ -1,10 +1,10 @@
 """Checks of arguments, called where a public dataclass is made or a public function is entered.
 
-Each check returns the value in the type that the caller needs, or raises ``TypeError`` / ``ValueError`` with the name
-of the argument, the condition and the value. Comparisons are written ``not value >= 0`` so that NaN never passes.
-Compiled code follows the index arrays of a matrix wherever they point. They are therefore checked in full, narrowed to
-32 bits, the one form that kernels are compiled for, and closed to writing.
-"""
+Each check returns the value in the type that the caller needs, or raises ``TypeError`` /
+``ValueError`` with the name of the argument, the condition and the value. Comparisons are written
+``not value >= 0`` so that NaN never passes. Compiled code follows the index arrays of a matrix
+wherever they point. They are therefore checked in full, narrowed to 32 bits, the one form that
+kernels are compiled for, and closed to writing."""
 
 from __future__ import annotations
 
@@ -44,9 +44,12 @@ def convert(owner: object, check: Callable[..., object], /, *names: str, **optio
 
 
 def number(name: str, value: object) -> float:
-    """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several numbers are refused."""
+    """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several
+    numbers are refused."""
     if type(value) in (float, int) and -VAST <= value <= VAST:
-        return float(value)  # most are, the questions below take time, and numpy has no integers of any size
+        return float(
+            value
+        )  # most are, the questions below take time, and numpy has no integers of any size
     entries = real_array(value)
     if entries is None or entries.ndim:
         raise TypeError(f"{name} must be a number, got {shown(value)}")
@@ -72,19 +75,25 @@ tolerance = _number_that("> 0 and < 1, a share of the solution", lambda x: 0 < x
 
 
 def quantity(name: str, value: object, *, positive: bool = False) -> float:
-    """Return ``value`` as a float of a size that physics may have, below ``VAST``; ``positive``: > ``TINIEST`` too."""
+    """Return ``value`` as a float of a size that physics may have, below ``VAST``; ``positive``: >
+    ``TINIEST`` too."""
     result = _positive(name, value) if positive else number(name, value)
     if not abs(result) <= VAST or (positive and not result >= TINIEST):
         bounds = f"between {TINIEST:g} and {VAST:g}" if positive else f"at most {VAST:g}"
-        raise ValueError(f"{name} must be {bounds} in SI units, got {shown(value)}: otherwise energies leave the range "
-                         "of double precision")
+        raise ValueError(
+            f"{name} must be {bounds} in SI units, got {shown(value)}: otherwise energies leave the range "
+            "of double precision"
+        )
     return result
 
 
 def integer(name: str, value: object, minimum: int = 0, maximum: int = 2**63 - 1) -> int:
-    """Return ``value`` as an int >= ``minimum`` (floats and bools are refused, numpy integers are fine)."""
+    """Return ``value`` as an int >= ``minimum`` (floats and bools are refused, numpy integers are
+    fine)."""
     try:
-        result = operator.index(None if isinstance(value, (bool, np.bool_, np.ma.MaskedArray)) else value)
+        result = operator.index(
+            None if isinstance(value, (bool, np.bool_, np.ma.MaskedArray)) else value
+        )
     except TypeError:
         raise TypeError(f"{name} must be an integer, got {shown(value)}") from None
     if not minimum <= result <= maximum:
@@ -104,19 +113,23 @@ def choice(name: str, value: _T, choices: Iterable[_T]) -> _T:
     """Return ``value`` if it is one of ``choices``."""
     choices = tuple(choices)
     if not any(type(value) is type(one) and value == one for one in choices):
-        raise ValueError(f"{name} must be one of {', '.join(map(repr, choices))}, got {shown(value)}")
+        raise ValueError(
+            f"{name} must be one of {', '.join(map(repr, choices))}, got {shown(value)}"
+        )
     return value
 
 
 def instance(name: str, value: object, types: Types[_T], words: str = "") -> _T:
-    """Return ``value`` if it is an instance of ``types``, described by ``words`` or else by their names."""
+    """Return ``value`` if it is an instance of ``types``, described by ``words`` or else by their
+    names."""
     if isinstance(value, types):
         return value
     raise TypeError(f"{name} must be {words or _names(types)}, got {described(value)}")
 
 
 def offers(name: str, value: _T, method: str, words: str) -> _T:
-    """Return ``value`` if it is an instance with a method of that name; ``words`` describe such objects."""
+    """Return ``value`` if it is an instance with a method of that name; ``words`` describe such
+    objects."""
     if isinstance(value, type) or not callable(getattr(value, method, None)):
         raise TypeError(f"{name} must be {words}, got {described(value)}")
     return value
@@ -130,12 +143,14 @@ def optional_callable(name: str, value: _T, words: str) -> _T:
 
 
 def function_or(name: str, value: _T, check: Callable[[str, _T], object] = quantity) -> _T | object:
-    """Return a function unchanged, anything else as ``check`` returns it; a class is not a function."""
+    """Return a function unchanged, anything else as ``check`` returns it; a class is not a
+    function."""
     return value if callable(value) and not isinstance(value, type) else check(name, value)
 
 
 def items(name: str, value: _T | Iterable[_T], types: Types[_T], words: str = "") -> tuple[_T, ...]:
-    """Return a sequence of instances of ``types`` as a tuple; one instance alone stands for a sequence of one."""
+    """Return a sequence of instances of ``types`` as a tuple; one instance alone stands for a
+    sequence of one."""
     entries = (value,) if isinstance(value, types) else listed(name, value, words or _names(types))
     return tuple(instance(f"{name}[{i}]", item, types, words) for i, item in enumerate(entries))
 
@@ -145,7 +160,8 @@ def _names(types: Types[_T]) -> str:
 
 
 def listed(name: str, value: Iterable[_T], words: str) -> tuple[_T, ...]:
-    """Return a sequence (not text, a mapping or a matrix) as a tuple; ``words`` describe its items."""
+    """Return a sequence (not text, a mapping or a matrix) as a tuple; ``words`` describe its
+    items."""
     try:
         # a sparse matrix, of scipy, which Netgen's process does without
         if not isinstance(value, (str, bytes, Mapping, type)) and not hasattr(value, "tocsr"):
@@ -163,24 +179,33 @@ def mapping(name: str, value: Mapping[_Key, _T], words: str) -> dict[_Key, _T]:
 
 
 def strings(name: str, value: object) -> tuple[str, ...]:
-    """Return a sequence of names as a tuple; a string is not a sequence of names (it would be split into letters)."""
-    words = f"names such as ({value!r},)" if isinstance(value, str) and value.isprintable() else "names"
-    return tuple(boundary_name(f"{name}[{i}]", item) for i, item in enumerate(listed(name, value, words)))
+    """Return a sequence of names as a tuple; a string is not a sequence of names (it would be split
+    into letters)."""
+    words = (
+        f"names such as ({value!r},)" if isinstance(value, str) and value.isprintable() else "names"
+    )
+    return tuple(
+        boundary_name(f"{name}[{i}]", item) for i, item in enumerate(listed(name, value, words))
+    )
 
 
 def boundary_name(name: str, value: object) -> str:
-    """Return ``value`` if it can be a name of a boundary, body or case: printable text, not empty."""
+    """Return ``value`` if it can be a name of a boundary, body or case: printable text, not
+    empty."""
     if not isinstance(value, str):
         raise TypeError(f"{name} must be a string, got {shown(value)}")
     if not value:
         raise ValueError(f"{name} must not be empty")
     if not value.isprintable():
-        raise ValueError(f"{name} must be printable text without control characters, got {shown(value)}")
+        raise ValueError(
+            f"{name} must be printable text without control characters, got {shown(value)}"
+        )
     return value
 
 
 def file_path(name: str, value: object) -> Path:
-    """Return a path with ``~`` expanded; TypeError if it is not a path, ValueError if empty or with a zero byte."""
+    """Return a path with ``~`` expanded; TypeError if it is not a path, ValueError if empty or with
+    a zero byte."""
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
     if not isinstance(text, str):
         raise TypeError(f"{name} must be a path (str or pathlib.Path), got {described(value)}")
@@ -193,13 +218,21 @@ def file_path(name: str, value: object) -> Path:
 
 
 def fits(name: str, size: float, words: str) -> None:
-    """Raise ValueError if ``size`` bytes are more than the main memory of the machine; ``words`` name their content."""
+    """Raise ValueError if ``size`` bytes are more than the main memory of the machine; ``words``
+    name their content."""
     if size > memory():
-        raise ValueError(f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory() / 1e9:.3g} GB")
+        raise ValueError(
+            f"{name}: {words} would take {size / 1e9:.3g} GB, this machine has {memory() / 1e9:.3g} GB"
+        )
 
 
-def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: np.ndarray,
-          *, minimum: float = -VAST) -> np.ndarray:
+def field(
+    name: str,
+    value: float | Callable[[np.ndarray], np.ndarray],
+    points: np.ndarray,
+    *,
+    minimum: float = -VAST,
+) -> np.ndarray:
     """Return the values (n,) of a number or a function of position at points (n, dim)."""
     n = len(points)
     if callable(value):
@@ -208,8 +241,10 @@ def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: 
         if array is None:
             raise TypeError(f"{name}: the function must return real numbers, got {shown(result)}")
         if array.shape not in ((), (n,)):
-            raise ValueError(f"{name}: the function must return shape ({n},) for points of shape {points.shape}, "
-                             f"got {array.shape}")
+            raise ValueError(
+                f"{name}: the function must return shape ({n},) for points of shape {points.shape}, "
+                f"got {array.shape}"
+            )
     else:
         array = np.asarray(number(name, value))
     values = np.array(np.broadcast_to(array, (n,)), dtype=np.float64)
@@ -219,12 +254,15 @@ def field(name: str, value: float | Callable[[np.ndarray], np.ndarray], points: 
         bounds = "finite" if minimum == -VAST else f"finite and >= {minimum}"
         if VAST < abs(values[i]) < np.inf:
             bounds = f"at most {VAST:g} in SI units"
-        raise ValueError(f"{name} must be {bounds}, got {values[i]} at {tuple(float(c) for c in points[i])}")
+        raise ValueError(
+            f"{name} must be {bounds}, got {values[i]} at {tuple(float(c) for c in points[i])}"
+        )
     return values
 
 
 def real_array(value: object) -> np.ndarray | None:
-    """Return ``value`` as an array of integers or floats; None if it is anything else, or masked."""
+    """Return ``value`` as an array of integers or floats; None if it is anything else, or
+    masked."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
@@ -246,17 +284,26 @@ def direction(name: str, value: object, n: int) -> np.ndarray:
     return vector(name, result / length)
 
 
-def array(name: str, value: object, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:
-    """Return ``value`` as a read-only contiguous array of finite numbers: a copy, unless it is one that nobody writes.
-    """
+def array(
+    name: str, value: object, shape: tuple[int | None, ...], *, integer: bool = False
+) -> np.ndarray:
+    """Return ``value`` as a read-only contiguous array of finite numbers: a copy, unless it is one
+    that nobody writes."""
     entries = real_array(value)
     # an empty list may stand for integers
     if entries is None or (integer and entries.dtype.kind == "f" and entries.size):
-        raise TypeError(f"{name} must be an array of {'integers' if integer else 'real numbers'}, got {shown(value)}")
+        raise TypeError(
+            f"{name} must be an array of {'integers' if integer else 'real numbers'}, got {shown(value)}"
+        )
     _check_shape(name, entries.shape, shape)
     dtype = np.int64 if integer else np.float64
-    if (type(value) is np.ndarray and value.dtype == dtype and value.base is None and value.flags.c_contiguous
-            and not value.flags.writeable):
+    if (
+        type(value) is np.ndarray
+        and value.dtype == dtype
+        and value.base is None
+        and value.flags.c_contiguous
+        and not value.flags.writeable
+    ):
         _check_finite(name, value)
         return value
     with np.errstate(over="ignore"):
@@ -268,8 +315,12 @@ def array(name: str, value: object, shape: tuple[int | None, ...], *, integer: b
 
 def _check_shape(name: str, shape: tuple[int, ...], expected: tuple[int | None, ...]) -> None:
     """ValueError unless ``shape`` is ``expected``, where None stands for any size."""
-    if len(shape) != len(expected) or any(e is not None and e != s for e, s in zip(expected, shape, strict=True)):
-        sizes = ", ".join("n" if e is None else str(e) for e in expected) + ("," if len(expected) == 1 else "")
+    if len(shape) != len(expected) or any(
+        e is not None and e != s for e, s in zip(expected, shape, strict=True)
+    ):
+        sizes = ", ".join("n" if e is None else str(e) for e in expected) + (
+            "," if len(expected) == 1 else ""
+        )
         raise ValueError(f"{name} must have shape ({sizes}), got {shape}")
 
 
@@ -279,9 +330,11 @@ def _check_finite(name: str, values: np.ndarray) -> None:
         raise ValueError(f"{name} must be finite; {bad} entries are not")
 
 
-def sparse_matrix(name: str, value: object, shape: tuple[int | None, int | None] = (None, None)) -> Compressed:
-    """Return a sparse matrix of real, finite numbers with checked indices of 32 bits where these suffice. Bsr, csr and
-    csc matrices keep their format, others become csr."""
+def sparse_matrix(
+    name: str, value: object, shape: tuple[int | None, int | None] = (None, None)
+) -> Compressed:
+    """Return a sparse matrix of real, finite numbers with checked indices of 32 bits where these
+    suffice. Bsr, csr and csc matrices keep their format, others become csr."""
     from scipy import sparse
 
     if not sparse.issparse(value):
@@ -303,7 +356,8 @@ def sparse_matrix(name: str, value: object, shape: tuple[int | None, int | None]
 
 
 def square_blocks(name: str, value: object, size: int) -> sparse.bsr_array:
-    """Return a square matrix, checked as by :func:`sparse_matrix`, as bsr with sorted blocks of float64."""
+    """Return a square matrix, checked as by :func:`sparse_matrix`, as bsr with sorted blocks of
+    float64."""
     from scipy import sparse
 
     value = sparse_matrix(name, value)
@@ -315,25 +369,35 @@ def square_blocks(name: str, value: object, size: int) -> sparse.bsr_array:
 
 
 def _check_format(value: Compressed) -> None:
-    """TypeError or ValueError where arrays of a matrix were changed after it was made, so that they do not fit."""
+    """TypeError or ValueError where arrays of a matrix were changed after it was made, so that they
+    do not fit."""
     if value.indptr.dtype.kind + value.indices.dtype.kind != "ii":
-        raise TypeError(f"indptr and indices must be integers, got {value.indptr.dtype} and {value.indices.dtype}")
+        raise TypeError(
+            f"indptr and indices must be integers, got {value.indptr.dtype} and {value.indices.dtype}"
+        )
     # what scipy's check leaves out: indptr that ends with 0, and rows outside the blocks
     if (np.diff(value.indptr) < 0).any():
         raise ValueError("indptr must not fall")
     if np.mod(value.shape, getattr(value, "blocksize", 1)).any():
-        raise ValueError(f"its shape {value.shape} is not a multiple of its blocks {value.blocksize}")
+        raise ValueError(
+            f"its shape {value.shape} is not a multiple of its blocks {value.blocksize}"
+        )
     type(value)(value).check_format()  # which may shorten arrays: not those of the argument
 
 
 def shape_of(matrix: sparse.sparray) -> tuple[int, int]:
-    """Return the shape of a matrix as type checkers take it: of scipy's arrays it may be None to them."""
+    """Return the shape of a matrix as type checkers take it: of scipy's arrays it may be None to
+    them."""
     return cast("tuple[int, int]", matrix.shape)
 
 
 def narrowed(matrix: _Compressed) -> _Compressed:
-    """Return a csr, csc or bsr matrix with indices of 32 bits, where these suffice; values are shared, not copied."""
-    if matrix.indices.dtype == matrix.indptr.dtype == np.int32 or max(*matrix.shape, matrix.nnz) > _LARGEST_INDEX:
+    """Return a csr, csc or bsr matrix with indices of 32 bits, where these suffice; values are
+    shared, not copied."""
+    if (
+        matrix.indices.dtype == matrix.indptr.dtype == np.int32
+        or max(*matrix.shape, matrix.nnz) > _LARGEST_INDEX
+    ):
         return matrix
     arrays = matrix.data, matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
     return type(matrix)(arrays, shape=matrix.shape)
@@ -353,7 +417,9 @@ def shown(value: object) -> str:
     """Return a representation of at most 80 characters for a message, without lone surrogates."""
     try:
         text = repr(value)
-    except Exception as error:  # a representation that fails must not hide the message it belongs to
+    except (
+        Exception
+    ) as error:  # a representation that fails must not hide the message it belongs to
         text = f"<{type(value).__name__} whose repr fails: {type(error).__name__}>"
     text = text.encode("utf-8", "backslashreplace").decode()
     return text if len(text) <= 80 else f"{text[:77]}..."
@@ -367,7 +433,8 @@ def described(value: object) -> str:
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
-    """Return the most similar of ``names`` as text to follow "does not exist"; "" if none is similar."""
+    """Return the most similar of ``names`` as text to follow "does not exist"; "" if none is
+    similar."""
     close = get_close_matches(name, list(names), n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
 
@@ -375,8 +442,8 @@ def suggestion(name: str, names: Iterable[str]) -> str:
 class Checked:
     """A frozen dataclass whose annotations say how its fields are checked.
 
-    A field ``Annotated[T, check]`` becomes what ``check(name, value)`` returns; with ``| None`` it may be None too.
-    """
+    A field ``Annotated[T, check]`` becomes what ``check(name, value)`` returns; with ``| None`` it
+    may be None too."""
 
     def __post_init__(self) -> None:
         for name, check, optional in _field_checks(type(self)):
@@ -392,12 +459,19 @@ def _field_checks(kind: type) -> list[tuple[str, Callable[[str, object], object]
     result = []
     for name, hint in get_type_hints(own, include_extras=True).items():
         choices = (hint, *get_args(hint))
-        own_checks = [check for one in choices for check in getattr(one, "__metadata__", ()) if callable(check)]
+        own_checks = [
+            check
+            for one in choices
+            for check in getattr(one, "__metadata__", ())
+            if callable(check)
+        ]
         result += [(name, check, type(None) in choices) for check in own_checks]
     return result
 
 
-FieldLike = float | Callable[[np.ndarray], np.ndarray]  # a number, or a function of position (n, dim) -> (n,)
+FieldLike = (
+    float | Callable[[np.ndarray], np.ndarray]
+)  # a number, or a function of position (n, dim) -> (n,)
 Name = Annotated[str, boundary_name]
 Flag = Annotated[bool, flag]
 Quantity = Annotated[float, quantity]

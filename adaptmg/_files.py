@@ -1,9 +1,9 @@
 """Files: the one place where adaptmg writes them, and the one where it opens those of others.
 
-What is written is either complete or not there. The content goes into a temporary file next to the target, is
-synchronised with the disk, and then takes the target's name. A process that is killed meanwhile leaves at most
-``.adaptmg-TOKEN.part``. What is read is a regular file of a bounded size, never a pipe or a device.
-"""
+What is written is either complete or not there. The content goes into a temporary file next to the
+target, is synchronised with the disk, and then takes the target's name. A process that is killed
+meanwhile leaves at most ``.adaptmg-TOKEN.part``. What is read is a regular file of a bounded size,
+never a pipe or a device."""
 
 from __future__ import annotations
 
@@ -25,9 +25,13 @@ MOST_BYTES = 2**36
 
 @contextlib.contextmanager
 def opened(path: str | os.PathLike[str], most: float = MOST_BYTES) -> Iterator[BinaryIO]:
-    """Open a regular file for reading; ValueError for a folder, device or pipe, and for more than ``most`` bytes."""
+    """Open a regular file for reading; ValueError for a folder, device or pipe, and for more than
+    ``most`` bytes."""
     # a pipe without a writer would wait
-    flags, shown = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0), printable(os.fspath(path))
+    flags, shown = (
+        getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0),
+        printable(os.fspath(path)),
+    )
     if os.path.isdir(path):
         raise ValueError(f"{shown} must be a file, not a folder, device or pipe")
     with open(os.open(path, os.O_RDONLY | flags), "rb") as file:
@@ -35,7 +39,9 @@ def opened(path: str | os.PathLike[str], most: float = MOST_BYTES) -> Iterator[B
         if not stat.S_ISREG(status.st_mode):
             raise ValueError(f"{shown} must be a file, not a folder, device or pipe")
         if status.st_size > most:
-            raise ValueError(f"{shown} must have at most {most:.3g} bytes, it has {status.st_size:.3g}")
+            raise ValueError(
+                f"{shown} must have at most {most:.3g} bytes, it has {status.st_size:.3g}"
+            )
         yield file
 
 
@@ -47,18 +53,21 @@ def read_bytes(path: str | os.PathLike[str], most: float = MOST_BYTES) -> bytes:
 
 
 def file_size(name: str, path: Path) -> int:
-    """Return the size of a regular file that another process will read; FileNotFoundError if there is none."""
+    """Return the size of a regular file that another process will read; FileNotFoundError if there
+    is none."""
     try:
         with opened(path) as file:
             return os.fstat(file.fileno()).st_size
     except FileNotFoundError as error:
-        raise FileNotFoundError(f"{name}: there is no file {printable(os.fspath(path))!r}") from error
+        raise FileNotFoundError(
+            f"{name}: there is no file {printable(os.fspath(path))!r}"
+        ) from error
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file, so that no reader ever sees half of it, not even after a power cut. Symbolic links are followed and
-    ``~`` is expanded. An existing file keeps its permissions, a new one gets those of the umask. Devices and pipes are
-    written to."""
+    """Write a file, so that no reader ever sees half of it, not even after a power cut. Symbolic
+    links are followed and ``~`` is expanded. An existing file keeps its permissions, a new one gets
+    those of the umask. Devices and pipes are written to."""
     path = Path(path).expanduser()
     target = Path(os.path.realpath(path))
     try:
@@ -67,7 +76,9 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
             status = path.stat()
         if status is None or stat.S_ISREG(status.st_mode):
             if status is None and not target.parent.is_dir():
-                raise FileNotFoundError(errno.ENOENT, f"the folder {os.fspath(target.parent)!r} does not exist")
+                raise FileNotFoundError(
+                    errno.ENOENT, f"the folder {os.fspath(target.parent)!r} does not exist"
+                )
             if status is not None and not os.access(target, os.W_OK):
                 raise PermissionError(errno.EACCES, "the file is write-protected")
             _replace(target, content, status)
@@ -85,15 +96,18 @@ def make_folder(name: str, path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
-        raise NotADirectoryError(errno.ENOTDIR, f"{name} must be a folder, but a file is in the way",
-                                 str(path)) from error
+        raise NotADirectoryError(
+            errno.ENOTDIR, f"{name} must be a folder, but a file is in the way", str(path)
+        ) from error
 
 
 @contextlib.contextmanager
 def waiting_folder(folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """A folder inside another one, by default that of temporary files, for files that are put in place together; it is
-    removed in the end."""
-    with tempfile.TemporaryDirectory(".part", ".adaptmg-", folder, ignore_cleanup_errors=True) as waiting:
+    """A folder inside another one, by default that of temporary files, for files that are put in
+    place together; it is removed in the end."""
+    with tempfile.TemporaryDirectory(
+        ".part", ".adaptmg-", folder, ignore_cleanup_errors=True
+    ) as waiting:
         yield Path(waiting)
 
 

@@ -1,4 +1,5 @@
-"""What systems report in their own ways: memory, processors and limits of processes. Each has a fallback."""
+"""What systems report in their own ways: memory, processors and limits of processes. Each has a
+fallback."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ def processor() -> str:
     """Return the name of the processor."""
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        return next(
+            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
+        )
     return platform.processor() or platform.machine()
 
 
@@ -38,7 +41,8 @@ def peak_memory() -> int:
 
 
 def limit_memory(size: float) -> None:
-    """Limit the memory of this process, and let it leave no core when it breaks down; nothing on Windows."""
+    """Limit the memory of this process, and let it leave no core when it breaks down; nothing on
+    Windows."""
     if sys.platform != "win32":
         import resource
 

@@ -1,9 +1,10 @@
-"""Compiled kernels: numba's options for all of them, its cache on disk, and the seconds that it spends compiling.
+"""Compiled kernels: numba's options for all of them, its cache on disk, and the seconds that it
+spends compiling.
 
-numba compiles a function once per machine and stores the code in ``__pycache__`` next to the source, in the user's
-cache folder, or in ``NUMBA_CACHE_DIR``. It makes a wrapper for calls from Python and one for calls from C: the second
-is never used, and the first only for functions that Python calls.
-"""
+numba compiles a function once per machine and stores the code in ``__pycache__`` next to the
+source, in the user's cache folder, or in ``NUMBA_CACHE_DIR``. It makes a wrapper for calls from
+Python and one for calls from C: the second is never used, and the first only for functions that
+Python calls."""
 
 from __future__ import annotations
 
@@ -24,11 +25,17 @@ _LOG = logging.getLogger(__name__)
 
 
 def kernel(function: Callable | None = None, **options: object) -> Any:
-    """Compile a function that Python calls; ``options`` are those of ``numba.njit``. Division by zero is as in numpy: a
-    test before each division would take time, here and in the compilation. Other threads of Python run meanwhile."""
+    """Compile a function that Python calls; ``options`` are those of ``numba.njit``. Division by
+    zero is as in numpy: a test before each division would take time, here and in the compilation.
+    Other threads of Python run meanwhile."""
     if function is None:
         return partial(kernel, **options)
-    options = {"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True} | options
+    options = {
+        "cache": True,
+        "no_cfunc_wrapper": True,
+        "error_model": "numpy",
+        "nogil": True,
+    } | options
     try:
         return numba.njit(**options)(function)
     except RuntimeError:  # numba finds no folder that it can write
@@ -37,25 +44,30 @@ def kernel(function: Callable | None = None, **options: object) -> Any:
 
 
 def inner_kernel(function: Callable | None = None, **options: object) -> Any:
-    """Compile a function that only kernels call: Python must not, as there is no code for its calls."""
+    """Compile a function that only kernels call: Python must not, as there is no code for its
+    calls."""
     return kernel(function, no_cpython_wrapper=True, **options)
 
 
 @lru_cache(maxsize=1)
 def _warn_of_no_cache() -> None:
-    _LOG.warning("compiled kernels are not stored, as neither the package nor the home directory can be written: set "
-                 "NUMBA_CACHE_DIR to a folder that can")
+    _LOG.warning(
+        "compiled kernels are not stored, as neither the package nor the home directory can be written: set "
+        "NUMBA_CACHE_DIR to a folder that can"
+    )
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """Return a view that cannot be written: kernels are compiled separately for those and for other arrays."""
+    """Return a view that cannot be written: kernels are compiled separately for those and for other
+    arrays."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 class _Compiling(Listener):
-    """Adds up the seconds of each thread, and says that it takes long; numba compiles in one thread at a time."""
+    """Adds up the seconds of each thread, and says that it takes long; numba compiles in one thread
+    at a time."""
 
     def __init__(self) -> None:
         self.depth, self.begin, self.here = 0, 0.0, threading.local()
@@ -63,7 +75,9 @@ class _Compiling(Listener):
     def on_start(self, event: Event) -> None:
         self.depth += 1
         if self.depth == 1:
-            if compiling_seconds() > 1.0 and str(event.data["dispatcher"].py_func.__module__).startswith("adaptmg."):
+            if compiling_seconds() > 1.0 and str(
+                event.data["dispatcher"].py_func.__module__
+            ).startswith("adaptmg."):
                 _announce()
             self.begin = time.perf_counter()
 
@@ -83,7 +97,8 @@ def compiling_seconds() -> float:
 
 
 def clock() -> float:
-    """Return the seconds that this thread has spent on anything but compiling: only differences mean something."""
+    """Return the seconds that this thread has spent on anything but compiling: only differences
+    mean something."""
     return time.perf_counter() - compiling_seconds()
 
 

@@ -1,4 +1,5 @@
-"""Values of objects that are computed when they are first read, and remembered as long as the object lives."""
+"""Values of objects that are computed when they are first read, and remembered as long as the
+object lives."""
 
 from __future__ import annotations
 
@@ -21,12 +22,14 @@ ABSENT: Any = None
 
 
 def made_on_demand(name: str, doc: str, absent: str = "") -> Any:
-    """Return a property to put in the place of the field ``name`` of a dataclass, after its class statement.
+    """Return a property to put in the place of the field ``name`` of a dataclass, after its class
+    statement.
 
-    The field keeps its default and its place in ``__init__``, and takes a value or an :class:`OnDemand`.
-    ``dataclasses.replace`` reads it: say what the new value is, where it depends on what is replaced. With ``absent``,
-    the field may be None, and reading it raises ValueError with this text.
-    """
+    The field keeps its default and its place in ``__init__``, and takes a value or an
+    :class:`OnDemand`. ``dataclasses.replace`` reads it: say what the new value is, where it depends
+    on what is replaced. With ``absent``, the field may be None, and reading it raises ValueError
+    with this text."""
+
     def read(owner: object) -> Any:
         value = owner.__dict__[name]
         if isinstance(value, OnDemand):
@@ -46,10 +49,12 @@ Owner = TypeVar("Owner")
 Value = TypeVar("Value")
 
 
-def remembered(function: Callable[[Owner], Value], of: Callable[[Owner], object] = lambda owner: owner
-               ) -> Callable[[Owner], Value]:
-    """Return a function that computes once for each object, or for ``of`` it; exceptions are not remembered. For
-    objects that are the same only if they are identical, and never change: levels of hierarchies that grow."""
+def remembered(
+    function: Callable[[Owner], Value], of: Callable[[Owner], object] = lambda owner: owner
+) -> Callable[[Owner], Value]:
+    """Return a function that computes once for each object, or for ``of`` it; exceptions are not
+    remembered. For objects that are the same only if they are identical, and never change: levels
+    of hierarchies that grow."""
     values: WeakKeyDictionary[object, Value] = WeakKeyDictionary()
 
     @wraps(function)

@@ -17,13 +17,16 @@ if TYPE_CHECKING:
 MOST = 400
 
 #: what XML 1.0 or HTML do not allow in a text, or UTF-8 cannot encode
-_UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff"
-                          + "".join(f"{chr(0x10000 * k - 2)}{chr(0x10000 * k - 1)}" for k in range(2, 18)) + "]")
+_UNPRINTABLE = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff"
+    + "".join(f"{chr(0x10000 * k - 2)}{chr(0x10000 * k - 1)}" for k in range(2, 18))
+    + "]"
+)
 
 
 def printable(text: str) -> str:
-    """Return a text that XML 1.0 and HTML take (but for markup): control characters, lone surrogates and noncharacters
-    as codes; line breaks and tabs stay."""
+    """Return a text that XML 1.0 and HTML take (but for markup): control characters, lone
+    surrogates and noncharacters as codes; line breaks and tabs stay."""
     return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
@@ -37,7 +40,10 @@ def say(text: str) -> None:
 def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the line that called the package."""
     level, frame = 1, sys._getframe()
-    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in ("adaptmg", "contextlib"):
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (
+        "adaptmg",
+        "contextlib",
+    ):
         level, frame = level + 1, frame.f_back
     warnings.warn(text, category, stacklevel=level)
 
@@ -56,13 +62,19 @@ def html_table(table: pandas.DataFrame) -> str:
 
 
 def html_fields(self: object) -> str:
-    """Return the ``_repr_html_`` of a dataclass: its name, and a row for each value, of a tuple for each part."""
+    """Return the ``_repr_html_`` of a dataclass: its name, and a row for each value, of a tuple for
+    each part."""
     import pandas
 
     values = {item.name: vars(self).get(item.name) for item in fields(self) if item.repr}
-    rows = [(name, _value(part, MOST)) for name, value in values.items()
-            for part in (value if isinstance(value, tuple) else (value,))]
-    return in_html_lines(type(self).__name__) + html_table(pandas.DataFrame(rows, columns=["", "value"])) * bool(rows)
+    rows = [
+        (name, _value(part, MOST))
+        for name, value in values.items()
+        for part in (value if isinstance(value, tuple) else (value,))
+    ]
+    return in_html_lines(type(self).__name__) + html_table(
+        pandas.DataFrame(rows, columns=["", "value"])
+    ) * bool(rows)
 
 
 def shortened(text: str) -> str:
@@ -72,16 +84,22 @@ def shortened(text: str) -> str:
         text = "\n".join([*lines[:count], f"... ({len(lines) - count - 1} more lines)", lines[-1]])
         if len(text) <= MOST:
             break
-    return text if len(text) <= MOST else f"{text[:MOST - 3]}..."
+    return text if len(text) <= MOST else f"{text[: MOST - 3]}..."
 
 
 def brief(self: object) -> str:
-    """Return the ``__repr__`` of a dataclass without defaults; values on demand are not made. Arrays are shown by their
-    shapes, and of what is long less is shown."""
+    """Return the ``__repr__`` of a dataclass without defaults; values on demand are not made.
+    Arrays are shown by their shapes, and of what is long less is shown."""
     values = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
-    defaults = [one.default_factory() if one.default_factory is not MISSING else one.default for one, _ in values]
-    changed = [(item.name, value) for (item, value), default in zip(values, defaults, strict=True)
-               if repr(value) != repr(default)]
+    defaults = [
+        one.default_factory() if one.default_factory is not MISSING else one.default
+        for one, _ in values
+    ]
+    changed = [
+        (item.name, value)
+        for (item, value), default in zip(values, defaults, strict=True)
+        if repr(value) != repr(default)
+    ]
     inside = ""
     for most in (MOST, 100, 30):
         inside = ", ".join(f"{name}={_value(value, most)}" for name, value in changed)

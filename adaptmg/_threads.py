@@ -1,9 +1,10 @@
-"""Threads of a solve over parts of the rows of its kernels, one thread of BLAS, and the same random numbers always.
+"""Threads of a solve over parts of the rows of its kernels, one thread of BLAS, and the same random
+numbers always.
 
-Kernels release the interpreter's lock, so that threads of Python run them at the same time. Parts and ranges depend on
-the size of the arrays, not on the number of threads beyond 1, so that the bits of results do not. Sums of BLAS over two
-threads would differ in the last digits, and small dense factorisations lose more to starting threads than they gain.
-"""
+Kernels release the interpreter's lock, so that threads of Python run them at the same time. Parts
+and ranges depend on the size of the arrays, not on the number of threads beyond 1, so that the bits
+of results do not. Sums of BLAS over two threads would differ in the last digits, and small dense
+factorisations lose more to starting threads than they gain."""
 
 from __future__ import annotations
 
@@ -32,11 +33,16 @@ class _Threads:
     """The threads of the process: the one that calls, and those of a pool."""
 
     def __init__(self, number: int = 1) -> None:
-        self.number, self.pool = number, ThreadPoolExecutor(number - 1, "adaptmg") if number > 1 else None
+        self.number, self.pool = (
+            number,
+            ThreadPoolExecutor(number - 1, "adaptmg") if number > 1 else None,
+        )
 
-    def map(self, kernel: Callable, ranges: Sequence[tuple[int, int]], arguments: Sequence[object]) -> list:
-        """Call a kernel for all ranges, in all threads at the same time, this one included; those that did not begin
-        are not awaited."""
+    def map(
+        self, kernel: Callable, ranges: Sequence[tuple[int, int]], arguments: Sequence[object]
+    ) -> list:
+        """Call a kernel for all ranges, in all threads at the same time, this one included; those
+        that did not begin are not awaited."""
         if self.pool is None:
             return [kernel(*each, *arguments) for each in ranges]
         results: list = [None] * len(ranges)
@@ -63,15 +69,16 @@ _THREADS = _Threads()
 def set_threads(threads: int) -> None:
     """Set the number of threads that a solve takes in this process, 1 unless it is set.
 
-    More than one serve large problems: from about 40 000 nodes in 2D, 8 000 in 3D. The results have the same bits for
-    any number above 1; on a uniform mesh of one body those of 1 thread too, elsewhere they agree to the tolerance. Many
-    small solves are better run at the same time, by the workers of an :class:`adaptmg.Study`.
+    More than one serve large problems: from about 40 000 nodes in 2D, 8 000 in 3D. The results have
+    the same bits for any number above 1; on a uniform mesh of one body those of 1 thread too,
+    elsewhere they agree to the tolerance. Many small solves are better run at the same time, by the
+    workers of an :class:`adaptmg.Study`.
 
     Parameters
     ----------
     threads : int
-        1 to 1024; more than the processors that the process may use gain nothing. In a worker that runs several tasks
-        at the same time leave it at 1.
+        1 to 1024; more than the processors that the process may use gain nothing. In a worker that
+        runs several tasks at the same time leave it at 1.
 
     Examples
     --------
@@ -87,8 +94,9 @@ def several() -> bool:
 
 
 def in_parts(kernel: Callable, n: int, size: int, *arguments: object, joined: bool = True) -> list:
-    """Return what ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they read LARGE numbers
-    (``size``) together, else one a thread, or PARTS if they are not ``joined``, as where a row depends on others."""
+    """Return what ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they
+    read LARGE numbers (``size``) together, else one a thread, or PARTS if they are not ``joined``,
+    as where a row depends on others."""
     if size < LARGE:
         return [kernel(0, n, *arguments)]
     ranges = [(n * k // PARTS, n * (k + 1) // PARTS) for k in range(PARTS)]
@@ -96,18 +104,26 @@ def in_parts(kernel: Callable, n: int, size: int, *arguments: object, joined: bo
 
 
 def sum_of_parts(kernel: Callable, n: int, size: int, *arguments: object) -> float | np.ndarray:
-    """Return the sum of what ``kernel(first, last, *arguments)`` returns for parts independent of the threads."""
+    """Return the sum of what ``kernel(first, last, *arguments)`` returns for parts independent of
+    the threads."""
     parts = in_parts(kernel, n, size, *arguments, joined=False)
     return parts[0] if len(parts) == 1 else np.sum(parts, axis=0)
 
 
-def in_colours(colours: Sequence[Sequence[tuple[int, int]]], kernel: Callable, *arguments: object,
-               joined: bool = False) -> list:
-    """Return what ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the other. Ranges of a
-    colour may be ``joined``, those of each thread to one, if they follow one another."""
+def in_colours(
+    colours: Sequence[Sequence[tuple[int, int]]],
+    kernel: Callable,
+    *arguments: object,
+    joined: bool = False,
+) -> list:
+    """Return what ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the
+    other. Ranges of a colour may be ``joined``, those of each thread to one, if they follow one
+    another."""
     results: list = []
     for ranges in colours:
-        results += _THREADS.map(kernel, _joined(ranges, _THREADS.number) if joined else ranges, arguments)
+        results += _THREADS.map(
+            kernel, _joined(ranges, _THREADS.number) if joined else ranges, arguments
+        )
     return results
 
 
@@ -117,10 +133,12 @@ def _joined(ranges: Sequence[tuple[int, int]], number: int) -> list[tuple[int, i
     return [(ranges[first][0], ranges[last - 1][1]) for first, last in pairwise(ends)]
 
 
-def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int = 0) -> list[list[tuple[int, int]]]:
-    """Return ranges of rows in two colours: those of a colour write to different ``columns``, given row by row (row k
-    from ``starts[k]`` on, or all rows are as long). One range if they read few numbers (``size``), or where the order
-    of rows and columns has little to do with each other."""
+def scattering(
+    columns: np.ndarray, starts: np.ndarray | None = None, size: int = 0
+) -> list[list[tuple[int, int]]]:
+    """Return ranges of rows in two colours: those of a colour write to different ``columns``, given
+    row by row (row k from ``starts[k]`` on, or all rows are as long). One range if they read few
+    numbers (``size``), or where the order of rows and columns has little to do with each other."""
     if starts is None:
         starts = np.arange(len(columns) + 1) * columns.shape[1]
     n, flat = len(starts) - 1, columns.reshape(-1)
@@ -135,8 +153,8 @@ def scattering(columns: np.ndarray, starts: np.ndarray | None = None, size: int 
 
 
 class _Blas:
-    """The limit of BLAS, set by the first thread of Python to enter, and lifted by the last to leave: threadpoolctl's
-    own ends with the thread that set it."""
+    """The limit of BLAS, set by the first thread of Python to enter, and lifted by the last to
+    leave: threadpoolctl's own ends with the thread that set it."""
 
     def __init__(self) -> None:
         self.lock, self.inside, self.libraries, self.limit = RLock(), 0, None, None
@@ -160,8 +178,8 @@ class _Blas:
                 self.limit.restore_original_limits()
 
     def release(self) -> None:
-        """Let this thread set limits: threadpoolctl 3.7 and later obey, in silence, only the one that set them first.
-        """
+        """Let this thread set limits: threadpoolctl 3.7 and later obey, in silence, only the one
+        that set them first."""
         for library in self.libraries.lib_controllers:
             getattr(library, "clear_controlling_thread", lambda force: None)(force=True)
 
@@ -179,7 +197,8 @@ _BLAS, _RANDOM = _Blas(), RLock()
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Hold BLAS at one thread, in a with statement or as a decorator; may be nested, and entered by several threads."""
+    """Hold BLAS at one thread, in a with statement or as a decorator; may be nested, and entered by
+    several threads."""
     _BLAS.enter()
     try:
         yield
@@ -189,8 +208,9 @@ def one_blas_thread() -> Iterator[None]:
 
 @contextmanager
 def seeded() -> Iterator[None]:
-    """Let what draws from numpy's global generator (pyamg) draw the same numbers always, and put the state back. One
-    thread at a time; a thread of the user that draws from the global generator meanwhile is not held back."""
+    """Let what draws from numpy's global generator (pyamg) draw the same numbers always, and put
+    the state back. One thread at a time; a thread of the user that draws from the global generator
+    meanwhile is not held back."""
     with _RANDOM:
         state = np.random.get_state()  # noqa: NPY002
         np.random.seed(0)  # noqa: NPY002

@@ -54,9 +54,11 @@ class Hierarchy:
     origin : str
         How they were made, as text.
     timings : dict of str to float
-        Wall time of making them by phase, s: "mesh", "assembly", "transfer". They add up to the whole.
+        Wall time of making them by phase, s: "mesh", "assembly", "transfer". They add up to the
+        whole.
     transfer : Transfer or None
-        What built the prolongations between meshes; None for interpolation, or where there are no meshes.
+        What built the prolongations between meshes; None for interpolation, or where there are no
+        meshes.
     contact_rows : bool
         Whether the rows of contact nodes were replaced, see :meth:`from_meshes`.
 
@@ -68,7 +70,9 @@ class Hierarchy:
     """
 
     levels: tuple[Level, ...]
-    problem: ContactProblem | Any = None  # Any: only hierarchies of a given matrix need the test for None
+    problem: ContactProblem | Any = (
+        None  # Any: only hierarchies of a given matrix need the test for None
+    )
     origin: str = "levels"
     timings: dict[str, float] = field(default_factory=dict)
     transfer: Transfer | None = None
@@ -85,10 +89,15 @@ class Hierarchy:
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
                 shape = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
             own, other = vars(fine)["prolongation"], fine.surface_prolongation
-            for name, matrix in (("prolongation", own), ("surface_prolongation", own if other is None else other)):
+            for name, matrix in (
+                ("prolongation", own),
+                ("surface_prolongation", own if other is None else other),
+            ):
                 if matrix is None or matrix.shape != shape:
-                    raise ValueError(f"levels[{k}].{name} must have shape {shape} (fine, coarse), got "
-                                     f"{None if matrix is None else matrix.shape}")
+                    raise ValueError(
+                        f"levels[{k}].{name} must have shape {shape} (fine, coarse), got "
+                        f"{None if matrix is None else matrix.shape}"
+                    )
         if levels[-1].discrete_or_none is None:
             raise ValueError("the finest level has no DiscreteProblem")
         object.__setattr__(self, "levels", levels)
@@ -100,7 +109,9 @@ class Hierarchy:
         return cls((Level(discrete),), origin="one level")
 
     @classmethod
-    def uniform(cls, problem: ContactProblem, divisions: Sequence[Divisions | Mapping[str, Divisions]]) -> Hierarchy:
+    def uniform(
+        cls, problem: ContactProblem, divisions: Sequence[Divisions | Mapping[str, Divisions]]
+    ) -> Hierarchy:
         """Return structured grids of a rectangle or box.
 
         ValueError for what :func:`adaptmg.mesh.structured` refuses, and more than 40 levels.
@@ -110,8 +121,9 @@ class Hierarchy:
         problem : ContactProblem
             With a Rectangle or Box as domain.
         divisions : sequence of int, tuple of int or mapping
-            Cells along the sides, coarse to fine; nested where each divides the next. Of several bodies also body
-            name -> cells. Cells more than three times as long as wide take many cycles (a warning).
+            Cells along the sides, coarse to fine; nested where each divides the next. Of several
+            bodies also body name -> cells. Cells more than three times as long as wide take many
+            cycles (a warning).
         """
         begin = clock()
         from adaptmg.mesh.structured import lattices, warn_of_stretched
@@ -119,41 +131,59 @@ class Hierarchy:
         need_domain(problem)
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
         if len(divisions) > _MOST_LEVELS:
-            raise ValueError(f"divisions must be at most {_MOST_LEVELS} levels, got {len(divisions)}")
+            raise ValueError(
+                f"divisions must be at most {_MOST_LEVELS} levels, got {len(divisions)}"
+            )
         domain = cast("Rectangle | Box | Assembly", problem.domain)
         warn_of_stretched(domain, divisions[-1])
-        return cls._build(problem, lambda: [lattices(domain, n) for n in divisions], None,
-                          f"uniform {', '.join(map(_label, divisions))}", begin)
+        return cls._build(
+            problem,
+            lambda: [lattices(domain, n) for n in divisions],
+            None,
+            f"uniform {', '.join(map(_label, divisions))}",
+            begin,
+        )
 
     @classmethod
-    def graded(cls, problem: ContactProblem, sizes: Sequence[float | Mapping[str, float]] | None = None,
-               contact_ratio: float | Mapping[str, float] | None = None,
-               transfer: Transfer | None = None, contact_rows: bool = True, mesher: str = "own",
-               grading: float = 0.3) -> Hierarchy:
-        """Return independent (non-nested) meshes, graded towards the contact boundaries, with self-similar size fields.
+    def graded(
+        cls,
+        problem: ContactProblem,
+        sizes: Sequence[float | Mapping[str, float]] | None = None,
+        contact_ratio: float | Mapping[str, float] | None = None,
+        transfer: Transfer | None = None,
+        contact_rows: bool = True,
+        mesher: str = "own",
+        grading: float = 0.3,
+    ) -> Hierarchy:
+        """Return independent (non-nested) meshes, graded towards the contact boundaries, with
+        self-similar size fields.
 
-        The size field of each level is that of the coarsest one times the ratio of their sizes, everywhere: sizes at
-        contact, away from it and between fall alike, and so does the discretisation error.
+        The size field of each level is that of the coarsest one times the ratio of their sizes,
+        everywhere: sizes at contact, away from it and between fall alike, and so does the
+        discretisation error.
 
         Parameters
         ----------
         problem : ContactProblem
             With a domain.
         sizes : sequence of float or mapping, optional
-            Element size away from contact, coarse to fine, m; of several bodies also body name -> size. Default: a
-            quarter, an eighth and a sixteenth (3D: a third and a sixth) of the bodies' mean extent.
+            Element size away from contact, coarse to fine, m; of several bodies also body name ->
+            size. Default: a quarter, an eighth and a sixteenth (3D: a third and a sixth) of the
+            bodies' mean extent.
         contact_ratio : float or mapping, optional
-            Size away from contact over size at contact, >= 1; of several bodies also body name -> ratio. Default 1;
-            without ``sizes`` in the plane such that the shortest contact boundary has 64 elements.
+            Size away from contact over size at contact, >= 1; of several bodies also body name ->
+            ratio. Default 1; without ``sizes`` in the plane such that the shortest contact boundary
+            has 64 elements.
         transfer, contact_rows
             See :meth:`from_meshes`.
         mesher : {"own", "netgen"}
-            What makes small elements. "own": in the plane a Delaunay triangulation of this package, in space bisection
-            of a coarse mesh (of boxes our own, of other solids Netgen's, one a level) and improvement of shapes.
-            "netgen": Netgen alone, which takes ten times as long and also meshes where "own" fails.
+            What makes small elements. "own": in the plane a Delaunay triangulation of this package,
+            in space bisection of a coarse mesh (of boxes our own, of other solids Netgen's, one a
+            level) and improvement of shapes. "netgen": Netgen alone, which takes ten times as long
+            and also meshes where "own" fails.
         grading : float
-            Growth of the size per distance from contact on the coarsest level, above 0 and at most 1; on finer ones it
-            is smaller in the ratio of their sizes.
+            Growth of the size per distance from contact on the coarsest level, above 0 and at most
+            1; on finer ones it is smaller in the ratio of their sizes.
         """
         begin = clock()
         from adaptmg.mesh import graded
@@ -164,15 +194,30 @@ class Hierarchy:
             sizes, ratio = sensible_sizes(domain, problem.pair_boundaries)
         contact_ratio = ratio if contact_ratio is None else contact_ratio
         sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
-        origin = f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
+        origin = (
+            f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
+        )
         gradings = gradings_of(sizes, grading)
-        return cls._build(problem, lambda: [
-            graded(domain, size, problem.pair_boundaries, contact_ratio, growth, mesher=mesher)
-            for size, growth in zip(sizes, gradings, strict=True)], transfer, origin, begin, contact_rows)
+        return cls._build(
+            problem,
+            lambda: [
+                graded(domain, size, problem.pair_boundaries, contact_ratio, growth, mesher=mesher)
+                for size, growth in zip(sizes, gradings, strict=True)
+            ],
+            transfer,
+            origin,
+            begin,
+            contact_rows,
+        )
 
     @classmethod
-    def from_meshes(cls, problem: ContactProblem, meshes: Sequence[Any], transfer: Transfer | None = None,
-                    contact_rows: bool = True) -> Hierarchy:
+    def from_meshes(
+        cls,
+        problem: ContactProblem,
+        meshes: Sequence[Any],
+        transfer: Transfer | None = None,
+        contact_rows: bool = True,
+    ) -> Hierarchy:
         """Return a hierarchy of given meshes, coarse to fine.
 
         Parameters
@@ -181,10 +226,12 @@ class Hierarchy:
         meshes : sequence of ngsolve.Mesh, MeshArrays or paths of mesh files (.msh, .vol)
             Checked before use; the boundary names must be those of the problem.
         transfer : Transfer, optional
-            Any object with ``build(coarse, fine)``; default :class:`adaptmg.transfer.Interpolation`.
+            Any object with ``build(coarse, fine)``; default
+            :class:`adaptmg.transfer.Interpolation`.
         contact_rows : bool
-            Replace the rows of fine contact nodes by linear interpolation along the coarse contact boundary, whatever
-            the transfer does elsewhere: the monotone correction is proven only so (or where the transfer does it).
+            Replace the rows of fine contact nodes by linear interpolation along the coarse contact
+            boundary, whatever the transfer does elsewhere: the monotone correction is proven only
+            so (or where the transfer does it).
         """
         begin = clock()
         from adaptmg.mesh import as_mesh
@@ -195,24 +242,29 @@ class Hierarchy:
         return cls._build(problem, lambda: arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
-    def from_prolongations(cls, discrete: DiscreteProblem, prolongations: Sequence[sparse.csr_array]) -> Hierarchy:
-        """Return a hierarchy of a user's matrix and coarse spaces, with Galerkin matrices; no contact problem on the
-        coarse levels.
+    def from_prolongations(
+        cls, discrete: DiscreteProblem, prolongations: Sequence[sparse.csr_array]
+    ) -> Hierarchy:
+        """Return a hierarchy of a user's matrix and coarse spaces, with Galerkin matrices; no
+        contact problem on the coarse levels.
 
         Parameters
         ----------
         discrete : DiscreteProblem
             On the finest level.
         prolongations : sequence of sparse matrices
-            Coarse to fine, each from a level to the next finer: all of nodes (n_nodes, n_nodes coarse), acting on every
-            component, or all of dofs (n_dofs, n_dofs coarse).
+            Coarse to fine, each from a level to the next finer: all of nodes (n_nodes, n_nodes
+            coarse), acting on every component, or all of dofs (n_dofs, n_dofs coarse).
         """
         from adaptmg.transfer.galerkin import coarse_spaces
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = clock()
         checked, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
-        levels = [Level(None, None, P, galerkin=A) for P, A in zip([None, *checked[:-1]], matrices, strict=True)]
+        levels = [
+            Level(None, None, P, galerkin=A)
+            for P, A in zip([None, *checked[:-1]], matrices, strict=True)
+        ]
         levels.append(Level(discrete, None, checked[-1]))
         return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})
 
@@ -223,7 +275,8 @@ class Hierarchy:
         Parameters
         ----------
         discrete : DiscreteProblem
-            Its ``near_nullspace`` matters: with rigid-body modes convergence is about twice as fast.
+            Its ``near_nullspace`` matters: with rigid-body modes convergence is about twice as
+            fast.
         max_coarse : int
             Nodes (rows of blocks) of the coarsest level at most.
         """
@@ -231,18 +284,31 @@ class Hierarchy:
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = clock()
-        prolongations = aggregated_prolongations(discrete.matrix, discrete.near_nullspace, discrete.fixed,
-                                                 checks.integer("max_coarse", max_coarse, 1))
+        prolongations = aggregated_prolongations(
+            discrete.matrix,
+            discrete.near_nullspace,
+            discrete.fixed,
+            checks.integer("max_coarse", max_coarse, 1),
+        )
         if not prolongations:
-            raise ValueError(f"max_coarse must be below {discrete.n_nodes}, the number of nodes, got {max_coarse}: "
-                             "there is nothing to coarsen")
+            raise ValueError(
+                f"max_coarse must be below {discrete.n_nodes}, the number of nodes, got {max_coarse}: "
+                "there is nothing to coarsen"
+            )
         levels = cls.from_prolongations(discrete, prolongations).levels
         return cls(levels, None, "smoothed aggregation", {"transfer": clock() - begin})
 
     @classmethod
     @one_blas_thread()
-    def _build(cls, problem: ContactProblem, mesh: Callable[[], list[MeshArrays]], transfer: Transfer | None,
-               origin: str, begin: float, contact_rows: bool = True) -> Hierarchy:
+    def _build(
+        cls,
+        problem: ContactProblem,
+        mesh: Callable[[], list[MeshArrays]],
+        transfer: Transfer | None,
+        origin: str,
+        begin: float,
+        contact_rows: bool = True,
+    ) -> Hierarchy:
         """The levels on the meshes that ``mesh`` makes."""
         compiled = compiling_seconds()
         meshes = mesh()
@@ -257,7 +323,11 @@ class Hierarchy:
         assembled = clock()
         for k in range(1, len(levels)):
             levels[k] = joined(levels[k - 1], levels[k], builder, contact_rows)
-        timings = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": clock() - assembled}
+        timings = {
+            "mesh": meshed - begin,
+            "assembly": assembled - meshed,
+            "transfer": clock() - assembled,
+        }
         if compiling_seconds() > compiled:
             timings["compiling"] = compiling_seconds() - compiled
         return cls(tuple(levels), problem, origin, timings, transfer, contact_rows)
@@ -275,32 +345,38 @@ class Hierarchy:
 
     @property
     def discretised(self) -> bool:
-        """Return whether every level poses the contact problem; else only ``Truncated`` without nested start serves."""
+        """Return whether every level poses the contact problem; else only ``Truncated`` without
+        nested start serves."""
         return all(level.discrete_or_none is not None for level in self.levels)
 
     def need_discretised(self, what: str) -> None:
         """Raise ValueError unless every level poses the contact problem."""
         if not self.discretised:
-            raise ValueError(f"grids: {what} needs the contact problem on every level, but the coarse levels of this "
-                             f"hierarchy ({self.origin}) are only spaces; use am.Multigrid(correction=am.Truncated())")
+            raise ValueError(
+                f"grids: {what} needs the contact problem on every level, but the coarse levels of this "
+                f"hierarchy ({self.origin}) are only spaces; use am.Multigrid(correction=am.Truncated())"
+            )
 
     def truncated(self, *, coarsest: int = 0, finest: int | None = None) -> Self:
-        """Return the levels ``coarsest`` .. ``finest`` (inclusive; default: the last) as a hierarchy of their own."""
+        """Return the levels ``coarsest`` .. ``finest`` (inclusive; default: the last) as a
+        hierarchy of their own."""
         finest = len(self) - 1 if finest is None else checks.integer("finest", finest)
         if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
-            raise ValueError(f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}")
-        first, *rest = self.levels[coarsest:finest + 1]
+            raise ValueError(
+                f"coarsest and finest must satisfy 0 <= {coarsest} <= {finest} < {len(self)}"
+            )
+        first, *rest = self.levels[coarsest : finest + 1]
         first = first.posing(prolongation=None, surface_prolongation=None)
         return replace(self, levels=(first, *rest), timings=dict(self.timings))
 
     @one_blas_thread()
     def append(self, mesh: Any) -> Self:
-        """Return the hierarchy with one finer mesh (MeshArrays, ngsolve.Mesh or path); what is there is neither
-        assembled nor located again.
+        """Return the hierarchy with one finer mesh (MeshArrays, ngsolve.Mesh or path); what is
+        there is neither assembled nor located again.
 
-        It is the same as :meth:`from_meshes` makes of all meshes. The mesh need not be nested. ValueError if the levels
-        are not made of meshes, or the mesh has no more nodes than the finest.
-        """
+        It is the same as :meth:`from_meshes` makes of all meshes. The mesh need not be nested.
+        ValueError if the levels are not made of meshes, or the mesh has no more nodes than the
+        finest."""
         from adaptmg.mesh import as_mesh
 
         begin = clock()
@@ -310,7 +386,11 @@ class Hierarchy:
         meshed = clock()
         new, assembled = level_of(self.problem, fine), clock()
         new = joined(self.finest, new, the_transfer(self.transfer), self.contact_rows)
-        spent = {"mesh": meshed - begin, "assembly": assembled - meshed, "transfer": clock() - assembled}
+        spent = {
+            "mesh": meshed - begin,
+            "assembly": assembled - meshed,
+            "transfer": clock() - assembled,
+        }
         origin = self.origin if self.origin.endswith(", grown") else f"{self.origin}, grown"
         return replace(self, levels=(*self.levels, new), timings=self._with(spent), origin=origin)
 
@@ -318,9 +398,9 @@ class Hierarchy:
     def with_problem(self, problem: ContactProblem) -> Hierarchy:
         """Return the same meshes with another law, friction, load, material or support.
 
-        It is, bit for bit, what :meth:`from_meshes` makes of the same meshes. Of another law, or other loads, matrices
-        and prolongations are shared with this hierarchy; for other material, supports or obstacles matrices are
-        assembled again.
+        It is, bit for bit, what :meth:`from_meshes` makes of the same meshes. Of another law, or
+        other loads, matrices and prolongations are shared with this hierarchy; for other material,
+        supports or obstacles matrices are assembled again.
 
         ValueError if domain or contact boundaries are others, or the levels are not made of meshes.
 
@@ -339,53 +419,87 @@ class Hierarchy:
         self._need_meshes("with_problem")
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         domain, other = self.problem.domain, problem.domain
-        if domain is not None and other is not None and other is not domain and not same(other, domain):
-            raise ValueError(f"problem has another domain, {checks.shown(other)}, than these meshes, "
-                             f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform")
+        if (
+            domain is not None
+            and other is not None
+            and other is not domain
+            and not same(other, domain)
+        ):
+            raise ValueError(
+                f"problem has another domain, {checks.shown(other)}, than these meshes, "
+                f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform"
+            )
         problem = with_sides(problem, self.finest.mesh)
-        own, asked = ((*one.contact_boundaries, *one.masters, *one.tied_boundaries) for one in (self.problem, problem))
+        own, asked = (
+            (*one.contact_boundaries, *one.masters, *one.tied_boundaries)
+            for one in (self.problem, problem)
+        )
         if own != asked and _exchanged(self.problem) == _exchanged(problem):
             meshes = [level.mesh for level in self.levels]
-            return replace(self.from_meshes(problem, meshes, self.transfer, self.contact_rows), origin=self.origin)
+            return replace(
+                self.from_meshes(problem, meshes, self.transfer, self.contact_rows),
+                origin=self.origin,
+            )
         if own != asked:
-            raise ValueError(f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
-                             f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes")
+            raise ValueError(
+                f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
+                f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes"
+            )
         changed = changed_parts(problem, self.problem)
-        levels = [level.posing(discrete=rediscretise(problem, level.mesh, level.discrete, changed))
-                  for level in self.levels]
+        levels = [
+            level.posing(discrete=rediscretise(problem, level.mesh, level.discrete, changed))
+            for level in self.levels
+        ]
         assembled = clock()
-        alike = [touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)]
+        alike = [
+            touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)
+        ]
         for k in range(1, len(levels)):
             if not (alike[k - 1] and alike[k]):
-                levels[k] = joined(levels[k - 1], levels[k], the_transfer(self.transfer), self.contact_rows)
+                levels[k] = joined(
+                    levels[k - 1], levels[k], the_transfer(self.transfer), self.contact_rows
+                )
         spent = {"mesh": 0.0, "assembly": assembled - begin, "transfer": clock() - assembled}
         return replace(self, levels=tuple(levels), problem=problem, timings=spent)
 
     @one_blas_thread()
     def without(self, level: int) -> Self:
-        """Return the hierarchy without one of the levels but the finest; only the prolongation between its two
-        neighbours is built.
+        """Return the hierarchy without one of the levels but the finest; only the prolongation
+        between its two neighbours is built.
 
-        ``level`` 0 is the coarsest. ValueError for the finest, and if the levels are not made of meshes.
-        """
+        ``level`` 0 is the coarsest. ValueError for the finest, and if the levels are not made of
+        meshes."""
         begin = clock()
         if not 0 <= checks.integer("level", level) < len(self) - 1:
-            raise ValueError(f"level must satisfy 0 <= level < {len(self) - 1} (the finest stays), got {level}")
+            raise ValueError(
+                f"level must satisfy 0 <= level < {len(self) - 1} (the finest stays), got {level}"
+            )
         if level == 0:
             return self.truncated(coarsest=1)
         self._need_meshes("without")
-        above = joined(self.levels[level - 1], self.levels[level + 1], the_transfer(self.transfer), self.contact_rows)
-        levels = (*self.levels[:level], above, *self.levels[level + 2:])
+        above = joined(
+            self.levels[level - 1],
+            self.levels[level + 1],
+            the_transfer(self.transfer),
+            self.contact_rows,
+        )
+        levels = (*self.levels[:level], above, *self.levels[level + 2 :])
         return replace(self, levels=levels, timings=self._with({"transfer": clock() - begin}))
 
     def _with(self, seconds: dict[str, float]) -> dict[str, float]:
-        return {name: self.timings.get(name, 0.0) + seconds.get(name, 0.0) for name in {**self.timings, **seconds}}
+        return {
+            name: self.timings.get(name, 0.0) + seconds.get(name, 0.0)
+            for name in {**self.timings, **seconds}
+        }
 
     def _need_meshes(self, what: str) -> None:
-        if self.problem is None or any(one.mesh_or_none is None or one.discrete_or_none is None
-                                       for one in self.levels):
-            raise ValueError(f"{what}: these levels ({self.origin}) are not made of meshes of a ContactProblem; make "
-                             "them with Hierarchy.from_meshes, graded or uniform")
+        if self.problem is None or any(
+            one.mesh_or_none is None or one.discrete_or_none is None for one in self.levels
+        ):
+            raise ValueError(
+                f"{what}: these levels ({self.origin}) are not made of meshes of a ContactProblem; make "
+                "them with Hierarchy.from_meshes, graded or uniform"
+            )
 
     @property
     def grid_complexity(self) -> float:
@@ -394,14 +508,23 @@ class Hierarchy:
 
     @property
     def operator_complexity(self) -> float:
-        """Return the nonzeros of the discretised matrices on all levels over those of the finest."""
+        """Return the nonzeros of the discretised matrices on all levels over those of the
+        finest."""
         return sum(level.matrix.nnz for level in self.levels) / self.finest.matrix.nnz
 
     def table(self) -> list[dict[str, float]]:
         """Return one dict a level: level, nodes, contact_nodes, nonzeros."""
-        return [{"level": k, "nodes": level.n_nodes,
-                 "contact_nodes": len(level.discrete.contact) if level.discrete_or_none is not None else 0,
-                 "nonzeros": level.matrix.nnz} for k, level in enumerate(self.levels)]
+        return [
+            {
+                "level": k,
+                "nodes": level.n_nodes,
+                "contact_nodes": len(level.discrete.contact)
+                if level.discrete_or_none is not None
+                else 0,
+                "nonzeros": level.matrix.nnz,
+            }
+            for k, level in enumerate(self.levels)
+        ]
 
     def __repr__(self) -> str:
         return shortened(str(self))
@@ -409,16 +532,24 @@ class Hierarchy:
     def _repr_html_(self) -> str:
         import pandas
 
-        return in_html_lines(str(self).partition("\n")[0]) + html_table(pandas.DataFrame(self.table()))
+        return in_html_lines(str(self).partition("\n")[0]) + html_table(
+            pandas.DataFrame(self.table())
+        )
 
     def __str__(self) -> str:
         name = self.problem.name if self.problem is not None else self.finest.discrete.name
-        lines = [f"Hierarchy of {len(self)} levels ({self.origin}) for {name}",
-                 f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11}"]
-        lines += [f"{row['level']:>5} {row['nodes']:>9} {row['contact_nodes']:>8} {row['nonzeros']:>11}"
-                  for row in self.table()]
-        lines.append(f"grid complexity {self.grid_complexity:.3f}, "
-                     f"operator complexity (discretised) {self.operator_complexity:.3f}")
+        lines = [
+            f"Hierarchy of {len(self)} levels ({self.origin}) for {name}",
+            f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11}",
+        ]
+        lines += [
+            f"{row['level']:>5} {row['nodes']:>9} {row['contact_nodes']:>8} {row['nonzeros']:>11}"
+            for row in self.table()
+        ]
+        lines.append(
+            f"grid complexity {self.grid_complexity:.3f}, "
+            f"operator complexity (discretised) {self.operator_complexity:.3f}"
+        )
         return "\n".join(lines)
 
 
@@ -433,7 +564,9 @@ def _each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
 
 def _exchanged(problem: ContactProblem) -> list[frozenset[str]]:
     """The boundaries of each contact, whichever is the slave."""
-    return [frozenset(pair) for pair in zip(problem.contact_boundaries, problem.masters, strict=True)]
+    return [
+        frozenset(pair) for pair in zip(problem.contact_boundaries, problem.masters, strict=True)
+    ]
 
 
 def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
@@ -441,30 +574,54 @@ def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     if not hasattr(problem.domain, "lower") or mesh.dim != problem.dim:  # no domain, or a STEP file
         return []
     outside = mesh.points[mesh.facets.reshape(-1)]
-    spans = [np.stack(ends) for ends in ((outside.min(axis=0), outside.max(axis=0)),
-                                         (problem.domain.lower, problem.domain.upper))]
+    spans = [
+        np.stack(ends)
+        for ends in (
+            (outside.min(axis=0), outside.max(axis=0)),
+            (problem.domain.lower, problem.domain.upper),
+        )
+    ]
     if (np.abs(spans[0] - spans[1]) <= 0.25 * np.ptp(spans[1], axis=0).max()).all():
         return []
-    shown = [" to ".join(str(tuple(map(float, corner.round(9)))) for corner in span) for span in spans]
-    return [f"the finest mesh spans {shown[0]} m, but problem.domain {shown[1]} m: are the lengths of the mesh in mm? "
-            "adaptmg takes m: scale the mesh, or give the problem its domain"]
+    shown = [
+        " to ".join(str(tuple(map(float, corner.round(9)))) for corner in span) for span in spans
+    ]
+    return [
+        f"the finest mesh spans {shown[0]} m, but problem.domain {shown[1]} m: are the lengths of the mesh in mm? "
+        "adaptmg takes m: scale the mesh, or give the problem its domain"
+    ]
 
 
 def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
-    """Messages on bodies that overlap and are not a pair; in axisymmetry that is how a ring of bolts is posed."""
+    """Messages on bodies that overlap and are not a pair; in axisymmetry that is how a ring of
+    bolts is posed."""
     from adaptmg.mesh.soundness import overlapping_bodies
 
     if problem.axisymmetric or len(mesh.bodies) < 2:
         return []
     body = np.zeros(mesh.n_nodes, dtype=np.int64)
     body[mesh.elements] = cast(np.ndarray, mesh.element_body)[:, None]
-    pairs = [one for one in cast(tuple, problem.contact) + cast(tuple, problem.ties) if not isinstance(one, Contact)]
-    paired = {frozenset(ends) for pair in pairs for ends in product(*(
-        set(body[mesh.boundary_nodes(name)].tolist()) for name in (pair.slave, pair.master)))}
-    apart = [ends for ends in combinations(range(len(mesh.bodies)), 2) if frozenset(ends) not in paired]
-    return [f"the bodies {mesh.bodies[a]!r} and {mesh.bodies[b]!r} lie in each other, at {x.round(9).tolist()} among "
-            "other places, and are not a contact pair: nothing keeps them apart. Move one of them, or declare an "
-            "am.ContactPair" for a, b, x in overlapping_bodies(mesh, apart)]
+    pairs = [
+        one
+        for one in cast(tuple, problem.contact) + cast(tuple, problem.ties)
+        if not isinstance(one, Contact)
+    ]
+    paired = {
+        frozenset(ends)
+        for pair in pairs
+        for ends in product(
+            *(set(body[mesh.boundary_nodes(name)].tolist()) for name in (pair.slave, pair.master))
+        )
+    }
+    apart = [
+        ends for ends in combinations(range(len(mesh.bodies)), 2) if frozenset(ends) not in paired
+    ]
+    return [
+        f"the bodies {mesh.bodies[a]!r} and {mesh.bodies[b]!r} lie in each other, at {x.round(9).tolist()} among "
+        "other places, and are not a contact pair: nothing keeps them apart. Move one of them, or declare an "
+        "am.ContactPair"
+        for a, b, x in overlapping_bodies(mesh, apart)
+    ]
 
 
 def _label(value: object) -> str:

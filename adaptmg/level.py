@@ -1,4 +1,5 @@
-"""Level: one grid of a hierarchy, with the problem on it and the prolongation from the next coarser one."""
+"""Level: one grid of a hierarchy, with the problem on it and the prolongation from the next coarser
+one."""
 
 from __future__ import annotations
 
@@ -32,17 +33,18 @@ class Level:
     Attributes
     ----------
     discrete : DiscreteProblem
-        The problem discretised on this grid. Where only a coarse space is known (given as None), reading it raises
-        ValueError, as reading an absent mesh or prolongation does; ``discrete_or_none`` and ``mesh_or_none`` do not.
+        The problem discretised on this grid. Where only a coarse space is known (given as None),
+        reading it raises ValueError, as reading an absent mesh or prolongation does;
+        ``discrete_or_none`` and ``mesh_or_none`` do not.
     mesh : MeshArrays
     prolongation : csr_array
-        Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse spaces, its dofs
-        (n_dofs, n_dofs coarse); the coarsest level has none.
+        Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse
+        spaces, its dofs (n_dofs, n_dofs coarse); the coarsest level has none.
     galerkin : bsr_array or None
         The matrix of a coarse space without a discrete problem.
     surface_prolongation : csr_array or None
-        With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for corrections that need
-        it (:mod:`adaptmg.transfer.contact`).
+        With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for
+        corrections that need it (:mod:`adaptmg.transfer.contact`).
 
     Examples
     --------
@@ -59,24 +61,34 @@ class Level:
     surface_prolongation: sparse.csr_array | None = None
 
     if TYPE_CHECKING:
-        def __init__(self, discrete: DiscreteProblem | None, mesh: MeshArrays | None = None,
-                     prolongation: sparse.csr_array | None = None, galerkin: sparse.bsr_array | None = None,
-                     surface_prolongation: sparse.csr_array | None = None) -> None: ...
+
+        def __init__(
+            self,
+            discrete: DiscreteProblem | None,
+            mesh: MeshArrays | None = None,
+            prolongation: sparse.csr_array | None = None,
+            galerkin: sparse.bsr_array | None = None,
+            surface_prolongation: sparse.csr_array | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         discrete, mesh = self.discrete_or_none, self.mesh_or_none
         if discrete is not None:
             checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem or None")
         elif not isinstance(self.galerkin, sparse.bsr_array):
-            raise TypeError("galerkin must be a bsr_array without a discrete problem, got "
-                            f"{checks.described(self.galerkin)}")
+            raise TypeError(
+                "galerkin must be a bsr_array without a discrete problem, got "
+                f"{checks.described(self.galerkin)}"
+            )
         if self.galerkin is not None:
             rows, columns = shape_of(checks.sparse_matrix("galerkin", self.galerkin))
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
             object.__setattr__(self, "galerkin", indices_frozen(self.galerkin))
         if mesh is not None:
-            checks.instance("mesh", mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts")
+            checks.instance(
+                "mesh", mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts"
+            )
         for name in ("prolongation", "surface_prolongation"):
             value = self.__dict__[name]
             if value is not None:
@@ -88,7 +100,8 @@ class Level:
     __repr__ = brief
 
     def posing(self, **parts: object) -> Level:
-        """Return the level with other parts (the data of a load step, a prolongation), which have been checked."""
+        """Return the level with other parts (the data of a load step, a prolongation), which have
+        been checked."""
         result = copy.copy(self)
         for name, value in parts.items():
             object.__setattr__(result, name, value)
@@ -106,7 +119,8 @@ class Level:
 
     @property
     def contact_prolongation(self) -> sparse.csr_array | None:
-        """Return the form of the prolongation for corrections that carry constraints to the coarse contact nodes."""
+        """Return the form of the prolongation for corrections that carry constraints to the coarse
+        contact nodes."""
         return self.prolongation if self.surface_prolongation is None else self.surface_prolongation
 
     @property
@@ -126,8 +140,8 @@ class Level:
         Parameters
         ----------
         u : (n_nodes coarse,) or (n_nodes coarse, k) array
-            Nodal values, of displacements say, between bodies relative to the master (``discrete.relative``). Between
-            coarse spaces (n_dofs coarse,).
+            Nodal values, of displacements say, between bodies relative to the master
+            (``discrete.relative``). Between coarse spaces (n_dofs coarse,).
 
         Returns
         -------
@@ -143,8 +157,8 @@ class Level:
         return self.prolongation @ _nodal("u", u, shape_of(self.prolongation)[1])
 
     def restrict(self, r: ArrayLike) -> np.ndarray:
-        """Return forces or residuals (dual) on the next coarser level from those on this one: P' r, with the same work
-        on all coarse displacements.
+        """Return forces or residuals (dual) on the next coarser level from those on this one: P' r,
+        with the same work on all coarse displacements.
 
         Parameters
         ----------
@@ -153,8 +167,8 @@ class Level:
         return self.prolongation.T @ _nodal("r", r, shape_of(self.prolongation)[0])
 
     def inject(self, u: ArrayLike) -> np.ndarray:
-        """Return values (primal) on the next coarser level from those on this one: of the node with the largest weight
-        in each column of P, on nested meshes the node at the same place.
+        """Return values (primal) on the next coarser level from those on this one: of the node with
+        the largest weight in each column of P, on nested meshes the node at the same place.
 
         Parameters
         ----------
@@ -168,11 +182,19 @@ def _nodal(name: str, value: ArrayLike, rows: int) -> np.ndarray:
     return checks.array(name, value, (rows, *[None] * (np.ndim(value) - 1)))
 
 
-Level.discrete = made_on_demand("discrete", "Return the problem discretised on this grid.",
-                                "this level is only a coarse space, without a discrete problem")
-Level.mesh = made_on_demand("mesh", "Return its MeshArrays.", "this level has no mesh: it comes from matrices")
-Level.prolongation = made_on_demand("prolongation", "Return the prolongation from the next coarser level.",
-                                    "the coarsest level has no prolongation")
+Level.discrete = made_on_demand(
+    "discrete",
+    "Return the problem discretised on this grid.",
+    "this level is only a coarse space, without a discrete problem",
+)
+Level.mesh = made_on_demand(
+    "mesh", "Return its MeshArrays.", "this level has no mesh: it comes from matrices"
+)
+Level.prolongation = made_on_demand(
+    "prolongation",
+    "Return the prolongation from the next coarser level.",
+    "the coarsest level has no prolongation",
+)
 
 
 def the_transfer(transfer: Transfer | None) -> Transfer:
@@ -180,7 +202,12 @@ def the_transfer(transfer: Transfer | None) -> Transfer:
     from adaptmg.transfer import Interpolation
 
     transfer = Interpolation() if transfer is None else transfer
-    return checks.offers("transfer", transfer, "build", "a transfer, which offers build(coarse, fine) -> sparse matrix")
+    return checks.offers(
+        "transfer",
+        transfer,
+        "build",
+        "a transfer, which offers build(coarse, fine) -> sparse matrix",
+    )
 
 
 def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
@@ -191,7 +218,9 @@ def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
 
 
 def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
-    """Return whether the same nodes carry contact and follow the same others: what prolongations depend on."""
+    """Return whether the same nodes carry contact and follow the same others: what prolongations
+    depend on."""
+
     def parts(problem: DiscreteProblem) -> list:
         contact, coupling = problem.contact, problem.coupling
         result: list = [contact.names, contact.masters, contact.nodes, contact.boundary]
@@ -206,34 +235,53 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
 
 
 def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:
-    """Return the level ``above`` with its prolongation from ``below``, whatever was below it before."""
+    """Return the level ``above`` with its prolongation from ``below``, whatever was below it
+    before."""
     from adaptmg.transfer.contact import between_levels
 
-    rows = between_levels(transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows)
-    return above.posing(prolongation=indices_frozen(rows.prolongation),
-                        surface_prolongation=None if rows.surface is None else indices_frozen(rows.surface))
+    rows = between_levels(
+        transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows
+    )
+    return above.posing(
+        prolongation=indices_frozen(rows.prolongation),
+        surface_prolongation=None if rows.surface is None else indices_frozen(rows.surface),
+    )
 
 
 def need_domain(problem: ContactProblem) -> None:
     """Raise ValueError unless the problem has a domain to mesh."""
     checks.instance("problem", problem, ContactProblem, "a ContactProblem")
     if problem.domain is None:
-        raise ValueError("problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes "
-                         "(in an adaptive loop engine=am.Bisect())")
+        raise ValueError(
+            "problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes "
+            "(in an adaptive loop engine=am.Bisect())"
+        )
 
 
 def meshed_domain(problem: ContactProblem) -> Domain:
-    """Return the domain of a problem, with a vertex where a point support or spring lies on a straight plane edge."""
+    """Return the domain of a problem, with a vertex where a point support or spring lies on a
+    straight plane edge."""
+
     def cut(domain: Domain, body: str | None) -> Domain:
         for one in problem.supports:
-            if isinstance(one, PointSupport | PointSpring) and body in (None, one.body or body) and domain.dim == 2:
-                domain = (replace(domain, domain=with_vertex(domain.domain, one.point)) if isinstance(domain, Cracked)
-                          else with_vertex(domain, one.point))
+            if (
+                isinstance(one, PointSupport | PointSpring)
+                and body in (None, one.body or body)
+                and domain.dim == 2
+            ):
+                domain = (
+                    replace(domain, domain=with_vertex(domain.domain, one.point))
+                    if isinstance(domain, Cracked)
+                    else with_vertex(domain, one.point)
+                )
         return domain
 
     need_domain(problem)
     if isinstance(problem.domain, Assembly):
-        return replace(problem.domain, parts={name: cut(part, name) for name, part in problem.domain.parts.items()})
+        return replace(
+            problem.domain,
+            parts={name: cut(part, name) for name, part in problem.domain.parts.items()},
+        )
     return cut(problem.domain, None)
 
 

@@ -1,9 +1,10 @@
-"""What the studies share: problems, exact discrete solutions, and where tables, figures and checked numbers go.
+"""What the studies share: problems, exact discrete solutions, and where tables, figures and checked
+numbers go.
 
-A study is a script with a function ``study(out)``: it computes with :class:`adaptmg.Study` into ``out.store`` and makes
-its tables and figures from what is stored. The first line of its docstring is its question; the paragraphs after the
-command line say what is compared. :func:`main` runs it alone, ``reproduce.py`` runs all and makes the report.
-"""
+A study is a script with a function ``study(out)``: it computes with :class:`adaptmg.Study` into
+``out.store`` and makes its tables and figures from what is stored. The first line of its docstring
+is its question; the paragraphs after the command line say what is compared. :func:`main` runs it
+alone, ``reproduce.py`` runs all and makes the report."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-# seconds are those of one thread: threads that wait for each other in short dot products cost more than they gain
+# seconds are those of one thread: threads that wait for each other in short dot products cost more
+# than they gain
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import matplotlib
@@ -72,13 +74,32 @@ class Output:
         self.failed: list[str] = []
         self._begin = time.perf_counter()
 
-    def table(self, name: str, frame: pd.DataFrame, caption: str, note: str = "", *, card: str = "",
-              units: Mapping[str, str] | None = None, formats: Mapping[str, str] | None = None) -> None:
-        """Print a table and write it as CSV; ``card`` puts it on the report's first screen, with ``note`` below."""
+    def table(
+        self,
+        name: str,
+        frame: pd.DataFrame,
+        caption: str,
+        note: str = "",
+        *,
+        card: str = "",
+        units: Mapping[str, str] | None = None,
+        formats: Mapping[str, str] | None = None,
+    ) -> None:
+        """Print a table and write it as CSV; ``card`` puts it on the report's first screen, with
+        ``note`` below."""
         write_bytes(self.folder / f"{name}.csv", frame.to_csv(index=False).encode())
         print("\n" + as_text(frame, caption=caption, note=note, units=units, formats=formats))
-        self.items.append({"kind": "table", "name": name, "caption": caption, "note": note, "units": dict(units or {}),
-                           "formats": dict(formats or {}), "card": card})
+        self.items.append(
+            {
+                "kind": "table",
+                "name": name,
+                "caption": caption,
+                "note": note,
+                "units": dict(units or {}),
+                "formats": dict(formats or {}),
+                "card": card,
+            }
+        )
 
     def figure(self, name: str, figure: Figure, caption: str, *, card: str = "") -> None:
         """Write a figure as PNG; ``card`` puts it on the report's first screen."""
@@ -86,46 +107,75 @@ class Output:
         write_bytes(target, small_png(figure))
         picture = picture_of(figure, caption)
         print(f"\n[figure {target}] {caption}")
-        self.items.append({"kind": "figure", "name": name, "caption": caption, "source": picture.source,
-                           "width": picture.width, "card": card})
+        self.items.append(
+            {
+                "kind": "figure",
+                "name": name,
+                "caption": caption,
+                "source": picture.source,
+                "width": picture.width,
+                "card": card,
+            }
+        )
 
-    def check(self, sentence: str, value: float, low: float = -np.inf, high: float = np.inf) -> None:
+    def check(
+        self, sentence: str, value: float, low: float = -np.inf, high: float = np.inf
+    ) -> None:
         """Compare a number of this run with its bounds; the study fails where it lies outside."""
         met = bool(low <= value <= high)
-        bounds = " and ".join(f"{word} {bound:g}" for word, bound in (("at least", low), ("at most", high))
-                              if np.isfinite(bound))
+        bounds = " and ".join(
+            f"{word} {bound:g}"
+            for word, bound in (("at least", low), ("at most", high))
+            if np.isfinite(bound)
+        )
         text = f"{sentence}: {value:.3g} ({bounds}{'' if met else '; NOT MET'})"
         print(f"\n{'checked' if met else 'FAILED'}: {text}")
         self.items.append({"kind": "check", "text": text, "met": met})
         self.failed += [] if met else [text]
 
     def number(self, what: str, measured: str) -> None:
-        """Add a row to the table of measured numbers, which ``reproduce.py --record`` writes for the README."""
+        """Add a row to the table of measured numbers, which ``reproduce.py --record`` writes for
+        the README."""
         print(f"\n{what}: {measured}")
         self.items.append({"kind": "number", "what": what, "measured": measured})
 
     def close(self, docstring: str) -> None:
         """Write the section for the report."""
         title, text = question_and_text(docstring)
-        section = {"title": title, "text": text, "items": self.items, "seconds": time.perf_counter() - self._begin}
+        section = {
+            "title": title,
+            "text": text,
+            "items": self.items,
+            "seconds": time.perf_counter() - self._begin,
+        }
         write_bytes(self.folder / "section.json", json.dumps(section, indent=1).encode())
 
 
 def question_and_text(docstring: str) -> tuple[str, str]:
-    """The first line of a study's docstring, and its paragraphs after the indented command lines."""
+    """The first line of a study's docstring, and its paragraphs after the indented command
+    lines."""
     first, *others = docstring.strip().split("\n\n")
-    return first, "\n\n".join(" ".join(part.split()) for part in others if not part.startswith("    "))
+    return first, "\n\n".join(
+        " ".join(part.split()) for part in others if not part.startswith("    ")
+    )
 
 
 def main(study: Callable[[Output], None]) -> None:
-    """Run the study of a script from the command line; exit code 1 if its checked number is outside its bounds."""
+    """Run the study of a script from the command line; exit code 1 if its checked number is outside
+    its bounds."""
     script, docstring = Path(sys.argv[0]), sys.modules[study.__module__].__doc__ or ""
-    parser = argparse.ArgumentParser(description=question_and_text(docstring)[0],
-                                     epilog=f"example: python studies/{script.name} --quick --out /tmp/results")
+    parser = argparse.ArgumentParser(
+        description=question_and_text(docstring)[0],
+        epilog=f"example: python studies/{script.name} --quick --out /tmp/results",
+    )
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="smaller grids, seconds instead of minutes")
+    size.add_argument(
+        "--quick", action="store_true", help="smaller grids, seconds instead of minutes"
+    )
     size.add_argument("--full", action="store_true", help="larger grids than the default; minutes")
-    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR", help="default: results")
+    parser.add_argument(
+        "--out", type=Path, default=Path("results"), metavar="DIR", help="default: results"
+    )
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     try:
@@ -151,18 +201,28 @@ def chain(finest: int, levels: int) -> tuple[int, ...]:
 
 @lru_cache(maxsize=32)
 def exact(problem: str, divisions: int) -> am.Result:
-    """The exact discrete solution by an independent method: semismooth Newton with direct solves, residual 1e-12."""
+    """The exact discrete solution by an independent method: semismooth Newton with direct solves,
+    residual 1e-12."""
     levels = next(n for n in range(1, 9) if divisions % 2**n or divisions // 2**n < 4)
-    return am.solve(grids(problem, chain(divisions, levels)), am.ActiveSet(rtol=1e-12, nested_start=True))
+    return am.solve(
+        grids(problem, chain(divisions, levels)), am.ActiveSet(rtol=1e-12, nested_start=True)
+    )
 
 
 @lru_cache(maxsize=4)
 def warm_up(dim: int = 2) -> None:
-    """Compile and load all that meshing and solving need, so that no measured second is one of the compiler."""
+    """Compile and load all that meshing and solving need, so that no measured second is one of the
+    compiler."""
     case = am.cases.greco_bar if dim == 2 else am.cases.greco_block
     for law in (am.Coulomb(1.0), am.Frictionless()):
-        hierarchy = am.Hierarchy.graded(case(law=law), (20e-3, 10e-3) if dim == 2 else (40e-3, 20e-3), contact_ratio=2)
-        for solver in (am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(linear=am.AMG())):
+        hierarchy = am.Hierarchy.graded(
+            case(law=law), (20e-3, 10e-3) if dim == 2 else (40e-3, 20e-3), contact_ratio=2
+        )
+        for solver in (
+            am.FullMultigrid(),
+            am.FullMultigrid(correction=am.Monotone()),
+            am.ActiveSet(linear=am.AMG()),
+        ):
             am.solve(hierarchy, solver, throw=False)
 
 
@@ -173,7 +233,8 @@ def processor_time() -> float:
 
 
 def cpu(call: Callable[[], Any], times: int = 3, seconds: float = 0.5) -> float:
-    """Least processor time of up to ``times`` calls, as long as together they take no more than ``seconds``."""
+    """Least processor time of up to ``times`` calls, as long as together they take no more than
+    ``seconds``."""
     spent: list[float] = []
     while not spent or (len(spent) < times and sum(spent) < seconds):
         begin = time.process_time()
@@ -183,29 +244,42 @@ def cpu(call: Callable[[], Any], times: int = 3, seconds: float = 0.5) -> float:
 
 
 def timed(hierarchy: am.Hierarchy, solver: Any, **options: Any) -> tuple[am.Result, float]:
-    """The result of a run with options, and the processor seconds of further ones without: kernels are warm then. The
-    active set method gets new matrices, so that it factorises, which it would not do twice."""
+    """The result of a run with options, and the processor seconds of further ones without: kernels
+    are warm then. The active set method gets new matrices, so that it factorises, which it would
+    not do twice."""
     result, spent = am.solve(hierarchy, solver, throw=False, **options), []
     while not spent or (len(spent) < 3 and sum(spent) < 0.5):
         if isinstance(solver, am.ActiveSet):
-            hierarchy = am.Hierarchy.from_meshes(hierarchy.problem, [level.mesh for level in hierarchy],
-                                                 hierarchy.transfer, hierarchy.contact_rows)
+            hierarchy = am.Hierarchy.from_meshes(
+                hierarchy.problem,
+                [level.mesh for level in hierarchy],
+                hierarchy.transfer,
+                hierarchy.contact_rows,
+            )
         spent.append(cpu(partial(am.solve, hierarchy, solver, throw=False), times=1))
     return result, min(spent)
 
 
 def drawing(height: float = 3.2, width: float = 11.4) -> tuple[Figure, Axes]:
-    """A figure with room for a legend outside; as wide as the page (7.2 inches: with one next to it; 4.6: a card)."""
+    """A figure with room for a legend outside; as wide as the page (7.2 inches: with one next to
+    it; 4.6: a card)."""
     return plt.subplots(figsize=(width, height), layout="constrained")
 
 
-def measured(hierarchy: am.Hierarchy, solver: Any, reference: am.Result, error: float) -> dict[str, Any]:
+def measured(
+    hierarchy: am.Hierarchy, solver: Any, reference: am.Result, error: float
+) -> dict[str, Any]:
     """Cycles of a run, its work to a true error, its processor seconds and how it ended."""
     result, seconds = timed(hierarchy, solver, reference=reference)
-    return {"nodes": hierarchy.finest.n_nodes, "cycles": result.cycles,
-            "work": result.work_to(error, of="true_error"), "total_work": result.work_units,
-            "solve_seconds": seconds, "final_error": result.history["true_error"][-1],
-            "outcome": result.status.name + ", by active set" * bool(result.fallback)}
+    return {
+        "nodes": hierarchy.finest.n_nodes,
+        "cycles": result.cycles,
+        "work": result.work_to(error, of="true_error"),
+        "total_work": result.work_units,
+        "solve_seconds": seconds,
+        "final_error": result.history["true_error"][-1],
+        "outcome": result.status.name + ", by active set" * bool(result.fallback),
+    }
 
 
 def gain(seconds: float, work: float = np.nan) -> str:
@@ -213,27 +287,47 @@ def gain(seconds: float, work: float = np.nan) -> str:
     return f"{seconds:.1f}" + f" / {work:.1f}" * bool(np.isfinite(work))
 
 
-def compare(out: Output, run: Callable[..., dict[str, Any]], methods: Sequence[str], counts: Sequence[int],
-            caption: str, **fixed: Any) -> pd.DataFrame:
-    """Compute methods on ``counts`` grids (those of one grid on one), and print cycles, work and seconds."""
-    points = [{"method": name, "levels": n} for name in methods
-              for n in ([1] if name.startswith(("one", "active")) else counts)]
+def compare(
+    out: Output,
+    run: Callable[..., dict[str, Any]],
+    methods: Sequence[str],
+    counts: Sequence[int],
+    caption: str,
+    **fixed: Any,
+) -> pd.DataFrame:
+    """Compute methods on ``counts`` grids (those of one grid on one), and print cycles, work and
+    seconds."""
+    points = [
+        {"method": name, "levels": n}
+        for name in methods
+        for n in ([1] if name.startswith(("one", "active")) else counts)
+    ]
     table = am.Study(run, points, out.store, fixed=fixed).run(throw=True)
-    table = table[["method", "levels", "nodes", "cycles", "work", "solve_seconds", "final_error", "outcome"]]
+    table = table[
+        ["method", "levels", "nodes", "cycles", "work", "solve_seconds", "final_error", "outcome"]
+    ]
     # what is factorised is no work that could be compared
     table.loc[table["method"].str.contains("condensed|active"), "work"] = np.nan
     table = table.rename(columns={"levels": "grids", "solve_seconds": "seconds"})
     first = table.iloc[table["seconds"].argmin()]
     n = first["grids"]
-    out.table("methods", table, caption, f"Quickest in this run: {first['method']}{f' on {n} grids' * int(n > 1)}, "
-              f"{first['seconds']:.3f} s. Work is left out where a factorisation replaces it.",
-              units={"work": "WU", "seconds": "s"}, formats={"work": ".1f", "seconds": ".3f", "final_error": ".0e"})
+    out.table(
+        "methods",
+        table,
+        caption,
+        f"Quickest in this run: {first['method']}{f' on {n} grids' * int(n > 1)}, "
+        f"{first['seconds']:.3f} s. Work is left out where a factorisation replaces it.",
+        units={"work": "WU", "seconds": "s"},
+        formats={"work": ".1f", "seconds": ".3f", "final_error": ".0e"},
+    )
     return table
 
 
 def slope(x: ArrayLike, y: ArrayLike) -> float:
     """Exponent of y ~ x^slope, fitted by least squares to the logarithms."""
-    return float(np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)[0])
+    return float(
+        np.polyfit(np.log(np.asarray(x, dtype=float)), np.log(np.asarray(y, dtype=float)), 1)[0]
+    )
 
 
 def paper(name: str) -> pd.DataFrame:

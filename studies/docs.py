@@ -2,9 +2,9 @@
 
     python studies/docs.py [--out DIR]
 
-Sources: docstrings of adaptmg, pages in studies/docs, tutorials in studies/tutorials (scripts, run while building),
-tables in data/measured (written by studies). Needs the packages of ``pip install -e ".[docs]"``.
-"""
+Sources: docstrings of adaptmg, pages in studies/docs, tutorials in studies/tutorials (scripts, run
+while building), tables in data/measured (written by studies). Needs the packages of ``pip install
+-e ".[docs]"``."""
 
 from __future__ import annotations
 
@@ -23,17 +23,44 @@ import adaptmg as am
 
 ROOT = Path(__file__).resolve().parent.parent
 LAWS = ("Frictionless", "Tresca", "Coulomb", "problem.Law")
-DOMAINS = ("Rectangle", "Circle", "Polygon", "Outline", "Box", "Ball", "Cylinder", "Extrusion", "Revolution",
-           "StepFile", "Cut", "Fuse", "Common", "Moved", "Assembly", "problem.Domain")
+DOMAINS = (
+    "Rectangle",
+    "Circle",
+    "Polygon",
+    "Outline",
+    "Box",
+    "Ball",
+    "Cylinder",
+    "Extrusion",
+    "Revolution",
+    "StepFile",
+    "Cut",
+    "Fuse",
+    "Common",
+    "Moved",
+    "Assembly",
+    "problem.Domain",
+)
 #: pages of the reference: title, first sentence, modules whose names they show
 TASKS = {
-    "pose": ("Pose a problem", "Bodies, materials, contact, supports and loads, in m and Pa.", ("problem",)),
+    "pose": (
+        "Pose a problem",
+        "Bodies, materials, contact, supports and loads, in m and Pa.",
+        ("problem",),
+    ),
     "domains": ("Domains", "Shapes of bodies, and how they are combined.", ()),
     "laws": ("Friction laws", "What bounds the tangential traction.", ()),
-    "grids": ("Grids", "Hierarchies, coarsest level first, and their meshes.", ("hierarchy", "mesh")),
+    "grids": (
+        "Grids",
+        "Hierarchies, coarsest level first, and their meshes.",
+        ("hierarchy", "mesh"),
+    ),
     "transfers": ("Transfers", "Prolongations between meshes, nested or not.", ("transfer",)),
-    "solve": ("Solve", "Methods, their parts, and results. Bare matrices are posed here, too.",
-              ("solver", "multigrid", "smoother", "discrete", "_threads")),
+    "solve": (
+        "Solve",
+        "Methods, their parts, and results. Bare matrices are posed here, too.",
+        ("solver", "multigrid", "smoother", "discrete", "_threads"),
+    ),
     "adapt": ("Adapt", "The adaptive loop: indicators, goals, marks and engines.", ("estimate",)),
     "study": ("Study", "A function and a design, to a durable store, to a table.", ("study",)),
     "plot": ("Plot", "Pictures; every function returns a matplotlib figure.", ("plot",)),
@@ -44,30 +71,62 @@ TASKS = {
 
 def main() -> int:
     """Command line; exit code 1 where Sphinx warns."""
-    parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0],
-                                     epilog="example: python studies/docs.py --out /tmp/docs")
-    parser.add_argument("--out", type=Path, default=Path("results/docs"), metavar="DIR", help="default: results/docs")
+    parser = argparse.ArgumentParser(
+        description=str(__doc__).split("\n")[0],
+        epilog="example: python studies/docs.py --out /tmp/docs",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("results/docs"),
+        metavar="DIR",
+        help="default: results/docs",
+    )
     arguments = parser.parse_args()
     out = arguments.out.resolve()
     shutil.rmtree(out, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
         source = write_sources(Path(folder) / "source")
-        code = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-j", "auto",
-                               "-b", "html", "-d", str(Path(folder) / "doctrees"), str(source), str(out)],
-                              check=False).returncode
+        code = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "sphinx",
+                "-W",
+                "--keep-going",
+                "-n",
+                "-q",
+                "-j",
+                "auto",
+                "-b",
+                "html",
+                "-d",
+                str(Path(folder) / "doctrees"),
+                str(source),
+                str(out),
+            ],
+            check=False,
+        ).returncode
     if not code:
         print(f"documentation: {out / 'index.html'}")
     return 1 if code else 0
 
 
 def write_sources(source: Path) -> Path:
-    """Copy pages, tutorials and the picture; write the pages that are made of the package and of measured tables."""
+    """Copy pages, tutorials and the picture; write the pages that are made of the package and of
+    measured tables."""
     shutil.copytree(ROOT / "studies" / "docs", source)
-    shutil.copytree(ROOT / "studies" / "tutorials", source / "scripts", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "studies" / "tutorials",
+        source / "scripts",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
     shutil.copy(ROOT / "data" / "pictures" / "overview.png", source)
     write_reference(source / "api")
     (source / "cases.rst").write_text(cases_page(), encoding="utf-8")
-    (source / "measured.rst").write_text(measured_page(ROOT / "data" / "measured"), encoding="utf-8")
+    (source / "measured.rst").write_text(
+        measured_page(ROOT / "data" / "measured"), encoding="utf-8"
+    )
     return source
 
 
@@ -75,46 +134,72 @@ def public_names() -> dict[str, list[str]]:
     """Every public name, by the page of the reference that shows it."""
     pages: dict[str, list[str]] = {task: [] for task in TASKS}
     task_of = {module: task for task, (_, _, modules) in TASKS.items() for module in modules}
-    homes = {name.name: node.module for node in ast.parse(Path(am.__file__).with_suffix(".pyi").read_text()).body
-             if isinstance(node, ast.ImportFrom) for name in node.names}
+    homes = {
+        name.name: node.module
+        for node in ast.parse(Path(am.__file__).with_suffix(".pyi").read_text()).body
+        if isinstance(node, ast.ImportFrom)
+        for name in node.names
+    }
     every = [(home.split(".")[0], name) for name, home in sorted(homes.items()) if home]
-    every += [(module, f"{module}.{name}") for module, home in homes.items() if not home
-              for name in getattr(getattr(am, module), "__all__", ()) if name not in homes]
+    every += [
+        (module, f"{module}.{name}")
+        for module, home in homes.items()
+        if not home
+        for name in getattr(getattr(am, module), "__all__", ())
+        if name not in homes
+    ]
     for module, name in every:
-        pages["laws" if name in LAWS else "domains" if name in DOMAINS else task_of[module]].append(name)
+        pages["laws" if name in LAWS else "domains" if name in DOMAINS else task_of[module]].append(
+            name
+        )
     return pages
 
 
 def write_reference(folder: Path) -> None:
     """Write the pages of the reference, by task."""
     folder.mkdir()
-    index = _title("API by task") + "\nAll public names; ``import adaptmg as am`` first.\n\n.. toctree::\n\n"
+    index = (
+        _title("API by task")
+        + "\nAll public names; ``import adaptmg as am`` first.\n\n.. toctree::\n\n"
+    )
     for task, names in public_names().items():
         title, sentence, _ = TASKS[task]
         index += f"   {task}\n"
-        page = (f"{_title(title)}\n{sentence}\n\n.. currentmodule:: adaptmg\n\n"
-                ".. autosummary::\n   :toctree: names\n   :nosignatures:\n\n")
-        (folder / f"{task}.rst").write_text(page + "".join(f"   {name}\n" for name in names), encoding="utf-8")
+        page = (
+            f"{_title(title)}\n{sentence}\n\n.. currentmodule:: adaptmg\n\n"
+            ".. autosummary::\n   :toctree: names\n   :nosignatures:\n\n"
+        )
+        (folder / f"{task}.rst").write_text(
+            page + "".join(f"   {name}\n" for name in names), encoding="utf-8"
+        )
     (folder / "index.rst").write_text(index, encoding="utf-8")
 
 
 def cases_page() -> str:
     """A table of the cases, and their reference values with sources."""
-    page = _title("Cases") + ("\nProblems with defaults for all arguments; the values are those of the defaults, in SI "
-                              "units. ``am.cases.NAME().reference`` holds them.\n")
+    page = _title("Cases") + (
+        "\nProblems with defaults for all arguments; the values are those of the defaults, in SI "
+        "units. ``am.cases.NAME().reference`` holds them.\n"
+    )
     cases = {name: (case.description, case.function()) for name, case in am.cases.CASES.items()}
-    page += _table(["case", "what it is"],
-                   [[f":func:`~adaptmg.cases.{name}`", text] for name, (text, _) in cases.items()])
+    page += _table(
+        ["case", "what it is"],
+        [[f":func:`~adaptmg.cases.{name}`", text] for name, (text, _) in cases.items()],
+    )
     for name, (_, problem) in cases.items():
         rows = [[f"``{key}``", text] for key, text in _flat(problem.reference)]
-        page += f"\n{name}\n{'-' * len(name)}\n" + _table(["reference", "value"], rows) if rows else ""
+        page += (
+            f"\n{name}\n{'-' * len(name)}\n" + _table(["reference", "value"], rows) if rows else ""
+        )
     return page
 
 
 def _flat(reference: Mapping[str, object], before: str = "") -> Iterator[tuple[str, str]]:
     """Names and values of a nested mapping; a mapping to numbers is one value."""
     for key, value in reference.items():
-        if isinstance(value, Mapping) and any(isinstance(item, (str, Mapping)) for item in value.values()):
+        if isinstance(value, Mapping) and any(
+            isinstance(item, (str, Mapping)) for item in value.values()
+        ):
             yield from _flat(value, f"{before}{key}: ")
         else:
             yield f"{before}{key}", _shown(value)
@@ -129,13 +214,17 @@ def _shown(value: object) -> str:
         return value.replace("|", r"\|").replace("*", r"\*")
     if isinstance(value, (bool, int, float)):
         return f"{value:.7g}" if isinstance(value, float) else str(value)
-    return "a function" if callable(value) else f":class:`~adaptmg.cases.{type(value).__name__}`"   # a closed form
+    return (
+        "a function" if callable(value) else f":class:`~adaptmg.cases.{type(value).__name__}`"
+    )  # a closed form
 
 
 def measured_page(folder: Path) -> str:
     """The tables that studies have written into data/measured."""
-    page = _title("Measured") + ("\nTables that ``python studies/reproduce.py --record`` writes; work is in "
-                                 "passes over the finest matrix.\n")
+    page = _title("Measured") + (
+        "\nTables that ``python studies/reproduce.py --record`` writes; work is in "
+        "passes over the finest matrix.\n"
+    )
     for file in sorted(folder.glob("*.csv")):
         lines = file.read_text(encoding="utf-8").splitlines()
         notes = [line.lstrip("# ") for line in lines if line.startswith("#")]
@@ -154,7 +243,9 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A list-table of reStructuredText."""
     text = "\n.. list-table::\n   :header-rows: 1\n\n"
     for row in (head, *rows):
-        text += "".join(f"   {'*' if column == 0 else ' '} - {cell}\n" for column, cell in enumerate(row))
+        text += "".join(
+            f"   {'*' if column == 0 else ' '} - {cell}\n" for column, cell in enumerate(row)
+        )
     return text
 
 

@@ -1,8 +1,7 @@
 """Linear solvers on the glued problem (all contact dofs fixed): rivals stopped at a true error.
 
-Each rival first runs to a relative energy error of 1e-8, measured against its own solution at 1e-13, to learn how many
-iterations that takes; then exactly that many are timed.
-"""
+Each rival first runs to a relative energy error of 1e-8, measured against its own solution at
+1e-13, to learn how many iterations that takes; then exactly that many are timed."""
 
 from __future__ import annotations
 
@@ -46,9 +45,15 @@ def glued(hierarchy: am.Hierarchy) -> Glued:
     return Glued(hierarchy, without_fixed(finest.matrix, fixed[-1]), load, modes, fixed)
 
 
-def conjugate_gradients(matrix: sparse.bsr_array, load: np.ndarray, precondition: Callable[[np.ndarray], np.ndarray],
-                        iterations: int, exact: np.ndarray | None = None) -> tuple[np.ndarray, int]:
-    """Preconditioned conjugate gradients; with ``exact`` until the relative energy error is 1e-8."""
+def conjugate_gradients(
+    matrix: sparse.bsr_array,
+    load: np.ndarray,
+    precondition: Callable[[np.ndarray], np.ndarray],
+    iterations: int,
+    exact: np.ndarray | None = None,
+) -> tuple[np.ndarray, int]:
+    """Preconditioned conjugate gradients; with ``exact`` until the relative energy error is
+    1e-8."""
     x, r = np.zeros_like(load), load.copy()
     size = 1.0 if exact is None else float(np.sqrt(exact @ (matrix @ exact)))
     z = precondition(r).copy()
@@ -83,15 +88,19 @@ def iterations_needed(problem: Glued, precondition: Callable[[np.ndarray], np.nd
 
 def pyamg_preconditioner(problem: Glued) -> Callable[[np.ndarray], np.ndarray]:
     """Smoothed aggregation with rigid-body modes, pyamg's defaults; one V-cycle an application."""
-    hierarchy = pyamg.smoothed_aggregation_solver(sparse.bsr_matrix(problem.matrix), B=problem.modes)
+    hierarchy = pyamg.smoothed_aggregation_solver(
+        sparse.bsr_matrix(problem.matrix), B=problem.modes
+    )
     return hierarchy.aspreconditioner(cycle="V").matvec
 
 
 def geometric_preconditioner(problem: Glued) -> Callable[[np.ndarray], np.ndarray]:
     """The linear V-cycle of the package (symmetric), on the glued matrices."""
     run = Run(unit=problem.matrix.nnz)
-    levels = [split(level.discrete.matrix, fixed) for level, fixed in
-              zip(problem.hierarchy.levels, problem.fixed, strict=True)]
+    levels = [
+        split(level.discrete.matrix, fixed)
+        for level, fixed in zip(problem.hierarchy.levels, problem.fixed, strict=True)
+    ]
     cycle = LinearCycle(levels, nodal_prolongations(problem.hierarchy), run, [2] * len(levels))
     cycle.factors.renew()
     top = len(levels) - 1
@@ -99,6 +108,8 @@ def geometric_preconditioner(problem: Glued) -> Callable[[np.ndarray], np.ndarra
     return lambda r: cycle.solve(top, r)
 
 
-def iterate(problem: Glued, precondition: Callable[[np.ndarray], np.ndarray], iterations: int) -> None:
+def iterate(
+    problem: Glued, precondition: Callable[[np.ndarray], np.ndarray], iterations: int
+) -> None:
     """Iterate n times."""
     conjugate_gradients(problem.matrix, problem.load, precondition, iterations)

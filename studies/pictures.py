@@ -1,6 +1,7 @@
-"""Draw the pictures of the README and of the documentation: the bar, the dovetail, an adaptive mesh.
+"""Draw the pictures of the README and of the documentation: the bar, the dovetail, an adaptive
+mesh.
 
-    python studies/pictures.py [--out DIR] [NAME ...]
+python studies/pictures.py [--out DIR] [NAME ...]
 """
 
 import argparse
@@ -17,13 +18,17 @@ import adaptmg as am
 def overview() -> Figure:
     """The bar with friction 1 on independent meshes: problem, grids, contact line, convergence."""
     problem = am.cases.greco_bar(law=am.Coulomb(1.0))
-    grids = am.Hierarchy.graded(problem, sizes=(10e-3, 6e-3, 3.6e-3, 2.2e-3, 1.3e-3), contact_ratio=4)
+    grids = am.Hierarchy.graded(
+        problem, sizes=(10e-3, 6e-3, 3.6e-3, 2.2e-3, 1.3e-3), contact_ratio=4
+    )
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     monotone = {"correction": am.Monotone(), "smoother": am.ProjectedGaussSeidel(order="backward")}
-    runs = {"one grid": am.solve(grids, am.SingleGrid(rtol=1e-7), reference=exact, throw=False),
-            "monotone, zero start": am.solve(grids, am.Multigrid(**monotone), reference=exact),
-            "monotone, nested start": am.solve(grids, am.FullMultigrid(**monotone), reference=exact),
-            "truncated (default)": am.solve(grids, am.FullMultigrid(), reference=exact)}
+    runs = {
+        "one grid": am.solve(grids, am.SingleGrid(rtol=1e-7), reference=exact, throw=False),
+        "monotone, zero start": am.solve(grids, am.Multigrid(**monotone), reference=exact),
+        "monotone, nested start": am.solve(grids, am.FullMultigrid(**monotone), reference=exact),
+        "truncated (default)": am.solve(grids, am.FullMultigrid(), reference=exact),
+    }
     figure = plt.figure(figsize=(13.6, 8.6), layout="constrained")
     (above,), (below,) = figure.subfigures(2, 1, squeeze=False, height_ratios=(4.0, 4.6))
     left, right = above.subfigures(1, 2, width_ratios=(1.5, 2.2))
@@ -37,15 +42,21 @@ def overview() -> Figure:
     ax = right.subplots()
     am.plot.history(runs, ax=ax)
     ax.set_xscale("log")
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4, fontsize=8, columnspacing=1.0)
+    ax.legend(
+        loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4, fontsize=8, columnspacing=1.0
+    )
     ax.set_title(f"{grids.finest.n_nodes} nodes: true error against work")
     return figure
 
 
 def dovetail() -> Figure:
     """The joint deformed as in Fig. 3 of the paper, and its stress."""
-    result = am.solve(am.Hierarchy.graded(am.cases.dovetail(), sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=6))
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 6.6), layout="constrained", width_ratios=(1.12, 1.0))
+    result = am.solve(
+        am.Hierarchy.graded(am.cases.dovetail(), sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=6)
+    )
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(9.6, 6.6), layout="constrained", width_ratios=(1.12, 1.0)
+    )
     am.plot.deformation(result, amplify=20, states=True, ax=left)
     am.plot.deformation(result, amplify=20, stress=True, lines=False, ax=right)
     return figure
@@ -64,10 +75,20 @@ def adaptive() -> Figure:
 PICTURES = {"overview": overview, "dovetail": dovetail, "adaptive": adaptive}
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0],
-                                     epilog="example: python studies/pictures.py --out /tmp/pictures overview")
-    parser.add_argument("--out", type=Path, default=Path("data/pictures"), metavar="DIR", help="default: data/pictures")
-    parser.add_argument("pictures", nargs="*", metavar="NAME", help=f"some of: {', '.join(PICTURES)} (default: all)")
+    parser = argparse.ArgumentParser(
+        description=str(__doc__).split("\n")[0],
+        epilog="example: python studies/pictures.py --out /tmp/pictures overview",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("data/pictures"),
+        metavar="DIR",
+        help="default: data/pictures",
+    )
+    parser.add_argument(
+        "pictures", nargs="*", metavar="NAME", help=f"some of: {', '.join(PICTURES)} (default: all)"
+    )
     arguments = parser.parse_args()
     if unknown := sorted(set(arguments.pictures) - set(PICTURES)):
         parser.error(f"unknown picture {', '.join(unknown)}; there are {', '.join(PICTURES)}")

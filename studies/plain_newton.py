@@ -1,4 +1,5 @@
-"""A semismooth Newton method in forty lines of scipy: what a plain script takes for a small plane problem."""
+"""A semismooth Newton method in forty lines of scipy: what a plain script takes for a small plane
+problem."""
 
 from __future__ import annotations
 
@@ -9,8 +10,11 @@ from scipy.sparse.linalg import splu
 import adaptmg as am
 
 
-def plain_newton(problem: am.DiscreteProblem, friction: float, rtol: float = 1e-8, most: int = 50) -> np.ndarray:
-    """Solve a problem over a horizontal plane at the contact nodes; returns u (n_nodes, 2). It checks nothing."""
+def plain_newton(
+    problem: am.DiscreteProblem, friction: float, rtol: float = 1e-8, most: int = 50
+) -> np.ndarray:
+    """Solve a problem over a horizontal plane at the contact nodes; returns u (n_nodes, 2). It
+    checks nothing."""
     tangential = 2 * problem.contact.nodes
     normal, gap = tangential + 1, problem.contact.gaps
     held = problem.fixed[tangential]
@@ -29,7 +33,9 @@ def plain_newton(problem: am.DiscreteProblem, friction: float, rtol: float = 1e-
         pressure = -q[:n] + stiff[:n] * (-w[:n] - gap)
         trial = q[n:] + stiff[n:] * w[n:]
         active = (pressure > 0) | (step == 0)
-        stick = active & ((np.abs(trial) <= friction * np.maximum(pressure, 0)) | (step == 0)) | held
+        stick = (
+            active & ((np.abs(trial) <= friction * np.maximum(pressure, 0)) | (step == 0)) | held
+        )
         slip = active & ~stick
         sign = np.sign(trial)
         J, rhs = S.copy(), q.copy()

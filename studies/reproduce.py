@@ -1,10 +1,12 @@
-"""All studies, one HTML report that opens offline, with the tables as CSV and the figures as PNG next to it.
+"""All studies, one HTML report that opens offline, with the tables as CSV and the figures as PNG
+next to it.
 
-    python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [--record] [STUDY ...]
+    python studies/reproduce.py [--quick | --full] [--workers N] [--out DIR] [--fresh] [--record]
+    [STUDY ...]
 
-Each study is a script of its own (python studies/STUDY.py) that stores its runs, so that an interrupted call goes on.
-``--record`` writes what studies found in DIR so far into data/measured, and readme.csv into the table of the README.
-"""
+Each study is a script of its own (python studies/STUDY.py) that stores its runs, so that an
+interrupted call goes on. ``--record`` writes what studies found in DIR so far into data/measured,
+and readme.csv into the table of the README."""
 
 from __future__ import annotations
 
@@ -29,9 +31,21 @@ MEASURED, README = HERE.parent / "data" / "measured", HERE.parent / "README.md"
 #: head and rows of the table of measured numbers in the README
 TABLE = re.compile(r"(\| what \| measured \|\n\|[-|: ]+\n)(?:\|.*\n)*")
 #: studies of a default run with their processor seconds; they appear in this order, the longest are begun first
-STUDIES = {"table_1_grids": 10, "table_2_smoothings": 13, "table_3_full_multigrid": 4, "dovetail": 23,
-           "bolted_junction": 11, "hertz": 21, "adaptive_vs_uniform": 31, "estimators": 27, "transfers": 16, "amg": 22,
-           "flexible": 5, "accuracy": 16, "crack": 22}
+STUDIES = {
+    "table_1_grids": 10,
+    "table_2_smoothings": 13,
+    "table_3_full_multigrid": 4,
+    "dovetail": 23,
+    "bolted_junction": 11,
+    "hertz": 21,
+    "adaptive_vs_uniform": 31,
+    "estimators": 27,
+    "transfers": 16,
+    "amg": 22,
+    "flexible": 5,
+    "accuracy": 16,
+    "crack": 22,
+}
 #: only with --full, or where they are named
 LARGE = {"benchmark": 300}
 TITLE = "adaptmg: multigrid for frictional contact"
@@ -55,13 +69,17 @@ def main() -> int:
     arguments = _parser().parse_args()
     known = STUDIES | LARGE
     if unknown := sorted(set(arguments.studies) - set(known)):
-        raise SystemExit(f"reproduce.py: unknown study {', '.join(unknown)}; there are {', '.join(known)}")
+        raise SystemExit(
+            f"reproduce.py: unknown study {', '.join(unknown)}; there are {', '.join(known)}"
+        )
     names = arguments.studies or [*STUDIES, *(LARGE if arguments.full else [])]
     out = arguments.out / "quick" if arguments.quick else arguments.out
     if arguments.quick and arguments.record:
         raise SystemExit("reproduce.py: --record writes numbers of whole runs, not of --quick ones")
-    say(f"{len(names)} studies{' on small grids' * arguments.quick}, {arguments.workers} at a time; the first run on a "
-        "machine compiles kernels for about a minute")
+    say(
+        f"{len(names)} studies{' on small grids' * arguments.quick}, {arguments.workers} at a time; the first run on a "
+        "machine compiles kernels for about a minute"
+    )
     if arguments.fresh:
         for name in names:
             shutil.rmtree(out / name, ignore_errors=True)
@@ -76,22 +94,46 @@ def main() -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    lines = [f"  {name:24s}{seconds:4d} s  {question(name)}" for name, seconds in (STUDIES | LARGE).items()]
+    lines = [
+        f"  {name:24s}{seconds:4d} s  {question(name)}"
+        for name, seconds in (STUDIES | LARGE).items()
+    ]
     parser = argparse.ArgumentParser(
-        description=str(__doc__).split("\n")[0], formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="studies, processor seconds (the last with --full or by name):\n" + "\n".join(lines)
-               + "\n\nexample: python studies/reproduce.py --quick --out /tmp/report")
+        description=str(__doc__).split("\n")[0],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="studies, processor seconds (the last with --full or by name):\n"
+        + "\n".join(lines)
+        + "\n\nexample: python studies/reproduce.py --quick --out /tmp/report",
+    )
     parser.add_argument("studies", nargs="*", metavar="STUDY", help="default: all but the last")
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="smaller grids: 80 s on two cores, compiling included")
-    size.add_argument("--full", action="store_true", help="larger grids and the benchmark: most of an hour")
-    parser.add_argument("--workers", type=int, choices=range(1, 65), metavar="N",
-                        default=min(os.cpu_count() or 1, 8),
-                        help="studies at a time (default: one a core, here %(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("results"), metavar="DIR",
-                        help="where report.html, CSV files, figures and stores go (default: results)")
-    parser.add_argument("--fresh", action="store_true", help="compute again what an earlier call has stored")
-    parser.add_argument("--record", action="store_true", help="write the numbers into data/measured and README")
+    size.add_argument(
+        "--quick", action="store_true", help="smaller grids: 80 s on two cores, compiling included"
+    )
+    size.add_argument(
+        "--full", action="store_true", help="larger grids and the benchmark: most of an hour"
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        choices=range(1, 65),
+        metavar="N",
+        default=min(os.cpu_count() or 1, 8),
+        help="studies at a time (default: one a core, here %(default)s)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("results"),
+        metavar="DIR",
+        help="where report.html, CSV files, figures and stores go (default: results)",
+    )
+    parser.add_argument(
+        "--fresh", action="store_true", help="compute again what an earlier call has stored"
+    )
+    parser.add_argument(
+        "--record", action="store_true", help="write the numbers into data/measured and README"
+    )
     return parser
 
 
@@ -107,35 +149,45 @@ def say(text: str) -> None:
 
 
 def run_all(names: Sequence[str], options: Sequence[str], out: Path, workers: int) -> set[str]:
-    """Run studies, ``workers`` at a time, a line where each begins and ends; return the names of those that failed."""
+    """Run studies, ``workers`` at a time, a line where each begins and ends; return the names of
+    those that failed."""
     failed, cost, spent = set(), STUDIES | LARGE, 0
     with ThreadPoolExecutor(max(workers, 1)) as pool:
         runs = {pool.submit(run_one, name, options, out): name for name in names}
         for done, run in enumerate(as_completed(runs), 1):
             code, seconds, last = run.result()
             spent += cost[runs[run]]
-            say(f"[{done}/{len(names)}, {spent / sum(cost[name] for name in names):.0%}] {runs[run]}: "
-                f"{f'FAILED, {last}' if code else last} ({seconds:.0f} s)")
+            say(
+                f"[{done}/{len(names)}, {spent / sum(cost[name] for name in names):.0%}] {runs[run]}: "
+                f"{f'FAILED, {last}' if code else last} ({seconds:.0f} s)"
+            )
             failed |= {runs[run]} if code else set()
     return failed
 
 
 def run_one(name: str, options: Sequence[str], out: Path) -> tuple[int, float, str]:
-    """Run one study; return its exit code, seconds and last line, and keep what it printed in ``NAME/log.txt``."""
+    """Run one study; return its exit code, seconds and last line, and keep what it printed in
+    ``NAME/log.txt``."""
     say(f"begins: {name}, about {(STUDIES | LARGE)[name]} s without --quick. {question(name)}")
     begin = time.perf_counter()
     (out / name).mkdir(parents=True, exist_ok=True)
     (out / name / "section.json").unlink(missing_ok=True)
     log, command = out / name / "log.txt", [sys.executable, str(HERE / f"{name}.py"), *options]
     with log.open("w") as file:
-        code = subprocess.run(command, stdout=file, stderr=subprocess.STDOUT, check=False,
-                              env=os.environ | {"OMP_NUM_THREADS": "1"}).returncode
+        code = subprocess.run(
+            command,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            check=False,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+        ).returncode
     lines = log.read_text().strip().splitlines() or ["nothing printed"]
     return code, time.perf_counter() - begin, f"{lines[-1]} (see {log})" if code else lines[-1]
 
 
 def record(out: Path, names: Iterable[str]) -> None:
-    """Write the numbers and the tables of the first screen that studies left in ``out`` into data/measured."""
+    """Write the numbers and the tables of the first screen that studies left in ``out`` into
+    data/measured."""
     from adaptmg.export.report import columns_of
 
     lines = []
@@ -146,9 +198,16 @@ def record(out: Path, names: Iterable[str]) -> None:
             if item["kind"] == "number":
                 lines.append({"what": item["what"], "measured": item["measured"]})
             elif item["kind"] == "table" and item["card"]:
-                columns = columns_of(pd.read_csv(out / name / f"{item['name']}.csv"), item["units"], item["formats"])
-                heads = [f"{column.head} [{column.unit}]" if column.unit else column.head for column in columns]
-                frame = pd.DataFrame(dict(zip(heads, (column.texts for column in columns), strict=True)))
+                columns = columns_of(
+                    pd.read_csv(out / name / f"{item['name']}.csv"), item["units"], item["formats"]
+                )
+                heads = [
+                    f"{column.head} [{column.unit}]" if column.unit else column.head
+                    for column in columns
+                ]
+                frame = pd.DataFrame(
+                    dict(zip(heads, (column.texts for column in columns), strict=True))
+                )
                 frame.to_csv(MEASURED / f"{item['name']}.csv", index=False)
     pd.DataFrame(lines).to_csv(MEASURED / "readme.csv", index=False)
     rows = "".join(f"| {line['what']} | {line['measured']} |\n" for line in lines)
@@ -156,25 +215,45 @@ def record(out: Path, names: Iterable[str]) -> None:
     README.write_text(TABLE.sub(lambda head: head[1] + rows, text, count=1), encoding="utf-8")
 
 
-def report(names: Sequence[str], out: Path, arguments: argparse.Namespace, failed: set[str]) -> Path:
+def report(
+    names: Sequence[str], out: Path, arguments: argparse.Namespace, failed: set[str]
+) -> Path:
     """Make the page of what the studies wrote."""
     from adaptmg.export import Report
     from adaptmg.export.report import Picture
 
-    page = Report(TITLE, " ".join(SUMMARY.split()) + " This is a quick run, on smaller grids." * arguments.quick,
-                  terms=TERMS)
+    page = Report(
+        TITLE,
+        " ".join(SUMMARY.split()) + " This is a quick run, on smaller grids." * arguments.quick,
+        terms=TERMS,
+    )
     for name in names:
         file = out / name / "section.json"
-        section: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {
-            "title": question(name), "text": f"This study failed; {out / name / 'log.txt'} says why.", "items": []}
+        section: dict[str, Any] = (
+            json.loads(file.read_text())
+            if file.exists()
+            else {
+                "title": question(name),
+                "text": f"This study failed; {out / name / 'log.txt'} says why.",
+                "items": [],
+            }
+        )
         checks = [item["text"] for item in section["items"] if item["kind"] == "check"]
-        page.section(section["title"], section["text"], key=name,
-                     summary="Checked in this run: " + "; ".join(checks) + "." if checks else "")
-        for item in sorted(section["items"], key=lambda item: item["kind"] == "table" and not item["card"]):
+        page.section(
+            section["title"],
+            section["text"],
+            key=name,
+            summary="Checked in this run: " + "; ".join(checks) + "." if checks else "",
+        )
+        for item in sorted(
+            section["items"], key=lambda item: item["kind"] == "table" and not item["card"]
+        ):
             if item["kind"] == "table":
                 frame = pd.read_csv(out / name / f"{item['name']}.csv")
                 words = {"units": item["units"], "formats": item["formats"]}
-                page.table(frame, item["caption"], item["note"], csv=f"{name}/{item['name']}.csv", **words)
+                page.table(
+                    frame, item["caption"], item["note"], csv=f"{name}/{item['name']}.csv", **words
+                )
                 if item["card"]:
                     page.card(item["card"], item["note"], to=name, table=frame, **words)
             elif item["kind"] == "figure":
@@ -187,10 +266,20 @@ def report(names: Sequence[str], out: Path, arguments: argparse.Namespace, faile
 
 
 def commit() -> str:
-    """Return the commit of the source, with a mark where it was changed since; 'unknown' outside a repository."""
+    """Return the commit of the source, with a mark where it was changed since; 'unknown' outside a
+    repository."""
     try:
-        return subprocess.run(["git", "describe", "--always", "--dirty"], cwd=HERE, check=True, capture_output=True,
-                              text=True, timeout=10).stdout.strip() or "unknown"
+        return (
+            subprocess.run(
+                ["git", "describe", "--always", "--dirty"],
+                cwd=HERE,
+                check=True,
+                capture_output=True,
+                text=True,
+                timeout=10,
+            ).stdout.strip()
+            or "unknown"
+        )
     except (OSError, subprocess.SubprocessError):
         return "unknown"
 

@@ -1,4 +1,5 @@
-"""Hierarchies: constructors, the table, other problems, levels that come and go; and what is refused."""
+"""Hierarchies: constructors, the table, other problems, levels that come and go; and what is
+refused."""
 
 import pickle
 from dataclasses import replace
@@ -32,24 +33,36 @@ class Nearest:
 
     def build(self, coarse, fine):
         near = np.argmin(np.linalg.norm(fine.points[:, None] - coarse.points, axis=2), axis=1)
-        return sparse.csr_array((np.ones(fine.n_nodes), (np.arange(fine.n_nodes), near)),
-                                shape=(fine.n_nodes, coarse.n_nodes))
+        return sparse.csr_array(
+            (np.ones(fine.n_nodes), (np.arange(fine.n_nodes), near)),
+            shape=(fine.n_nodes, coarse.n_nodes),
+        )
 
 
 def affine(points):
     return 1.0 + points @ np.arange(2, 2 + points.shape[1])
 
 
-@pytest.mark.parametrize("make", [
-    lambda p: am.Hierarchy.uniform(p, divisions=(2, 4, 8)),
-    lambda p: am.Hierarchy.uniform(p, divisions=(3, 5, 8)),
-    lambda p: am.Hierarchy.graded(p, sizes=(20e-3, 10e-3), contact_ratio=3),
-    lambda p: am.Hierarchy.from_meshes(p, refine_near(structured(p.domain, 4), "bottom", levels=2)),
-    lambda p: am.Hierarchy.from_meshes(p, [am.mesh.graded(p.domain, s, "bottom").source for s in (20e-3, 9e-3)])])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda p: am.Hierarchy.uniform(p, divisions=(2, 4, 8)),
+        lambda p: am.Hierarchy.uniform(p, divisions=(3, 5, 8)),
+        lambda p: am.Hierarchy.graded(p, sizes=(20e-3, 10e-3), contact_ratio=3),
+        lambda p: am.Hierarchy.from_meshes(
+            p, refine_near(structured(p.domain, 4), "bottom", levels=2)
+        ),
+        lambda p: am.Hierarchy.from_meshes(
+            p, [am.mesh.graded(p.domain, s, "bottom").source for s in (20e-3, 9e-3)]
+        ),
+    ],
+)
 def test_prolongations_reproduce_affine_fields(make):
     grids = make(BAR)
     for coarse, fine in zip(grids.levels[:-1], grids.levels[1:], strict=True):
-        assert fine.prolongation @ affine(coarse.mesh.points) == pytest.approx(affine(fine.mesh.points), rel=1e-10)
+        assert fine.prolongation @ affine(coarse.mesh.points) == pytest.approx(
+            affine(fine.mesh.points), rel=1e-10
+        )
         if fine.mesh.refinement is not None:
             n = coarse.mesh.n_nodes
             assert np.array_equal(fine.mesh.points[:n], coarse.mesh.points)
@@ -68,8 +81,10 @@ def test_levels_carry_values_and_forces(shape):
         off = np.linalg.norm(level.inject(level.mesh.points) - coarse.mesh.points, axis=1)
         assert off.max() <= (1e-15 if grids is three() else 5e-3)
         np.testing.assert_allclose(level.prolong(coarse.mesh.points), level.mesh.points, atol=1e-15)
-    np.testing.assert_array_equal(three().finest.inject(three().finest.prolong(np.arange(three()[1].n_nodes))),
-                                  np.arange(three()[1].n_nodes))
+    np.testing.assert_array_equal(
+        three().finest.inject(three().finest.prolong(np.arange(three()[1].n_nodes))),
+        np.arange(three()[1].n_nodes),
+    )
     for wrong in (np.ones(3), "u", 1.0):
         with pytest.raises((ValueError, TypeError), match="u must"):
             level.prolong(wrong)
@@ -77,7 +92,9 @@ def test_levels_carry_values_and_forces(shape):
 
 def test_sizes_have_defaults_that_follow_bodies_and_contact():
     bar = am.Hierarchy.graded(am.cases.greco_bar())
-    assert [level.n_nodes for level in bar] == sorted(level.n_nodes for level in bar) and len(bar) == 3
+    assert [level.n_nodes for level in bar] == sorted(level.n_nodes for level in bar) and len(
+        bar
+    ) == 3
     assert 32 <= len(bar.finest.discrete.contact) <= 128
     assert bar.finest.mesh.element_sizes.max() == pytest.approx(40e-3 / 16, rel=0.5)
     plain = am.Hierarchy.graded(am.cases.greco_bar(), contact_ratio=1)
@@ -87,22 +104,39 @@ def test_sizes_have_defaults_that_follow_bodies_and_contact():
 def test_errors_of_graded_families_fall_with_squares_of_sizes():
     problem, sizes = am.cases.hertz_cylinder(), [12.5e-3 / 2**k for k in range(4)]
     grids = am.Hierarchy.graded(problem, sizes, contact_ratio=32)
-    works = [float(level.discrete.load @ am.solve(grids.truncated(finest=k)).displacement.ravel())
-             for k, level in enumerate(grids)]
+    works = [
+        float(level.discrete.load @ am.solve(grids.truncated(finest=k)).displacement.ravel())
+        for k, level in enumerate(grids)
+    ]
     falls = np.diff(works)
     assert np.all(np.abs(falls[:-1] / falls[1:] - 3.8) < 1.1)
-    by_body = am.Hierarchy.graded(problem, [{"upper": size, "lower": size} for size in sizes[:2]], contact_ratio=32)
+    by_body = am.Hierarchy.graded(
+        problem, [{"upper": size, "lower": size} for size in sizes[:2]], contact_ratio=32
+    )
     assert np.array_equal(by_body.finest.mesh.points, grids[1].mesh.points)
 
 
-@pytest.mark.parametrize(("domain", "mesher"), [
-    (am.Rectangle(width=1, height=1), "own"), (am.Rectangle(width=1, height=1), "netgen"),
-    (am.Box(width=1, depth=1, height=0.5), "own"), (am.Cylinder((0, 0, 0), (0, 0, 1), 0.5, 0.3), "own"),
-    (am.Cylinder((0, 0, 0), (0, 0, 1), 0.5, 0.3), "netgen")])
+@pytest.mark.parametrize(
+    ("domain", "mesher"),
+    [
+        (am.Rectangle(width=1, height=1), "own"),
+        (am.Rectangle(width=1, height=1), "netgen"),
+        (am.Box(width=1, depth=1, height=0.5), "own"),
+        (am.Cylinder((0, 0, 0), (0, 0, 1), 0.5, 0.3), "own"),
+        (am.Cylinder((0, 0, 0), (0, 0, 1), 0.5, 0.3), "netgen"),
+    ],
+)
 def test_graded_levels_are_finer_everywhere_alike(domain, mesher):
-    problem = replace(BAR, domain=domain) if domain.dim == 2 else am.ContactProblem(
-        material=am.Solid(young=1.0, poisson=0.3), contact=am.Contact("bottom", am.Plane((0, 0, 0), (0, 0, 1))),
-        law=am.Frictionless(), domain=domain)
+    problem = (
+        replace(BAR, domain=domain)
+        if domain.dim == 2
+        else am.ContactProblem(
+            material=am.Solid(young=1.0, poisson=0.3),
+            contact=am.Contact("bottom", am.Plane((0, 0, 0), (0, 0, 1))),
+            law=am.Frictionless(),
+            domain=domain,
+        )
+    )
     coarse, fine = am.Hierarchy.graded(problem, (0.4, 0.2), 5, mesher=mesher)
     assert fine.n_nodes / coarse.n_nodes == pytest.approx(2**domain.dim, rel=0.25)
 
@@ -110,8 +144,13 @@ def test_graded_levels_are_finer_everywhere_alike(domain, mesher):
 def test_paper_grids():
     grids = am.Hierarchy.uniform(BAR, divisions=(4, 8, 16, 32))
     assert [row["nodes"] for row in grids.table()] == [25, 81, 289, 1089]
-    assert all(text in repr(grids) for text in ("1089", "GRECO", f"{grids.operator_complexity:.3f}"))
-    assert set(grids.timings) - {"compiling"} == {"mesh", "assembly", "transfer"} and min(grids.timings.values()) > 0
+    assert all(
+        text in repr(grids) for text in ("1089", "GRECO", f"{grids.operator_complexity:.3f}")
+    )
+    assert (
+        set(grids.timings) - {"compiling"} == {"mesh", "assembly", "transfer"}
+        and min(grids.timings.values()) > 0
+    )
     assert grids.grid_complexity == pytest.approx((25 + 81 + 289 + 1089) / 1089)
     part = grids.truncated(coarsest=1, finest=2)
     assert [row["nodes"] for row in part.table()] == [81, 289]
@@ -137,42 +176,70 @@ BLOCKS = [structured(am.Box(width=1, depth=1, height=1), n) for n in (2, 4)]
 
 def _with_a_wrong_prolongation():
     first, second, _ = three().levels
-    return am.Hierarchy((first, am.Level(second.discrete, second.mesh, sparse.eye_array(3, format="csr"))))
+    return am.Hierarchy(
+        (first, am.Level(second.discrete, second.mesh, sparse.eye_array(3, format="csr")))
+    )
 
 
 test_refusals = refused(
     (lambda: am.Hierarchy.uniform(replace(BAR, domain=None), divisions=(2, 4)), "domain is None"),
-    (lambda: am.Hierarchy.graded(BAR, (20e-3, 10e-3), transfer="interpolation"), TypeError,
-     "transfer must be a transfer, which offers build"),
+    (
+        lambda: am.Hierarchy.graded(BAR, (20e-3, 10e-3), transfer="interpolation"),
+        TypeError,
+        "transfer must be a transfer, which offers build",
+    ),
     (lambda: am.Hierarchy(()), "levels is empty"),
-    (lambda: am.Hierarchy.graded(BAR, (20e-3, 10e-3), transfer=SimpleNamespace(
-        build=lambda coarse, fine: sparse.eye_array(3))), "must return a matrix of shape"),
+    (
+        lambda: am.Hierarchy.graded(
+            BAR,
+            (20e-3, 10e-3),
+            transfer=SimpleNamespace(build=lambda coarse, fine: sparse.eye_array(3)),
+        ),
+        "must return a matrix of shape",
+    ),
     (_with_a_wrong_prolongation, "prolongation must have shape"),
     (lambda: am.Hierarchy.from_meshes(BAR, RENAMED), "'bottom', used for contact, does not exist"),
     (lambda: am.Hierarchy.from_meshes(BAR, BLOCKS), "3D"),
     # bodies that touch have nodes at the same places
-    (lambda: am.Hierarchy.graded(JOINT, (10e-3, 6e-3), contact_ratio=2, transfer=Nearest()),
-     r"lets node \d+ of body '\w+' follow body '\w+': build the rows of each body"),
+    (
+        lambda: am.Hierarchy.graded(JOINT, (10e-3, 6e-3), contact_ratio=2, transfer=Nearest()),
+        r"lets node \d+ of body '\w+' follow body '\w+': build the rows of each body",
+    ),
     (lambda: three().truncated(coarsest=2, finest=1), "coarsest and finest"),
     # other problems on the same meshes
     (lambda: three().with_problem(JOINT), "another domain, Assembly"),
-    (lambda: three().with_problem(replace(BAR, contact=am.Contact("left", am.Plane((0, 0), (1, 0))))),
-     r"contact on .*, but these meshes were made for contact on"),
-    (lambda: am.Hierarchy.single(three().finest.discrete).with_problem(BAR),
-     r"with_problem: these levels .* are not made of meshes"),
+    (
+        lambda: three().with_problem(
+            replace(BAR, contact=am.Contact("left", am.Plane((0, 0), (1, 0))))
+        ),
+        r"contact on .*, but these meshes were made for contact on",
+    ),
+    (
+        lambda: am.Hierarchy.single(three().finest.discrete).with_problem(BAR),
+        r"with_problem: these levels .* are not made of meshes",
+    ),
     # levels that come and go
-    (lambda: three().append(COARSE), "coarse to fine"), (lambda: three().without(2), "level"),
-    (lambda: three().without(-1), "level"), (lambda: three().append(3), TypeError, "mesh"),
+    (lambda: three().append(COARSE), "coarse to fine"),
+    (lambda: three().without(2), "level"),
+    (lambda: three().without(-1), "level"),
+    (lambda: three().append(3), TypeError, "mesh"),
     (lambda: am.Hierarchy.single(three().finest.discrete).append(COARSE), "from_meshes"),
-    (lambda: am.Hierarchy.algebraic(three().finest.discrete, max_coarse=20).append(COARSE), "from_meshes"))
+    (
+        lambda: am.Hierarchy.algebraic(three().finest.discrete, max_coarse=20).append(COARSE),
+        "from_meshes",
+    ),
+)
 
 
 def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
     def refuse(*_args, **_kwargs):
         raise AssertionError("made without being asked for")
 
-    for name in ("mesh.arrays.ngsolve_mesh", "mesh.soundness.facet_table",
-                 "discrete.discretise.rigid_motions"):
+    for name in (
+        "mesh.arrays.ngsolve_mesh",
+        "mesh.soundness.facet_table",
+        "discrete.discretise.rigid_motions",
+    ):
         module, name = name.rsplit(".", 1)
         monkeypatch.setattr(import_module(f"adaptmg.{module}"), name, refuse)
     grids = am.Hierarchy.uniform(BAR, divisions=(2, 4, 8))
@@ -183,15 +250,22 @@ def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
     monkeypatch.undo()
     assert am.Hierarchy.uniform(BAR, divisions=(2, 4, 8)).finest.mesh.source.nv == 81
     assert isinstance(discrete.__dict__["near_nullspace"], OnDemand)
-    assert discrete.near_nullspace is discrete.near_nullspace and discrete.near_nullspace.shape == (162, 3)
+    assert discrete.near_nullspace is discrete.near_nullspace and discrete.near_nullspace.shape == (
+        162,
+        3,
+    )
     back = pickle.loads(pickle.dumps(am.Hierarchy.uniform(BAR, divisions=(2, 4, 8))))
     np.testing.assert_array_equal(back.finest.discrete.near_nullspace, discrete.near_nullspace)
 
 
-@pytest.mark.parametrize("make", [
-    lambda: am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4)),
-    lambda: am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), contact_ratio=2),
-    lambda: am.Hierarchy.uniform(am.cases.two_block_patch(), divisions=(4, 8))])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4)),
+        lambda: am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), contact_ratio=2),
+        lambda: am.Hierarchy.uniform(am.cases.two_block_patch(), divisions=(4, 8)),
+    ],
+)
 def test_what_is_assembled_passes_the_checks_of_a_users_problem(make):
     for level in make().levels:
         given, again = level.discrete, replace(level.discrete)
@@ -201,14 +275,23 @@ def test_what_is_assembled_passes_the_checks_of_a_users_problem(make):
 
 
 def test_indices_that_kernels_follow_cannot_be_written():
-    """Compiled code would read outside of its arrays; a user's own matrices stay open, as they are copied."""
+    """Compiled code would read outside of its arrays; a user's own matrices stay open, as they are
+    copied."""
     grids = three()
     discrete = grids.finest.discrete
     given = [sparse.csr_array(level.prolongation, copy=True) for level in grids[1:]]
-    bare = am.DiscreteProblem(matrix=discrete.matrix.copy(), load=discrete.load, fixed=discrete.fixed, law=discrete.law,
-                              contact=discrete.contact)
+    bare = am.DiscreteProblem(
+        matrix=discrete.matrix.copy(),
+        load=discrete.load,
+        fixed=discrete.fixed,
+        law=discrete.law,
+        contact=discrete.contact,
+    )
     made = am.Hierarchy.from_prolongations(bare, given)
-    single, bodies = am.Level(bare, prolongation=given[-1]), am.Hierarchy.graded(JOINT, (12e-3, 6e-3))
+    single, bodies = (
+        am.Level(bare, prolongation=given[-1]),
+        am.Hierarchy.graded(JOINT, (12e-3, 6e-3)),
+    )
     for level in (*grids.levels, *made.levels, single, *bodies.levels):
         for matrix in (level.matrix, vars(level)["prolongation"], level.surface_prolongation):
             for array in () if matrix is None else (matrix.indices, matrix.indptr):
@@ -220,12 +303,24 @@ def test_indices_that_kernels_follow_cannot_be_written():
 
 def same(a: am.Hierarchy, b: am.Hierarchy) -> bool:
     """Bit for bit."""
+
     def bits(level):
         discrete, contact = level.discrete, level.discrete.contact
         matrices = (level.matrix, vars(level)["prolongation"], level.surface_prolongation)
-        arrays = [getattr(one, part, None) for one in matrices for part in ("indptr", "indices", "data")] + [
-            discrete.load, discrete.fixed, discrete.fixed_values, *discrete.law.bounds(len(contact)), contact.nodes,
-            contact.normals, contact.gaps, contact.weights, contact.boundary, contact.slip_reference]
+        arrays = [
+            getattr(one, part, None) for one in matrices for part in ("indptr", "indices", "data")
+        ] + [
+            discrete.load,
+            discrete.fixed,
+            discrete.fixed_values,
+            *discrete.law.bounds(len(contact)),
+            contact.nodes,
+            contact.normals,
+            contact.gaps,
+            contact.weights,
+            contact.boundary,
+            contact.slip_reference,
+        ]
         return [None if one is None else one.tobytes() for one in arrays]
 
     return list(map(bits, a)) == list(map(bits, b))
@@ -235,11 +330,29 @@ def test_another_problem_on_these_meshes_is_as_built_from_them():
     bar = am.cases.greco_bar
     springs = [am.Symmetry("left"), am.Spring("right", normal=1e9)]
     stiffer = {name: am.PlaneStrain(young=3e11, poisson=0.3) for name in JOINT.bodies}
-    for first, others in ((bar(), (bar(law=am.Coulomb(0.2)), bar(top_pressure=1e7), bar(young=1e11),
-                                   replace(bar(), supports=springs), replace(bar(), law=am.Frictionless()))),
-                          (JOINT, (replace(JOINT, law=am.Coulomb(0.7)), replace(JOINT, law=am.Frictionless()),
-                                   replace(JOINT, material=stiffer)))):
-        old = am.Hierarchy.graded(first, (first.domain.upper.max() / 4, first.domain.upper.max() / 8))
+    for first, others in (
+        (
+            bar(),
+            (
+                bar(law=am.Coulomb(0.2)),
+                bar(top_pressure=1e7),
+                bar(young=1e11),
+                replace(bar(), supports=springs),
+                replace(bar(), law=am.Frictionless()),
+            ),
+        ),
+        (
+            JOINT,
+            (
+                replace(JOINT, law=am.Coulomb(0.7)),
+                replace(JOINT, law=am.Frictionless()),
+                replace(JOINT, material=stiffer),
+            ),
+        ),
+    ):
+        old = am.Hierarchy.graded(
+            first, (first.domain.upper.max() / 4, first.domain.upper.max() / 8)
+        )
         for k, other in enumerate(others):
             new = old.with_problem(other)
             assert same(new, am.Hierarchy.from_meshes(other, [level.mesh for level in old.levels]))
@@ -250,7 +363,10 @@ def test_another_problem_on_these_meshes_is_as_built_from_them():
 def test_other_supports_of_slave_nodes_change_prolongations():
     blocks = am.cases.two_block_patch(law=am.Frictionless())
     old = am.Hierarchy.uniform(blocks, [{"upper": n, "lower": n + 1} for n in (2, 4)])
-    for other in (blocks, replace(blocks, supports=(*blocks.supports, am.Support("upper.bottom", x=0.0)))):
+    for other in (
+        blocks,
+        replace(blocks, supports=(*blocks.supports, am.Support("upper.bottom", x=0.0))),
+    ):
         new = old.with_problem(other)
         assert same(new, am.Hierarchy.from_meshes(other, [level.mesh for level in old.levels]))
         assert (new.finest.prolongation is old.finest.prolongation) is (other is blocks)
@@ -259,11 +375,14 @@ def test_other_supports_of_slave_nodes_change_prolongations():
 @pytest.mark.parametrize("where", ["load", "gap"])
 def test_another_problem_evaluates_functions_again(where):
     scale = [1.0]
+
     def values(x):
         return scale[0] * np.ones(len(x))
 
     push = am.Pressure("top", values if where == "load" else 1e4)
-    obstacle = am.GapFunction(lambda x: 1e-9 * values(x)) if where == "gap" else am.Plane((0, 0), (0, 1))
+    obstacle = (
+        am.GapFunction(lambda x: 1e-9 * values(x)) if where == "gap" else am.Plane((0, 0), (0, 1))
+    )
     problem = replace(BAR, loads=(push,), contact=am.Contact(BAR.contact_boundaries[0], obstacle))
     old = am.Hierarchy.uniform(problem, (2, 4))
     scale[0] = 3.0
@@ -302,7 +421,10 @@ def test_without_equals_from_the_meshes_that_are_left(dropped):
     rest = am.Hierarchy.from_meshes(problem, meshes)
     for level in sorted(dropped, reverse=True):
         rest = rest.without(level)
-    assert same(rest, am.Hierarchy.from_meshes(problem, [m for k, m in enumerate(meshes) if k not in dropped]))
+    assert same(
+        rest,
+        am.Hierarchy.from_meshes(problem, [m for k, m in enumerate(meshes) if k not in dropped]),
+    )
 
 
 def test_nothing_is_discretised_or_located_twice(monkeypatch):
@@ -310,9 +432,15 @@ def test_nothing_is_discretised_or_located_twice(monkeypatch):
     grids = am.Hierarchy.from_meshes(problem, meshes[:3])
     made, joins = [], []
     # a sound mesh is not checked again
-    monkeypatch.setattr("adaptmg.mesh.soundness._check_closed", lambda *a: pytest.fail("checked again"))
-    monkeypatch.setattr("adaptmg.hierarchy.level_of", lambda *a: made.append(a) or meshed_levels.level_of(*a))
-    monkeypatch.setattr("adaptmg.hierarchy.joined", lambda *a: joins.append(a) or meshed_levels.joined(*a))
+    monkeypatch.setattr(
+        "adaptmg.mesh.soundness._check_closed", lambda *a: pytest.fail("checked again")
+    )
+    monkeypatch.setattr(
+        "adaptmg.hierarchy.level_of", lambda *a: made.append(a) or meshed_levels.level_of(*a)
+    )
+    monkeypatch.setattr(
+        "adaptmg.hierarchy.joined", lambda *a: joins.append(a) or meshed_levels.joined(*a)
+    )
     grown = grids.append(meshes[3])
     assert (len(made), len(joins)) == (1, 1)
     assert all(a is b for a, b in zip(grown.levels, grids.levels, strict=False))
@@ -325,20 +453,30 @@ def test_nothing_is_discretised_or_located_twice(monkeypatch):
 
 
 def test_small_elements_far_from_the_origin_stay_nested():
-    """At a corner where elements have 1e-7 of the size of the body, midpoints of edges lie off them by rounding."""
+    """At a corner where elements have 1e-7 of the size of the body, midpoints of edges lie off them
+    by rounding."""
     a = 0.0193
-    shape = am.Polygon(vertices=((0, 0), (a, 0), (a, a / 2), (2 * a, a / 2), (2 * a, 1.5 * a), (0, 1.5 * a)),
-                       boundaries=("foot", "side", "ledge", "flank", "top", "symmetry"))
+    shape = am.Polygon(
+        vertices=((0, 0), (a, 0), (a, a / 2), (2 * a, a / 2), (2 * a, 1.5 * a), (0, 1.5 * a)),
+        boundaries=("foot", "side", "ledge", "flank", "top", "symmetry"),
+    )
     problem = am.ContactProblem(
-        name="corner", domain=shape, material=am.PlaneStrain(young=5e10, poisson=0.2), law=am.Coulomb(0.3),
-        contact=am.Contact("foot", am.Plane((0, 0), (0, 1))), supports=(am.Support("symmetry", x=0.0),),
-        loads=(am.Pressure("top", 1e6),))
+        name="corner",
+        domain=shape,
+        material=am.PlaneStrain(young=5e10, poisson=0.2),
+        law=am.Coulomb(0.3),
+        contact=am.Contact("foot", am.Plane((0, 0), (0, 1))),
+        supports=(am.Support("symmetry", x=0.0),),
+        loads=(am.Pressure("top", 1e6),),
+    )
     hierarchy = am.Hierarchy.graded(problem, (a / 1.5,))
     for _ in range(22):
         mesh = hierarchy.finest.mesh
         here = np.linalg.norm(mesh.points - [a, 0], axis=1) < 1e-12
         every = am.Estimate(squares=np.ones(len(mesh.elements)), norm=1.0)
-        hierarchy = hierarchy.append(am.Bisect().refine(problem, mesh, every, here[mesh.elements].any(axis=1)))
+        hierarchy = hierarchy.append(
+            am.Bisect().refine(problem, mesh, every, here[mesh.elements].any(axis=1))
+        )
     assert hierarchy.finest.mesh.element_sizes.min() < 3e-7 * a
     assert all(level.prolongation.data.min() > 0.49 for level in hierarchy.levels[1:])
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6))

@@ -1,4 +1,5 @@
-"""The package as it is installed and as it lies in the repository; .ci/run installs it and calls its command."""
+"""The package as it is installed and as it lies in the repository; .ci/run installs it and calls
+its command."""
 
 import doctest
 import inspect
@@ -21,8 +22,12 @@ SETTINGS = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf
 
 def _files() -> list[Path]:
     """Files of the repository that git tracks or would track, relative to it."""
-    names = subprocess.run(["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=REPOSITORY,
-                           capture_output=True, text=True)
+    names = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+    )
     if names.returncode:
         pytest.skip("not a git repository")
     return [Path(name) for name in names.stdout.splitlines() if (REPOSITORY / name).is_file()]
@@ -32,16 +37,27 @@ def test_top_level():
     assert SETTINGS["project"]["version"] == adaptmg.__version__
     top = {path.parts[0] for path in _files()}
     assert {name for name in top if not name.startswith(".")} <= {
-        "pyproject.toml", "adaptmg", "studies", "tests", "data", "README.md", "LICENSE"}
+        "pyproject.toml",
+        "adaptmg",
+        "studies",
+        "tests",
+        "data",
+        "README.md",
+        "LICENSE",
+    }
 
 
 def test_no_file_names_a_package_index_or_a_path_of_a_machine():
     # in pieces, because this file is searched too
-    index = "|".join(["index" + "-url", "find" + "-links", "pypi" + r"\.(org|io)", "files.python" + "hosted"])
+    index = "|".join(
+        ["index" + "-url", "find" + "-links", "pypi" + r"\.(org|io)", "files.python" + "hosted"]
+    )
     home = "|".join(["/ho" + "me/", "/ro" + "ot/", "/wo" + "rk/", "C:" + r"\\Users"])
     for path in _files():
         if path.suffix in (".py", ".toml", ".md", ".txt", ".cfg", ".sh", ".yml", ""):
-            match = re.search(f"({index})|({home})", (REPOSITORY / path).read_text(encoding="utf-8"))
+            match = re.search(
+                f"({index})|({home})", (REPOSITORY / path).read_text(encoding="utf-8")
+            )
             assert not match, f"{path}: {match[0]!r}"
 
 
@@ -53,29 +69,47 @@ def test_public_names_resolve_and_are_documented():
         _ = adaptmg.nothing
 
 
-@pytest.mark.parametrize(("modules", "heavy"), [
-    (["adaptmg"], ["ngsolve", "netgen", "pandas", "matplotlib", "numba", "pyamg", "scipy"]),
-    (["adaptmg.mesh", "adaptmg.cases", "adaptmg.cli", "adaptmg.solver.solve"], ["ngsolve", "netgen"])])
+@pytest.mark.parametrize(
+    ("modules", "heavy"),
+    [
+        (["adaptmg"], ["ngsolve", "netgen", "pandas", "matplotlib", "numba", "pyamg", "scipy"]),
+        (
+            ["adaptmg.mesh", "adaptmg.cases", "adaptmg.cli", "adaptmg.solver.solve"],
+            ["ngsolve", "netgen"],
+        ),
+    ],
+)
 def test_importing_is_light(modules, heavy):
     code = f"import sys, {', '.join(modules)}; sys.stdout.write(' '.join(m for m in sys.argv[1:] if m in sys.modules))"
-    run = subprocess.run([sys.executable, "-c", code, *heavy], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code, *heavy], capture_output=True, text=True, check=True
+    )
     assert run.stdout == ""
 
 
 def _public() -> dict[str, object]:
-    """Public names with what they stand for: those of the package, and those of the submodules that users name."""
+    """Public names with what they stand for: those of the package, and those of the submodules that
+    users name."""
     names = {name: getattr(adaptmg, name) for name in dir(adaptmg)}
     for module in ("cases", "export", "mesh", "plot", "study"):
-        names |= {f"{module}.{name}": getattr(getattr(adaptmg, module), name)
-                  for name in getattr(adaptmg, module).__all__}
-    return {name: thing for name, thing in names.items() if inspect.isclass(thing) or inspect.isfunction(thing)}
+        names |= {
+            f"{module}.{name}": getattr(getattr(adaptmg, module), name)
+            for name in getattr(adaptmg, module).__all__
+        }
+    return {
+        name: thing
+        for name, thing in names.items()
+        if inspect.isclass(thing) or inspect.isfunction(thing)
+    }
 
 
 #: need a file, a solved case or a machine's processes that no short example has
 WITHOUT_EXAMPLE = {
     "cases.TransitionField",
-    "mesh.onto_domain", "mesh.with_source",
-    "study.local_cluster"}
+    "mesh.onto_domain",
+    "mesh.with_source",
+    "study.local_cluster",
+}
 
 
 def test_every_public_name_has_an_example_that_runs(tmp_path, monkeypatch):
@@ -94,13 +128,21 @@ def test_every_public_name_has_an_example_that_runs(tmp_path, monkeypatch):
 
 
 def test_modules_list_their_names():
-    modules = {name: getattr(adaptmg, name) for name in dir(adaptmg) if inspect.ismodule(getattr(adaptmg, name))}
+    modules = {
+        name: getattr(adaptmg, name)
+        for name in dir(adaptmg)
+        if inspect.ismodule(getattr(adaptmg, name))
+    }
     for name, module in modules.items() - {("solver", adaptmg.solver)}:
         listed = [entry for entry in dir(module) if not entry.startswith("_")]
         assert set(listed) == set(module.__all__), name
         assert all(hasattr(module, entry) for entry in listed)
     # the names of the package by task, on three screens
     text = pydoc.plain(pydoc.render_doc(adaptmg))
-    head = text[:text.index("\nPACKAGE CONTENTS")] if "\nPACKAGE CONTENTS" in text else text
-    missing = {name for name in dir(adaptmg) if not name.startswith("_") and not re.search(rf"\b{name}\b", head)}
+    head = text[: text.index("\nPACKAGE CONTENTS")] if "\nPACKAGE CONTENTS" in text else text
+    missing = {
+        name
+        for name in dir(adaptmg)
+        if not name.startswith("_") and not re.search(rf"\b{name}\b", head)
+    }
     assert not missing and len(text.splitlines()) <= 75, (missing, len(text.splitlines()))

@@ -1,4 +1,5 @@
-r"""Blocks with known contact forces: the patch test of two blocks, a block on an incline, and a leaning strut.
+r"""Blocks with known contact forces: the patch test of two blocks, a block on an incline, and a
+leaning strut.
 
 Under a pressure p on the head and q on the sides two blocks on each other have the uniform stress
 :math:`\sigma = -\mathrm{diag}(q, p)` (in 3D :math:`-\mathrm{diag}(q, q, p)`, with q also on the depth) on every mesh;
@@ -6,8 +7,8 @@ on an interface of slope theta
 
 .. math:: p_n = p\cos^2\theta + q\sin^2\theta,\qquad t = (p - q)\sin\theta\cos\theta,
 
-which P1 elements and a mortar method reproduce to rounding if friction can bear it: :math:`|t| \le \mu p_n`.
-"""
+which P1 elements and a mortar method reproduce to rounding if friction can bear it: :math:`|t| \le
+\mu p_n`."""
 
 from __future__ import annotations
 
@@ -23,14 +24,23 @@ from adaptmg.problem import Domain, Law
 _STEEPEST = 30.0
 
 
-def two_block_patch(*, law: Law = am.Coulomb(0.5), dim: int = 2, slope: float = 0.0, pressure: float = 1e8,  # noqa: B008
-                    side_pressure: float = 0.0, young: float = 2.1e11, poisson: float = 0.3, size: float = 0.1
-                    ) -> am.ContactProblem:
-    """Pose two blocks of one material, one on the other, under uniform stress: the patch test of contact.
+def two_block_patch(
+    *,
+    law: Law = am.Coulomb(0.5),
+    dim: int = 2,
+    slope: float = 0.0,
+    pressure: float = 1e8,
+    side_pressure: float = 0.0,
+    young: float = 2.1e11,
+    poisson: float = 0.3,
+    size: float = 0.1,
+) -> am.ContactProblem:
+    """Pose two blocks of one material, one on the other, under uniform stress: the patch test of
+    contact.
 
-    Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping ones polygons, or
-    their extrusions along z (up is y). ``reference`` holds ``pressure`` and ``traction`` (size of the tangential one)
-    on the interface, Pa, which the law must bear.
+    Bodies "upper" (slave) and "lower". Flat blocks are rectangles or boxes (up is y, or z); sloping
+    ones polygons, or their extrusions along z (up is y). ``reference`` holds ``pressure`` and
+    ``traction`` (size of the tangential one) on the interface, Pa, which the law must bear.
 
     Parameters
     ----------
@@ -59,28 +69,48 @@ def two_block_patch(*, law: Law = am.Coulomb(0.5), dim: int = 2, slope: float = 
     pressure = checks.quantity("pressure", pressure, positive=True)
     side_pressure = checks.nonnegative("side_pressure", side_pressure)
     turn = math.radians(slope)
-    normal = pressure * math.cos(turn)**2 + side_pressure * math.sin(turn)**2
+    normal = pressure * math.cos(turn) ** 2 + side_pressure * math.sin(turn) ** 2
     tangential = abs(pressure - side_pressure) * math.sin(turn) * math.cos(turn)
     most = _bound(law, normal)
     if not tangential <= most * (1 + 1e-12):
-        raise ValueError(f"the interface has to bear a tangential traction of {tangential:.6g} Pa, the law allows "
-                         f"{most:.6g} Pa at the pressure {normal:.6g} Pa: take side_pressure = pressure, for example")
-    reference = {"quantity": "pressure and tangential traction on the interface, Pa",
-                                 "pressure": normal, "traction": tangential,
-                                 "sources": {"pressure": "uniform stress (patch test), exact on every mesh"}}
+        raise ValueError(
+            f"the interface has to bear a tangential traction of {tangential:.6g} Pa, the law allows "
+            f"{most:.6g} Pa at the pressure {normal:.6g} Pa: take side_pressure = pressure, for example"
+        )
+    reference = {
+        "quantity": "pressure and tangential traction on the interface, Pa",
+        "pressure": normal,
+        "traction": tangential,
+        "sources": {"pressure": "uniform stress (patch test), exact on every mesh"},
+    }
     parts = _sloping(dim, math.tan(turn), size) if slope else _flat(dim, size)
     loads, supports = _held(dim, bool(slope), pressure, side_pressure)
     material = (am.PlaneStrain if dim == 2 else am.Solid)(young=young, poisson=poisson)
     pair = ("upper.interface", "lower.interface") if slope else ("upper.bottom", "lower.top")
     return am.ContactProblem(
-        name=f"two blocks, {dim}D", material=material, domain=am.Assembly(parts=parts), law=law,
-        contact=am.ContactPair(*pair), loads=loads, supports=supports, reference=reference)
+        name=f"two blocks, {dim}D",
+        material=material,
+        domain=am.Assembly(parts=parts),
+        law=law,
+        contact=am.ContactPair(*pair),
+        loads=loads,
+        supports=supports,
+        reference=reference,
+    )
 
 
 def _bound(law: Law, normal: float) -> float:
-    """The largest tangential traction at a pressure; infinity where the parameters of the law vary in space."""
-    value = (0.0 if isinstance(law, am.Frictionless) else law.friction if isinstance(law, am.Coulomb) else
-             law.limit if isinstance(law, am.Tresca) else np.inf)
+    """The largest tangential traction at a pressure; infinity where the parameters of the law vary
+    in space."""
+    value = (
+        0.0
+        if isinstance(law, am.Frictionless)
+        else law.friction
+        if isinstance(law, am.Coulomb)
+        else law.limit
+        if isinstance(law, am.Tresca)
+        else np.inf
+    )
     if callable(value) or np.ndim(value):
         return np.inf
     return float(value) * (normal if isinstance(law, am.Coulomb) else 1.0)
@@ -88,32 +118,53 @@ def _bound(law: Law, normal: float) -> float:
 
 def _flat(dim: int, size: float) -> dict[str, Domain]:
     if dim == 2:
-        return {"upper": am.Rectangle(width=size, height=size),
-                "lower": am.Rectangle(width=size, height=size, origin=(0.0, -size))}
-    return {"upper": am.Box(width=size, depth=size, height=size),
-            "lower": am.Box(width=size, depth=size, height=size, origin=(0.0, 0.0, -size))}
+        return {
+            "upper": am.Rectangle(width=size, height=size),
+            "lower": am.Rectangle(width=size, height=size, origin=(0.0, -size)),
+        }
+    return {
+        "upper": am.Box(width=size, depth=size, height=size),
+        "lower": am.Box(width=size, depth=size, height=size, origin=(0.0, 0.0, -size)),
+    }
 
 
 def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
-    """Profiles with an interface through (size / 2, 0); the walls x = 0 are held at a distance from it."""
+    """Profiles with an interface through (size / 2, 0); the walls x = 0 are held at a distance from
+    it."""
     left, right = -0.5 * tangent * size, 0.5 * tangent * size
-    lower = am.Polygon(vertices=((0.0, -size), (size, -size), (size, right), (0.0, left), (0.0, -0.6 * size)),
-                    boundaries=("foot", "right", "interface", "shoulder", "left"))
-    upper = am.Polygon(vertices=((0.0, left), (size, right), (size, size), (0.0, size), (0.0, 0.6 * size)),
-                    boundaries=("interface", "right", "head", "left", "shoulder"))
+    lower = am.Polygon(
+        vertices=((0.0, -size), (size, -size), (size, right), (0.0, left), (0.0, -0.6 * size)),
+        boundaries=("foot", "right", "interface", "shoulder", "left"),
+    )
+    upper = am.Polygon(
+        vertices=((0.0, left), (size, right), (size, size), (0.0, size), (0.0, 0.6 * size)),
+        boundaries=("interface", "right", "head", "left", "shoulder"),
+    )
     if dim == 2:
         return {"upper": upper, "lower": lower}
     return {"upper": am.Extrusion(upper, size), "lower": am.Extrusion(lower, size)}
 
 
-def _held(dim: int, sloping: bool, pressure: float, side: float) -> tuple[list[am.Pressure], list[am.Support]]:
+def _held(
+    dim: int, sloping: bool, pressure: float, side: float
+) -> tuple[list[am.Pressure], list[am.Support]]:
     if sloping:
         walls, head, depth = ("right", "shoulder"), "upper.head", ("bottom", "top")
         foot = am.Support("lower.foot", y=0.0)
     elif dim == 2:
-        walls, head, foot, depth = ("right",), "upper.top", am.Support("lower.bottom", y=0.0), ("", "")
+        walls, head, foot, depth = (
+            ("right",),
+            "upper.top",
+            am.Support("lower.bottom", y=0.0),
+            ("", ""),
+        )
     else:
-        walls, head, foot, depth = ("right",), "upper.top", am.Support("lower.bottom", z=0.0), ("front", "back")
+        walls, head, foot, depth = (
+            ("right",),
+            "upper.top",
+            am.Support("lower.bottom", z=0.0),
+            ("front", "back"),
+        )
     loads, supports = [am.Pressure(head, pressure)], [foot]
     for body in ("upper", "lower"):
         supports.append(am.Support(f"{body}.left", x=0.0))
@@ -127,15 +178,25 @@ def _held(dim: int, sloping: bool, pressure: float, side: float) -> tuple[list[a
 _GRAVITY = 9.80665
 
 
-def incline(*, law: Law = am.Coulomb(0.5), angle: float = 20.0, width: float = 0.1, height: float = 0.05,  # noqa: B008
-            density: float = 2000.0, young: float = 1e9, poisson: float = 0.3) -> am.ContactProblem:
+def incline(
+    *,
+    law: Law = am.Coulomb(0.5),
+    angle: float = 20.0,
+    width: float = 0.1,
+    height: float = 0.05,
+    density: float = 2000.0,
+    young: float = 1e9,
+    poisson: float = 0.3,
+) -> am.ContactProblem:
     """Pose a block on a tilted elastic slab under its own weight; plane strain.
 
-    The block of weight W presses on the slab with W cos(angle) and pulls down it with W sin(angle): it rests if and
-    only if tan(angle) <= mu. The gravity points down; the slab is held at its underside.
+    The block of weight W presses on the slab with W cos(angle) and pulls down it with W sin(angle):
+    it rests if and only if tan(angle) <= mu. The gravity points down; the slab is held at its
+    underside.
 
-    Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t`` (resultants normal to
-    the slab and along it, N/m) and, with a constant coefficient of friction, ``holds``: where it is False,
+    Bodies "block" (slave) and "slab". ``reference`` holds ``weight``, ``force_n`` and ``force_t``
+    (resultants normal to the slab and along it, N/m) and, with a constant coefficient of friction,
+    ``holds``: where it is False,
     :func:`adaptmg.solve` refuses the problem.
 
     Parameters
@@ -145,7 +206,8 @@ def incline(*, law: Law = am.Coulomb(0.5), angle: float = 20.0, width: float = 0
     angle : float
         Of the slab, degrees, 0 <= angle < 90; the block would slide towards -x.
     width, height : float
-        Of the block, along and normal to the slab, m. The slab is twice as long and as thick as the block is high.
+        Of the block, along and normal to the slab, m. The slab is twice as long and as thick as the
+        block is high.
     density : float
         Of the block, kg/m^3; the slab has no weight.
     young, poisson : float
@@ -157,47 +219,79 @@ def incline(*, law: Law = am.Coulomb(0.5), angle: float = 20.0, width: float = 0
     ('block', 'slab')
     """
     angle = checks.nonnegative("angle", angle)
-    width, height = checks.quantity("width", width, positive=True), checks.quantity("height", height, positive=True)
+    width, height = (
+        checks.quantity("width", width, positive=True),
+        checks.quantity("height", height, positive=True),
+    )
     density = checks.quantity("density", density, positive=True)
     if not angle < 90:
         raise ValueError(f"angle must be below 90 degrees, got {angle!r}")
     slope = math.tan(math.radians(angle))
     if not slope < width / height:
-        raise ValueError(f"width over height must be above tan(angle) = {slope:.3g}, got {width / height:.3g}: the "
-                         "block tips over")
+        raise ValueError(
+            f"width over height must be above tan(angle) = {slope:.3g}, got {width / height:.3g}: the "
+            "block tips over"
+        )
     weight = density * _GRAVITY * width * height
     reference = {
-        "quantity": "resultant contact force on the block, N/m", "weight": weight,
-        "force_n": weight * math.cos(math.radians(angle)), "force_t": weight * math.sin(math.radians(angle)),
-        "sources": {"force_n": "equilibrium", "force_t": "equilibrium"}}
+        "quantity": "resultant contact force on the block, N/m",
+        "weight": weight,
+        "force_n": weight * math.cos(math.radians(angle)),
+        "force_t": weight * math.sin(math.radians(angle)),
+        "sources": {"force_n": "equilibrium", "force_t": "equilibrium"},
+    }
     if (friction := constant_friction(law)) is not None:
         reference["holds"] = slope <= friction
     return am.ContactProblem(
-        name="block on an incline", material=am.PlaneStrain(young=young, poisson=poisson),
-        domain=am.Assembly(parts={
-            "block": _tilted(-width / 2, 0.0, width, height, angle, ("bottom", "uphill", "top", "downhill")),
-            "slab": _tilted(-width, -height, 2 * width, height, angle, ("bottom", "right", "top", "left"))}),
-        contact=am.ContactPair("block.bottom", "slab.top"), law=law,
+        name="block on an incline",
+        material=am.PlaneStrain(young=young, poisson=poisson),
+        domain=am.Assembly(
+            parts={
+                "block": _tilted(
+                    -width / 2, 0.0, width, height, angle, ("bottom", "uphill", "top", "downhill")
+                ),
+                "slab": _tilted(
+                    -width, -height, 2 * width, height, angle, ("bottom", "right", "top", "left")
+                ),
+            }
+        ),
+        contact=am.ContactPair("block.bottom", "slab.top"),
+        law=law,
         loads=(am.BodyForce((0.0, -density * _GRAVITY), body="block"),),
-        supports=(am.Support("slab.bottom", x=0.0, y=0.0),), reference=reference)
+        supports=(am.Support("slab.bottom", x=0.0, y=0.0),),
+        reference=reference,
+    )
 
 
-def _tilted(x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]) -> am.Polygon:
+def _tilted(
+    x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]
+) -> am.Polygon:
     c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     corners = ((x, y), (x + width, y), (x + width, y + height), (x, y + height))
-    return am.Polygon(vertices=tuple((c * p - s * q, s * p + c * q) for p, q in corners), boundaries=names)
+    return am.Polygon(
+        vertices=tuple((c * p - s * q, s * p + c * q) for p, q in corners), boundaries=names
+    )
 
 
 _LENGTH, _WIDTH = 0.1, 0.02
 
 
-def leaning_strut(*, law: Law = am.Coulomb(0.6), angle: float = 20.0, traction: float = 3e6,  # noqa: B008
-                  direction: float = 4.5, young: float = 2e11, poisson: float = 0.3) -> am.ContactProblem:
-    """Pose a strut, 100 mm long and 20 mm thick, that leans on a rigid plane: one load has three equilibria.
+def leaning_strut(
+    *,
+    law: Law = am.Coulomb(0.6),
+    angle: float = 20.0,
+    traction: float = 3e6,
+    direction: float = 4.5,
+    young: float = 2e11,
+    poisson: float = 0.3,
+) -> am.ContactProblem:
+    """Pose a strut, 100 mm long and 20 mm thick, that leans on a rigid plane: one load has three
+    equilibria.
 
-    Its foot is so curved that one node touches. Along its axis it is stiff, across it soft, so that a force along the
-    plane also presses the foot on: for friction above tan(angle), about, the foot may stick, slip or have lifted off,
-    each in exact equilibrium. The start decides which of them a solver finds.
+    Its foot is so curved that one node touches. Along its axis it is stiff, across it soft, so that
+    a force along the plane also presses the foot on: for friction above tan(angle), about, the foot
+    may stick, slip or have lifted off, each in exact equilibrium. The start decides which of them a
+    solver finds.
 
     Parameters
     ----------
@@ -222,11 +316,19 @@ def leaning_strut(*, law: Law = am.Coulomb(0.6), angle: float = 20.0, traction: 
     along = _LENGTH * np.array([math.sin(math.radians(angle)), math.cos(math.radians(angle))])
     corners = np.array([[0.0, 0.0], [_WIDTH, 0.0], [_WIDTH + along[0], along[1]], along])
     return am.ContactProblem(
-        name="leaning strut", law=law, material=am.PlaneStrain(young=young, poisson=poisson),
-        domain=am.Polygon(vertices=tuple(map(tuple, corners.tolist())), boundaries=("foot", "right", "head", "left")),
+        name="leaning strut",
+        law=law,
+        material=am.PlaneStrain(young=young, poisson=poisson),
+        domain=am.Polygon(
+            vertices=tuple(map(tuple, corners.tolist())),
+            boundaries=("foot", "right", "head", "left"),
+        ),
         contact=am.Contact("foot", am.GapFunction(_curved)),
-        loads=(am.Traction("right", (traction * math.cos(direction), traction * math.sin(direction))),),
-        supports=(am.Support("head", x=0.0, y=0.0),))
+        loads=(
+            am.Traction("right", (traction * math.cos(direction), traction * math.sin(direction))),
+        ),
+        supports=(am.Support("head", x=0.0, y=0.0),),
+    )
 
 
 def _curved(points: np.ndarray) -> np.ndarray:

@@ -1,18 +1,20 @@
-r"""Bolted junction of two vessels under internal pressure (after Example 3 of the paper): a reconstruction.
+r"""Bolted junction of two vessels under internal pressure (after Example 3 of the paper): a
+reconstruction.
 
-The paper gives neither dimensions nor loads; these are ours. Two flanged pipes touch along the plane z = 0 with
-Coulomb friction, n bolts on a circle press them together, and the internal pressure p acts on the bores and, through
-the ends of the closed vessel, as the thrust :math:`p\pi r_i^2` on the upper pipe. The lower pipe is held axially at its
-end; no pressure acts in the joint. The joint carries the bolt force F less the thrust. The bolts are shortened by
+The paper gives neither dimensions nor loads; these are ours. Two flanged pipes touch along the
+plane z = 0 with Coulomb friction, n bolts on a circle press them together, and the internal
+pressure p acts on the bores and, through the ends of the closed vessel, as the thrust :math:`p\pi
+r_i^2` on the upper pipe. The lower pipe is held axially at its end; no pressure acts in the joint.
+The joint carries the bolt force F less the thrust. The bolts are shortened by
 :math:`\delta` (an initial strain :math:`-\delta/l` over the clamped length l),
 
 .. math:: F = \frac{\delta}{c_b + c_m},\qquad c_b = \frac{l}{E\,n A},\qquad c_m = \frac{l}{E\,A_m},
 
 :math:`A_m` being the effective section of flanges, heads and seats. In axisymmetry the bolts are an equivalent ring of
-I-shaped section, the section of its shank that of the n bolts; only the undersides of its heads touch the flanges. Its
-Poisson's ratio is 0, because a ring under tension would shrink towards the axis of the vessels. It also resists hoop
-strain, which without friction under the heads (the default in 2D) does not reach the flanges.
-"""
+I-shaped section, the section of its shank that of the n bolts; only the undersides of its heads
+touch the flanges. Its Poisson's ratio is 0, because a ring under tension would shrink towards the
+axis of the vessels. It also resists hoop strain, which without friction under the heads (the
+default in 2D) does not reach the flanges."""
 
 from __future__ import annotations
 
@@ -27,36 +29,55 @@ from adaptmg import _checks as checks
 from adaptmg.problem import Law
 from adaptmg.problem.solid_domains import SolidDomain
 
-_REMARK = ("A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
-           "nothing published stands behind them.")
+_REMARK = (
+    "A reconstruction: the paper gives no dimensions and no loads. The values are our own, by mesh convergence; "
+    "nothing published stands behind them."
+)
 
 # with the default parameters
-_VALUES = {"open_to": 0.2249, "slip_to": 0.2342, "gap": 8.88e-6, "peak": 33.5e6, "peak_at": 0.245,
-           "joint_force": 1.985e6, "bolt_force": 2.488e6}
+_VALUES = {
+    "open_to": 0.2249,
+    "slip_to": 0.2342,
+    "gap": 8.88e-6,
+    "peak": 33.5e6,
+    "peak_at": 0.245,
+    "joint_force": 1.985e6,
+    "bolt_force": 2.488e6,
+}
 
 
-def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4e6, friction: float = 0.2,
-                    flanges: Flanges | None = None, young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
+def bolted_junction(
+    *,
+    dim: int = 2,
+    preload: float = 2.5e6,
+    pressure: float = 4e6,
+    friction: float = 0.2,
+    flanges: Flanges | None = None,
+    young: float = 2.1e11,
+    poisson: float = 0.3,
+) -> am.ContactProblem:
     """Pose two vessels bolted together, under internal pressure.
 
-    Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in 3D. The first contact
-    pair is the joint. Along a load path the bolts are tightened before the vessels are filled if the loads on
-    "upper.bore", "lower.bore" and "upper.pipe" begin with 0. ``reference`` holds ``remark``, ``flanges``, ``pressure``
-    (Pa) and ``thrust`` (N); with the default parameters in 2D also ``values`` by mesh convergence: ``open_to``,
-    ``slip_to``, ``peak_at`` (radii, m), ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and ``bolt_force`` (N;
-    of the ring).
+    Bodies ``upper``, ``lower`` and the bolts: ``bolt`` (a ring), or ``bolt0``, ``bolt1``, ... in
+    3D. The first contact pair is the joint. Along a load path the bolts are tightened before the
+    vessels are filled if the loads on "upper.bore", "lower.bore" and "upper.pipe" begin with 0.
+    ``reference`` holds ``remark``, ``flanges``, ``pressure`` (Pa) and ``thrust`` (N); with the
+    default parameters in 2D also ``values`` by mesh convergence: ``open_to``, ``slip_to``,
+    ``peak_at`` (radii, m), ``gap`` (at the bore, m), ``peak`` (Pa), ``joint_force`` and
+    ``bolt_force`` (N; of the ring).
 
     Parameters
     ----------
     dim : {2, 3}
-        Axisymmetric with an equivalent ring of bolts, or a sector of 90 degrees with solid bolts, between the planes
-        of symmetry y = 0 and x = 0.
+        Axisymmetric with an equivalent ring of bolts, or a sector of 90 degrees with solid bolts,
+        between the planes of symmetry y = 0 and x = 0.
     preload : float
         Force of all bolts together without pressure, N, to a few per cent.
     pressure : float
         Inside, Pa.
     friction : float
-        Between the flanges. Under the heads it is 0 in 2D, and 0.2 in 3D, where nothing else holds the bolts.
+        Between the flanges. Under the heads it is 0 in 2D, and 0.2 in 3D, where nothing else holds
+        the bolts.
     flanges : Flanges, optional
         Dimensions; by default 16 bolts of 24 mm, in 3D 8 bolts of the same section.
     young, poisson : float
@@ -71,34 +92,68 @@ def bolted_junction(*, dim: int = 2, preload: float = 2.5e6, pressure: float = 4
     if flanges is None:
         flanges = Flanges() if dim == 2 else Flanges(n_bolts=8, diameter=0.034)
     checks.instance("flanges", flanges, Flanges)
-    preload, pressure = checks.quantity("preload", preload, positive=True), checks.quantity("pressure", pressure)
+    preload, pressure = (
+        checks.quantity("preload", preload, positive=True),
+        checks.quantity("pressure", pressure),
+    )
     material = (am.Axisymmetric if dim == 2 else am.Solid)(young=young, poisson=poisson)
     usual = dim == 2 and (preload, pressure, friction, flanges, young, poisson) == (
-        2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
-    reference: dict[str, object] = {"remark": _REMARK, "flanges": flanges, "pressure": pressure,
-                                    "thrust": flanges.thrust(pressure)}
+        2.5e6,
+        4e6,
+        0.2,
+        Flanges(),
+        2.1e11,
+        0.3,
+    )
+    reference: dict[str, object] = {
+        "remark": _REMARK,
+        "flanges": flanges,
+        "pressure": pressure,
+        "thrust": flanges.thrust(pressure),
+    }
     if usual:
-        reference |= {"values": dict(_VALUES), "sources": {
-            "values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"}}
+        reference |= {
+            "values": dict(_VALUES),
+            "sources": {
+                "values": "mesh convergence of this case: contact edges of 1, 0.5 and 0.25 mm"
+            },
+        }
     parts = _parts(flanges, dim)
     bolts = [name for name in parts if name.startswith("bolt")]
-    heads = [am.ContactPair(f"{name}.{side}_head", f"{side}.{'seat' if dim == 2 else 'face'}")
-             for name in bolts for side in ("upper", "lower")]
+    heads = [
+        am.ContactPair(f"{name}.{side}_head", f"{side}.{'seat' if dim == 2 else 'face'}")
+        for name in bolts
+        for side in ("upper", "lower")
+    ]
     # each bolt contracts towards its own axis, not towards that of the vessels
     ring = {"upper": material, "lower": material, "bolt": am.Axisymmetric(young=young, poisson=0.0)}
-    before, wall = (0.0,) * (dim - 1), math.pi * ((flanges.bore + flanges.wall)**2 - flanges.bore**2)
+    before, wall = (
+        (0.0,) * (dim - 1),
+        math.pi * ((flanges.bore + flanges.wall) ** 2 - flanges.bore**2),
+    )
     strain = (*before, -flanges.shortening(preload, material.young, dim) / flanges.clamped)
     supports = [am.Support("lower.pipe", **{"xyz"[dim - 1]: 0.0})]
     if dim == 3:
-        supports += [am.Support(f"{side}.{name}", **{axis: 0.0}) for side in ("upper", "lower")
-                     for name, axis in (("start", "y"), ("end", "x"))]
+        supports += [
+            am.Support(f"{side}.{name}", **{axis: 0.0})
+            for side in ("upper", "lower")
+            for name, axis in (("start", "y"), ("end", "x"))
+        ]
     return am.ContactProblem(
-        name="bolted junction" if dim == 2 else "bolted junction, sector", material=ring if dim == 2 else material,
-        domain=am.Assembly(parts=parts), contact=(am.ContactPair("upper.joint", "lower.joint"), *heads),
-        law=_law(friction, flanges, dim), supports=supports, reference=reference,
-        loads=(*(am.InitialStrain(name, strain) for name in bolts), am.Pressure("upper.bore", pressure),
-               am.Pressure("lower.bore", pressure),
-               am.Traction("upper.pipe", (*before, flanges.thrust(pressure) / wall))))
+        name="bolted junction" if dim == 2 else "bolted junction, sector",
+        material=ring if dim == 2 else material,
+        domain=am.Assembly(parts=parts),
+        contact=(am.ContactPair("upper.joint", "lower.joint"), *heads),
+        law=_law(friction, flanges, dim),
+        supports=supports,
+        reference=reference,
+        loads=(
+            *(am.InitialStrain(name, strain) for name in bolts),
+            am.Pressure("upper.bore", pressure),
+            am.Pressure("lower.bore", pressure),
+            am.Traction("upper.pipe", (*before, flanges.thrust(pressure) / wall)),
+        ),
+    )
 
 
 def _law(friction: float, flanges: Flanges, dim: int) -> Law:
@@ -119,17 +174,22 @@ def _parts(flanges: Flanges, dim: int) -> dict[str, am.Polygon | SolidDomain]:
     if dim == 2:
         return {"upper": upper, "lower": lower, "bolt": _ring_section(flanges)}
     places = _bolt_places(flanges)
-    return {"upper": _drilled(upper, flanges, places), "lower": _drilled(lower, flanges, places),
-            **{f"bolt{k}": _bolt_solid(flanges, place) for k, place in enumerate(places)}}
+    return {
+        "upper": _drilled(upper, flanges, places),
+        "lower": _drilled(lower, flanges, places),
+        **{f"bolt{k}": _bolt_solid(flanges, place) for k, place in enumerate(places)},
+    }
 
 
-# effective section A_m of what the bolts clamp, m^2, from solutions of the default geometry without pressure
+# effective section A_m of what the bolts clamp, m^2, from solutions of the default geometry without
+# pressure
 _CLAMPED = {2: 0.0341, 3: 0.0124}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Flanges:
-    """Dimensions of the junction, m. Heads are 1.6 times as wide and 0.7 times as high as bolts, holes 1.1 times.
+    """Dimensions of the junction, m. Heads are 1.6 times as wide and 0.7 times as high as bolts,
+    holes 1.1 times.
 
     Examples
     --------
@@ -149,20 +209,44 @@ class Flanges:
     seat: float = 0.020  # radial width of the heads of the equivalent ring
 
     def __post_init__(self) -> None:
-        checks.convert(self, checks.positive, "bore", "wall", "length", "outer", "upper", "lower", "bolt_circle",
-                       "diameter", "seat")
+        checks.convert(
+            self,
+            checks.positive,
+            "bore",
+            "wall",
+            "length",
+            "outer",
+            "upper",
+            "lower",
+            "bolt_circle",
+            "diameter",
+            "seat",
+        )
         checks.integer("n_bolts", self.n_bolts, 1)
         wide = 0.5 * max(1.2 * self.seat, self.head_diameter)
-        if not self.bore + self.wall < self.bolt_circle - wide < self.bolt_circle + wide < self.outer:
-            raise ValueError(f"bolt_circle must leave room for heads and seats, {wide:g} m to each side, between "
-                             f"{self.bore + self.wall:g} and {self.outer:g}, got {self.bolt_circle!r}")
+        if (
+            not self.bore + self.wall
+            < self.bolt_circle - wide
+            < self.bolt_circle + wide
+            < self.outer
+        ):
+            raise ValueError(
+                f"bolt_circle must leave room for heads and seats, {wide:g} m to each side, between "
+                f"{self.bore + self.wall:g} and {self.outer:g}, got {self.bolt_circle!r}"
+            )
         if not max(self.upper, self.lower) < self.length:
-            raise ValueError(f"length must exceed the thickness of the flanges, got {self.length!r}")
+            raise ValueError(
+                f"length must exceed the thickness of the flanges, got {self.length!r}"
+            )
         if not self.shank < 0.8 * self.seat:
-            raise ValueError(f"seat must be wider than 1.25 times the shank of the ring, {self.shank:g} m, "
-                             f"got {self.seat!r}")
+            raise ValueError(
+                f"seat must be wider than 1.25 times the shank of the ring, {self.shank:g} m, "
+                f"got {self.seat!r}"
+            )
         if not self.n_bolts * self.head_diameter < 2 * math.pi * self.bolt_circle:
-            raise ValueError(f"n_bolts: {self.n_bolts} heads of {self.head_diameter:g} m do not fit on the bolt circle")
+            raise ValueError(
+                f"n_bolts: {self.n_bolts} heads of {self.head_diameter:g} m do not fit on the bolt circle"
+            )
 
     @property
     def head_diameter(self) -> float:
@@ -191,7 +275,8 @@ class Flanges:
 
     @property
     def shank(self) -> float:
-        """Return the radial width of the equivalent ring's shank, m: its section is that of all bolts."""
+        """Return the radial width of the equivalent ring's shank, m: its section is that of all
+        bolts."""
         return self.bolt_area / (2 * math.pi * self.bolt_circle)
 
     @property
@@ -204,7 +289,8 @@ class Flanges:
         return pressure * math.pi * self.bore**2
 
     def shortening(self, preload: float, young: float, dim: int) -> float:
-        """Return the shortening, m, for a force of all bolts, N, without pressure; of the ring for dim 2."""
+        """Return the shortening, m, for a force of all bolts, N, without pressure; of the ring for
+        dim 2."""
         return preload * self.clamped / young * (1 / self.bolt_area + 1 / _CLAMPED[dim])
 
 
@@ -213,11 +299,26 @@ def _flange_section(flanges: Flanges, thickness: float, dim: int) -> am.Polygon:
     f, wall = flanges, flanges.bore + flanges.wall
     # the seat of a ring is a little wider than its heads
     half = 0.6 * f.seat
-    seat = [] if dim == 3 else [((f.bolt_circle + half, thickness), "seat"),
-                                       ((f.bolt_circle - half, thickness), "face")]
-    corners = [((f.bore, 0.0), "joint"), ((f.outer, 0.0), "rim"), ((f.outer, thickness), "face"), *seat,
-               ((wall, thickness), "wall"), ((wall, f.length), "pipe"), ((f.bore, f.length), "bore")]
-    return am.Polygon(vertices=tuple(point for point, _ in corners), boundaries=tuple(name for _, name in corners))
+    seat = (
+        []
+        if dim == 3
+        else [
+            ((f.bolt_circle + half, thickness), "seat"),
+            ((f.bolt_circle - half, thickness), "face"),
+        ]
+    )
+    corners = [
+        ((f.bore, 0.0), "joint"),
+        ((f.outer, 0.0), "rim"),
+        ((f.outer, thickness), "face"),
+        *seat,
+        ((wall, thickness), "wall"),
+        ((wall, f.length), "pipe"),
+        ((f.bore, f.length), "bore"),
+    ]
+    return am.Polygon(
+        vertices=tuple(point for point, _ in corners), boundaries=tuple(name for _, name in corners)
+    )
 
 
 def _mirrored(profile: am.Polygon) -> am.Polygon:
@@ -229,28 +330,48 @@ def _mirrored(profile: am.Polygon) -> am.Polygon:
 def _ring_section(flanges: Flanges) -> am.Polygon:
     f, head, shank = flanges, 0.5 * flanges.seat, 0.5 * flanges.shank
     tip, top, low, end = f.upper + f.head_height, f.upper, -f.lower, -f.lower - f.head_height
-    corners = [((-head, end), "tip"), ((head, end), "side"), ((head, low), "lower_head"), ((shank, low), "side"),
-               ((shank, top), "upper_head"), ((head, top), "side"), ((head, tip), "tip"), ((-head, tip), "side"),
-               ((-head, top), "upper_head"), ((-shank, top), "side"), ((-shank, low), "lower_head"),
-               ((-head, low), "side")]
-    return am.Polygon(vertices=tuple((f.bolt_circle + r, z) for (r, z), _ in corners),
-                   boundaries=tuple(name for _, name in corners))
+    corners = [
+        ((-head, end), "tip"),
+        ((head, end), "side"),
+        ((head, low), "lower_head"),
+        ((shank, low), "side"),
+        ((shank, top), "upper_head"),
+        ((head, top), "side"),
+        ((head, tip), "tip"),
+        ((-head, tip), "side"),
+        ((-head, top), "upper_head"),
+        ((-shank, top), "side"),
+        ((-shank, low), "lower_head"),
+        ((-head, low), "side"),
+    ]
+    return am.Polygon(
+        vertices=tuple((f.bolt_circle + r, z) for (r, z), _ in corners),
+        boundaries=tuple(name for _, name in corners),
+    )
 
 
 def _bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
     """Axes of the bolts in the sector of 90 degrees, m."""
     n = flanges.n_bolts
     if n % 4:
-        raise ValueError(f"n_bolts must be a multiple of 4 in 3D: a sector of 90 degrees holds a quarter, got {n}")
+        raise ValueError(
+            f"n_bolts must be a multiple of 4 in 3D: a sector of 90 degrees holds a quarter, got {n}"
+        )
     angles = (np.arange(n // 4) + 0.5) * 2 * math.pi / n
     return [(flanges.bolt_circle * math.cos(a), flanges.bolt_circle * math.sin(a)) for a in angles]
 
 
-def _drilled(profile: am.Polygon, flanges: Flanges, places: list[tuple[float, float]]) -> SolidDomain:
+def _drilled(
+    profile: am.Polygon, flanges: Flanges, places: list[tuple[float, float]]
+) -> SolidDomain:
     solid: SolidDomain = am.Revolution(profile, angle=90.0)
     reach = 2 * flanges.clamped
     for x, y in places:
-        solid = am.Cut(solid, am.Cylinder((x, y, -reach), (0.0, 0.0, 1.0), flanges.hole, 2 * reach), {"b.side": "hole"})
+        solid = am.Cut(
+            solid,
+            am.Cylinder((x, y, -reach), (0.0, 0.0, 1.0), flanges.hole, 2 * reach),
+            {"b.side": "hole"},
+        )
     return solid
 
 
@@ -258,8 +379,9 @@ def _bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
     """A bolt: the shank reaches half into both heads, so that their undersides stay whole."""
     f, (x, y) = flanges, place
     inside = 0.5 * f.head_height
-    solid: SolidDomain = am.Cylinder((x, y, -f.lower - inside), (0.0, 0.0, 1.0), 0.5 * f.diameter,
-                                     f.clamped + 2 * inside)
+    solid: SolidDomain = am.Cylinder(
+        (x, y, -f.lower - inside), (0.0, 0.0, 1.0), 0.5 * f.diameter, f.clamped + 2 * inside
+    )
     for name, z, axis in (("upper_head", f.upper, 1.0), ("lower_head", -f.lower, -1.0)):
         head = am.Cylinder((x, y, z), (0.0, 0.0, axis), 0.5 * f.head_diameter, f.head_height)
         solid = am.Fuse(solid, head, {"b.bottom": name, "b.top": "tip"})

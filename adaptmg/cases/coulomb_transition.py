@@ -1,8 +1,10 @@
-r"""The end of a slip zone under Coulomb friction next to an open zone or sticking, with its exact plane-strain field.
+r"""The end of a slip zone under Coulomb friction next to an open zone or sticking, with its exact
+plane-strain field.
 
-Rectangle (-1, 1) x (0, 1) m on the rigid plane y = 0, slip in the direction s on x > 0, open or stick on x < 0. The top
-has the exact displacement, the sides have it along x; along y they have the exact shear traction, because a support may
-not fix the normal displacement of the contact nodes at which they end. With the complex potentials
+Rectangle (-1, 1) x (0, 1) m on the rigid plane y = 0, slip in the direction s on x > 0, open or
+stick on x < 0. The top has the exact displacement, the sides have it along x; along y they have the
+exact shear traction, because a support may not fix the normal displacement of the contact nodes at
+which they end. With the complex potentials
 :math:`\varphi = a z^\lambda,\ \psi = b z^\lambda,\ z = x + i y,\ \kappa = 3 - 4\nu` (N. I. Muskhelishvili, Some basic
 problems of the mathematical theory of elasticity, 1953, section 32)
 
@@ -10,11 +12,12 @@ problems of the mathematical theory of elasticity, 1953, section 32)
    \sigma_{xx} + \sigma_{yy} &= 4\,\mathrm{Re}\,\varphi',\qquad
    \sigma_{yy} - \sigma_{xx} + 2 i\,\sigma_{xy} = 2 (\bar z \varphi'' + \psi')
 
-equilibrium holds for any a, b. The conditions :math:`u_y = 0,\ \sigma_{xy} + s f \sigma_{yy} = 0` on x > 0 and
+equilibrium holds for any a, b. The conditions :math:`u_y = 0,\ \sigma_{xy} + s f \sigma_{yy} = 0`
+on x > 0 and
 :math:`\sigma_{yy} = \sigma_{xy} = 0` or :math:`u_x = u_y = 0` on x < 0 are linear in a and b and have a solution, the
-null vector of their matrix, if :math:`\lambda = 3/2 \pm \arctan(f \beta)/\pi,\ \beta = (1 - 2\nu) / (2 (1 - \nu))`,
-with slip away from the transition or towards it. A rigid shift along the plane, or uniform compression and shear at the
-limit of friction, is added so that all states are admissible.
+null vector of their matrix, if :math:`\lambda = 3/2 \pm \arctan(f \beta)/\pi,\ \beta = (1 - 2\nu) /
+(2 (1 - \nu))`, with slip away from the transition or towards it. A rigid shift along the plane, or
+uniform compression and shear at the limit of friction, is added so that all states are admissible.
 """
 
 from __future__ import annotations
@@ -35,12 +38,19 @@ if TYPE_CHECKING:
     from adaptmg.solver.result import Result
 
 
-def coulomb_transition(*, law: am.Coulomb = am.Coulomb(0.5), kind: str = "open", sign: str = "+",  # noqa: B008
-                       pressure: float = 1e8, young: float = 1.3e11, poisson: float = 0.2) -> am.ContactProblem:
+def coulomb_transition(
+    *,
+    law: am.Coulomb = am.Coulomb(0.5),
+    kind: str = "open",
+    sign: str = "+",
+    pressure: float = 1e8,
+    young: float = 1.3e11,
+    poisson: float = 0.2,
+) -> am.ContactProblem:
     """Pose a transition of contact states with its exact solution; plane strain.
 
-    ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m) and ``uniform_rate``
-    (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
+    ``reference`` holds ``field`` (:class:`TransitionField`), ``exponent``, ``transition`` (0.0, m)
+    and ``uniform_rate`` (0.5: the energy error falls like N^-1/2 on uniform meshes of N nodes).
 
     Parameters
     ----------
@@ -64,24 +74,44 @@ def coulomb_transition(*, law: am.Coulomb = am.Coulomb(0.5), kind: str = "open",
     checks.choice("sign", sign, ("+", "-"))
     friction = constant_friction(law) or 0.0
     if not 0 < friction <= 2:
-        raise ValueError("law must be Coulomb(f) with a constant f above 0 and at most 2, got "
-                         f"{checks.described(law)}")
+        raise ValueError(
+            "law must be Coulomb(f) with a constant f above 0 and at most 2, got "
+            f"{checks.described(law)}"
+        )
     pressure = checks.quantity("pressure", pressure, positive=True)
-    field = _field(kind, sign == "+", friction, pressure, am.PlaneStrain(young=young, poisson=poisson))
+    field = _field(
+        kind, sign == "+", friction, pressure, am.PlaneStrain(young=young, poisson=poisson)
+    )
     moved = [partial(_displaced, field, k) for k in (0, 1)]
     return am.ContactProblem(
-        name=f"Coulomb transition, slip and {kind}, {sign}", material=field.material,
+        name=f"Coulomb transition, slip and {kind}, {sign}",
+        material=field.material,
         domain=am.Rectangle(width=2.0, height=1.0, origin=(-1.0, 0.0)),
-        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
-        loads=tuple(am.Traction(side, (0.0, partial(_sheared, field, normal)))
-                    for side, normal in (("left", -1.0), ("right", 1.0))),
-        supports=(am.Support("top", x=moved[0], y=moved[1]), am.Support("left", x=moved[0]),
-                  am.Support("right", x=moved[0])),
-        reference={"quantity": "displacement, m", "field": field, "exponent": field.exponent, "transition": 0.0,
-                   "uniform_rate": 0.5, "sources": {"field": "eigenfunction of the half plane, exact"}})
+        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))),
+        law=law,
+        loads=tuple(
+            am.Traction(side, (0.0, partial(_sheared, field, normal)))
+            for side, normal in (("left", -1.0), ("right", 1.0))
+        ),
+        supports=(
+            am.Support("top", x=moved[0], y=moved[1]),
+            am.Support("left", x=moved[0]),
+            am.Support("right", x=moved[0]),
+        ),
+        reference={
+            "quantity": "displacement, m",
+            "field": field,
+            "exponent": field.exponent,
+            "transition": 0.0,
+            "uniform_rate": 0.5,
+            "sources": {"field": "eigenfunction of the half plane, exact"},
+        },
+    )
 
 
-def _field(kind: str, away: bool, friction: float, pressure: float, material: am.PlaneStrain) -> TransitionField:
+def _field(
+    kind: str, away: bool, friction: float, pressure: float, material: am.PlaneStrain
+) -> TransitionField:
     """The mode with a sign, a size and a uniform part that make all states admissible."""
     poisson, direction = material.poisson, 1.0 if away else -1.0
     beta = (1 - 2 * poisson) / (2 * (1 - poisson))
@@ -94,7 +124,11 @@ def _field(kind: str, away: bool, friction: float, pressure: float, material: am
     else:
         # the tangential traction at x < 0 must stay below the limit, which the uniform part reaches
         excess = direction * left[2] + friction * left[1]
-        scale, uniform, shear = -friction * pressure / excess, pressure, direction * friction * pressure
+        scale, uniform, shear = (
+            -friction * pressure / excess,
+            pressure,
+            direction * friction * pressure,
+        )
     field = replace(mode, a=scale * a, b=scale * b, pressure=uniform, shear=shear)
     if kind == "stick":
         return field
@@ -102,8 +136,11 @@ def _field(kind: str, away: bool, friction: float, pressure: float, material: am
     return replace(field, shift=direction * math.ceil(2e6 * slip) * 1e-6)
 
 
-def _mode(kind: str, friction: float, poisson: float, exponent: float, direction: float) -> tuple[complex, complex]:
-    """The coefficients a and b: the null vector of the conditions on both sides of the transition."""
+def _mode(
+    kind: str, friction: float, poisson: float, exponent: float, direction: float
+) -> tuple[complex, complex]:
+    """The coefficients a and b: the null vector of the conditions on both sides of the
+    transition."""
     ends = np.array([1.0 + 0.0j, -1.0 + 0.0j])
     columns = []
     for a, b in ((1, 0), (1j, 0), (0, 1), (0, 1j)):
@@ -132,16 +169,21 @@ class TransitionField:
         z, mu = _complex(points), self.material.shear_modulus
         u = _displacement(z, self.exponent, self.a, self.b, self.material.poisson) / (2 * mu)
         stretch = -self.pressure / (self.material.lame + 2 * mu)
-        return np.column_stack([u.real + self.shift + self.shear / mu * z.imag, u.imag + stretch * z.imag])
+        return np.column_stack(
+            [u.real + self.shift + self.shear / mu * z.imag, u.imag + stretch * z.imag]
+        )
 
     def stress(self, points: np.ndarray) -> np.ndarray:
         """Return xx, yy, xy (n, 3), Pa."""
         result = _stress(_complex(points), self.exponent, self.a, self.b)
         lame, mu = self.material.lame, self.material.shear_modulus
-        return result + np.array([-self.pressure * lame / (lame + 2 * mu), -self.pressure, self.shear])
+        return result + np.array(
+            [-self.pressure * lame / (lame + 2 * mu), -self.pressure, self.shear]
+        )
 
     def energy_error(self, result: Result, points: int = 6) -> EnergyError:
-        """Return the exact error of a solution of the case in the energy norm, with ``points**2`` points an element."""
+        """Return the exact error of a solution of the case in the energy norm, with ``points**2``
+        points an element."""
         from adaptmg.discrete.stress import full_stress
         from adaptmg.estimate.reference_error import EnergyError
         from adaptmg.geometry.quadrature import quadrature_points, simplex_rule
@@ -150,15 +192,22 @@ class TransitionField:
         rule, weights = simplex_rule(2, points)
         at = quadrature_points(mesh.points, mesh.elements, rule)
         exact = self.stress(at.reshape(-1, 2)).reshape(*at.shape[:2], 3)
-        wrong = exact - full_stress(mesh, self.material, result.displacement)[:, None, (0, 1, 0), (0, 1, 1)]
-        error, energy = (float(np.sum(mesh.volumes[:, None] * weights * self._density(stress)))
-                         for stress in (wrong, exact))
+        wrong = (
+            exact
+            - full_stress(mesh, self.material, result.displacement)[:, None, (0, 1, 0), (0, 1, 1)]
+        )
+        error, energy = (
+            float(np.sum(mesh.volumes[:, None] * weights * self._density(stress)))
+            for stress in (wrong, exact)
+        )
         return EnergyError(math.sqrt(error), math.sqrt(error / energy), math.sqrt(energy), 0.0)
 
     def _density(self, stress: np.ndarray) -> np.ndarray:
         """Sigma : C^-1 sigma of xx, yy, xy in plane strain."""
         xx, yy, xy = np.moveaxis(stress, -1, 0)
-        return (xx**2 + yy**2 + 2 * xy**2 - self.material.poisson * (xx + yy)**2) / (2 * self.material.shear_modulus)
+        return (xx**2 + yy**2 + 2 * xy**2 - self.material.poisson * (xx + yy) ** 2) / (
+            2 * self.material.shear_modulus
+        )
 
 
 def _displaced(field: TransitionField, component: int, points: np.ndarray) -> np.ndarray:
@@ -172,19 +221,24 @@ def _sheared(field: TransitionField, normal: float, points: np.ndarray) -> np.nd
 
 
 def _complex(points: np.ndarray) -> np.ndarray:
-    """Complex coordinates (n,); points below the plane by rounding are moved onto it, where the fields have a cut."""
+    """Complex coordinates (n,); points below the plane by rounding are moved onto it, where the
+    fields have a cut."""
     points = np.asarray(points, dtype=np.float64)
     return points[:, 0] + 1j * (np.maximum(points[:, 1], 0.0) + 0.0)
 
 
-def _derivatives(z: np.ndarray, exponent: float, a: complex, b: complex) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _derivatives(
+    z: np.ndarray, exponent: float, a: complex, b: complex
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Phi', conj(z) phi'' and psi'."""
-    slope = exponent * z**(exponent - 1)
+    slope = exponent * z ** (exponent - 1)
     # conj(z) / z as a turn, which is finite at z = 0
     return a * slope, a * (exponent - 1) * slope * np.exp(-2j * np.angle(z)), b * slope
 
 
-def _displacement(z: np.ndarray, exponent: float, a: complex, b: complex, poisson: float) -> np.ndarray:
+def _displacement(
+    z: np.ndarray, exponent: float, a: complex, b: complex, poisson: float
+) -> np.ndarray:
     """2 mu (u_x + i u_y)."""
     first = _derivatives(z, exponent, a, b)[0]
     return (3 - 4 * poisson) * a * z**exponent - z * np.conj(first) - np.conj(b * z**exponent)

@@ -1,21 +1,24 @@
 r"""The two examples of the paper: the GRECO bar with its variants, and the dovetail joint.
 
-The GRECO bar: a square pressed on a rigid plane and pushed along it (Example 1 of the paper), and its variants.
+The GRECO bar: a square pressed on a rigid plane and pushed along it (Example 1 of the paper), and
+its variants.
 
-Half of a long bar of 80 x 40 mm in plane strain: u_x = 0 on the plane of symmetry x = a ('right'), a rigid plane with
-Coulomb friction at y = 0 ('bottom'), pressure on the top, and a larger one on x = 0 ('left') that pushes in +x. The
-contact opens near x = 0, slips, and sticks towards the plane of symmetry. Reference values: Code_Aster test SSNV128
-(V6.04.128), after Raous, Chabrand and Lebon, J. Mec. Theor. Appl. 7 (1988), and a P2 computation on fine meshes.
-Without friction the case is a patch test: full contact under the uniform stress
+Half of a long bar of 80 x 40 mm in plane strain: u_x = 0 on the plane of symmetry x = a ('right'),
+a rigid plane with Coulomb friction at y = 0 ('bottom'), pressure on the top, and a larger one on x
+= 0 ('left') that pushes in +x. The contact opens near x = 0, slips, and sticks towards the plane of
+symmetry. Reference values: Code_Aster test SSNV128 (V6.04.128), after Raous, Chabrand and Lebon, J.
+Mec. Theor. Appl. 7 (1988), and a P2 computation on fine meshes. Without friction the case is a
+patch test: full contact under the uniform stress
 :math:`\sigma_{xx} = -p_{side},\ \sigma_{yy} = -p_{top}`, with
 
 .. math:: u_x = -(a - x)\,\varepsilon_{xx},\quad u_y = y\,\varepsilon_{yy},\quad
    E\,\varepsilon_{xx} = (1-\nu^2)\,\sigma_{xx} - \nu(1+\nu)\,\sigma_{yy}.
 
-The dovetail joint: a tongue in a notch, pulled out against its flanks (Example 2 of the paper, our reconstruction).
+The dovetail joint: a tongue in a notch, pulled out against its flanks (Example 2 of the paper, our
+reconstruction).
 
-The paper shows a deformed mesh and gives neither geometry nor loads, so both are ours. One half by symmetry, plane
-strain, lengths in mm (``angle`` is that of the flanks from the horizontal)::
+The paper shows a deformed mesh and gives neither geometry nor loads, so both are ours. One half by
+symmetry, plane strain, lengths in mm (``angle`` is that of the flanks from the horizontal)::
 
               neck, pulled                      tongue: (0, -16) .. chamfer .. flank .. (12, 0), neck to y = 24
             +------+  y = 24                    block:  notch with the same flank and the floor y = -16,
@@ -28,9 +31,8 @@ strain, lengths in mm (``angle`` is that of the flanks from the horizontal)::
             |                    |
             +--------------------+  y = -40, fixed
 
-The flank opens at the mouth, slips, sticks in its middle and slips to its lower end, where the corner of the chamfer
-makes an edge singularity; the floor opens.
-"""
+The flank opens at the mouth, slips, sticks in its middle and slips to its lower end, where the
+corner of the chamfer makes an edge singularity; the floor opens."""
 
 from __future__ import annotations
 
@@ -51,28 +53,55 @@ def constant_friction(law: Law) -> float | None:
     return law.friction if isinstance(law, am.Coulomb) and isinstance(law.friction, float) else None
 
 
-_POINTS = {"A": (0.0, 0.0), "B": (1.25e-3, 0.0), "C": (5e-3, 0.0), "D": (7.5e-3, 0.0), "E": (11.25e-3, 0.0)}
+_POINTS = {
+    "A": (0.0, 0.0),
+    "B": (1.25e-3, 0.0),
+    "C": (5e-3, 0.0),
+    "D": (7.5e-3, 0.0),
+    "E": (11.25e-3, 0.0),
+}
 _SSNV128 = {"A": 2.86e-5, "B": 2.72e-5, "C": 2.28e-5, "D": 1.98e-5, "E": 1.50e-5}
-_CONVERGED = {"A": 2.860321e-5, "B": 2.722589e-5, "C": 2.286829e-5, "D": 1.980758e-5, "E": 1.541403e-5}
+_CONVERGED = {
+    "A": 2.860321e-5,
+    "B": 2.722589e-5,
+    "C": 2.286829e-5,
+    "D": 1.980758e-5,
+    "E": 1.541403e-5,
+}
 _REFERENCE = {
     "quantity": "tangential displacement u_x, m",
     "points": _POINTS,
     "values": {"SSNV128": _SSNV128, "converged": _CONVERGED},
-    "sources": {"SSNV128": "Code_Aster test SSNV128, average of codes (Raous, Chabrand, Lebon 1988)",
-                "converged": "P2 on fine meshes, two independent codes agreeing to 2e-7"},
+    "sources": {
+        "SSNV128": "Code_Aster test SSNV128, average of codes (Raous, Chabrand, Lebon 1988)",
+        "converged": "P2 on fine meshes, two independent codes agreeing to 2e-7",
+    },
     "remark": "The published value at E is 2.8 % below the converged one; elsewhere the two agree to .3 %.",
     "zones": {"open": (0.0, 3.32e-3), "slip": (3.32e-3, 29.86e-3), "stick": (29.86e-3, 40e-3)},
 }
-_DEFAULTS = {"top_pressure": 5e7, "side_pressure": 15e7, "young": 1.3e11, "poisson": 0.2, "size": 40e-3}
+_DEFAULTS = {
+    "top_pressure": 5e7,
+    "side_pressure": 15e7,
+    "young": 1.3e11,
+    "poisson": 0.2,
+    "size": 40e-3,
+}
 
 
-def greco_bar(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
-              young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3) -> am.ContactProblem:
+def greco_bar(
+    *,
+    law: Law = am.Coulomb(1.0),
+    top_pressure: float = 5e7,
+    side_pressure: float = 15e7,
+    young: float = 1.3e11,
+    poisson: float = 0.2,
+    size: float = 40e-3,
+) -> am.ContactProblem:
     """Pose the GRECO bar.
 
-    ``reference`` holds ``quantity``, ``points`` (name -> position, m), ``values`` (source -> point -> m), ``sources``,
-    ``remark`` and ``zones`` (state -> range of x, m) for the default parameters, without friction for all with
-    ``top_pressure`` > 0; otherwise it is empty.
+    ``reference`` holds ``quantity``, ``points`` (name -> position, m), ``values`` (source -> point
+    -> m), ``sources``, ``remark`` and ``zones`` (state -> range of x, m) for the default
+    parameters, without friction for all with ``top_pressure`` > 0; otherwise it is empty.
 
     Parameters
     ----------
@@ -90,8 +119,13 @@ def greco_bar(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_pre
     >>> am.cases.greco_bar(law=am.Coulomb(0.5)).law.friction
     0.5
     """
-    parameters = {"top_pressure": top_pressure, "side_pressure": side_pressure, "young": young, "poisson": poisson,
-                  "size": size}
+    parameters = {
+        "top_pressure": top_pressure,
+        "side_pressure": side_pressure,
+        "young": young,
+        "poisson": poisson,
+        "size": size,
+    }
     size = checks.quantity("size", size, positive=True)
     material = am.PlaneStrain(young=young, poisson=poisson)
     top_pressure = checks.quantity("top_pressure", top_pressure)
@@ -102,31 +136,54 @@ def greco_bar(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_pre
     elif parameters == _DEFAULTS and constant_friction(law) == 1.0:
         reference = _REFERENCE
     return am.ContactProblem(
-        name="GRECO bar", material=material, domain=am.Rectangle(width=size, height=size),
-        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
+        name="GRECO bar",
+        material=material,
+        domain=am.Rectangle(width=size, height=size),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))),
+        law=law,
         loads=(am.Pressure("top", top_pressure), am.Pressure("left", side_pressure)),
-        supports=(am.Support("right", x=0.0),), reference=reference)
+        supports=(am.Support("right", x=0.0),),
+        reference=reference,
+    )
 
 
-def _patch_test(material: am.PlaneStrain, top_pressure: float, side_pressure: float, size: float) -> dict[str, object]:
+def _patch_test(
+    material: am.PlaneStrain, top_pressure: float, side_pressure: float, size: float
+) -> dict[str, object]:
     nu = material.poisson
     strain = (-(1 - nu**2) * side_pressure + nu * (1 + nu) * top_pressure) / material.young
-    exact = {name: -(1 - fraction) * size * strain for name, fraction in
-             (("A", 0.0), ("B", 1.25 / 40), ("C", 5 / 40), ("D", 7.5 / 40), ("E", 11.25 / 40))}
+    exact = {
+        name: -(1 - fraction) * size * strain
+        for name, fraction in (
+            ("A", 0.0),
+            ("B", 1.25 / 40),
+            ("C", 5 / 40),
+            ("D", 7.5 / 40),
+            ("E", 11.25 / 40),
+        )
+    }
     return {
         "quantity": _REFERENCE["quantity"],
         "points": {name: tuple(np.array(point) * size / 40e-3) for name, point in _POINTS.items()},
         "values": {"exact": exact},
         "sources": {"exact": "uniform stress (patch test): P1 elements are exact on every mesh"},
         "remark": "Full contact under uniform stress; a nested start solves it exactly, so it says nothing about "
-                  "the convergence of a solver.",
+        "the convergence of a solver.",
         "zones": {"slip": (0.0, size)},
     }
 
 
-def greco_block(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_pressure: float = 15e7,  # noqa: B008
-                young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3, depth: float = 40e-3,
-                plane_strain: bool = True) -> am.ContactProblem:
+def greco_block(
+    *,
+    law: Law = am.Coulomb(1.0),
+    top_pressure: float = 5e7,
+    side_pressure: float = 15e7,
+    young: float = 1.3e11,
+    poisson: float = 0.2,
+    size: float = 40e-3,
+    depth: float = 40e-3,
+    plane_strain: bool = True,
+) -> am.ContactProblem:
     """Pose the GRECO bar as a solid: a box pressed on the plane z = 0 and pushed along x.
 
     Parameters
@@ -137,7 +194,8 @@ def greco_block(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_p
     depth : float
         Length along y, m.
     plane_strain : bool
-        Fix u_y on front and back (True), where ``reference`` holds the values of the plane bar, or on the front only.
+        Fix u_y on front and back (True), where ``reference`` holds the values of the plane bar, or
+        on the front only.
 
     Examples
     --------
@@ -146,8 +204,14 @@ def greco_block(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_p
     """
     checks.flag("plane_strain", plane_strain)
     depth = checks.quantity("depth", depth, positive=True)
-    bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
-                    size=size)
+    bar = greco_bar(
+        law=law,
+        top_pressure=top_pressure,
+        side_pressure=side_pressure,
+        young=young,
+        poisson=poisson,
+        size=size,
+    )
     reference = {}
     if plane_strain and bar.reference:
         points = {name: (x, depth / 2, z) for name, (x, z) in bar.reference["points"].items()}
@@ -156,25 +220,37 @@ def greco_block(*, law: Law = am.Coulomb(1.0), top_pressure: float = 5e7, side_p
     held = ("front", "back") if plane_strain else ("front",)
     return am.ContactProblem(
         name="GRECO block" if plane_strain else "GRECO block, free back",
-        material=am.Solid(young=young, poisson=poisson), domain=am.Box(width=size, depth=depth, height=size),
-        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))), law=law,
+        material=am.Solid(young=young, poisson=poisson),
+        domain=am.Box(width=size, depth=depth, height=size),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))),
+        law=law,
         loads=(am.Pressure("top", top_pressure), am.Pressure("left", side_pressure)),
-        supports=(am.Support("right", x=0.0), *(am.Support(face, y=0.0) for face in held)), reference=reference)
+        supports=(am.Support("right", x=0.0), *(am.Support(face, y=0.0) for face in held)),
+        reference=reference,
+    )
 
 
 def _parabolic_gap(position: float, radius: float, points: np.ndarray) -> np.ndarray:
     """Gaps (n,) at points (n, dim), m, to an obstacle that touches at x = position."""
-    return (position - points[:, 0])**2 / (2 * radius)
+    return (position - points[:, 0]) ** 2 / (2 * radius)
 
 
-def curved_obstacle(*, law: Law = am.Frictionless(), radius: float = 10.0, top_pressure: float = 5e7,  # noqa: B008
-                    side_pressure: float = 15e7, young: float = 1.3e11, poisson: float = 0.2, size: float = 40e-3
-                    ) -> am.ContactProblem:
+def curved_obstacle(
+    *,
+    law: Law = am.Frictionless(),
+    radius: float = 10.0,
+    top_pressure: float = 5e7,
+    side_pressure: float = 15e7,
+    young: float = 1.3e11,
+    poisson: float = 0.2,
+    size: float = 40e-3,
+) -> am.ContactProblem:
     """Pose the GRECO bar in front of a curved obstacle: the contact zone is unknown.
 
     The gap under the bottom is (size - x)^2 / (2 radius).
 
-    By default ``reference["touching"]`` is the number of touching nodes, by divisions of the uniform mesh.
+    By default ``reference["touching"]`` is the number of touching nodes, by divisions of the
+    uniform mesh.
 
     Parameters
     ----------
@@ -190,28 +266,55 @@ def curved_obstacle(*, law: Law = am.Frictionless(), radius: float = 10.0, top_p
     >>> am.cases.curved_obstacle().dim
     2
     """
-    bar = greco_bar(law=law, top_pressure=top_pressure, side_pressure=side_pressure, young=young, poisson=poisson,
-                    size=size)
-    default = (isinstance(law, am.Frictionless) and (radius, top_pressure, side_pressure, young, poisson, size)
-               == (10.0, 5e7, 15e7, 1.3e11, 0.2, 40e-3))
-    reference = {"touching": {32: 17}, "sources": {"touching": "direct active-set solve"}} if default else {}
+    bar = greco_bar(
+        law=law,
+        top_pressure=top_pressure,
+        side_pressure=side_pressure,
+        young=young,
+        poisson=poisson,
+        size=size,
+    )
+    default = isinstance(law, am.Frictionless) and (
+        radius,
+        top_pressure,
+        side_pressure,
+        young,
+        poisson,
+        size,
+    ) == (10.0, 5e7, 15e7, 1.3e11, 0.2, 40e-3)
+    reference = (
+        {"touching": {32: 17}, "sources": {"touching": "direct active-set solve"}}
+        if default
+        else {}
+    )
     gap = partial(_parabolic_gap, float(size), checks.quantity("radius", radius, positive=True))
-    return replace(bar, name="curved obstacle", contact=am.Contact("bottom", am.GapFunction(gap)), reference=reference)
+    return replace(
+        bar,
+        name="curved obstacle",
+        contact=am.Contact("bottom", am.GapFunction(gap)),
+        reference=reference,
+    )
 
 
 #: lambda at the clamped-free corner by Poisson's ratio
 _EXPONENTS = {0.2: 0.781, 0.3: 0.711}
 
 
-def upset_block(*, law: Law = am.Coulomb(0.5), top_pressure: float = 5e7, young: float = 1.3e11,  # noqa: B008
-                poisson: float = 0.2, size: float = 40e-3) -> am.ContactProblem:
+def upset_block(
+    *,
+    law: Law = am.Coulomb(0.5),
+    top_pressure: float = 5e7,
+    young: float = 1.3e11,
+    poisson: float = 0.2,
+    size: float = 40e-3,
+) -> am.ContactProblem:
     """Pose the GRECO bar without side pressure, friction 0.5.
 
-    Friction holds the foot, so that sticking contact meets the free 90 degree corner at x = 0: there u ~ r^lambda with
-    lambda < 1.
+    Friction holds the foot, so that sticking contact meets the free 90 degree corner at x = 0:
+    there u ~ r^lambda with lambda < 1.
 
-    ``reference`` holds, for friction 0.5 and Poisson's ratio 0.2 or 0.3, ``exponent`` (lambda) and ``uniform_rate``:
-    the energy error falls like N^-uniform_rate on uniform meshes of N nodes.
+    ``reference`` holds, for friction 0.5 and Poisson's ratio 0.2 or 0.3, ``exponent`` (lambda) and
+    ``uniform_rate``: the energy error falls like N^-uniform_rate on uniform meshes of N nodes.
 
     Parameters
     ----------
@@ -225,12 +328,22 @@ def upset_block(*, law: Law = am.Coulomb(0.5), top_pressure: float = 5e7, young:
     >>> am.cases.upset_block().dim
     2
     """
-    problem = greco_bar(law=law, top_pressure=top_pressure, side_pressure=0.0, young=young, poisson=poisson, size=size)
+    problem = greco_bar(
+        law=law,
+        top_pressure=top_pressure,
+        side_pressure=0.0,
+        young=young,
+        poisson=poisson,
+        size=size,
+    )
     exponent = _EXPONENTS.get(poisson)
     reference = {}
     if exponent is not None and constant_friction(law) == 0.5:
-        reference = {"exponent": exponent, "uniform_rate": exponent / 2,
-                     "sources": {"exponent": "characteristic equation of the clamped-free 90 degree corner"}}
+        reference = {
+            "exponent": exponent,
+            "uniform_rate": exponent / 2,
+            "sources": {"exponent": "characteristic equation of the clamped-free 90 degree corner"},
+        }
     return replace(problem, name="upset block", reference=reference)
 
 
@@ -243,13 +356,21 @@ _LEAST_WALL = 6.0
 _JOINT_DEFAULTS = {"angle": 50.0, "pull": 100e6, "clamp": 120e6, "young": 2.1e11, "poisson": 0.3}
 
 
-def dovetail(*, law: Law = am.Coulomb(0.2), angle: float = 50.0, pull: float = 100e6, clamp: float = 120e6,  # noqa: B008
-             young: float = 2.1e11, poisson: float = 0.3) -> am.ContactProblem:
+def dovetail(
+    *,
+    law: Law = am.Coulomb(0.2),
+    angle: float = 50.0,
+    pull: float = 100e6,
+    clamp: float = 120e6,
+    young: float = 2.1e11,
+    poisson: float = 0.3,
+) -> am.ContactProblem:
     """Pose the dovetail joint; a reconstruction with our own geometry and loads.
 
-    Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points`` (name -> position,
-    m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank (state -> ranges of depth below the mouth,
-    m), ``tolerances`` of both (m), ``sources`` and ``remark``; otherwise only ``remark``.
+    Bodies "tongue" (slave) and "block". For the default parameters ``reference`` holds ``points``
+    (name -> position, m), ``values`` (source -> point -> lift u_y, m), ``zones`` on the flank
+    (state -> ranges of depth below the mouth, m), ``tolerances`` of both (m), ``sources`` and
+    ``remark``; otherwise only ``remark``.
 
     Parameters
     ----------
@@ -276,51 +397,86 @@ def dovetail(*, law: Law = am.Coulomb(0.2), angle: float = 50.0, pull: float = 1
     if constant_friction(law) == 0.2 and parameters == _JOINT_DEFAULTS:
         reference = _JOINT_REFERENCE
     return am.ContactProblem(
-        name="dovetail", material=am.PlaneStrain(young=young, poisson=poisson),
+        name="dovetail",
+        material=am.PlaneStrain(young=young, poisson=poisson),
         domain=am.Assembly(parts={"tongue": _tongue(angle), "block": _block(angle)}),
         law=law,
-        contact=(am.ContactPair("tongue.flank", "block.flank"), am.ContactPair("tongue.bottom", "block.floor")),
+        contact=(
+            am.ContactPair("tongue.flank", "block.flank"),
+            am.ContactPair("tongue.bottom", "block.floor"),
+        ),
         loads=(am.Traction("tongue.top", (0.0, pull)), am.Pressure("block.side", clamp)),
-        supports=(am.Support("tongue.symmetry", x=0.0), am.Support("block.symmetry", x=0.0),
-                  am.Support("block.bottom", x=0.0, y=0.0)),
-        reference=reference)
+        supports=(
+            am.Support("tongue.symmetry", x=0.0),
+            am.Support("block.symmetry", x=0.0),
+            am.Support("block.bottom", x=0.0, y=0.0),
+        ),
+        reference=reference,
+    )
 
 
 def _checked_angle(angle: float) -> float:
     angle = checks.number("angle", angle)
     least = math.degrees(math.atan2(_DEPTH, _SIDE - _LEAST_WALL - _NECK))
     if not least <= angle < 90:
-        raise ValueError(f"angle must be at least {least:.1f} degrees from the horizontal and below 90, got {angle!r}")
+        raise ValueError(
+            f"angle must be at least {least:.1f} degrees from the horizontal and below 90, got {angle!r}"
+        )
     return math.radians(angle)
 
 
 def _tongue(angle: float) -> am.Polygon:
     foot = _NECK + (_DEPTH - _CHAMFER) / math.tan(angle)
-    return _polygon([(0.0, -_DEPTH), (foot - _CHAMFER, -_DEPTH), (foot, _CHAMFER - _DEPTH), (_NECK, 0.0),
-                     (_NECK, _RISE), (0.0, _RISE)], ("bottom", "chamfer", "flank", "neck", "top", "symmetry"))
+    return _polygon(
+        [
+            (0.0, -_DEPTH),
+            (foot - _CHAMFER, -_DEPTH),
+            (foot, _CHAMFER - _DEPTH),
+            (_NECK, 0.0),
+            (_NECK, _RISE),
+            (0.0, _RISE),
+        ],
+        ("bottom", "chamfer", "flank", "neck", "top", "symmetry"),
+    )
 
 
 def _block(angle: float) -> am.Polygon:
     root = _NECK + _DEPTH / math.tan(angle)
-    return _polygon([(0.0, -_BOTTOM), (_SIDE, -_BOTTOM), (_SIDE, 0.0), (_NECK, 0.0), (root, -_DEPTH), (0.0, -_DEPTH)],
-                    ("bottom", "side", "shoulder", "flank", "floor", "symmetry"))
+    return _polygon(
+        [
+            (0.0, -_BOTTOM),
+            (_SIDE, -_BOTTOM),
+            (_SIDE, 0.0),
+            (_NECK, 0.0),
+            (root, -_DEPTH),
+            (0.0, -_DEPTH),
+        ],
+        ("bottom", "side", "shoulder", "flank", "floor", "symmetry"),
+    )
 
 
 def _polygon(corners: list[tuple[float, float]], names: tuple[str, ...]) -> am.Polygon:
     return am.Polygon(vertices=tuple((x * _MM, y * _MM) for x, y in corners), boundaries=names)
 
 
-_JOINT_REMARK = ("A reconstruction: the paper gives neither geometry nor loads of its Example 2, and no values are "
-                 "known to compare with but our own.")
+_JOINT_REMARK = (
+    "A reconstruction: the paper gives neither geometry nor loads of its Example 2, and no values are "
+    "known to compare with but our own."
+)
 _JOINT_REFERENCE = {
     "quantity": "lift u_y of the top of the neck, m",
     "points": {"axis": (0.0, _RISE * _MM), "corner": (_NECK * _MM, _RISE * _MM)},
     "values": {"converged": {"axis": 90.68e-6, "corner": 90.93e-6}},
-    "zones": {"open": ((0.0, 2.87e-3),), "slip": ((2.87e-3, 7.34e-3), (12.16e-3, 13e-3)),
-              "stick": ((7.34e-3, 12.16e-3),)},
+    "zones": {
+        "open": ((0.0, 2.87e-3),),
+        "slip": ((2.87e-3, 7.34e-3), (12.16e-3, 13e-3)),
+        "stick": ((7.34e-3, 12.16e-3),),
+    },
     "tolerances": {"values": 0.01e-6, "zones": 0.04e-3},
-    "sources": {"converged": "our own: P1 meshes graded to the four corners at contact, sizes falling by 1.4 up to "
-                             "60 430 nodes, active set method to 1e-10; the lift extrapolated with an error ~ "
-                             "1 / nodes (90.42, 90.54, 90.61 um on the axis on the last three meshes)"},
+    "sources": {
+        "converged": "our own: P1 meshes graded to the four corners at contact, sizes falling by 1.4 up to "
+        "60 430 nodes, active set method to 1e-10; the lift extrapolated with an error ~ "
+        "1 / nodes (90.42, 90.54, 90.61 um on the axis on the last three meshes)"
+    },
     "remark": _JOINT_REMARK,
 }

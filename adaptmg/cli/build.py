@@ -1,10 +1,9 @@
 """From the options of the command line to a solved case: problem, grids, method and adaptive loop.
 
-The keys are the arguments of the classes and functions: fields of the option classes, arguments of cases and of the
-constructors of :class:`adaptmg.Hierarchy`. An object is chosen by the name of its class (``correction = "monotone"``),
-and its fields stand next to it (``pre`` of the cycle, ``friction`` of the law). Types, defaults and checks are those of
-the signatures and classes.
-"""
+The keys are the arguments of the classes and functions: fields of the option classes, arguments of
+cases and of the constructors of :class:`adaptmg.Hierarchy`. An object is chosen by the name of its
+class (``correction = "monotone"``), and its fields stand next to it (``pre`` of the cycle,
+``friction`` of the law). Types, defaults and checks are those of the signatures and classes."""
 
 from __future__ import annotations
 
@@ -34,11 +33,15 @@ METHODS = (am.FullMultigrid, am.Multigrid, am.SingleGrid, am.ActiveSet)
 OBJECTS: dict[str, tuple[type, ...]] = {
     "law": (am.Frictionless, am.Coulomb, am.Tresca),
     "transfer": (am.Interpolation, am.L2, am.LumpedL2, am.PseudoL2, am.QuasiInterpolation),
-    "cycle": (am.Cycle,), "smoother": (am.ProjectedGaussSeidel,),
-    "correction": (am.Truncated, am.Monotone, am.PaperCorrection), "linear": (am.Direct, am.AMG),
-    "indicator": (am.Residual, am.Recovery, am.Goal), "mark": (am.Doerfler, am.Maximum),
+    "cycle": (am.Cycle,),
+    "smoother": (am.ProjectedGaussSeidel,),
+    "correction": (am.Truncated, am.Monotone, am.PaperCorrection),
+    "linear": (am.Direct, am.AMG),
+    "indicator": (am.Residual, am.Recovery, am.Goal),
+    "mark": (am.Doerfler, am.Maximum),
     "engine": (am.Bisect, am.Remesh),
-    "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening)}
+    "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening),
+}
 #: sections of settings, and their purposes
 PURPOSE = {
     "case": "the problem: its name, its law, and its arguments, see 'adaptmg cases NAME'",
@@ -63,28 +66,35 @@ class Key:
 
 
 def name_of(kind: type) -> str:
-    """Return the name of a class in settings: ``PseudoL2`` is pseudo-l2, ``PaperCorrection`` paper."""
+    """Return the name of a class in settings: ``PseudoL2`` is pseudo-l2, ``PaperCorrection``
+    paper."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", kind.__name__).lower().removesuffix("-correction")
 
 
 def _class_of(argument: str, name: object, kinds: Sequence[type]) -> type:
     by_name = {name_of(kind): kind for kind in kinds}
     if name not in by_name:
-        raise ValueError(f"{argument} must be one of {', '.join(by_name)}, got {checks.shown(name)}"
-                         f"{checks.suggestion(str(name).lower(), by_name)}")
+        raise ValueError(
+            f"{argument} must be one of {', '.join(by_name)}, got {checks.shown(name)}"
+            f"{checks.suggestion(str(name).lower(), by_name)}"
+        )
     return by_name[name]
 
 
 @cache
 def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[type, ...]]]:
     """The arguments that settings can give, each with the classes that it may be."""
-    found = {name: (item, () if str(item.annotation).startswith(_PLAIN) else OBJECTS.get(name))
-             for name, item in inspect.signature(function).parameters.items() if name != "store"}
+    found = {
+        name: (item, () if str(item.annotation).startswith(_PLAIN) else OBJECTS.get(name))
+        for name, item in inspect.signature(function).parameters.items()
+        if name != "store"
+    }
     return {name: (item, kinds) for name, (item, kinds) in found.items() if kinds is not None}
 
 
 def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) -> type | None:
-    """The class of an object that is not named; None for a required one, and where the default depends on others."""
+    """The class of an object that is not named; None for a required one, and where the default
+    depends on others."""
     if item.default is item.empty or name == "correction":
         return None
     return next((kind for kind in kinds if type(item.default) is kind), kinds[0])
@@ -92,15 +102,18 @@ def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) ->
 
 @cache
 def keys_of(function: Maker) -> dict[str, Key]:
-    """Return the keys of a class or function: its arguments, and those of the objects that these may be."""
+    """Return the keys of a class or function: its arguments, and those of the objects that these
+    may be."""
     own, nested = {}, {}
     for name, (item, kinds) in _parameters(function).items():
         if kinds[1:]:
             default = _default_class(name, item, kinds)
             own[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
         elif not kinds:
-            own[name] = Key(re.sub(r"FieldLike\w*", "float", str(item.annotation)).removesuffix(" | None"),
-                            _default(item.default))
+            own[name] = Key(
+                re.sub(r"FieldLike\w*", "float", str(item.annotation)).removesuffix(" | None"),
+                _default(item.default),
+            )
         for kind in kinds:
             for key, value in keys_of(kind).items():
                 if type(item.default) is kind and hasattr(item.default, key):
@@ -116,16 +129,27 @@ def _default(value: object) -> str:
 
 
 def arguments_of(function: Maker, values: Arguments, before: str, what: str) -> Arguments:
-    """Return keyword arguments of a class or function, and remove them from ``values``; objects take what it does not
-    take itself. In messages keys begin with ``before``, such as "solver.", and ``what`` names the function."""
+    """Return keyword arguments of a class or function, and remove them from ``values``; objects
+    take what it does not take itself. In messages keys begin with ``before``, such as "solver.",
+    and ``what`` names the function."""
     parameters = _parameters(function)
-    arguments = {name: values.pop(name) for name, (_, kinds) in parameters.items() if not kinds and name in values}
+    arguments = {
+        name: values.pop(name)
+        for name, (_, kinds) in parameters.items()
+        if not kinds and name in values
+    }
     for name, (item, kinds) in parameters.items():
         if kinds:
             word = values.pop(name, None)
-            kind = _default_class(name, item, kinds) if word is None else _class_of(before + name, word, kinds)
+            kind = (
+                _default_class(name, item, kinds)
+                if word is None
+                else _class_of(before + name, word, kinds)
+            )
             if kind is not None and (word is not None or set(keys_of(kind)) & set(values)):
-                arguments[name] = kind(**arguments_of(kind, values, before, f"{before}{name} {name_of(kind)}"))
+                arguments[name] = kind(
+                    **arguments_of(kind, values, before, f"{before}{name} {name_of(kind)}")
+                )
         if item.default is item.empty and name not in arguments:
             raise ValueError(f"{what} needs {before}{name}")
     return arguments
@@ -135,54 +159,83 @@ def _made(function: Maker, values: Arguments, before: str, what: str) -> Any:
     """Call a class or function with settings; ValueError for settings that it does not take."""
     arguments = arguments_of(function, values, before, what)
     for key in values:
-        owners = [f"{before}{name} {name_of(kind)}" for name, (_, kinds) in _parameters(function).items()
-                  for kind in kinds if key in keys_of(kind)]
-        raise ValueError(f"{before}{key} has no meaning for {what}" + (
-            f": it belongs to {' or '.join(owners)}" if owners else f"; it takes {', '.join(keys_of(function))}"))
+        owners = [
+            f"{before}{name} {name_of(kind)}"
+            for name, (_, kinds) in _parameters(function).items()
+            for kind in kinds
+            if key in keys_of(kind)
+        ]
+        raise ValueError(
+            f"{before}{key} has no meaning for {what}"
+            + (
+                f": it belongs to {' or '.join(owners)}"
+                if owners
+                else f"; it takes {', '.join(keys_of(function))}"
+            )
+        )
     return function(**arguments)
 
 
 def problem_of(values: Arguments) -> am.ContactProblem:
-    """Return the problem of a case with its arguments and elements; friction or limit alone choose the law."""
+    """Return the problem of a case with its arguments and elements; friction or limit alone choose
+    the law."""
     name, elements = values.pop("case"), values.pop("elements", ELEMENTS[0])
     function = get(name).function
-    if "law" not in values and "law" in _parameters(function) and {"friction", "limit"} & set(values):
+    if (
+        "law" not in values
+        and "law" in _parameters(function)
+        and {"friction", "limit"} & set(values)
+    ):
         values["law"] = "coulomb" if "friction" in values else "tresca"
-    return dataclasses.replace(_made(function, values, "case.", f"the case {name}"), elements=elements)
+    return dataclasses.replace(
+        _made(function, values, "case.", f"the case {name}"), elements=elements
+    )
 
 
 @cache
 def sections() -> dict[str, dict[str, Key]]:
     """Return all sections with their keys; of the case those of all cases."""
     return {
-        "case": {"case": Key("name"), "elements": Key(" | ".join(ELEMENTS), ELEMENTS[0]),
-                 "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "that of the case"),
-                 **{key: value for kind in OBJECTS["law"] for key, value in keys_of(kind).items()}},
+        "case": {
+            "case": Key("name"),
+            "elements": Key(" | ".join(ELEMENTS), ELEMENTS[0]),
+            "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "that of the case"),
+            **{key: value for kind in OBJECTS["law"] for key, value in keys_of(kind).items()},
+        },
         "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded)},
-        "solver": {"method": Key(" | ".join(map(name_of, METHODS)), name_of(METHODS[0])),
-                   **{name: key for kind in reversed(METHODS) for name, key in keys_of(kind).items()}},
-        "adapt": keys_of(am.adapt)}
+        "solver": {
+            "method": Key(" | ".join(map(name_of, METHODS)), name_of(METHODS[0])),
+            **{name: key for kind in reversed(METHODS) for name, key in keys_of(kind).items()},
+        },
+        "adapt": keys_of(am.adapt),
+    }
 
 
 def case_keys(name: str) -> dict[str, Key]:
     """Return the keys of a case."""
-    return {key: sections()["case"][key] for key in ("case", "elements")} | keys_of(get(name).function)
+    return {key: sections()["case"][key] for key in ("case", "elements")} | keys_of(
+        get(name).function
+    )
 
 
 def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> dict[str, Arguments]:
-    """Return the settings that the options of a command give as texts, by section; lists have commas, and whole numbers
-    are floats where an argument is one."""
+    """Return the settings that the options of a command give as texts, by section; lists have
+    commas, and whole numbers are floats where an argument is one."""
     tables = sections() | {"case": case_keys(case) | sections()["case"]}
     settings: dict[str, Arguments] = {name: {} for name in tables} | {"case": {"case": case}}
     for name, text in texts.items():
         part, _, key = name.partition(".")
         if key not in tables[part]:
-            raise ValueError(f"there is no argument {name!r}{checks.suggestion(key, tables[part])}; there are "
-                             f"{', '.join(tables[part])}")
+            raise ValueError(
+                f"there is no argument {name!r}{checks.suggestion(key, tables[part])}; there are "
+                f"{', '.join(tables[part])}"
+            )
         value, kind = _value_of(text), tables[part][key].values
         if kind.startswith("Sequence") and not isinstance(value, tuple):
             value = (value,)
-        settings[part][key] = float(value) if type(value) is int and kind.startswith("float") else value
+        settings[part][key] = (
+            float(value) if type(value) is int and kind.startswith("float") else value
+        )
     if adaptive and not {"tolerance", "max_nodes", "max_seconds"} & set(settings["adapt"]):
         settings["adapt"]["max_nodes"] = _NODES
     return settings
@@ -206,7 +259,9 @@ def solver_of(values: Arguments) -> Solver:
     name = values.pop("method", name_of(am.FullMultigrid))
     kind = _class_of("solver.method", name, METHODS)
     if "max_cycles" in values:
-        values[next(key for key in _parameters(kind) if key.startswith("max_"))] = values.pop("max_cycles")
+        values[next(key for key in _parameters(kind) if key.startswith("max_"))] = values.pop(
+            "max_cycles"
+        )
     return _made(kind, values, "solver.", f"solver.method {name}")
 
 
@@ -224,19 +279,27 @@ def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     return _made(partial(make, task), values, "hierarchy.", what)
 
 
-def solved(settings: Mapping[str, Arguments], callback: Callable[[dict[str, float]], None] | None = None,
-           each: Callable[[am.Step], None] | None = None, store: str | os.PathLike[str] | None = None
-           ) -> tuple[Result, am.Hierarchy, list[am.Step]]:
-    """Solve once, or on meshes that follow the error; return the last result, its grids, and the steps of the loop.
-    ``callback`` is given the progress, ``each`` every step, which ``store`` keeps."""
+def solved(
+    settings: Mapping[str, Arguments],
+    callback: Callable[[dict[str, float]], None] | None = None,
+    each: Callable[[am.Step], None] | None = None,
+    store: str | os.PathLike[str] | None = None,
+) -> tuple[Result, am.Hierarchy, list[am.Step]]:
+    """Solve once, or on meshes that follow the error; return the last result, its grids, and the
+    steps of the loop. ``callback`` is given the progress, ``each`` every step, which ``store``
+    keeps."""
     problem = problem_of(settings["case"])
     if not settings["adapt"]:
         # the method first: what is refused is refused before anything is meshed
         solver, levels = solver_of(settings["solver"]), grids(problem, settings["hierarchy"])
         return am.solve(levels, solver, throw=False, callback=callback), levels, []
     steps = []
-    for step in _made(partial(am.adapt, problem, progress=callback, store=store), settings["adapt"], "adapt.",
-                      "this loop"):
+    for step in _made(
+        partial(am.adapt, problem, progress=callback, store=store),
+        settings["adapt"],
+        "adapt.",
+        "this loop",
+    ):
         steps.append(step)
         if each is not None:
             each(step)
@@ -246,17 +309,35 @@ def solved(settings: Mapping[str, Arguments], callback: Callable[[dict[str, floa
 def case_facts(name: str) -> dict[str, object]:
     """Return arguments, boundaries and loads of a case as JSON takes them."""
     posed = get(name).function()
-    return {"name": name, "description": CASES[name].description, "dimension": posed.dim,
-            "arguments": {key: dataclasses.asdict(item) for key, item in case_keys(name).items()},
-            "boundaries": list(posed.domain.boundaries), "contact": list(posed.pair_boundaries),
-            "loads": list(names_in_path(posed))}
+    return {
+        "name": name,
+        "description": CASES[name].description,
+        "dimension": posed.dim,
+        "arguments": {key: dataclasses.asdict(item) for key, item in case_keys(name).items()},
+        "boundaries": list(posed.domain.boundaries),
+        "contact": list(posed.pair_boundaries),
+        "loads": list(names_in_path(posed)),
+    }
 
 
 def about_case(name: str) -> str:
-    """Return arguments, boundaries and loads of a case as text, and what its function says of itself."""
+    """Return arguments, boundaries and loads of a case as text, and what its function says of
+    itself."""
     facts = case_facts(name)
-    arguments = [f"  {key:<15} {item.values}{f', default {item.default}' if item.default else ''}"
-                 for key, item in case_keys(name).items()]
+    arguments = [
+        f"  {key:<15} {item.values}{f', default {item.default}' if item.default else ''}"
+        for key, item in case_keys(name).items()
+    ]
     lists = [f"  {key:<15} {', '.join(facts[key])}" for key in ("boundaries", "contact", "loads")]
-    return "\n".join([f"{name}: {facts['description']}", "", "Arguments (--set NAME=VALUE):", *arguments, "", *lists,
-                      "", inspect.getdoc(get(name).function) or ""]).rstrip()
+    return "\n".join(
+        [
+            f"{name}: {facts['description']}",
+            "",
+            "Arguments (--set NAME=VALUE):",
+            *arguments,
+            "",
+            *lists,
+            "",
+            inspect.getdoc(get(name).function) or "",
+        ]
+    ).rstrip()

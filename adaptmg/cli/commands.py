@@ -1,7 +1,8 @@
-"""The commands and their options. Heavy modules are imported inside them, so that ``--help`` is instant.
+"""The commands and their options. Heavy modules are imported inside them, so that ``--help`` is
+instant.
 
-The options of ``solve`` and ``adapt`` are made from signatures and types by :mod:`adaptmg.cli.build`.
-"""
+The options of ``solve`` and ``adapt`` are made from signatures and types by
+:mod:`adaptmg.cli.build`."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command; SystemExit with 0, 1 (failed or not converged), 2 (bad input) or 130 (Ctrl-C)."""
+    """Run the command; SystemExit with 0, 1 (failed or not converged), 2 (bad input) or 130
+    (Ctrl-C)."""
     texts = list(sys.argv[1:] if arguments is None else arguments)
     with _errors(texts):
         parser = _parser(texts[0] if texts else "")
@@ -51,23 +53,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
             from adaptmg._checks import suggestion
 
             name = unknown[0].partition("=")[0]
-            raise ValueError(f"there is no option {name}{suggestion(name, parsed.options)}: 'adaptmg {texts[0]} "
-                             "--help' lists them")
+            raise ValueError(
+                f"there is no option {name}{suggestion(name, parsed.options)}: 'adaptmg {texts[0]} "
+                "--help' lists them"
+            )
         raise SystemExit(parsed.run(parsed))
 
 
 def _parser(command: str) -> _Parser:
     """Return the parser; only of ``command`` it has the options that need the classes."""
-    parser = _Parser("adaptmg", description="Multigrid for frictional contact on adaptively refined meshes.",
-                     epilog="Example: adaptmg solve greco_bar. Exit codes: 0 done, 1 failed or not converged, 2 bad "
-                            "input, 130 Ctrl-C.", allow_abbrev=False)
-    parser.add_argument("--version", action="version", version=f"adaptmg {__version__}", help="print the version")
+    parser = _Parser(
+        "adaptmg",
+        description="Multigrid for frictional contact on adaptively refined meshes.",
+        epilog="Example: adaptmg solve greco_bar. Exit codes: 0 done, 1 failed or not converged, 2 bad "
+        "input, 130 Ctrl-C.",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--version", action="version", version=f"adaptmg {__version__}", help="print the version"
+    )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
-    def made(run: Callable[[Namespace], int | None], purpose: str, example: str, *more: str) -> Callable[..., object]:
+    def made(
+        run: Callable[[Namespace], int | None], purpose: str, example: str, *more: str
+    ) -> Callable[..., object]:
         name = run.__name__[1:]
-        own = commands.add_parser(name, help=purpose, epilog=f"Example: adaptmg {name} {example}", allow_abbrev=False,
-                                  description=" ".join([f"{purpose[0].upper()}{purpose[1:]}.", *more]))
+        own = commands.add_parser(
+            name,
+            help=purpose,
+            epilog=f"Example: adaptmg {name} {example}",
+            allow_abbrev=False,
+            description=" ".join([f"{purpose[0].upper()}{purpose[1:]}.", *more]),
+        )
         if command == name in _SECTIONS:
             own.usage = f"adaptmg {name} CASE [options]"
             _add_settings(own, name)
@@ -75,17 +92,44 @@ def _parser(command: str) -> _Parser:
         return own.add_argument
 
     add = made(_cases, "list the benchmark cases, or explain one", "dovetail")
-    add("case", metavar="CASE", nargs="?", help="explain this one: arguments with types and defaults, loads")
+    add(
+        "case",
+        metavar="CASE",
+        nargs="?",
+        help="explain this one: arguments with types and defaults, loads",
+    )
     _add_json(add)
-    add = made(_solve, "solve a case and print the result", "greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
-               "--transfer pseudo-l2 --friction 0.3 --set young=7e10 --out results/bar",
-               "Without options grids follow the case. Lists have commas.")
-    add("--out", metavar="FOLDER", type=Path, help="folder for the result (.npz), pictures and a .vtu file")
+    add = made(
+        _solve,
+        "solve a case and print the result",
+        "greco_bar --sizes 10e-3,5e-3,2.5e-3 --contact-ratio 4 "
+        "--transfer pseudo-l2 --friction 0.3 --set young=7e10 --out results/bar",
+        "Without options grids follow the case. Lists have commas.",
+    )
+    add(
+        "--out",
+        metavar="FOLDER",
+        type=Path,
+        help="folder for the result (.npz), pictures and a .vtu file",
+    )
     _add_json(add)
-    add = made(_adapt, "solve a case on meshes that follow the error, until a limit is reached: a line a step",
-               "upset_block --max-nodes 20000 --engine bisect --out results/upset")
-    add("--out", metavar="FOLDER", type=Path, help="folder for the last result (.npz), pictures and a .vtu file")
-    add("--store", metavar="FOLDER", type=Path, help="folder that keeps every step; an interrupted loop goes on there")
+    add = made(
+        _adapt,
+        "solve a case on meshes that follow the error, until a limit is reached: a line a step",
+        "upset_block --max-nodes 20000 --engine bisect --out results/upset",
+    )
+    add(
+        "--out",
+        metavar="FOLDER",
+        type=Path,
+        help="folder for the last result (.npz), pictures and a .vtu file",
+    )
+    add(
+        "--store",
+        metavar="FOLDER",
+        type=Path,
+        help="folder that keeps every step; an interrupted loop goes on there",
+    )
     _add_json(add)
     _add_studies(made)
     return parser
@@ -97,44 +141,81 @@ def _add_json(add: Callable[..., object]) -> None:
 
 def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
     """Add the commands of studies and their stores."""
-    add = made(_study, "run the study of a Python script and print its table", "my.py --workers 4",
-               "The script makes an am.Study, or has run and parameters. Runs that are stored are not computed again. "
-               "Exit code 0: all runs done and converged; 1: a run failed or did not converge (column outcome).")
+    add = made(
+        _study,
+        "run the study of a Python script and print its table",
+        "my.py --workers 4",
+        "The script makes an am.Study, or has run and parameters. Runs that are stored are not computed again. "
+        "Exit code 0: all runs done and converged; 1: a run failed or did not converge (column outcome).",
+    )
     add("file", metavar="FILE.py", type=Path, help="script")
-    add("--workers", metavar="N", type=int, help="processes on this machine (default: this process)")
+    add(
+        "--workers", metavar="N", type=int, help="processes on this machine (default: this process)"
+    )
     add("--scheduler", metavar="ADDRESS", help="a dask scheduler instead, such as tcp://host:8786")
-    add("--limit-s", metavar="SECONDS", type=float, help="stop a run after this time; needs workers")
-    add("--memory-limit", metavar="BYTES", type=float, help="stop a run that holds more memory; needs --workers")
+    add(
+        "--limit-s", metavar="SECONDS", type=float, help="stop a run after this time; needs workers"
+    )
+    add(
+        "--memory-limit",
+        metavar="BYTES",
+        type=float,
+        help="stop a run that holds more memory; needs --workers",
+    )
     add("--store", metavar="STORE", type=Path, help="SQLite file (default: results/FILE.sqlite)")
     add("--dry-run", action="store_true", help="show the runs without computing them")
     add("--retry-failed", action="store_true", help="run again what failed")
     add("--rerun", action="store_true", help="run everything again")
     add("-q", "--quiet", action="store_true", help="no progress and no table: errors alone")
     _add_json(add)
-    add = made(_report, "write a page that opens offline: pictures of results, all runs, those that failed",
-               "results/friction.sqlite --result cycles --to friction.html")
+    add = made(
+        _report,
+        "write a page that opens offline: pictures of results, all runs, those that failed",
+        "results/friction.sqlite --result cycles --to friction.html",
+    )
     add("store", metavar="STORE", type=Path, help="SQLite file of studies")
     add("--study", metavar="NAME", help="name of a study in the store (default: the only one)")
-    add("--result", metavar="COLUMN", action="append", help="column to draw; several times (default: two that vary)")
-    add("--to", metavar="FILE.html", type=Path, help="file to write (default: next to the store, named as the study)")
+    add(
+        "--result",
+        metavar="COLUMN",
+        action="append",
+        help="column to draw; several times (default: two that vary)",
+    )
+    add(
+        "--to",
+        metavar="FILE.html",
+        type=Path,
+        help="file to write (default: next to the store, named as the study)",
+    )
 
 
 def _add_settings(parser: _Parser, command: str) -> None:
     from adaptmg.cli.build import PURPOSE, sections
 
     parser.add_argument("case", metavar="CASE", help="name of a case, see 'adaptmg cases'")
-    parser.add_argument("--set", metavar="NAME=VALUE", action="append", default=[],
-                        help="an argument of the case, see 'adaptmg cases CASE'; several times")
+    parser.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="an argument of the case, see 'adaptmg cases CASE'; several times",
+    )
     for section in _SECTIONS[command]:
         group = parser.add_argument_group(f"{section}: {PURPOSE[section]}".replace("%", "%%"))
         for key, about in sections()[section].items():
-            names = [f"--{name.replace('_', '-')}" for name in {"method": ("solver", key), "shape": ("cycle", key)}.get(
-                key, (key,))]
+            names = [
+                f"--{name.replace('_', '-')}"
+                for name in {"method": ("solver", key), "shape": ("cycle", key)}.get(key, (key,))
+            ]
             if key != "case" and not set(names) & set(parser._option_string_actions):
                 default = f", default {about.default}" if about.default else ""
-                group.add_argument(*names, dest=f"{section}.{key}", default=argparse.SUPPRESS,
-                                   metavar=about.values if len(about.values) < 12 else "VALUE",
-                                   help=f"{about.values}{default}".replace("%", "%%"))
+                group.add_argument(
+                    *names,
+                    dest=f"{section}.{key}",
+                    default=argparse.SUPPRESS,
+                    metavar=about.values if len(about.values) < 12 else "VALUE",
+                    help=f"{about.values}{default}".replace("%", "%%"),
+                )
 
 
 def _settings(parsed: Namespace) -> dict[str, dict[str, object]]:
@@ -159,9 +240,13 @@ def _cases(parsed: Namespace) -> None:
     if parsed.case is not None:
         from adaptmg.cli import build
 
-        _print_json(build.case_facts(parsed.case)) if parsed.json else _say(build.about_case(parsed.case))
+        _print_json(build.case_facts(parsed.case)) if parsed.json else _say(
+            build.about_case(parsed.case)
+        )
     elif parsed.json:
-        _print_json([{"name": name, "description": case.description} for name, case in CASES.items()])
+        _print_json(
+            [{"name": name, "description": case.description} for name, case in CASES.items()]
+        )
     else:
         width = max(map(len, CASES))
         _say("\n".join(f"{name:<{width}}  {case.description}" for name, case in CASES.items()))
@@ -191,12 +276,18 @@ def _adapt(parsed: Namespace) -> None:
     with output.watched() as progress:
         # lines would run into the bar: they wait until it ends
         say = waiting.append if parsed.json or progress is not None else _say
-        result, grids, steps = build.solved(settings, progress, each=lambda step: say(repr(step)), store=parsed.store)
+        result, grids, steps = build.solved(
+            settings, progress, each=lambda step: say(repr(step)), store=parsed.store
+        )
     files = output.write(folder, result, grids, steps)
     if parsed.json:
         _print_json(output.loop_summary(steps, files))
     else:
-        _say("\n".join([*waiting, steps[-1].outcome, "", str(result), *(f"wrote {file}" for file in files)]))
+        _say(
+            "\n".join(
+                [*waiting, steps[-1].outcome, "", str(result), *(f"wrote {file}" for file in files)]
+            )
+        )
 
 
 def _study(parsed: Namespace) -> int:
@@ -205,35 +296,47 @@ def _study(parsed: Namespace) -> int:
 
     study = _study_of(parsed.file, parsed.store)
     if not parsed.dry_run:
-        options = {name: getattr(parsed, name) for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun",
-                                                           "retry_failed")}
+        options = {
+            name: getattr(parsed, name)
+            for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun", "retry_failed")
+        }
         # failures only on a terminal, else a line for each run
-        level = logging.INFO if sys.stderr and not (parsed.quiet or sys.stderr.isatty()) else logging.WARNING
+        level = (
+            logging.INFO
+            if sys.stderr and not (parsed.quiet or sys.stderr.isatty())
+            else logging.WARNING
+        )
         with logged("adaptmg.study", level, logging.StreamHandler()):
             study.run(progress=False if parsed.quiet else None, **options)
     table, status = study.table(details=parsed.json), study.status()
     if parsed.json:
         rows = {} if parsed.dry_run else {"rows": finite(table.to_dict("records"))}
-        _print_json({"study": study.name, "runs": status.total, **dataclasses.asdict(status), **rows})
+        _print_json(
+            {"study": study.name, "runs": status.total, **dataclasses.asdict(status), **rows}
+        )
     elif parsed.dry_run:
-        _say(f"{as_text(table[[*study.parameters, 'status']].head(_SHOWN))}\n\n{study!r}\n{status!r}")
+        _say(
+            f"{as_text(table[[*study.parameters, 'status']].head(_SHOWN))}\n\n{study!r}\n{status!r}"
+        )
     elif not parsed.quiet:
         _say(f"{as_text(table.drop(columns='error'), units={'seconds': 's'})}\n\n{status!r}")
     if parsed.dry_run:
         return 0
     failed = int((table["status"] == "failed").sum())
     missed = int((table["outcome"].dropna() != "CONVERGED").sum()) if "outcome" in table else 0
-    for count, words in ((failed, "failed: --retry-failed runs them again"),
-                         (missed, "did not converge, see the column outcome")):
+    for count, words in (
+        (failed, "failed: --retry-failed runs them again"),
+        (missed, "did not converge, see the column outcome"),
+    ):
         if count:
             _say(f"adaptmg: {count} of {len(table)} runs {words}", err=True)
     return int(bool(failed or missed))
 
 
 def _study_of(path: Path, store: Path | None) -> Study:
-    """Import a script, and return the study that it makes, or that of its ``run`` and ``parameters`` (with ``fixed``
-    and ``depends`` where it has them), which is stored in results/SCRIPT.sqlite. What stands below
-    ``if __name__ == "__main__"`` does not run."""
+    """Import a script, and return the study that it makes, or that of its ``run`` and
+    ``parameters`` (with ``fixed`` and ``depends`` where it has them), which is stored in
+    results/SCRIPT.sqlite. What stands below ``if __name__ == "__main__"`` does not run."""
     import cloudpickle
 
     from adaptmg import _checks as checks
@@ -242,7 +345,9 @@ def _study_of(path: Path, store: Path | None) -> Study:
 
     file = checks.file_path("FILE", path)
     if file.suffix != ".py":
-        raise ValueError(f"FILE must be a Python script that makes an am.Study, got {checks.shown(os.fspath(path))}")
+        raise ValueError(
+            f"FILE must be a Python script that makes an am.Study, got {checks.shown(os.fspath(path))}"
+        )
     file_size("FILE", file)
     # as Python does for a script, so that it finds its neighbours; workers get it by value
     sys.path.insert(0, os.fspath(file.resolve().parent))
@@ -253,16 +358,28 @@ def _study_of(path: Path, store: Path | None) -> Study:
     except Exception as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     cloudpickle.register_pickle_by_value(module)
-    studies = list({id(value): value for value in vars(module).values() if isinstance(value, Study)}.values())
+    studies = list(
+        {id(value): value for value in vars(module).values() if isinstance(value, Study)}.values()
+    )
     if len(studies) == 1:
         if store is not None:
-            raise ValueError("--store belongs to scripts with run and parameters: this one makes its am.Study itself")
+            raise ValueError(
+                "--store belongs to scripts with run and parameters: this one makes its am.Study itself"
+            )
         return studies[0]
     run, parameters = getattr(module, "run", None), getattr(module, "parameters", None)
     if studies or run is None or parameters is None:
-        raise ValueError(f"{file} must make one am.Study, or have run and parameters; it makes {len(studies)} studies")
-    return Study(run, parameters, Path("results", f"{file.stem}.sqlite") if store is None else store, name=file.stem,
-                 fixed=getattr(module, "fixed", None), depends=getattr(module, "depends", None))
+        raise ValueError(
+            f"{file} must make one am.Study, or have run and parameters; it makes {len(studies)} studies"
+        )
+    return Study(
+        run,
+        parameters,
+        Path("results", f"{file.stem}.sqlite") if store is None else store,
+        name=file.stem,
+        fixed=getattr(module, "fixed", None),
+        depends=getattr(module, "depends", None),
+    )
 
 
 def _report(parsed: Namespace) -> None:
@@ -276,36 +393,52 @@ def _report(parsed: Namespace) -> None:
     store = Store(parsed.store)
     names = store.studies()
     if parsed.study not in names and (parsed.study is not None or len(names) != 1):
-        raise ValueError(f"give --study, one of {', '.join(names) or 'none, as the store has no runs'}"
-                         f"{checks.suggestion(parsed.study or '', names)}")
+        raise ValueError(
+            f"give --study, one of {', '.join(names) or 'none, as the store has no runs'}"
+            f"{checks.suggestion(parsed.study or '', names)}"
+        )
     name = parsed.study or names[0]
     page = parsed.store.with_name(f"{Path(name).name}.html") if parsed.to is None else parsed.to
     if page.suffix != ".html":
-        raise ValueError(f"--to must be an HTML file, got {checks.shown(str(page))}: its table is a .csv next to it")
+        raise ValueError(
+            f"--to must be an HTML file, got {checks.shown(str(page))}: its table is a .csv next to it"
+        )
     records, csv = list(store.get(name).values()), page.with_suffix(".csv")
     names = dict.fromkeys(key for record in records for key in record.parameters)
-    fixed = {key: value for key, value in records[0].parameters.items() if len(records) > 1
-             and len({repr(record.parameters.get(key)) for record in records}) == 1}
+    fixed = {
+        key: value
+        for key, value in records[0].parameters.items()
+        if len(records) > 1 and len({repr(record.parameters.get(key)) for record in records}) == 1
+    }
     varied = [key for key in names if key not in fixed]
     table = frame(varied, [(record.parameters, record, record.status) for record in records])
     table.attrs = {"study": name, "fixed": fixed}
-    study_report(table, page, parameters=varied, results=parsed.result, csv=csv.name, made=_origin(records))
+    study_report(
+        table, page, parameters=varied, results=parsed.result, csv=csv.name, made=_origin(records)
+    )
     write_bytes(csv, table.to_csv(index=False).encode("utf-8", "backslashreplace"))
     _say(f"wrote {page} and {csv}", err=True)
 
 
 def _origin(records: Sequence[Record]) -> dict[str, str]:
     """Return machines, commits, versions and dates of runs."""
-    facts = {"machine": {record.machine for record in records}, "commit": {record.commit[:12] for record in records},
-             "versions of the runs": {", ".join(map(" ".join, record.versions.items())) for record in records}}
+    facts = {
+        "machine": {record.machine for record in records},
+        "commit": {record.commit[:12] for record in records},
+        "versions of the runs": {
+            ", ".join(map(" ".join, record.versions.items())) for record in records
+        },
+    }
     times = sorted(record.finished[:16] for record in records)
     return {name: "; ".join(sorted(texts)[:3]) for name, texts in facts.items()} | {
-        "runs made": f"{times[0]} to {times[-1]} UTC"}
+        "runs made": f"{times[0]} to {times[-1]} UTC"
+    }
 
 
 @contextmanager
 def _errors(texts: Sequence[str]) -> Iterator[None]:
-    """Bad input and files that cannot be written become a line on standard error and exit code 2; Ctrl-C is 130."""
+    """Bad input and files that cannot be written become a line on standard error and exit code 2;
+    Ctrl-C is 130."""
     as_json, command = "--json" in texts, texts[0] if texts else ""
     try:
         with warnings.catch_warnings():
@@ -324,14 +457,23 @@ def _errors(texts: Sequence[str]) -> Iterator[None]:
         missed = "NotConverged" in {kind.__name__ for kind in type(error).__mro__}
         text = " ".join(_words(error).split())
         if command in _SECTIONS:  # keys of settings are options here
-            text = re.sub(rf"\b(?:{'|'.join(_SECTIONS[command])})\.([\w.]+)",
-                          lambda match: f"--{match[1].replace('_', '-')}", text)
+            text = re.sub(
+                rf"\b(?:{'|'.join(_SECTIONS[command])})\.([\w.]+)",
+                lambda match: f"--{match[1].replace('_', '-')}",
+                text,
+            )
         _fail(f"{'not converged: ' * missed}{text}", as_json)
         raise SystemExit(1 if missed else 2) from None
 
 
-def _warn(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
-          line: str | None = None) -> None:
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
     _say(f"adaptmg: warning: {' '.join(str(message).split())}", err=True)
 
 

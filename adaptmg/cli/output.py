@@ -1,4 +1,5 @@
-"""Output of the commands: results as JSON, files with pictures, log and progress on standard error."""
+"""Output of the commands: results as JSON, files with pictures, log and progress on standard
+error."""
 
 from __future__ import annotations
 
@@ -28,21 +29,28 @@ def finite(value: object) -> object:
 
 @contextmanager
 def watched() -> Iterator[Callable[[dict], None] | None]:
-    """Send adaptmg's log from INFO on to standard error; on a terminal also yield a callback that takes the progress of
-    a solve or of an adaptive loop, and updates a bar."""
+    """Send adaptmg's log from INFO on to standard error; on a terminal also yield a callback that
+    takes the progress of a solve or of an adaptive loop, and updates a bar."""
     from rich.console import Console
     from rich.logging import RichHandler
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     handler = RichHandler(console=console, show_time=False, show_level=False, show_path=False)
-    handler.addFilter(lambda record: record.name != "adaptmg.solver.solve")  # the command prints the result
+    handler.addFilter(
+        lambda record: record.name != "adaptmg.solver.solve"
+    )  # the command prints the result
     with logged("adaptmg", logging.INFO, handler):
         if not console.is_terminal:
             yield None
             return
-        with Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console,
-                      transient=True) as bar:
+        with Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+        ) as bar:
             task = bar.add_task("meshes and set-up", total=None)
             yield lambda row: bar.update(task, description=_described(row))
 
@@ -73,14 +81,30 @@ def logged(name: str, level: int, handler: logging.Handler) -> Iterator[None]:
 def summary(result: am.Result, files: list[Path]) -> dict[str, object]:
     """Return a result as JSON takes it."""
     states = np.bincount(np.asarray(result.contact.state, dtype=int), minlength=3).tolist()
-    names = ("cycles", "work_units", "start_work_units", "residual", "error_estimate", "rate", "rtol", "seconds",
-             "timings", "levels")
-    row = {"problem": result.problem_name, "solver": result.method, "status": result.status.name,
-           "advice": result.status.value, **{name: getattr(result, name) for name in names},
-           "contact": dict(zip(("open", "slip", "stick"), states, strict=True)),
-           "max_pressure": result.max_pressure,
-           "max_displacement": float(np.linalg.norm(result.displacement, axis=1).max()),
-           "versions": result.versions, "files": [str(file) for file in files]}
+    names = (
+        "cycles",
+        "work_units",
+        "start_work_units",
+        "residual",
+        "error_estimate",
+        "rate",
+        "rtol",
+        "seconds",
+        "timings",
+        "levels",
+    )
+    row = {
+        "problem": result.problem_name,
+        "solver": result.method,
+        "status": result.status.name,
+        "advice": result.status.value,
+        **{name: getattr(result, name) for name in names},
+        "contact": dict(zip(("open", "slip", "stick"), states, strict=True)),
+        "max_pressure": result.max_pressure,
+        "max_displacement": float(np.linalg.norm(result.displacement, axis=1).max()),
+        "versions": result.versions,
+        "files": [str(file) for file in files],
+    }
     return finite(row)
 
 
@@ -91,7 +115,9 @@ def folder(given: Path | None) -> Path | None:
     return given and given.expanduser()
 
 
-def write(directory: Path | None, result: am.Result, grids: am.Hierarchy, steps: list[am.Step]) -> list[Path]:
+def write(
+    directory: Path | None, result: am.Result, grids: am.Hierarchy, steps: list[am.Step]
+) -> list[Path]:
     """Write result, pictures and VTK file into a directory, if there is one; return the files."""
     if directory is None:
         return []
@@ -103,10 +129,13 @@ def write(directory: Path | None, result: am.Result, grids: am.Hierarchy, steps:
     files = [directory / "result.npz", directory / "result.vtu"]
     result.save(files[0])
     am.export.vtk(result, files[1])
-    pictures = {"problem": lambda: am.plot.problem(grids.problem), "grids": lambda: am.plot.grids(grids),
-                "deformed": lambda: am.plot.deformation(result, displacement=True),
-                "contact": lambda: am.plot.contact(result),
-                "stress": lambda: am.plot.deformation(result, stress=True, states=True)}
+    pictures = {
+        "problem": lambda: am.plot.problem(grids.problem),
+        "grids": lambda: am.plot.grids(grids),
+        "deformed": lambda: am.plot.deformation(result, displacement=True),
+        "contact": lambda: am.plot.contact(result),
+        "stress": lambda: am.plot.deformation(result, stress=True, states=True),
+    }
     if len(result.history.get("cycle", ())) > 1:
         pictures["history"] = lambda: am.plot.history(result)
     if steps:
@@ -122,5 +151,12 @@ def write(directory: Path | None, result: am.Result, grids: am.Hierarchy, steps:
 def loop_summary(steps: list[am.Step], files: list[Path]) -> dict[str, object]:
     """Return an adaptive loop as JSON takes it."""
     last = steps[-1]
-    return finite({"problem": last.result.problem_name, "indicator": last.estimate.indicator, "outcome": last.outcome,
-                   "steps": am.Step.table(steps).to_dict("records"), "result": summary(last.result, files)})
+    return finite(
+        {
+            "problem": last.result.problem_name,
+            "indicator": last.estimate.indicator,
+            "outcome": last.outcome,
+            "steps": am.Step.table(steps).to_dict("records"),
+            "result": summary(last.result, files),
+        }
+    )

@@ -1,4 +1,5 @@
-"""The nodes that may touch an obstacle or another body, and checks of the arrays of a discrete problem."""
+"""The nodes that may touch an obstacle or another body, and checks of the arrays of a discrete
+problem."""
 
 from __future__ import annotations
 
@@ -39,7 +40,8 @@ class ContactNodes(checks.Checked):
     names : tuple of str
         Names of the contact boundaries.
     masters : tuple of str, optional
-        For each of ``names`` the boundary of another body that it may touch; "" (the default) is a rigid obstacle.
+        For each of ``names`` the boundary of another body that it may touch; "" (the default) is a
+        rigid obstacle.
 
     Examples
     --------
@@ -60,10 +62,20 @@ class ContactNodes(checks.Checked):
 
     __repr__ = brief
     if TYPE_CHECKING:
-        def __init__(self, *, nodes: ArrayLike, normals: ArrayLike, gaps: ArrayLike, weights: ArrayLike | None = None,
-                     slip_reference: ArrayLike | None = None, allow_interference: bool = False,
-                     boundary: ArrayLike | None = None, names: tuple[str, ...] = ("contact",),
-                     masters: tuple[str, ...] | None = None) -> None: ...
+
+        def __init__(
+            self,
+            *,
+            nodes: ArrayLike,
+            normals: ArrayLike,
+            gaps: ArrayLike,
+            weights: ArrayLike | None = None,
+            slip_reference: ArrayLike | None = None,
+            allow_interference: bool = False,
+            boundary: ArrayLike | None = None,
+            names: tuple[str, ...] = ("contact",),
+            masters: tuple[str, ...] | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -76,42 +88,63 @@ class ContactNodes(checks.Checked):
         lengths = np.linalg.norm(normals, axis=1)
         if np.abs(lengths - 1).max(initial=0.0) > 1e-6:
             i = int(np.argmax(np.abs(lengths - 1)))
-            raise ValueError(f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}")
+            raise ValueError(
+                f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}"
+            )
         normals = normals / lengths[:, None]
         normals.flags.writeable = False
         gaps = bounded("gaps", self.gaps, (n,), checks.VAST)
         if not self.allow_interference and gaps.min(initial=0.0) < 0:
             i = int(np.argmin(gaps))
-            raise ValueError(f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
-                             "for an interference fit say allow_interference=True")
+            raise ValueError(
+                f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
+                "for an interference fit say allow_interference=True"
+            )
         weights = bounded("weights", np.ones(n) if self.weights is None else self.weights, (n,))
         if not weights.min(initial=1.0) >= SMALLEST:
-            raise ValueError(f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}")
+            raise ValueError(
+                f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}"
+            )
         reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
         boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
         boundary = checks.array("boundary", boundary, (n,), integer=True)
         if not ((boundary >= 0) & (boundary < len(self.names))).all():
             raise ValueError(f"boundary must index names ({len(self.names)} given), got {boundary}")
-        masters = ("",) * len(self.names) if self.masters is None else tuple(
-            item and checks.boundary_name(f"masters[{i}]", item)
-            for i, item in enumerate(checks.listed("masters", self.masters, "names")))
+        masters = (
+            ("",) * len(self.names)
+            if self.masters is None
+            else tuple(
+                item and checks.boundary_name(f"masters[{i}]", item)
+                for i, item in enumerate(checks.listed("masters", self.masters, "names"))
+            )
+        )
         if len(masters) != len(self.names):
             raise ValueError(f"masters must go with names ({len(self.names)}), got {len(masters)}")
-        for name, value in (("normals", normals), ("gaps", gaps), ("weights", weights), ("boundary", boundary),
-                            ("slip_reference", bounded("slip_reference", reference, normals.shape, checks.VAST)),
-                            ("masters", masters)):
+        for name, value in (
+            ("normals", normals),
+            ("gaps", gaps),
+            ("weights", weights),
+            ("boundary", boundary),
+            ("slip_reference", bounded("slip_reference", reference, normals.shape, checks.VAST)),
+            ("masters", masters),
+        ):
             object.__setattr__(self, name, value)
 
     def check_name_contact(self) -> None:
-        """Raise ValueError if one of several names is "contact", which stands for all contact boundaries together."""
+        """Raise ValueError if one of several names is "contact", which stands for all contact
+        boundaries together."""
         if CONTACT in self.masters or (CONTACT in self.names and len(self.names) > 1):
-            raise ValueError(f"contact: the name {CONTACT!r} stands for all contact boundaries together; of several "
-                             f"names and masters none may be it, got {self.names} and {self.masters}")
+            raise ValueError(
+                f"contact: the name {CONTACT!r} stands for all contact boundaries together; of several "
+                f"names and masters none may be it, got {self.names} and {self.masters}"
+            )
 
     def check_nodes(self, n_nodes: int) -> None:
         """Raise ValueError unless all nodes are below ``n_nodes``."""
         if self.nodes.max(initial=-1) >= n_nodes:
-            raise ValueError(f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes")
+            raise ValueError(
+                f"contact.nodes: node {self.nodes.max()} does not exist; there are {n_nodes} nodes"
+            )
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -122,12 +155,15 @@ class ContactNodes(checks.Checked):
         return self.normals.shape[1]
 
 
-# entries of matrices and nodal forces beyond these come from no physical problem: energies leave the range of float64
+# entries of matrices and nodal forces beyond these come from no physical problem: energies leave
+# the range of float64
 LARGEST, SMALLEST = 1e140, 1e-140
 _ASYMMETRY = 1e-8
 
 
-def bounded(name: str, value: object, shape: tuple[int | None, ...], largest: float = LARGEST) -> np.ndarray:
+def bounded(
+    name: str, value: object, shape: tuple[int | None, ...], largest: float = LARGEST
+) -> np.ndarray:
     """Return a read-only copy as float64, of a size that energies bear."""
     result = checks.array(name, value, shape)
     if not (size := largest_entry(result)) <= largest:
@@ -141,10 +177,13 @@ def largest_entry(values: np.ndarray) -> float:
 
 
 def check_size(name: str, size: float) -> None:
-    """Raise ValueError if the largest entry of a matrix or load is none that a physical problem can have."""
+    """Raise ValueError if the largest entry of a matrix or load is none that a physical problem can
+    have."""
     if size and not SMALLEST <= size <= LARGEST:
-        raise ValueError(f"{name}: its largest entry {size:.3g} is out of range, {SMALLEST:g} to {LARGEST:g}: choose "
-                         "units in which numbers are nearer to 1")
+        raise ValueError(
+            f"{name}: its largest entry {size:.3g} is out of range, {SMALLEST:g} to {LARGEST:g}: choose "
+            "units in which numbers are nearer to 1"
+        )
 
 
 def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
@@ -167,7 +206,9 @@ def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
         name = f"bodies[{checks.boundary_name('the names in bodies', body)!r}]"
         result[body] = nodes = checks.array(name, nodes, (None,), integer=True)
         if len(nodes) and not (nodes.min() >= 0 and nodes.max() < n_nodes):
-            raise ValueError(f"{name} must be node numbers from 0 to {n_nodes - 1}, got {nodes.min()} to {nodes.max()}")
+            raise ValueError(
+                f"{name} must be node numbers from 0 to {n_nodes - 1}, got {nodes.min()} to {nodes.max()}"
+            )
     return result
 
 
@@ -180,30 +221,38 @@ def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
     check_size("matrix", scale)
     if not (diagonal > 0).all():
         i = int(np.argmin(diagonal))
-        raise ValueError(f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}")
+        raise ValueError(
+            f"matrix must have a positive diagonal; entry {i} (node {i // dim}) is {diagonal[i]:.3g}"
+        )
     check_size("matrix", diagonal.max())
     _check_symmetry(matrix, diagonal)
     return matrix
 
 
 def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
-    """ValueError unless each block is the transpose of its counterpart, relative to the diagonals of its two nodes.
-    sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part is judged by its own stiffness."""
+    """ValueError unless each block is the transpose of its counterpart, relative to the diagonals
+    of its two nodes. sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part
+    is judged by its own stiffness."""
     difference, dim = sparse.coo_array(matrix - matrix.T), matrix.blocksize[0]
     scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))
     rows, columns = (place // dim for place in difference.coords)
     asymmetry = np.abs(difference.data) / (scale[rows] * scale[columns])
     if asymmetry.max(initial=0.0) > _ASYMMETRY:
         worst = int(np.argmax(asymmetry))
-        raise ValueError(f"matrix must be symmetric; |A - A'| reaches {asymmetry[worst]:.2g} of the diagonal, between "
-                         f"nodes {rows[worst]} and {columns[worst]}")
+        raise ValueError(
+            f"matrix must be symmetric; |A - A'| reaches {asymmetry[worst]:.2g} of the diagonal, between "
+            f"nodes {rows[worst]} and {columns[worst]}"
+        )
 
 
 def check_bounds(law: Law, n: int) -> None:
-    """Raise unless a law, a user's own perhaps, bears limits and coefficients >= 0 at n contact nodes."""
+    """Raise unless a law, a user's own perhaps, bears limits and coefficients >= 0 at n contact
+    nodes."""
     bounds = law.bounds(n)
     if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
-        raise TypeError(f"law: bounds(n_contact) must return the nodal limit and friction, got {checks.shown(bounds)}")
+        raise TypeError(
+            f"law: bounds(n_contact) must return the nodal limit and friction, got {checks.shown(bounds)}"
+        )
     for name, bound in zip(("limit", "friction"), bounds, strict=True):
         if not (bounded(f"law: the nodal {name}", bound, (n,)) >= 0).all():
             raise ValueError(f"law: the nodal {name} must be finite and >= 0")

@@ -9,19 +9,21 @@ from the prescribed   w minus the prescribed values, 0 where fixed  ``rotate``  
 local                 the same in contact frames                    (the node solves)
 ====================  ============================================  =====================  =====================
 
-Forces are dual: ``relative_forces``, ``physical_forces``; frames are orthonormal and rotate both alike.
+Forces are dual: ``relative_forces``, ``physical_forces``; frames are orthonormal and rotate both
+alike.
 
-Relative coordinates make contact between elastic bodies look like contact of one body. A slave node j faces the
-combination :math:`\sum_k W_{jk} u_k` of nodes of the other surface (mortar weights, rows with sum 1), and
+Relative coordinates make contact between elastic bodies look like contact of one body. A slave node
+j faces the combination :math:`\sum_k W_{jk} u_k` of nodes of the other surface (mortar weights,
+rows with sum 1), and
 
 .. math:: w = (I - \Pi W)\,u,\qquad u = T w,\qquad T = (I - \Pi W)^{-1} = I + \Pi W + (\Pi W)^2 + \dots
 
-where :math:`\Pi` drops what supports hold of slave nodes. The series ends, as no node follows itself: two powers
-where no slave node is a master node, one more for each body that is both (B. Wohlmuth, Acta Numerica 20, 2011,
-doi:10.1017/S0962492911000079, for the two-body case). With :math:`\hat A = T^T A T,\ \hat b = T^T b` the contact
-conditions are on the slave nodes alone, and :math:`\hat A w - \hat b = T^T (A u - b)` is there the contact force on the
-slave; the master carries :math:`-W^T` of it, so that the forces balance.
-"""
+where :math:`\Pi` drops what supports hold of slave nodes. The series ends, as no node follows
+itself: two powers where no slave node is a master node, one more for each body that is both (B.
+Wohlmuth, Acta Numerica 20, 2011, doi:10.1017/S0962492911000079, for the two-body case). With
+:math:`\hat A = T^T A T,\ \hat b = T^T b` the contact conditions are on the slave nodes alone, and
+:math:`\hat A w - \hat b = T^T (A u - b)` is there the contact force on the slave; the master
+carries :math:`-W^T` of it, so that the forces balance."""
 
 from __future__ import annotations
 
@@ -55,10 +57,14 @@ class Coupling:
     def __post_init__(self) -> None:
         weights, n = self.weights, self.weights.shape[0]
         dim = len(self.fixed) // n
-        by_dof = sparse.csr_array(sparse.diags_array((~self.fixed).astype(float))
-                                  @ sparse.kron(weights, sparse.eye_array(dim), format="csr"))
+        by_dof = sparse.csr_array(
+            sparse.diags_array((~self.fixed).astype(float))
+            @ sparse.kron(weights, sparse.eye_array(dim), format="csr")
+        )
         if self.inclined is not None:
-            by_dof = sparse.csr_array(by_dof - self.inclined.spread(self.inclined.spans, n) @ by_dof)
+            by_dof = sparse.csr_array(
+                by_dof - self.inclined.spread(self.inclined.spans, n) @ by_dof
+            )
         by_dof.eliminate_zeros()
         upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
         object.__setattr__(self, "upward", narrowed(upward))
@@ -102,8 +108,9 @@ class Coupling:
         return narrowed(sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices())
 
     def prolongation(self, nodal: sparse.csr_array, coarse: Coupling) -> sparse.csr_array:
-        r"""Return a nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I - W_c)^{-1}`.
-        It spans the space that P spans: rigid motions of both bodies and all else that P reproduces."""
+        r"""Return a nodal prolongation P in relative coordinates on both levels, :math:`(I -
+        W_f)\,P\,(I - W_c)^{-1}`. It spans the space that P spans: rigid motions of both bodies and
+        all else that P reproduces."""
         inner = sparse.csr_array(nodal @ coarse.upward)
         result = sparse.csr_array(inner - self.weights @ inner)
         result.data[np.abs(result.data) < _ROUNDING] = 0.0
@@ -120,21 +127,29 @@ def _series(step: sparse.csr_array) -> sparse.csr_array:
         if not power.nnz:
             return sparse.csr_array(total)
         total = total + power
-    raise ValueError("weights: nodes follow each other in a circle, each the slave of the next; exchange slave and "
-                     "master in one of the contact pairs")
+    raise ValueError(
+        "weights: nodes follow each other in a circle, each the slave of the next; exchange slave and "
+        "master in one of the contact pairs"
+    )
 
 
 def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
-    """Return the positive entries of weights: those of the other body, not of slave nodes that carry no multiplier."""
+    """Return the positive entries of weights: those of the other body, not of slave nodes that
+    carry no multiplier."""
     result = sparse.csr_array(rows, copy=True)
     result.data = np.maximum(result.data, 0.0)
     return result
 
 
-def held_slaves(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray, law: Law,
-                inclined: Inclined | None = None) -> np.ndarray:
-    """Return the numbers of the contact nodes that a support holds along the surface, not so what they face, where
-    friction acts: their slip is not an unknown."""
+def held_slaves(
+    nodes: np.ndarray,
+    weights: sparse.csr_array,
+    fixed: np.ndarray,
+    law: Law,
+    inclined: Inclined | None = None,
+) -> np.ndarray:
+    """Return the numbers of the contact nodes that a support holds along the surface, not so what
+    they face, where friction acts: their slip is not an unknown."""
     fixed = fixed.reshape(weights.shape[0], -1)
     limit, friction = law.bounds(len(nodes))
     rows = sparse.csr_array(weights[nodes])
@@ -149,7 +164,8 @@ def held_slaves(nodes: np.ndarray, weights: sparse.csr_array, fixed: np.ndarray,
 
 
 class Unknowns:
-    """The unknowns of a :class:`~adaptmg.discrete.problem.DiscreteProblem` in each system, there and back."""
+    """The unknowns of a :class:`~adaptmg.discrete.problem.DiscreteProblem` in each system, there
+    and back."""
 
     matrix: sparse.bsr_array
     load: np.ndarray
@@ -162,7 +178,8 @@ class Unknowns:
 
     @property
     def held(self) -> np.ndarray:
-        """The dofs (n_dofs,) bool that supports prescribe: the fixed ones but the relative displacements of ties."""
+        """The dofs (n_dofs,) bool that supports prescribe: the fixed ones but the relative
+        displacements of ties."""
         return self.fixed if self.coupling is None else self.coupling.fixed
 
     @property
@@ -171,17 +188,24 @@ class Unknowns:
         return self.contact.dim
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: these if uncoupled."""
+        """Return the displacement (n_nodes, dim) of unknowns (n_dofs,) or (n_nodes, dim), m: these
+        if uncoupled."""
         flat = np.asarray(unknowns, dtype=np.float64).reshape(-1)
-        return (flat if self.coupling is None else self.coupling.physical(flat)).reshape(-1, self.dim)
+        return (flat if self.coupling is None else self.coupling.physical(flat)).reshape(
+            -1, self.dim
+        )
 
     def relative(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the unknowns (n_nodes, dim) of a displacement, m: the inverse of :meth:`physical`."""
+        """Return the unknowns (n_nodes, dim) of a displacement, m: the inverse of
+        :meth:`physical`."""
         flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
-        return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(-1, self.dim)
+        return (flat if self.coupling is None else self.coupling.relative(flat)).reshape(
+            -1, self.dim
+        )
 
     def physical_forces(self, forces: np.ndarray) -> np.ndarray:
-        """Return the nodal forces (n_dofs,) on the bodies from those that belong to the unknowns, N; dual."""
+        """Return the nodal forces (n_dofs,) on the bodies from those that belong to the unknowns,
+        N; dual."""
         return forces if self.coupling is None else self.coupling.physical_forces(forces)
 
     def relative_forces(self, forces: np.ndarray) -> np.ndarray:
@@ -189,7 +213,8 @@ class Unknowns:
         return forces if self.coupling is None else self.coupling.relative_forces(forces)
 
     def from_prescribed(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return unknowns (n_dofs,) or (n_nodes, dim) minus the prescribed values, zero at fixed dofs (n_dofs,), m."""
+        """Return unknowns (n_dofs,) or (n_nodes, dim) minus the prescribed values, zero at fixed
+        dofs (n_dofs,), m."""
         result = unknowns.reshape(-1) - self.fixed_values
         result[self.fixed] = 0.0
         return result
@@ -199,14 +224,20 @@ class Unknowns:
         return change + self.fixed_values
 
     def load_from_prescribed(self) -> np.ndarray:
-        """Return the load b - A u_fixed of what :meth:`from_prescribed` returns, zero at fixed dofs (n_dofs,), N."""
-        load = self.load - self.matrix @ self.fixed_values if self.fixed_values.any() else self.load.copy()
+        """Return the load b - A u_fixed of what :meth:`from_prescribed` returns, zero at fixed dofs
+        (n_dofs,), N."""
+        load = (
+            self.load - self.matrix @ self.fixed_values
+            if self.fixed_values.any()
+            else self.load.copy()
+        )
         load[self.fixed] = 0.0
         return load
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the displacement (n_contact, dim) of the contact nodes relative to what they face, m. Of the unknowns;
-        between bodies that both are held, relative to what holds the other one."""
+        """Return the displacement (n_contact, dim) of the contact nodes relative to what they face,
+        m. Of the unknowns; between bodies that both are held, relative to what holds the other
+        one."""
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
         result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
@@ -219,14 +250,21 @@ class Unknowns:
         return result if self.inclined is None else self.inclined.free_part(nodes, result)
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
-        """Return for each component the contact nodes at which it is fixed and faces fixed ones, and the weights of
-        these. Indices (k,) of contact nodes, weights (k, n_nodes) with row sums 1, component."""
+        """Return for each component the contact nodes at which it is fixed and faces fixed ones,
+        and the weights of these. Indices (k,) of contact nodes, weights (k, n_nodes) with row sums
+        1, component."""
         if self.coupling is None:
             return []
-        rows, fixed, result = self.coupling.weights[self.contact.nodes], self.held.reshape(-1, self.dim), []
+        rows, fixed, result = (
+            self.coupling.weights[self.contact.nodes],
+            self.held.reshape(-1, self.dim),
+            [],
+        )
         for c in range(self.dim):
             held = np.flatnonzero(fixed[self.contact.nodes, c])
-            weights = sparse.csr_array(facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float)))
+            weights = sparse.csr_array(
+                facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float))
+            )
             total = np.asarray(weights.sum(axis=1)).ravel()
             kept = total > NEGLIGIBLE
             scale = sparse.diags_array(1 / total[kept], format="csr")
@@ -242,7 +280,8 @@ def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
     if contact.dim == 2:
         frames[:, 1, 0], frames[:, 1, 1] = -n[:, 1], n[:, 0]
         return frames
-    # the Cartesian axis nearest the tangent plane, projected into it; a fixed axis lies in the plane and goes first
+    # the Cartesian axis nearest the tangent plane, projected into it; a fixed axis lies in the
+    # plane and goes first
     key = np.abs(n) - 2.0 * fixed[contact.nodes]
     axis = np.eye(3)[np.argmin(key, axis=1)]
     t1 = axis - np.sum(axis * n, axis=1)[:, None] * n
@@ -252,12 +291,14 @@ def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
 
 
 def to_frames(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return local components (n, dim) of Cartesian vectors (n, dim) at contact nodes with frames (n, dim, dim)."""
+    """Return local components (n, dim) of Cartesian vectors (n, dim) at contact nodes with frames
+    (n, dim, dim)."""
     return np.einsum("nij,nj->ni", frames, vectors)
 
 
 def from_frames(frames: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """Return the inverse of :func:`to_frames`; with some rows of frames, say ``frames[:, 1:]``, of those components."""
+    """Return the inverse of :func:`to_frames`; with some rows of frames, say ``frames[:, 1:]``, of
+    those components."""
     return np.einsum("nk,nkd->nd", local, frames)
 
 

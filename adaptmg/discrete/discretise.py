@@ -1,21 +1,24 @@
 r"""From what is posed to what is solved: ContactProblem + mesh -> DiscreteProblem.
 
-Bodies that touch each other are coupled by relative coordinates (:mod:`adaptmg.discrete.coordinates`).
+Bodies that touch each other are coupled by relative coordinates
+(:mod:`adaptmg.discrete.coordinates`).
 
 With the area vectors :math:`a_F` of the facets F of the contact boundary at node i,
 
 .. math:: n_i = \sum_F a_F \Big/ \Big|\sum_F a_F\Big|, \qquad w_i = \sum_F \int_F \varphi_i ,
 
-the area-weighted average normal and, in front of a rigid obstacle, the row sum of the boundary mass matrix (in
-axisymmetry with the factor :math:`2\pi r`); between bodies see :mod:`adaptmg.discrete.mortar`.
+the area-weighted average normal and, in front of a rigid obstacle, the row sum of the boundary mass
+matrix (in axisymmetry with the factor :math:`2\pi r`); between bodies see
+:mod:`adaptmg.discrete.mortar`.
 
-A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it faces is found,
-there. In front of obstacles, facets of the other boundary count in its mass by the part that faces the same way. In a
-pair it carries no multiplier of the pair named later: that pair's multipliers next to it take over its part, and it
-follows as a plain node. A tied node carries no contact; in front of obstacles the contact nodes that it follows take
-over its mass.
+A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it
+faces is found, there. In front of obstacles, facets of the other boundary count in its mass by the
+part that faces the same way. In a pair it carries no multiplier of the pair named later: that
+pair's multipliers next to it take over its part, and it follows as a plain node. A tied node
+carries no contact; in front of obstacles the contact nodes that it follows take over its mass.
 
-Load steps have nodal loads and prescribed displacements by name, so that every step is a combination of them:
+Load steps have nodal loads and prescribed displacements by name, so that every step is a
+combination of them:
 
 .. math:: b_k = \sum_j \lambda_{kj}\, b_j, \qquad u_{\mathrm{fixed},k} = \lambda_{kj}\, u_{\mathrm{fixed},j}
    \text{ on support } j .
@@ -67,23 +70,25 @@ _LOG = logging.getLogger(__name__)
 
 
 @one_blas_thread()
-def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
-               ) -> DiscreteProblem:
+def discretise(
+    problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None
+) -> DiscreteProblem:
     """Discretise by P1 elements on a mesh with every boundary that the problem names.
 
     Its law has nodal parameters; its name is the problem's with the number of nodes.
 
-    ValueError if dimensions, boundary or body names differ, if a body has neither support nor contact, or loads and
-    supports do not fit it. A coarse mesh may have few contact nodes, or none. Rigid obstacles are in their first place,
-    and preloads not tightened: :func:`adaptmg.solve_path` moves them.
+    ValueError if dimensions, boundary or body names differ, if a body has neither support nor
+    contact, or loads and supports do not fit it. A coarse mesh may have few contact nodes, or none.
+    Rigid obstacles are in their first place, and preloads not tightened: :func:`adaptmg.solve_path`
+    moves them.
 
     Parameters
     ----------
     problem : ContactProblem
     mesh : MeshArrays
     slip_reference : (n_nodes, dim) array, optional
-        Displacement against which slip is measured (the previous load step), m; at slave nodes relative to the
-        master. Default 0.
+        Displacement against which slip is measured (the previous load step), m; at slave nodes
+        relative to the master. Default 0.
 
     Examples
     --------
@@ -108,19 +113,30 @@ def discretise(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.
     for tie, part in zip(problem.ties, ties, strict=True):
         values.reshape(-1, mesh.dim)[part.nodes] += jump_of(tie, part.nodes, held)
     materials = body_materials(mesh, problem.material)
-    parts = {"matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
-             "load": load_vector(mesh, problem.loads, materials, problem.elements),
-             "fixed": fixed, "fixed_values": values, "contact": contact, "coordinates": mesh.points, "bodies": bodies,
-             "law": _nodal_law(problem, mesh, contact),
-             "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)), "inclined": held.inclined,
-             "ties": tuple((tie.slave, tie.master, part.nodes)
-                           for tie, part in zip(problem.ties, ties, strict=True)),
-             "name": f"{problem.name}, {mesh.n_nodes} nodes"}
+    parts = {
+        "matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
+        "load": load_vector(mesh, problem.loads, materials, problem.elements),
+        "fixed": fixed,
+        "fixed_values": values,
+        "contact": contact,
+        "coordinates": mesh.points,
+        "bodies": bodies,
+        "law": _nodal_law(problem, mesh, contact),
+        "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
+        "inclined": held.inclined,
+        "ties": tuple(
+            (tie.slave, tie.master, part.nodes)
+            for tie, part in zip(problem.ties, ties, strict=True)
+        ),
+        "name": f"{problem.name}, {mesh.n_nodes} nodes",
+    }
     if problem.elements == "smoothed":
         parts["volumes"] = volume_groups(mesh, materials)
         if parts["volumes"] is not None and held.inclined is not None:
-            raise ValueError("supports along directions that are no axes cannot hold smoothed elements with poisson "
-                             "above .4; turn the problem, or take elements=\"linear\"")
+            raise ValueError(
+                "supports along directions that are no axes cannot hold smoothed elements with poisson "
+                'above .4; turn the problem, or take elements="linear"'
+            )
     parts |= _strain_free(problem, mesh, materials, parts.get("volumes"))
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
@@ -148,32 +164,47 @@ def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes)
     return NodalLaw(*bounds)
 
 
-def _strain_free(problem: ContactProblem, mesh: MeshArrays, materials: Materials, volumes: Volumes | None
-                 ) -> dict[str, Any]:
+def _strain_free(
+    problem: ContactProblem, mesh: MeshArrays, materials: Materials, volumes: Volumes | None
+) -> dict[str, Any]:
     """The parts of a problem that initial strains make besides loads."""
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
     if not strains:
-        return {"strain_free": None, "volumes": None if volumes is None else replace(volumes, expansion=0.0)}
+        return {
+            "strain_free": None,
+            "volumes": None if volumes is None else replace(volumes, expansion=0.0),
+        }
     data = StressData.of(mesh, materials, strains, problem.elements)
     if volumes is not None:
         volumes = volumes.expanding(mesh, data.initial_strain, data.axisymmetric)
-    return {"strain_free": (load_vector(mesh, strains, materials, problem.elements), data.suppressed(mesh)),
-            "volumes": volumes}
+    return {
+        "strain_free": (
+            load_vector(mesh, strains, materials, problem.elements),
+            data.suppressed(mesh),
+        ),
+        "volumes": volumes,
+    }
 
 
 def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
-    """Return names of the parts but laws that may have other values than ``before``; functions may return others."""
-    surfaces = [tuple(replace(one, law=None) for one in posed.contact) for posed in (problem, before)]
+    """Return names of the parts but laws that may have other values than ``before``; functions may
+    return others."""
+    surfaces = [
+        tuple(replace(one, law=None) for one in posed.contact) for posed in (problem, before)
+    ]
     return frozenset({"contact"} if not same(*surfaces) else ()) | frozenset(
-        name for name in ("material", "supports", "loads", "elements", "ties")
-        if not same(getattr(problem, name), getattr(before, name)))
+        name
+        for name in ("material", "supports", "loads", "elements", "ties")
+        if not same(getattr(problem, name), getattr(before, name))
+    )
 
 
 _PLAIN = (type(None), bool, int, float, str, np.number, Path)
 
 
 def same(a: object, b: object) -> bool:
-    """Return whether parts have the same values; functions and objects of other modules may change unseen."""
+    """Return whether parts have the same values; functions and objects of other modules may change
+    unseen."""
     if type(a) is not type(b):
         return False
     if isinstance(a, np.ndarray):
@@ -187,10 +218,11 @@ def same(a: object, b: object) -> bool:
     return isinstance(a, _PLAIN) and bool(a == b)
 
 
-def rediscretise(problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem, changed: frozenset[str]
-                 ) -> DiscreteProblem:
-    """Discretise as :func:`discretise` does; ``old``, that of a problem that differs in the parts ``changed`` and in
-    the law, gives what only loads and law leave unchanged."""
+def rediscretise(
+    problem: ContactProblem, mesh: MeshArrays, old: DiscreteProblem, changed: frozenset[str]
+) -> DiscreteProblem:
+    """Discretise as :func:`discretise` does; ``old``, that of a problem that differs in the parts
+    ``changed`` and in the law, gives what only loads and law leave unchanged."""
     posed = old.contact
     if changed - {"loads"} or posed.slip_reference.any() or (changed and old.inclined is not None):
         return discretise(problem, mesh)
@@ -222,13 +254,20 @@ def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) ->
     return motions
 
 
-def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarray | None, held: HeldNodes,
-             ties: Sequence[MortarInterface]) -> tuple[ContactNodes, sparse.csr_array | None]:
-    """Contact nodes and what they face; without slave nodes that supports hold along the surface."""
+def _contact(
+    problem: ContactProblem,
+    mesh: MeshArrays,
+    slip_reference: np.ndarray | None,
+    held: HeldNodes,
+    ties: Sequence[MortarInterface],
+) -> tuple[ContactNodes, sparse.csr_array | None]:
+    """Contact nodes and what they face; without slave nodes that supports hold along the
+    surface."""
     excluded = np.empty(0, dtype=np.int64)
     while True:
-        contact, weights = contact_data(problem, mesh, slip_reference=slip_reference, excluded=excluded,
-                                        held=held, ties=ties)
+        contact, weights = contact_data(
+            problem, mesh, slip_reference=slip_reference, excluded=excluded, held=held, ties=ties
+        )
         if weights is None:
             return contact, None
         law = _nodal_law(problem, mesh, contact)
@@ -237,8 +276,10 @@ def _contact(problem: ContactProblem, mesh: MeshArrays, slip_reference: np.ndarr
             return contact, weights
         for k in np.unique(contact.boundary[lone]):
             if any(one.boundary == contact.names[k] for one in problem.supports):
-                raise ValueError(f"a support holds slave {contact.names[k]!r} along its surface, where friction acts: "
-                                 "exchange slave and master of the pair")
+                raise ValueError(
+                    f"a support holds slave {contact.names[k]!r} along its surface, where friction acts: "
+                    "exchange slave and master of the pair"
+                )
         excluded = np.union1d(excluded, contact.nodes[lone])
 
 
@@ -254,23 +295,38 @@ def _bodies(mesh: MeshArrays) -> dict[str, np.ndarray]:
 
 
 def _check_held(problem: ContactProblem, mesh: MeshArrays, bodies: dict[str, np.ndarray]) -> None:
-    """Raise ValueError if a body, with those glued to it, has neither a support nor a surface in contact."""
+    """Raise ValueError if a body, with those glued to it, has neither a support nor a surface in
+    contact."""
     touching = (*problem.pair_boundaries, *problem.tied_boundaries)
-    held = np.concatenate([np.empty(0, dtype=np.int64), *(mesh.surface(name).nodes for name in touching),
-                           *(supported_nodes(mesh, support) for support in problem.supports)])
+    held = np.concatenate(
+        [
+            np.empty(0, dtype=np.int64),
+            *(mesh.surface(name).nodes for name in touching),
+            *(supported_nodes(mesh, support) for support in problem.supports),
+        ]
+    )
     for piece in nodes_of_pieces(mesh):
         if not np.isin(held, piece).any():
-            name = next(name for name, nodes in bodies.items() if len(nodes) and np.isin(nodes[0], piece))
-            raise ValueError(f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
-                             "support or a contact pair, or leave it out")
+            name = next(
+                name for name, nodes in bodies.items() if len(nodes) and np.isin(nodes[0], piece)
+            )
+            raise ValueError(
+                f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
+                "support or a contact pair, or leave it out"
+            )
 
 
-def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: np.ndarray | None = None,
-                 excluded: np.ndarray | None = None, held: HeldNodes | None = None,
-                 ties: Sequence[MortarInterface] = ()
-                 ) -> tuple[ContactNodes, sparse.csr_array | None]:
-    """Return the nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and what they follow.
-    ``excluded`` slave nodes carry no multiplier; ``slip_reference`` (n_nodes,
+def contact_data(
+    problem: ContactProblem,
+    mesh: MeshArrays,
+    *,
+    slip_reference: np.ndarray | None = None,
+    excluded: np.ndarray | None = None,
+    held: HeldNodes | None = None,
+    ties: Sequence[MortarInterface] = (),
+) -> tuple[ContactNodes, sparse.csr_array | None]:
+    """Return the nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and
+    what they follow. ``excluded`` slave nodes carry no multiplier; ``slip_reference`` (n_nodes,
     dim) is a displacement, m. Nodes of ``ties`` carry no contact."""
     owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
     surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
@@ -285,20 +341,28 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     for tie in ties:
         owner[tie.nodes] = -1
     if held is None:
-        held = HeldNodes(fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim),
-                         inclined_supports(mesh, problem.supports))
+        held = HeldNodes(
+            fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim),
+            inclined_supports(mesh, problem.supports),
+        )
     nothing = np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0)
     parts = []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
             mine = surfaces[k].nodes
             normals = slave_normals(surfaces[k], held)[mine]
-            partly = np.linalg.norm(free_normals(problem, mesh, k, mine, normals, held), axis=1) < 1 - TANGENTIAL
+            partly = (
+                np.linalg.norm(free_normals(problem, mesh, k, mine, normals, held), axis=1)
+                < 1 - TANGENTIAL
+            )
             without = np.union1d(mine[owner[mine] != k], mine[partly])
             if excluded is not None:
                 without = np.union1d(without, excluded)
-            parts.append(pair_interface(mesh, contact, held=held, excluded=without,
-                                        axisymmetric=problem.axisymmetric))
+            parts.append(
+                pair_interface(
+                    mesh, contact, held=held, excluded=without, axisymmetric=problem.axisymmetric
+                )
+            )
         else:
             parts.append(in_front_of(contact, problem, mesh, surfaces, owner, k, held))
     parts.append(MortarInterface(*nothing))
@@ -306,29 +370,43 @@ def contact_data(problem: ContactProblem, mesh: MeshArrays, *, slip_reference: n
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
     nodes, boundary = nodes[order], boundary[order]
-    normals, weights, gaps = (np.concatenate([getattr(part, name) for part in parts])[order]
-                              for name in ("normals", "weights", "gaps"))
+    normals, weights, gaps = (
+        np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ("normals", "weights", "gaps")
+    )
     if tied.any():
         alone = np.array([not isinstance(one, ContactPair) for one in problem.contact])[boundary]
         weights[alone] += _passed_on(tied, ties, nodes[alone])
     if held.inclined is not None:
         rubbed = np.intersect1d(nodes, held.inclined.nodes[held.inclined.moving])
         if len(rubbed):
-            raise ValueError(f"a support moves contact node {rubbed[0]} {tuple(mesh.points[rubbed[0]].tolist())} along "
-                             "the normal of its boundary, not an axis: turn the geometry, or end one of the "
-                             "boundaries before the other begins")
+            raise ValueError(
+                f"a support moves contact node {rubbed[0]} {tuple(mesh.points[rubbed[0]].tolist())} along "
+                "the normal of its boundary, not an axis: turn the geometry, or end one of the "
+                "boundaries before the other begins"
+            )
     if slip_reference is not None:
         slip_reference = checks.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
     slip_reference = with_motions(problem, mesh.points[nodes], boundary, slip_reference)
-    contact = ContactNodes(nodes=nodes, normals=normals, gaps=gaps, weights=weights, boundary=boundary,
-                           slip_reference=slip_reference,
-                           allow_interference=any(map(may_overlap, problem.contact)),
-                           names=problem.contact_boundaries, masters=problem.masters)
+    contact = ContactNodes(
+        nodes=nodes,
+        normals=normals,
+        gaps=gaps,
+        weights=weights,
+        boundary=boundary,
+        slip_reference=slip_reference,
+        allow_interference=any(map(may_overlap, problem.contact)),
+        names=problem.contact_boundaries,
+        masters=problem.masters,
+    )
     return contact, _followed([*parts, *ties], mesh.n_nodes)
 
 
-def _passed_on(masses: np.ndarray, ties: Sequence[MortarInterface], nodes: np.ndarray) -> np.ndarray:
-    """Of the masses (n_nodes,) of tied nodes what contact nodes (n,) take that these follow, over tied ones too."""
+def _passed_on(
+    masses: np.ndarray, ties: Sequence[MortarInterface], nodes: np.ndarray
+) -> np.ndarray:
+    """Of the masses (n_nodes,) of tied nodes what contact nodes (n,) take that these follow, over
+    tied ones too."""
     takes, result = np.zeros_like(masses), np.zeros_like(masses)
     takes[np.concatenate([nodes, *(tie.nodes for tie in ties)])] = 1.0
     rows = _followed(list(ties), len(masses)).maximum(0.0) @ sparse.diags_array(takes)
@@ -344,7 +422,9 @@ def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | 
     coupled = [part for part in parts if part.coupling is not None]
     if not coupled:
         return None
-    rows = np.concatenate([np.repeat(part.nodes, np.diff(part.coupling.indptr)) for part in coupled])
+    rows = np.concatenate(
+        [np.repeat(part.nodes, np.diff(part.coupling.indptr)) for part in coupled]
+    )
     columns = np.concatenate([part.coupling.indices for part in coupled])
     values = np.concatenate([part.coupling.data for part in coupled])
     return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
@@ -357,8 +437,12 @@ class LoadSteps:
     n_dofs: int
     loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
-    stress: StressData | None = None  # what stresses follow from before initial strains; None without a problem
-    strains: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_elements, 3)
+    stress: StressData | None = (
+        None  # what stresses follow from before initial strains; None without a problem
+    )
+    strains: Mapping[str, np.ndarray] = field(
+        default_factory=dict
+    )  # dict of str to (n_elements, 3)
     strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
     mesh: MeshArrays | None = None
 
@@ -366,17 +450,28 @@ class LoadSteps:
         """Return what the stresses of a step follow from."""
         if not self.strains:
             return self.stress
-        return replace(self.stress, initial_strain=sum(factors[name] * strain for name, strain in self.strains.items()))
+        return replace(
+            self.stress,
+            initial_strain=sum(factors[name] * strain for name, strain in self.strains.items()),
+        )
 
-    def step(self, discrete: DiscreteProblem, factors: Mapping[str, float], slip_reference: np.ndarray
-             ) -> DiscreteProblem:
-        """Return the problem of a load step; slips count from ``slip_reference`` (n_contact, dim), m."""
+    def step(
+        self, discrete: DiscreteProblem, factors: Mapping[str, float], slip_reference: np.ndarray
+    ) -> DiscreteProblem:
+        """Return the problem of a load step; slips count from ``slip_reference`` (n_contact, dim),
+        m."""
         volumes = discrete.volumes
         if volumes is not None and self.strains:
             data = self.stress_data(factors)
             volumes = volumes.expanding(self.mesh, data.initial_strain, data.axisymmetric)
-        return discrete.with_step(self.load(factors), self.fixed_values(factors), slip_reference,
-                                  self.strain_free(factors), factors, volumes)
+        return discrete.with_step(
+            self.load(factors),
+            self.fixed_values(factors),
+            slip_reference,
+            self.strain_free(factors),
+            factors,
+            volumes,
+        )
 
     def strain_free(self, factors: Mapping[str, float]) -> tuple[np.ndarray, float] | None:
         """Return ``strain_free`` of a step, see :class:`DiscreteProblem`."""
@@ -403,9 +498,11 @@ class LoadSteps:
             if clash.any():
                 dof = int(dofs[np.argmax(clash)])
                 other = list(self.prescribed)[owner[dof]]
-                raise ValueError(f"the factors of {other!r} and {name!r} prescribe different displacements, "
-                                 f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
-                                 "give both the same factors")
+                raise ValueError(
+                    f"the factors of {other!r} and {name!r} prescribe different displacements, "
+                    f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
+                    "give both the same factors"
+                )
             result[dofs], owner[dofs] = scaled, k
         return result
 
@@ -414,16 +511,23 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
     """Return the loads and supports of a problem one by one."""
     loads, strains, strain_loads = {}, {}, {}
     for name in dict.fromkeys(load.path_name for load in problem.loads):
-        named = [load.shortening(mesh.dim) if isinstance(load, Preload) else load for load in problem.loads
-                 if load.path_name == name]
+        named = [
+            load.shortening(mesh.dim) if isinstance(load, Preload) else load
+            for load in problem.loads
+            if load.path_name == name
+        ]
         forces = load_vector(mesh, named, problem.material, problem.elements)
         loads[name] = discrete.relative_forces(forces)
-        if (own := [load for load in named if isinstance(load, InitialStrain)]):
+        if own := [load for load in named if isinstance(load, InitialStrain)]:
             strains[name] = StressData.of(mesh, problem.material, own).initial_strain
-            strain_loads[name] = discrete.relative_forces(load_vector(mesh, own, problem.material, problem.elements))
+            strain_loads[name] = discrete.relative_forces(
+                load_vector(mesh, own, problem.material, problem.elements)
+            )
     prescribed = {}
     for name in dict.fromkeys(one.path_name for one in problem.supports):
-        fixed, values = fixed_dofs(mesh, [support for support in problem.supports if support.path_name == name])
+        fixed, values = fixed_dofs(
+            mesh, [support for support in problem.supports if support.path_name == name]
+        )
         dofs = np.flatnonzero(fixed)
         prescribed[name] = dofs, values[dofs]
     held = HeldNodes(discrete.held.reshape(-1, mesh.dim), discrete.inclined)
@@ -431,14 +535,27 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
         if isinstance(tie, Periodic) and tie.jump is not None:
             free = np.flatnonzero(~held.fixed[nodes].reshape(-1))
             dofs = (mesh.dim * nodes[:, None] + np.arange(mesh.dim)).reshape(-1)[free]
-            before = prescribed.get(name := tie.path_name, (np.empty(0, dtype=np.int64), np.empty(0)))
-            prescribed[name] = tuple(map(np.append, before, (dofs, jump_of(tie, nodes, held).reshape(-1)[free])))
-    return LoadSteps(mesh.n_nodes * mesh.dim, loads, prescribed,
-                     StressData.of(mesh, problem.material, elements=problem.elements), strains, strain_loads, mesh)
+            before = prescribed.get(
+                name := tie.path_name, (np.empty(0, dtype=np.int64), np.empty(0))
+            )
+            prescribed[name] = tuple(
+                map(np.append, before, (dofs, jump_of(tie, nodes, held).reshape(-1)[free]))
+            )
+    return LoadSteps(
+        mesh.n_nodes * mesh.dim,
+        loads,
+        prescribed,
+        StressData.of(mesh, problem.material, elements=problem.elements),
+        strains,
+        strain_loads,
+        mesh,
+    )
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:
     """Return all loads and prescribed displacements of a problem without names, as one."""
     dofs, inclined = np.flatnonzero(discrete.fixed), discrete.inclined
     load = discrete.load if inclined is None else inclined.load
-    return LoadSteps(discrete.n_dofs, {DEFAULT: load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])})
+    return LoadSteps(
+        discrete.n_dofs, {DEFAULT: load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])}
+    )

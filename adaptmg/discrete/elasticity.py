@@ -1,35 +1,39 @@
-r"""The stiffness matrix of elasticity: of linear elements, or with strains smoothed over edges; rigid-body motions.
+r"""The stiffness matrix of elasticity: of linear elements, or with strains smoothed over edges;
+rigid-body motions.
 
 The matrix is a sum over patches, in which the strain :math:`B_p u` is constant,
 
 .. math:: K = \sum_p V_p\, B_p^T C B_p ,
 
-with the tensors C of :mod:`adaptmg.discrete.moduli`. The patches of linear elements are the elements. Edge-smoothed
-elements take, for each edge e of a body, the mean strain of the elements T around it, which have k = 3 (in space 6)
-edges (G. R. Liu, T. Nguyen-Thoi and K. Y. Lam, J. Sound Vib. 320, 2009, doi:10.1016/j.jsv.2008.08.027):
+with the tensors C of :mod:`adaptmg.discrete.moduli`. The patches of linear elements are the
+elements. Edge-smoothed elements take, for each edge e of a body, the mean strain of the elements T
+around it, which have k = 3 (in space 6) edges (G. R. Liu, T. Nguyen-Thoi and K. Y. Lam, J. Sound
+Vib. 320, 2009, doi:10.1016/j.jsv.2008.08.027):
 
 .. math:: V_e = \sum_{T \ni e} V_T / k, \qquad V_e B_e = \sum_{T \ni e} V_T B_T / k .
 
-A mean does not go beyond a body, across which strains jump; Lame's first constant is cut off at :math:`4 \mu` there
-(:mod:`adaptmg.discrete.volumes`). With the mean :math:`(S v)_T` over the edges of T of the means around them
+A mean does not go beyond a body, across which strains jump; Lame's first constant is cut off at
+:math:`4 \mu` there (:mod:`adaptmg.discrete.volumes`). With the mean :math:`(S v)_T` over the edges
+of T of the means around them
 
 .. math:: u^T K v = \sum_T V_T\, B_T u : (C S B v)_T ,
 
-where S is symmetric for the weights V. Loads of initial strains, energies and stresses follow from S.
+where S is symmetric for the weights V. Loads of initial strains, energies and stresses follow from
+S.
 
-In axisymmetry x is the radius r and y the axial coordinate z, the hoop strain :math:`u_r / r` joins in, all is weighted
-with :math:`2 \pi r`, and forces are in N. A patch has the hoop strain at the centroid of its element, which is the mean
-over the volume. To linear elements its variation within the element adds
+In axisymmetry x is the radius r and y the axial coordinate z, the hoop strain :math:`u_r / r` joins
+in, all is weighted with :math:`2 \pi r`, and forces are in N. A patch has the hoop strain at the
+centroid of its element, which is the mean over the volume. To linear elements its variation within
+the element adds
 
 .. math:: C_{\theta\theta} \Big(\int 2\pi\,\frac{u_r v_r}{r} - \frac{\int 2\pi\, u_r \int 2\pi\, v_r}{\int 2\pi\, r}
    \Big) ,
 
-by a rule with interior points and positive weights: the matrix is positive semidefinite, and constant strains
-(:math:`u_r = c r`) are exact.
+by a rule with interior points and positive weights: the matrix is positive semidefinite, and
+constant strains (:math:`u_r = c r`) are exact.
 
-The upper half of each row is summed in the order of its patches, and mirrored: the matrix is bitwise symmetric, and the
-same in every run.
-"""
+The upper half of each row is summed in the order of its patches, and mirrored: the matrix is
+bitwise symmetric, and the same in every run."""
 
 from __future__ import annotations
 
@@ -46,21 +50,24 @@ from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
 
 #: corners of the edges of an element
-_EDGES = {2: np.array([(0, 1), (0, 2), (1, 2)]), 3: np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])}
+_EDGES = {
+    2: np.array([(0, 1), (0, 2), (1, 2)]),
+    3: np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]),
+}
 
 
 @one_blas_thread()
 def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -> sparse.bsr_array:
     """Assemble the stiffness matrix (n_dofs, n_dofs), with no boundary condition applied.
 
-    Blocks of dim x dim, sorted indices, dof = dim * node + component; bitwise symmetric. N/m (plane: per metre of
-    thickness; axisymmetric: of the full circumference). The material is the same in all bodies, or body name ->
-    Elastic; ``elements`` are "linear" or "smoothed". ValueError if materials and mesh do not fit, a node number is out
-    of range, or an element is inverted or degenerate.
+    Blocks of dim x dim, sorted indices, dof = dim * node + component; bitwise symmetric. N/m
+    (plane: per metre of thickness; axisymmetric: of the full circumference). The material is the
+    same in all bodies, or body name -> Elastic; ``elements`` are "linear" or "smoothed". ValueError
+    if materials and mesh do not fit, a node number is out of range, or an element is inverted or
+    degenerate.
 
-    On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain is bounded for no
-    other displacement. Without it the matrix is finite still.
-    """
+    On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain
+    is bounded for no other displacement. Without it the matrix is finite still."""
     materials, dim = body_materials(mesh, material), mesh.dim
     axisymmetric = is_axisymmetric(materials)
     if elements == "smoothed":
@@ -70,9 +77,25 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
     of_nodes = patches_of_nodes(patches.start, patches.nodes, mesh.n_nodes)
     indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
     data = np.empty((len(indices), dim, dim))
-    in_parts(_add_patches, mesh.n_nodes, data.size, (0.0,) * dim, of_nodes.indptr, of_nodes.indices, patches.start,
-             patches.nodes, patches.slopes, patches.hoops, patches.spread, patches.measures,
-             of_elements.rows[patches.element], of_elements.table, indptr, indices, data)
+    in_parts(
+        _add_patches,
+        mesh.n_nodes,
+        data.size,
+        (0.0,) * dim,
+        of_nodes.indptr,
+        of_nodes.indices,
+        patches.start,
+        patches.nodes,
+        patches.slopes,
+        patches.hoops,
+        patches.spread,
+        patches.measures,
+        of_elements.rows[patches.element],
+        of_elements.table,
+        indptr,
+        indices,
+        data,
+    )
     _mirror((0.0,) * dim, indptr, indices, data)
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
@@ -85,8 +108,8 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Parts in which the strain is that of the gradient sum_a u_a slope_a', in axisymmetry with the hoop strain
-    sum_a u_a hoop_a."""
+    """Parts in which the strain is that of the gradient sum_a u_a slope_a', in axisymmetry with the
+    hoop strain sum_a u_a hoop_a."""
 
     start: np.ndarray  # (n_patches + 1,): patch p has the nodes start[p] to start[p + 1]
     nodes: np.ndarray  # (n,) int32
@@ -94,7 +117,9 @@ class _Patches:
     hoops: np.ndarray  # (n,), or (0,)
     measures: np.ndarray  # (n_patches,): volumes
     element: np.ndarray | slice  # (n_patches,): an element there
-    spread: np.ndarray  # (n, corners), or (0, 0): what C of the hoop strains within an element multiplies
+    spread: (
+        np.ndarray
+    )  # (n, corners), or (0, 0): what C of the hoop strains within an element multiplies
 
 
 def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
@@ -102,15 +127,27 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
     _, corners, dim = slopes.shape
     hoops, spread = np.empty(0), np.empty((0, 0))
     if axisymmetric:
-        radii, (rule, weights) = mesh.points[mesh.elements, 0], quadrature_rule(corners, AXISYMMETRIC_DEGREE)
+        radii, (rule, weights) = (
+            mesh.points[mesh.elements, 0],
+            quadrature_rule(corners, AXISYMMETRIC_DEGREE),
+        )
         mean = radii.mean(axis=1)
         # the integral over the element less that of the mean
         rule, weights = np.vstack([rule, np.full(corners, 1 / corners)]), np.append(weights, -1.0)
         at_points = 2 * np.pi * measures[:, None] * (weights / (radii @ rule.T))
-        spread = (at_points @ (rule[:, :, None] * rule[:, None]).reshape(len(rule), -1)).reshape(-1, corners)
+        spread = (at_points @ (rule[:, :, None] * rule[:, None]).reshape(len(rule), -1)).reshape(
+            -1, corners
+        )
         hoops, measures = np.repeat(1 / (3 * mean), corners), 2 * np.pi * mean * measures
-    return _Patches(starts_of(mesh.elements), mesh.elements.reshape(-1), slopes.reshape(-1, dim), hoops,
-                    measures, slice(None), spread)
+    return _Patches(
+        starts_of(mesh.elements),
+        mesh.elements.reshape(-1),
+        slopes.reshape(-1, dim),
+        hoops,
+        measures,
+        slice(None),
+        spread,
+    )
 
 
 def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
@@ -121,17 +158,26 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
         hoops = np.repeat(1 / (3 * radius), corners).reshape(n, corners, 1)
         values, measures = np.concatenate([values, hoops], axis=2), 2 * np.pi * radius * measures
     blocks = (measures[:, None, None] * values).reshape(n * corners, 1, -1)
-    of_elements = sparse.bsr_array((blocks, mesh.elements.reshape(-1), corners * np.arange(n + 1)),
-                                   shape=(n, blocks.shape[2] * mesh.n_nodes))
+    of_elements = sparse.bsr_array(
+        (blocks, mesh.elements.reshape(-1), corners * np.arange(n + 1)),
+        shape=(n, blocks.shape[2] * mesh.n_nodes),
+    )
     sums, volumes = sparse.bsr_array(edges, blocksize=(1, 1)) @ of_elements, edges @ measures
     means = sums.data[:, 0] / np.repeat(volumes, np.diff(sums.indptr))[:, None]
-    return _Patches(sums.indptr, read_only(sums.indices), np.ascontiguousarray(means[:, :dim]),
-                    np.ascontiguousarray(means[:, dim:].reshape(-1)), volumes / len(_EDGES[dim]),
-                    edges.indices[edges.indptr[:-1]], np.empty((0, 0)))
+    return _Patches(
+        sums.indptr,
+        read_only(sums.indices),
+        np.ascontiguousarray(means[:, :dim]),
+        np.ascontiguousarray(means[:, dim:].reshape(-1)),
+        volumes / len(_EDGES[dim]),
+        edges.indices[edges.indptr[:-1]],
+        np.empty((0, 0)),
+    )
 
 
 def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
-    """Return the volumes (n_elements,) of the elements, in axisymmetry of the full circumference."""
+    """Return the volumes (n_elements,) of the elements, in axisymmetry of the full
+    circumference."""
     if not axisymmetric:
         return mesh.volumes
     return 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * mesh.volumes
@@ -143,31 +189,48 @@ def _elements_of_edges(mesh: MeshArrays) -> sparse.csr_array:
     first = mesh.element_body[:, None] * np.int64(mesh.n_nodes) + np.minimum(a, b)
     keys = first * mesh.n_nodes + np.maximum(a, b)
     number, (n, k) = np.unique(keys, return_inverse=True)[1].reshape(-1), keys.shape
-    edges = sparse.csr_array((np.ones(n * k), number, k * np.arange(n + 1)), shape=(n, number.max() + 1))
+    edges = sparse.csr_array(
+        (np.ones(n * k), number, k * np.arange(n + 1)), shape=(n, number.max() + 1)
+    )
     return sparse.csr_array(edges.T)
 
 
 def smoothed(mesh: MeshArrays, values: np.ndarray, measures: np.ndarray) -> np.ndarray:
-    """Return S v (n_elements, n_values) of the values of elements, which have these ``measures``."""
+    """Return S v (n_elements, n_values) of the values of elements, which have these
+    ``measures``."""
     edges = _elements_of_edges(mesh)
     means = (edges @ (measures[:, None] * values)) / (edges @ measures)[:, None]
     return (edges.T @ means) / len(_EDGES[mesh.dim])
 
 
 def shape_gradients(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gradients (n_elements, dim + 1, dim) of the shape functions of elements, and their volumes."""
+    """Return the gradients (n_elements, dim + 1, dim) of the shape functions of elements, and their
+    volumes."""
     n, corners = mesh.elements.shape
     slopes, measures = np.empty((n, corners, mesh.dim)), np.empty(n)
-    bad = max(in_parts(_shape_gradients, n, slopes.size, (0.0,) * mesh.dim, mesh.points, mesh.elements, slopes,
-                       measures))
+    bad = max(
+        in_parts(
+            _shape_gradients,
+            n,
+            slopes.size,
+            (0.0,) * mesh.dim,
+            mesh.points,
+            mesh.elements,
+            slopes,
+            measures,
+        )
+    )
     if bad >= 0:
-        raise ValueError(f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
-                         "adaptmg.mesh.check_mesh finds all that is wrong with a mesh")
+        raise ValueError(
+            f"element {bad} with nodes {mesh.elements[bad].tolist()} is inverted or degenerate: "
+            "adaptmg.mesh.check_mesh finds all that is wrong with a mesh"
+        )
     return slopes, measures
 
 
 def patches_of_nodes(start: np.ndarray, nodes: np.ndarray, n_nodes: int) -> sparse.csc_array:
-    """Return the patches of each node (n_patches, n_nodes), ascending; patch p has ``nodes[start[p]:start[p + 1]]``."""
+    """Return the patches of each node (n_patches, n_nodes), ascending; patch p has
+    ``nodes[start[p]:start[p + 1]]``."""
     ones = np.ones(len(nodes), dtype=np.int8)
     return sparse.csr_array((ones, nodes, start), shape=(len(start) - 1, n_nodes)).tocsc()
 
@@ -179,11 +242,19 @@ def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> sparse.csc_array:
 
 def starts_of(elements: np.ndarray) -> np.ndarray:
     """Return where each element's corners begin among those of all, and the end."""
-    return np.arange(0, elements.size + 1, elements.shape[1], dtype=np.int32 if elements.size < 2**31 else np.int64)
+    return np.arange(
+        0,
+        elements.size + 1,
+        elements.shape[1],
+        dtype=np.int32 if elements.size < 2**31 else np.int64,
+    )
 
 
-def pattern(of_nodes: sparse.csc_array, start: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return row pointers and sorted columns of the matrix of patches; ValueError for a node without one."""
+def pattern(
+    of_nodes: sparse.csc_array, start: np.ndarray, nodes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return row pointers and sorted columns of the matrix of patches; ValueError for a node
+    without one."""
     n, indptr = of_nodes.shape[1], np.zeros(of_nodes.shape[1] + 1, dtype=np.int64)
     arguments = of_nodes.indptr, of_nodes.indices, start, nodes, indptr
     in_parts(_find_neighbours, n, 8 * len(nodes), *arguments, np.empty(0, dtype=np.int32))
@@ -196,7 +267,8 @@ def pattern(of_nodes: sparse.csc_array, start: np.ndarray, nodes: np.ndarray) ->
 
 
 def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Return the elements and points, a point for each body that uses a node: first those of the first such body."""
+    """Return the elements and points, a point for each body that uses a node: first those of the
+    first such body."""
     n = mesh.n_nodes
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
@@ -211,9 +283,11 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 
 @kernel
 def _find_neighbours(first, last, start, listed, begin, nodes, indptr, indices):
-    """Find the columns of the pattern, ascending: nodes that share a patch, each node with itself. Without ``indices``
-    how many there are, to ``indptr[1:]``, which comes back summed up with them."""
-    # unsigned: numba asks of all others whether they count from the end, which takes half of the time
+    """Find the columns of the pattern, ascending: nodes that share a patch, each node with itself.
+    Without ``indices`` how many there are, to ``indptr[1:]``, which comes back summed up with
+    them."""
+    # unsigned: numba asks of all others whether they count from the end, which takes half of the
+    # time
     marker, one = np.full(len(start) - 1, -1, dtype=np.int32), np.uint64(1)
     for i in range(first, last):
         count, row = np.uint64(0), np.uint64(indptr[i])
@@ -237,8 +311,9 @@ def _find_neighbours(first, last, start, listed, begin, nodes, indptr, indices):
 
 @kernel
 def _shape_gradients(first, last, zero, points, elements, slopes, measures):
-    """Write the gradients of the shape functions of elements, and their volumes. Returns a bad one, or -1. ``zero``
-    (dim,) is a tuple, so that loops over components are compiled for their length."""
+    """Write the gradients of the shape functions of elements, and their volumes. Returns a bad one,
+    or -1. ``zero`` (dim,) is a tuple, so that loops over components are compiled for their
+    length."""
     dim = len(zero)
     edges, normals = np.empty((len(zero), len(zero))), np.empty((len(zero), len(zero)))
     for e in range(first, last):
@@ -269,15 +344,31 @@ def _shape_gradients(first, last, zero, points, elements, slopes, measures):
 
 
 @kernel
-def _add_patches(first, last, zero, start, patches, begin, nodes, slopes, hoops, spread, measures, rows, table, indptr,
-                 indices, data):
+def _add_patches(
+    first,
+    last,
+    zero,
+    start,
+    patches,
+    begin,
+    nodes,
+    slopes,
+    hoops,
+    spread,
+    measures,
+    rows,
+    table,
+    indptr,
+    indices,
+    data,
+):
     """Write the upper half of rows: node i is in ``patches[start[i]:start[i + 1]]``."""
     dim, one, stress = len(zero), np.uint64(1), np.empty((2 * len(zero), len(zero)))
     slot = np.empty(len(indptr) - 1, dtype=np.int64)
     for i in range(first, last):
         for at in range(indptr[i], indptr[i + 1]):
             slot[indices[at]] = at
-        data[slot[i]:indptr[i + 1]] = 0.0
+        data[slot[i] : indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
             e = np.uint64(patches[k])
             p, end = np.uint64(begin[e]), np.uint64(begin[e + one])
@@ -287,11 +378,19 @@ def _add_patches(first, last, zero, start, patches, begin, nodes, slopes, hoops,
             z = measures[e] * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
             for c in range(2 * dim):
                 if len(zero) == 3:
-                    stress[c, 0] = table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 5] * z
-                    stress[c, 1] = table[own, c, 3] * x + table[own, c, 1] * y + table[own, c, 4] * z
-                    stress[c, 2] = table[own, c, 5] * x + table[own, c, 4] * y + table[own, c, 2] * z
+                    stress[c, 0] = (
+                        table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 5] * z
+                    )
+                    stress[c, 1] = (
+                        table[own, c, 3] * x + table[own, c, 1] * y + table[own, c, 4] * z
+                    )
+                    stress[c, 2] = (
+                        table[own, c, 5] * x + table[own, c, 4] * y + table[own, c, 2] * z
+                    )
                 else:
-                    stress[c, 0] = table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 2] * z
+                    stress[c, 0] = (
+                        table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 2] * z
+                    )
                     stress[c, 1] = table[own, c, 3] * x + table[own, c, 1] * y
             for q in range(np.uint64(begin[e]), end):
                 if nodes[q] < i:
@@ -313,7 +412,9 @@ def _add_patches(first, last, zero, start, patches, begin, nodes, slopes, hoops,
 @kernel
 def _mirror(zero, indptr, indices, data):
     """Write the lower half of rows, diagonal blocks included: the transposes of the upper one."""
-    place = indptr.copy()  # the next block of each row: those before the diagonal come in the order of their columns
+    place = (
+        indptr.copy()
+    )  # the next block of each row: those before the diagonal come in the order of their columns
     for i in range(len(indptr) - 1):
         for at in range(np.uint64(place[i]), np.uint64(indptr[i + 1])):
             column = np.uint64(indices[at])
@@ -325,11 +426,12 @@ def _mirror(zero, indptr, indices, data):
 
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
-    """Return orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an uncoupled problem.
+    """Return orthonormal rigid-body motions (n_dofs, k) of every body, as ``near_nullspace`` of an
+    uncoupled problem.
 
-    Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in the order of
-    ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count as one.
-    """
+    Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in
+    the order of ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count
+    as one."""
     columns = []
     for nodes in nodes_of_pieces(mesh):
         if axisymmetric:
@@ -345,13 +447,16 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
 
 
 def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
-    """Return the ascending nodes of each set of bodies that hang together, in the order of their first bodies."""
+    """Return the ascending nodes of each set of bodies that hang together, in the order of their
+    first bodies."""
     n_bodies = len(mesh.bodies)
     if n_bodies == 1:
         return [np.arange(mesh.n_nodes)]
     body = np.repeat(mesh.element_body, mesh.elements.shape[1])
-    uses = sparse.coo_array((np.ones(len(body), dtype=np.int8), (body, n_bodies + mesh.elements.reshape(-1))),
-                            shape=(n_bodies + mesh.n_nodes,) * 2)
+    uses = sparse.coo_array(
+        (np.ones(len(body), dtype=np.int8), (body, n_bodies + mesh.elements.reshape(-1))),
+        shape=(n_bodies + mesh.n_nodes,) * 2,
+    )
     labels = connected_components(uses, directed=False)[1]
     pieces = list(dict.fromkeys(labels[np.unique(mesh.element_body)].tolist()))
     return [np.flatnonzero(labels[n_bodies:] == piece) for piece in pieces]
@@ -359,10 +464,14 @@ def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
 
 @one_blas_thread()
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
-    """Return the translations and, about the principal axes at the centroid, rotations (n_dofs, k) of points,
-    orthonormal."""
+    """Return the translations and, about the principal axes at the centroid, rotations (n_dofs, k)
+    of points, orthonormal."""
     (n, dim), x = points.shape, points - np.einsum("nd->d", points) / len(points)
-    spins = [[[0.0, 1.0], [-1.0, 0.0]]] if dim == 2 else np.cross(np.linalg.eigh(x.T @ x)[1].T[:, None], np.eye(3))
+    spins = (
+        [[[0.0, 1.0], [-1.0, 0.0]]]
+        if dim == 2
+        else np.cross(np.linalg.eigh(x.T @ x)[1].T[:, None], np.eye(3))
+    )
     modes = np.zeros((n, dim, dim + len(spins)))
     modes[:, range(dim), range(dim)] = 1 / np.sqrt(n)
     sizes = np.empty(len(spins))

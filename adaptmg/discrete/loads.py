@@ -3,19 +3,21 @@ r"""The load vector: tractions, body forces and initial strains tested with the 
 .. math:: b_{i} = \int_\Omega f\,\varphi_i + \int_{\Gamma} g\,\varphi_i
    + \int_\Omega C \varepsilon_0 : \varepsilon(\varphi_i), \qquad \sigma = C (\varepsilon - \varepsilon_0)
 
-by quadrature of degree 2 on each element and facet, in axisymmetry, where all is weighted with :math:`2 \pi r`, of
-degree 5: exact for data that are linear in position. Initial (stress-free) strains have principal components along the
-axes; the third one in two dimensions is through the thickness or, in axisymmetry, the hoop strain. It matters in plane
-strain, where the total strain through the thickness is zero, and in axisymmetry; in plane stress the sheet follows it.
-Smoothed elements (:mod:`adaptmg.discrete.elasticity`) take the means of initial strains around edges, as of strains.
+by quadrature of degree 2 on each element and facet, in axisymmetry, where all is weighted with
+:math:`2 \pi r`, of degree 5: exact for data that are linear in position. Initial (stress-free)
+strains have principal components along the axes; the third one in two dimensions is through the
+thickness or, in axisymmetry, the hoop strain. It matters in plane strain, where the total strain
+through the thickness is zero, and in axisymmetry; in plane stress the sheet follows it. Smoothed
+elements (:mod:`adaptmg.discrete.elasticity`) take the means of initial strains around edges, as of
+strains.
 
 Springs between boundaries or nodes and the ground add to the stiffness matrix, and exert forces:
 
 .. math:: a_s(u, v) = \int_\Gamma k_n\, u_n v_n + k_t\, u_t \cdot v_t \quad\text{or}\quad \sum_i k_i\, u_i v_i
    \text{ at a node}, \qquad t = -k_n u_n n - k_t u_t ,
 
-with the facets' normals n, by the quadrature of loads; in axisymmetry weighted with :math:`2 \pi r`.
-"""
+with the facets' normals n, by the quadrature of loads; in axisymmetry weighted with :math:`2 \pi
+r`."""
 
 from __future__ import annotations
 
@@ -26,7 +28,14 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import element_measures, shape_gradients, smoothed, stiffness
-from adaptmg.discrete.moduli import EDGE_PART, Materials, as_tensors, body_materials, is_axisymmetric, moduli
+from adaptmg.discrete.moduli import (
+    EDGE_PART,
+    Materials,
+    as_tensors,
+    body_materials,
+    is_axisymmetric,
+    moduli,
+)
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays
@@ -44,15 +53,19 @@ from adaptmg.problem.loads import (
 )
 
 
-def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | None = None,
-                elements: str = "linear") -> np.ndarray:
+def load_vector(
+    mesh: MeshArrays,
+    loads: Sequence[Load],
+    material: Materials | None = None,
+    elements: str = "linear",
+) -> np.ndarray:
     """Return the nodal forces (n_dofs,) of all loads; dual, dof = dim * node + component.
 
-    N (plane: per metre of thickness; axisymmetric: of the full circumference). Functions of position are called once
-    each, with all quadrature points (n, dim). Axisymmetric materials weight all with 2 pi r; initial strains need the
-    elastic constants, and depend on the ``elements``. ValueError for a boundary or body the mesh does not have,
-    components of the wrong number, data that are not finite, or an initial strain without ``material``.
-    """
+    N (plane: per metre of thickness; axisymmetric: of the full circumference). Functions of
+    position are called once each, with all quadrature points (n, dim). Axisymmetric materials
+    weight all with 2 pi r; initial strains need the elastic constants, and depend on the
+    ``elements``. ValueError for a boundary or body the mesh does not have, components of the wrong
+    number, data that are not finite, or an initial strain without ``material``."""
     materials = None if material is None else body_materials(mesh, material)
     axisymmetric = materials is not None and is_axisymmetric(materials)
     vector = np.zeros(mesh.points.size)
@@ -60,7 +73,9 @@ def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | N
     for load in loads:
         if isinstance(load, InitialStrain):
             if materials is None:
-                raise ValueError(f"the load of {load!r} depends on the elastic constants: give material")
+                raise ValueError(
+                    f"the load of {load!r} depends on the elastic constants: give material"
+                )
             result += initial_strain_load(mesh, load, materials, elements)
         elif isinstance(load, Preload):
             continue  # its strain is to be found
@@ -69,20 +84,34 @@ def load_vector(mesh: MeshArrays, loads: Sequence[Load], material: Materials | N
             _add(result, mesh, mesh.elements[here], mesh.volumes[here], load, axisymmetric)
         else:
             surface = mesh.surface(load.boundary)
-            _add(result, mesh, surface.facets, surface.measures, load, axisymmetric, surface.normals)
+            _add(
+                result, mesh, surface.facets, surface.measures, load, axisymmetric, surface.normals
+            )
     return vector
 
 
-def _add(result: np.ndarray, mesh: MeshArrays, cells: np.ndarray, measures: np.ndarray,
-         load: BodyForce | Pressure | Traction, axisymmetric: bool, normals: np.ndarray | None = None) -> None:
+def _add(
+    result: np.ndarray,
+    mesh: MeshArrays,
+    cells: np.ndarray,
+    measures: np.ndarray,
+    load: BodyForce | Pressure | Traction,
+    axisymmetric: bool,
+    normals: np.ndarray | None = None,
+) -> None:
     """Add the nodal forces of one load on ``cells`` to ``result`` (n_nodes, dim)."""
     rule, points, weights = integration(mesh.points, cells, measures, axisymmetric)
-    nodal = np.einsum("cq,qk,cqd->ckd", weights, rule, load_density(load, points, normals), optimize=True)
+    nodal = np.einsum(
+        "cq,qk,cqd->ckd", weights, rule, load_density(load, points, normals), optimize=True
+    )
     np.add.at(result, cells, nodal)
 
 
-def load_density(load: BodyForce | Pressure | Traction, points: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
-    """Return the force per volume or area at points (n_cells, n_quadrature, dim), in the same shape."""
+def load_density(
+    load: BodyForce | Pressure | Traction, points: np.ndarray, normals: np.ndarray | None
+) -> np.ndarray:
+    """Return the force per volume or area at points (n_cells, n_quadrature, dim), in the same
+    shape."""
     shape, dim = points.shape[:2], points.shape[2]
     flat = points.reshape(-1, dim)
     if isinstance(load, Pressure):
@@ -90,8 +119,15 @@ def load_density(load: BodyForce | Pressure | Traction, points: np.ndarray, norm
         return -value[:, :, None] * normals[:, None, :]
     if len(load.components) != dim:
         raise ValueError(f"{load!r} has {len(load.components)} components on a {dim}D mesh")
-    return np.stack([checks.field(f"component {'xyz'[k]} of {type(load).__name__}", component, flat).reshape(shape)
-                     for k, component in enumerate(load.components)], axis=-1)
+    return np.stack(
+        [
+            checks.field(f"component {'xyz'[k]} of {type(load).__name__}", component, flat).reshape(
+                shape
+            )
+            for k, component in enumerate(load.components)
+        ],
+        axis=-1,
+    )
 
 
 def body_elements(mesh: MeshArrays, body: str) -> np.ndarray:
@@ -101,18 +137,23 @@ def body_elements(mesh: MeshArrays, body: str) -> np.ndarray:
     return np.flatnonzero(mesh.element_body == mesh.bodies.index(body))
 
 
-def mean_initial_strain(mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric: bool = False) -> np.ndarray:
+def mean_initial_strain(
+    mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric: bool = False
+) -> np.ndarray:
     """Return the mean of all initial strains on each element."""
     result = np.zeros((len(mesh.elements), 3))
     for load in loads:
         if isinstance(load, InitialStrain):
             elements, strain, weights, _ = _at_quadrature_points(mesh, load, axisymmetric)
-            result[elements] += np.einsum("eq,eqd->ed", weights, strain) / weights.sum(axis=1)[:, None]
+            result[elements] += (
+                np.einsum("eq,eqd->ed", weights, strain) / weights.sum(axis=1)[:, None]
+            )
     return result
 
 
-def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[Elastic, ...], elements: str
-                        ) -> np.ndarray:
+def initial_strain_load(
+    mesh: MeshArrays, load: InitialStrain, materials: tuple[Elastic, ...], elements: str
+) -> np.ndarray:
     """Return the nodal forces (n_nodes, dim) of an initial strain."""
     axisymmetric = is_axisymmetric(materials)
     here, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
@@ -127,7 +168,9 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
     columns = np.einsum("eij,eqj->eqi", own.table[own.rows[here], :, :3], strain)
     stress = as_tensors(columns.reshape(-1, columns.shape[2])).reshape(*columns.shape[:2], 3, 3)
     cells, dim = mesh.elements[here], mesh.dim
-    forces = shape_gradients(mesh)[0][here] @ np.einsum("eq,eqij->eij", weights, stress[:, :, :dim, :dim])
+    forces = shape_gradients(mesh)[0][here] @ np.einsum(
+        "eq,eqij->eij", weights, stress[:, :, :dim, :dim]
+    )
     if axisymmetric:
         r = quadrature_points(mesh.points, cells, rule)[:, :, 0]
         forces[:, :, 0] += np.einsum("eq,qc->ec", weights * stress[:, :, 2, 2] / r, rule)
@@ -136,49 +179,72 @@ def initial_strain_load(mesh: MeshArrays, load: InitialStrain, materials: tuple[
     return result
 
 
-def _at_quadrature_points(mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
-                          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric points."""
+def _at_quadrature_points(
+    mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric
+    points."""
     n = len(load.components)
     if n not in (mesh.dim, 3):
-        raise ValueError(f"{load!r} has {n} components on a {mesh.dim}D mesh: "
-                         + ("give 3" if mesh.dim == 3 else "give 2, or 3 with the one out of the plane"))
+        raise ValueError(
+            f"{load!r} has {n} components on a {mesh.dim}D mesh: "
+            + ("give 3" if mesh.dim == 3 else "give 2, or 3 with the one out of the plane")
+        )
     elements = body_elements(mesh, load.body)
-    rule, points, weights = integration(mesh.points, mesh.elements[elements], mesh.volumes[elements], axisymmetric)
+    rule, points, weights = integration(
+        mesh.points, mesh.elements[elements], mesh.volumes[elements], axisymmetric
+    )
     strain = np.zeros((*points.shape[:2], 3))
     for d, component in enumerate(load.components):
         name = f"component {d + 1} of InitialStrain on {load.body!r}"
-        strain[:, :, d] = checks.field(name, component, points.reshape(-1, mesh.dim)).reshape(points.shape[:2])
+        strain[:, :, d] = checks.field(name, component, points.reshape(-1, mesh.dim)).reshape(
+            points.shape[:2]
+        )
     return elements, strain, weights, rule
 
 
 def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return stiffness per area (n_facets, n_points, dim, dim), N/m^3, at points of facets with these unit normals."""
+    """Return stiffness per area (n_facets, n_points, dim, dim), N/m^3, at points of facets with
+    these unit normals."""
     flat = points.reshape(-1, points.shape[2])
-    normal, tangential = (checks.field(f"{name} of the spring on {spring.boundary!r}", getattr(spring, name), flat)
-                          .reshape(points.shape[:2]) for name in ("normal", "tangential"))
+    normal, tangential = (
+        checks.field(
+            f"{name} of the spring on {spring.boundary!r}", getattr(spring, name), flat
+        ).reshape(points.shape[:2])
+        for name in ("normal", "tangential")
+    )
     for name, values in (("normal", normal), ("tangential", tangential)):
         if values.min(initial=0.0) < 0:
-            raise ValueError(f"{name} of the spring on {spring.boundary!r} must be >= 0, got {values.min():g} N/m^3")
+            raise ValueError(
+                f"{name} of the spring on {spring.boundary!r} must be >= 0, got {values.min():g} N/m^3"
+            )
     outer = np.einsum("fi,fj->fij", normals, normals)[:, None]
-    return normal[:, :, None, None] * outer + tangential[:, :, None, None] * (np.eye(normals.shape[1]) - outer)
+    return normal[:, :, None, None] * outer + tangential[:, :, None, None] * (
+        np.eye(normals.shape[1]) - outer
+    )
 
 
-def _elements(mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool) -> tuple[np.ndarray, np.ndarray]:
+def _elements(
+    mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Nodes (n, k) that springs join, and their stiffness (n, k, k, dim, dim), N/m."""
     if isinstance(spring, PointSpring):
-        own = np.diag([spring.x, spring.y, spring.z][:mesh.dim])
+        own = np.diag([spring.x, spring.y, spring.z][: mesh.dim])
         return np.array([[node_at(mesh, spring.point, spring.body)]]), own[None, None, None]
     surface = mesh.surface(spring.boundary)
     rule, points, weights = integration(mesh.points, surface.facets, surface.measures, axisymmetric)
     per_area = weights[:, :, None, None] * foundation(spring, points, surface.normals)
     # the products of shape functions are symmetric to the last bit, and so is the matrix
-    return surface.facets, np.einsum("qab,fqij->fabij", rule[:, :, None] * rule[:, None, :], per_area)
+    return surface.facets, np.einsum(
+        "qab,fqij->fabij", rule[:, :, None] * rule[:, None, :], per_area
+    )
 
 
-def supported_stiffness(mesh: MeshArrays, material: Materials, supports: Sequence[AnySupport],
-                        elements: str = "linear") -> sparse.bsr_array:
-    """Return the stiffness of the bodies and of the springs that hold them, as :func:`adaptmg.discrete.stiffness`."""
+def supported_stiffness(
+    mesh: MeshArrays, material: Materials, supports: Sequence[AnySupport], elements: str = "linear"
+) -> sparse.bsr_array:
+    """Return the stiffness of the bodies and of the springs that hold them, as
+    :func:`adaptmg.discrete.stiffness`."""
     matrix = stiffness(mesh, material, elements)
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
@@ -187,13 +253,19 @@ def supported_stiffness(mesh: MeshArrays, material: Materials, supports: Sequenc
     for spring in springs:
         cells, blocks = _elements(mesh, spring, is_axisymmetric(material))
         wanted = cells[:, :, None] * mesh.n_nodes + cells[:, None, :]
-        np.add.at(matrix.data, np.searchsorted(keys, wanted.ravel()), blocks.reshape(-1, mesh.dim, mesh.dim))
+        np.add.at(
+            matrix.data,
+            np.searchsorted(keys, wanted.ravel()),
+            blocks.reshape(-1, mesh.dim, mesh.dim),
+        )
     return matrix
 
 
-def spring_resultants(mesh: MeshArrays, supports: Sequence[AnySupport], displacement: np.ndarray, axisymmetric: bool
-                      ) -> dict[str, list[float]]:
-    """Return by place the force that springs exert on the bodies, N, and its moment about the origin, N m."""
+def spring_resultants(
+    mesh: MeshArrays, supports: Sequence[AnySupport], displacement: np.ndarray, axisymmetric: bool
+) -> dict[str, list[float]]:
+    """Return by place the force that springs exert on the bodies, N, and its moment about the
+    origin, N m."""
     result: dict[str, list[float]] = {}
     for spring in (one for one in supports if isinstance(one, Spring | PointSpring)):
         cells, blocks = _elements(mesh, spring, axisymmetric)
@@ -205,5 +277,9 @@ def spring_resultants(mesh: MeshArrays, supports: Sequence[AnySupport], displace
 
 def moment(arms: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Return the sum of the moments of forces (n, dim) with arms (n, dim): 2D (1,), 3D (3,)."""
-    every = np.cross(arms, forces) if arms.shape[1] == 3 else arms[:, :1] * forces[:, 1:] - arms[:, 1:] * forces[:, :1]
+    every = (
+        np.cross(arms, forces)
+        if arms.shape[1] == 3
+        else arms[:, :1] * forces[:, 1:] - arms[:, 1:] * forces[:, :1]
+    )
     return every.sum(axis=0)

@@ -1,8 +1,9 @@
 r"""Moduli: the materials of the bodies of a mesh as tensors of its elements.
 
-Stresses and strains have the columns xx, yy, zz, xy (in space yz and xz too; axisymmetric rr, zz, hoop, rz), shear
-strains being angles, twice the components of the tensor: :math:`\sigma = C (\varepsilon - \varepsilon_0)`. With the
-axes of an anisotropic material as the rows of R its strains are those of :math:`R \varepsilon R^T`, in columns
+Stresses and strains have the columns xx, yy, zz, xy (in space yz and xz too; axisymmetric rr, zz,
+hoop, rz), shear strains being angles, twice the components of the tensor: :math:`\sigma = C
+(\varepsilon - \varepsilon_0)`. With the axes of an anisotropic material as the rows of R its
+strains are those of :math:`R \varepsilon R^T`, in columns
 :math:`T \varepsilon`, and :math:`C = T^T C_0 T`. In plane stress what strains in the plane alone has the stiffness
 :math:`C_{pp} - C_{pz} C_{zp} / C_{zz}`, and the strain through the thickness :math:`-C_{zp}\,\varepsilon_p / C_{zz}`.
 """
@@ -31,37 +32,49 @@ _VOIGT = [0, 1, 2, 5, 3, 4]
 
 
 def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]:
-    """Return materials in the order of ``mesh.bodies``, checked against the mesh; such a tuple stays unchanged."""
+    """Return materials in the order of ``mesh.bodies``, checked against the mesh; such a tuple
+    stays unchanged."""
     if isinstance(material, tuple):
         return material
     if isinstance(material, Mapping):
         missing = [body for body in mesh.bodies if body not in material]
         if missing:
-            raise ValueError(f"no material for body {missing[0]!r}; the bodies are {', '.join(mesh.bodies)}, materials "
-                             f"are given for {', '.join(map(str, material)) or 'none'}")
+            raise ValueError(
+                f"no material for body {missing[0]!r}; the bodies are {', '.join(mesh.bodies)}, materials "
+                f"are given for {', '.join(map(str, material)) or 'none'}"
+            )
         materials = tuple(material[body] for body in mesh.bodies)
     else:
         materials = (material,) * len(mesh.bodies)
     for one in materials:
         if not isinstance(one, Elastic):
-            raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping body name "
-                            f"-> one of them, got {one!r}")
+            raise TypeError(
+                "material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping body name "
+                f"-> one of them, got {one!r}"
+            )
         if one.dim != mesh.dim:
-            raise ValueError(f"the material is {one.dim}D, the mesh {mesh.dim}D: use Solid in 3D, PlaneStrain, "
-                             "PlaneStress or Axisymmetric in 2D")
+            raise ValueError(
+                f"the material is {one.dim}D, the mesh {mesh.dim}D: use Solid in 3D, PlaneStrain, "
+                "PlaneStress or Axisymmetric in 2D"
+            )
     if is_axisymmetric(materials):
         if not all(isinstance(one, Axisymmetric) for one in materials):
-            raise ValueError("either all bodies are Axisymmetric or none, got "
-                             + ", ".join(type(one).__name__ for one in materials))
+            raise ValueError(
+                "either all bodies are Axisymmetric or none, got "
+                + ", ".join(type(one).__name__ for one in materials)
+            )
         r = mesh.points[:, 0]
         if r.min() < -_ROUNDING * r.max():
-            raise ValueError(f"axisymmetric bodies lie at radii x >= 0, got x = {r.min():.6g} m at node "
-                             f"{int(np.argmin(r))}")
+            raise ValueError(
+                f"axisymmetric bodies lie at radii x >= 0, got x = {r.min():.6g} m at node "
+                f"{int(np.argmin(r))}"
+            )
     return materials
 
 
 def is_axisymmetric(material: Materials) -> bool:
-    """Return whether x is the radius r, y the axial coordinate z, and integrals are weighted with 2 pi r."""
+    """Return whether x is the radius r, y the axial coordinate z, and integrals are weighted with 2
+    pi r."""
     if isinstance(material, Elastic):
         return isinstance(material, Axisymmetric)
     materials = material.values() if isinstance(material, Mapping) else material
@@ -70,7 +83,9 @@ def is_axisymmetric(material: Materials) -> bool:
 
 def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the Lame constants lambda and mu (n_bodies,) as they enter the stress, Pa."""
-    return np.array([one.lame for one in materials]), np.array([one.shear_modulus for one in materials])
+    return np.array([one.lame for one in materials]), np.array(
+        [one.shear_modulus for one in materials]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +97,19 @@ class Moduli:
     rows: np.ndarray  # (n_elements,) int32: which of them an element has
 
     def stress(self, strain: np.ndarray) -> np.ndarray:
-        """Return columns (n_elements, k) of C times strains (n_elements, 3, 3); plane stress: without that of zz."""
+        """Return columns (n_elements, k) of C times strains (n_elements, 3, 3); plane stress:
+        without that of zz."""
         strain = columns(strain, self.table.shape[1])
         result = np.zeros(strain.shape)
-        for i, j in np.argwhere(self.table.any(axis=0)):  # isotropic ones have a third of the entries
+        for i, j in np.argwhere(
+            self.table.any(axis=0)
+        ):  # isotropic ones have a third of the entries
             result[:, i] += self.table[self.rows, i, j] * strain[:, j]
         return result
 
     def work(self, stress: np.ndarray, other: np.ndarray, plane: bool) -> np.ndarray:
-        """Return one of two stresses, columns (n_elements, ..., k), times the strains that the other makes,
-        (n_elements, ...); in the plane the columns are xx, yy, xy."""
+        """Return one of two stresses, columns (n_elements, ..., k), times the strains that the
+        other makes, (n_elements, ...); in the plane the columns are xx, yy, xy."""
         kept = [0, 1, 3] if plane else list(range(self.table.shape[1]))
         compliance = np.linalg.inv(self.table[:, kept][:, :, kept])[self.rows]
         strain = (other.reshape(len(other), -1, len(kept)) @ compliance).reshape(other.shape)
@@ -103,21 +121,29 @@ class Moduli:
 
 
 def moduli(mesh: MeshArrays, materials: tuple[Elastic, ...], most: float = np.inf) -> Moduli:
-    """Return the tensors of the materials of the bodies. Lame's first constant of isotropic ones is cut off at ``most``
-    shear moduli."""
+    """Return the tensors of the materials of the bodies. Lame's first constant of isotropic ones is
+    cut off at ``most`` shear moduli."""
     thin = np.array([isinstance(one, PlaneStress) for one in materials])
     result = isotropic(*lame_constants(materials), thin, mesh, most)
     for k, material in enumerate(materials):
         if material.anisotropy is not None:
             here = np.flatnonzero(mesh.element_body == k)
-            own, rows = _turned(material, mesh.points[mesh.elements[here]].mean(axis=1)), result.rows.copy()
-            rows[here] = len(result.table) + (np.arange(len(here)) if material.anisotropy.varies else 0)
+            own, rows = (
+                _turned(material, mesh.points[mesh.elements[here]].mean(axis=1)),
+                result.rows.copy(),
+            )
+            rows[here] = len(result.table) + (
+                np.arange(len(here)) if material.anisotropy.varies else 0
+            )
             result = Moduli(np.concatenate([result.table, own]), rows)
     return result
 
 
-def isotropic(lame: np.ndarray, shear: np.ndarray, thin: np.ndarray, mesh: MeshArrays, most: float = np.inf) -> Moduli:
-    """Return the tensors of isotropic bodies, of which some are ``thin`` (n_bodies,) sheets in plane stress; see
+def isotropic(
+    lame: np.ndarray, shear: np.ndarray, thin: np.ndarray, mesh: MeshArrays, most: float = np.inf
+) -> Moduli:
+    """Return the tensors of isotropic bodies, of which some are ``thin`` (n_bodies,) sheets in
+    plane stress; see
     :func:`moduli`."""
     lame, k = np.minimum(lame, most * shear), 2 * mesh.dim
     table = shear[:, None, None] * np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])[:k, :k]
@@ -152,6 +178,6 @@ def columns(tensors: np.ndarray, k: int) -> np.ndarray:
 def as_tensors(stress: np.ndarray) -> np.ndarray:
     """Return the symmetric tensors (n, 3, 3) of the columns (n, k) of stresses."""
     result = np.zeros((len(stress), 3, 3))
-    i, j = _PAIRS[:stress.shape[1]].T
+    i, j = _PAIRS[: stress.shape[1]].T
     result[:, i, j] = result[:, j, i] = stress
     return result

@@ -1,45 +1,55 @@
-r"""What couples the contact nodes of a slave surface to the surface of another body: dual mortar multipliers.
+r"""What couples the contact nodes of a slave surface to the surface of another body: dual mortar
+multipliers.
 
-The point opposite slave node j moves by :math:`\sum_k B_{jk} u_k`, a combination of the nodes of the master surface
-with :math:`\sum_k B_{jk} = 1`. Non-penetration of the bodies is then nodal,
+The point opposite slave node j moves by :math:`\sum_k B_{jk} u_k`, a combination of the nodes of
+the master surface with :math:`\sum_k B_{jk} = 1`. Non-penetration of the bodies is then nodal,
 :math:`n_j\cdot(u_j - \sum_k B_{jk} u_k) \le g_j`, and a contact force on slave node j acts with the weights
 :math:`-B_{jk}` on the master (B. Wohlmuth, Acta Numerica 20, 2011, doi:10.1017/S0962492911000079).
 
-Parts of slave facets are found that have a part of a master facet opposite (:mod:`adaptmg.discrete.mortar_parts`), at
-the distance g along the normal. With A, c and S, measure, centroid and covariance of what is covered of a slave facet,
-and its corners :math:`x_j`, the dual basis :math:`\psi = \mathrm{diag}(d)\,m^{-1}\phi` over the covered part
-(:math:`d_j = \int\phi_j`, :math:`m_{ij} = \int\phi_i\phi_j`) is
+Parts of slave facets are found that have a part of a master facet opposite
+(:mod:`adaptmg.discrete.mortar_parts`), at the distance g along the normal. With A, c and S,
+measure, centroid and covariance of what is covered of a slave facet, and its corners :math:`x_j`,
+the dual basis :math:`\psi = \mathrm{diag}(d)\,m^{-1}\phi` over the covered part (:math:`d_j =
+\int\phi_j`, :math:`m_{ij} = \int\phi_i\phi_j`) is
 
 .. math:: \psi_j(x) = \phi_j(c)\,\bigl(1 + (x_j - c)\cdot S^{-1}(x - c)\bigr),
 
-which adds up to 1, is biorthogonal, and reproduces constants and linear functions however little is covered;
+which adds up to 1, is biorthogonal, and reproduces constants and linear functions however little is
+covered;
 
 .. math:: D_{jj} = \int\phi_j = A\,\phi_j(c),\quad M_{jk} = \int\psi_j\,\phi_k^{\mathrm{master}},\quad B = D^{-1}M,
    \quad g_j = D_{jj}^{-1}\int\psi_j\,g .
 
-In axisymmetry all integrals carry :math:`2\pi r`. Where corners b of a facet carry no multiplier, theirs are shared out
-evenly among its r corners a that do (crosspoint modification): :math:`\psi_a + \frac1r\sum_b\psi_b` add up to 1 and
-are biorthogonal on these corners, and :math:`D_{ab} = \frac1r\int\phi_b` makes b one of the nodes that a follows:
+In axisymmetry all integrals carry :math:`2\pi r`. Where corners b of a facet carry no multiplier,
+theirs are shared out evenly among its r corners a that do (crosspoint modification): :math:`\psi_a
++ \frac1r\sum_b\psi_b` add up to 1 and are biorthogonal on these corners, and :math:`D_{ab} =
+\frac1r\int\phi_b` makes b one of the nodes that a follows:
 :math:`u_a - (\sum_k M_{ak} u_k - \sum_b D_{ab} u_b)/D_{aa}`.
 
-Surfaces are made of facets. Where two curved surfaces fit each other, their facets overlap by up to the heights of
-both facets under the arcs, about :math:`\tfrac14 h\,|n_i - n_F|` with the averaged normal :math:`n_i` at a corner of
-facet F: negative gaps above minus that are the discretisation, not interference, and are taken as zero.
+Surfaces are made of facets. Where two curved surfaces fit each other, their facets overlap by up to
+the heights of both facets under the arcs, about :math:`\tfrac14 h\,|n_i - n_F|` with the averaged
+normal :math:`n_i` at a corner of facet F: negative gaps above minus that are the discretisation,
+not interference, and are taken as zero.
 
-A slave node of whose part less than a quarter has the master opposite (where the slave hangs over) carries no
-multiplier: its dual function would be large, of the order of one over the covered fraction, and with it the entries of
-the coupling, which spoils the smoothing. The multipliers next to it take over, so that constant pressures stay exact.
+A slave node of whose part less than a quarter has the master opposite (where the slave hangs over)
+carries no multiplier: its dual function would be large, of the order of one over the covered
+fraction, and with it the entries of the coupling, which spoils the smoothing. The multipliers next
+to it take over, so that constant pressures stay exact.
 
-Where the meshes match, node j may face the one master node k(j) nearest to it (:func:`node_to_node`):
+Where the meshes match, node j may face the one master node k(j) nearest to it
+(:func:`node_to_node`):
 :math:`B_{jk} = \delta_{k,k(j)}`, with
 
 .. math:: g_j = (x_{k(j)} - x_j)\cdot n_j, \qquad w_j = \int\phi_j
 
 over the slave surface (in axisymmetry with :math:`2\pi r`).
 
-Sources: B. Wohlmuth, SIAM J. Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929 (dual multipliers); A. Popp,
-M. Gitterle, M. Gee, W. Wall, Int. J. Numer. Meth. Engng 83, 2010, doi:10.1002/nme.2866 (in 3D); T. Cichosz,
-M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011, doi:10.1016/j.cma.2010.11.004 (over the covered part).
+Sources: B. Wohlmuth, SIAM J. Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929 (dual
+multipliers); A. Popp,
+M. Gitterle, M. Gee, W. Wall, Int. J. Numer. Meth. Engng 83, 2010, doi:10.1002/nme.2866 (in 3D); T.
+   Cichosz,
+M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011, doi:10.1016/j.cma.2010.11.004 (over the
+   covered part).
 """
 
 from __future__ import annotations
@@ -62,12 +72,15 @@ _ROUNDING = 1e-12  # of the bodies' size
 _LEAST_COVERED = 0.25  # of the part of a slave node
 _OFFSET = 1e-2  # of the shortest edge of facets at a slave node: how far off its normal its partner may lie
 _NEGLIGIBLE = 1e-13  # of the largest entry in a row of B, and of the measure around a node
-_SYMMETRY_TILT = np.cos(np.pi / 6)  # normals within 30 degrees of a plane of symmetry are put into it
+_SYMMETRY_TILT = np.cos(
+    np.pi / 6
+)  # normals within 30 degrees of a plane of symmetry are put into it
 
 
 @dataclass(frozen=True, eq=False)
 class MortarInterface:
-    """Contact nodes of a boundary (of a pair: slave nodes with a multiplier), and what they face."""
+    """Contact nodes of a boundary (of a pair: slave nodes with a multiplier), and what they
+    face."""
 
     nodes: np.ndarray  # (n,) int: slave nodes, ascending
     normals: np.ndarray  # (n, dim): unit normals, out of the slave body
@@ -87,7 +100,8 @@ class MortarInterface:
 
 
 def slave_normals(slave: Surface, held: HeldNodes) -> np.ndarray:
-    """Return average normals (n_nodes, dim) without components along what supports hold, where these are small."""
+    """Return average normals (n_nodes, dim) without components along what supports hold, where
+    these are small."""
     normals, nodes = slave.node_normals.copy(), slave.nodes
     inside = held.free_part(nodes, normals[nodes])
     lengths = np.linalg.norm(inside, axis=1)
@@ -96,19 +110,29 @@ def slave_normals(slave: Surface, held: HeldNodes) -> np.ndarray:
     return normals
 
 
-def pair_interface(mesh: MeshArrays, pair: ContactPair, *, held: HeldNodes, excluded: np.ndarray,
-                   axisymmetric: bool) -> MortarInterface:
+def pair_interface(
+    mesh: MeshArrays,
+    pair: ContactPair,
+    *,
+    held: HeldNodes,
+    excluded: np.ndarray,
+    axisymmetric: bool,
+) -> MortarInterface:
     """Return the interface of a pair."""
     slave, master = mesh.surface(pair.slave), mesh.surface(pair.master)
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
         nothing = sparse.csr_array((0, mesh.n_nodes))
-        return MortarInterface(slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), nothing, np.empty(0))
+        return MortarInterface(
+            slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), nothing, np.empty(0)
+        )
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
         surfaces = Surfaces(slave, master, slave_normals(slave, held), excluded, axisymmetric)
         interface = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little
-        hanging = interface.nodes[interface.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[interface.nodes]]
+        hanging = interface.nodes[
+            interface.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[interface.nodes]
+        ]
         if 0 < len(hanging) < len(interface) and pair.coupling == "mortar":
             interface = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
@@ -119,19 +143,24 @@ def pair_interface(mesh: MeshArrays, pair: ContactPair, *, held: HeldNodes, excl
         # a row that slave nodes without a multiplier take part in measures their gaps with its own
         silent = np.setdiff1d(slave.nodes, interface.nodes)
         if len(silent):
-            gaps = gaps - interface.coupling[:, silent] @ checks.field(f"gap of {what}", pair.gap, mesh.points[silent])
+            gaps = gaps - interface.coupling[:, silent] @ checks.field(
+                f"gap of {what}", pair.gap, mesh.points[silent]
+            )
     if not pair.allow_interference:
         tolerance = np.full(len(gaps), _ROUNDING * surfaces.size)
         if pair.gap is None:
             tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
-            # the surfaces themselves must overlap, and not only a mean of their distance with weights of both signs
+            # the surfaces themselves must overlap, and not only a mean of their distance with
+            # weights of both signs
             tolerance[interface.closest >= -tolerance] = np.inf
         wrong = np.flatnonzero(gaps < -tolerance)
         if len(wrong):
             deepest = wrong[np.argmin(gaps[wrong])]
-            raise ValueError(f"{what}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
-                             f"{tuple(mesh.points[interface.nodes[deepest]].tolist())}: move one of them apart, or "
-                             "say allow_interference=True for an interference fit")
+            raise ValueError(
+                f"{what}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
+                f"{tuple(mesh.points[interface.nodes[deepest]].tolist())}: move one of them apart, or "
+                "say allow_interference=True for an interference fit"
+            )
         gaps = np.maximum(gaps, 0.0)
     return replace(interface, gaps=gaps)
 
@@ -149,7 +178,8 @@ def _edge_lengths(surface: Surface) -> np.ndarray:
 
 
 def _facet_heights(surface: Surface) -> np.ndarray:
-    """At nodes (n_nodes,) of a surface the largest height of a facet there under the arc, about, m; zero elsewhere."""
+    """At nodes (n_nodes,) of a surface the largest height of a facet there under the arc, about, m;
+    zero elsewhere."""
     length = _edge_lengths(surface).max(axis=1)
     result = np.zeros(len(surface.points))
     for corner in surface.facets.T:
@@ -172,14 +202,21 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     _check_partners(surfaces, nodes, partner, offset)
     weights = surfaces.slave_side.lumped(surfaces.axisymmetric)[nodes]
     if not weights.min() > 0:
-        raise ValueError(f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
-                         "symmetry; end the boundary there")
-    coupling = sparse.csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), partner)),
-                                shape=(len(nodes), len(points)))
-    return MortarInterface(nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling, closest=gaps)
+        raise ValueError(
+            f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
+            "symmetry; end the boundary there"
+        )
+    coupling = sparse.csr_array(
+        (np.ones(len(nodes)), (np.arange(len(nodes)), partner)), shape=(len(nodes), len(points))
+    )
+    return MortarInterface(
+        nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling, closest=gaps
+    )
 
 
-def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, offset: np.ndarray) -> None:
+def _check_partners(
+    surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, offset: np.ndarray
+) -> None:
     points, shortest = surfaces.points, np.full(len(surfaces.points), np.inf)
     np.minimum.at(shortest, surfaces.slave, _edge_lengths(surfaces.slave_side).min(axis=1)[:, None])
     allowed, vectors = _OFFSET * shortest[nodes], np.zeros(points.shape)
@@ -187,61 +224,96 @@ def _check_partners(surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, 
         np.add.at(vectors, corner, surfaces.master_side.vectors)
     facing = np.einsum("nd,nd->n", vectors[partner], surfaces.normals[nodes]) < 0
     if not facing.any():
-        raise ValueError(f"{NEVER_FACING}: the normals of slave nodes and of their partners point the same way. Check "
-                         "the orientation of the facets")
+        raise ValueError(
+            f"{NEVER_FACING}: the normals of slave nodes and of their partners point the same way. Check "
+            "the orientation of the facets"
+        )
     missing = np.flatnonzero((offset > allowed) | ~facing)
     if len(missing):
         i = missing[0]
-        raise ValueError(f"slave node {nodes[i]} {tuple(points[nodes[i]].tolist())} has no partner: the nearest master "
-                         f"node {partner[i]} {tuple(points[partner[i]].tolist())} lies {offset[i]:.3g} m off its "
-                         f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
-                         f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes or a mortar coupling")
+        raise ValueError(
+            f"slave node {nodes[i]} {tuple(points[nodes[i]].tolist())} has no partner: the nearest master "
+            f"node {partner[i]} {tuple(points[partner[i]].tolist())} lies {offset[i]:.3g} m off its "
+            f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
+            f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes or a mortar coupling"
+        )
 
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     """Couple the nodes of a slave surface to a master surface."""
-    carries, n_nodes, covered = surfaces.carries[surfaces.slave], len(surfaces.points), covered_parts(surfaces, reach)
+    carries, n_nodes, covered = (
+        surfaces.carries[surfaces.slave],
+        len(surfaces.points),
+        covered_parts(surfaces, reach),
+    )
     parts = covered.only((covered.enough & carries.any(axis=1))[covered.slave])
     if not len(parts.slave):
         if len(covered.slave):
-            raise ValueError("the surfaces face each other only where slave nodes are excluded, or on a sliver of each "
-                             "facet; take the other surface as slave")
+            raise ValueError(
+                "the surfaces face each other only where slave nodes are excluded, or on a sliver of each "
+                "facet; take the other surface as slave"
+            )
         within = "" if reach is None else f" within a reach of {reach:.6g} m"
-        raise ValueError(f"{NEVER_FACING}{within}: no ray along a normal of the slave surface meets the outer side of "
-                         "the master surface. Check their positions and the orientation of their facets, or give a "
-                         "larger reach")
+        raise ValueError(
+            f"{NEVER_FACING}{within}: no ray along a normal of the slave surface meets the outer side of "
+            "the master surface. Check their positions and the orientation of their facets, or give a "
+            "larger reach"
+        )
     measure, shape, dual = _dual_functions(parts)
     own = measure[:, None] * shape
     # how the dual functions of corners without multiplier go to the others
-    share = carries[:, :, None] * ~carries[:, None, :] / np.maximum(carries.sum(axis=1), 1)[:, None, None]
+    share = (
+        carries[:, :, None]
+        * ~carries[:, None, :]
+        / np.maximum(carries.sum(axis=1), 1)[:, None, None]
+    )
     share = share + np.eye(carries.shape[1]) * carries[:, :, None]
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
     followed = share * np.where(carries, 0.0, own)[:, None, :]
     slave, k = surfaces.slave[parts.slave], carries.shape[1]
     rows = np.repeat(np.concatenate([slave, surfaces.slave]), k)
-    columns = np.tile(np.concatenate([surfaces.master[parts.master], surfaces.slave]), (1, k)).ravel()
+    columns = np.tile(
+        np.concatenate([surfaces.master[parts.master], surfaces.slave]), (1, k)
+    ).ravel()
     values = np.concatenate([np.einsum("piq,pqk->pik", tests, parts.shapes), -followed]).ravel()
     total = sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
-    diagonal = np.bincount(surfaces.slave.ravel(), np.where(carries, own, 0.0).ravel(), minlength=n_nodes)
-    gaps = np.bincount(slave.ravel(), np.einsum("piq,pq->pi", tests, parts.distances).ravel(), minlength=n_nodes)
+    diagonal = np.bincount(
+        surfaces.slave.ravel(), np.where(carries, own, 0.0).ravel(), minlength=n_nodes
+    )
+    gaps = np.bincount(
+        slave.ravel(), np.einsum("piq,pq->pi", tests, parts.distances).ravel(), minlength=n_nodes
+    )
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
-    nodes = np.flatnonzero(diagonal > _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric))
+    nodes = np.flatnonzero(
+        diagonal > _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric)
+    )
     coupling = sparse.csr_array(sparse.diags_array(1 / diagonal[nodes]) @ total[nodes])
-    return MortarInterface(nodes=nodes, normals=surfaces.normals[nodes], weights=diagonal[nodes],
-                           gaps=gaps[nodes] / diagonal[nodes], coupling=_without_rounding(coupling),
-                           closest=closest[nodes])
+    return MortarInterface(
+        nodes=nodes,
+        normals=surfaces.normals[nodes],
+        weights=diagonal[nodes],
+        gaps=gaps[nodes] / diagonal[nodes],
+        coupling=_without_rounding(coupling),
+        closest=closest[nodes],
+    )
 
 
 def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measures (n_slave,) of what is covered of slave facets, shape functions (n_slave, dim) at the centroids of that,
-    and dual functions (n, n_points, dim)."""
+    """Measures (n_slave,) of what is covered of slave facets, shape functions (n_slave, dim) at the
+    centroids of that, and dual functions (n, n_points, dim)."""
     measure, centroid, off, covariance = parts.means()
     corners = np.swapaxes(parts.corners - centroid[:, None], 1, 2)
     n, k = corners.shape[::2]
-    shape = np.linalg.solve(np.concatenate([np.ones((n, 1, k)), corners], axis=1), np.eye(k)[:, :1])[..., 0]
+    shape = np.linalg.solve(
+        np.concatenate([np.ones((n, 1, k)), corners], axis=1), np.eye(k)[:, :1]
+    )[..., 0]
     towards = np.linalg.solve(covariance, corners)
-    return measure, shape, shape[parts.slave, None] * (1 + np.einsum("pqa,paj->pqj", off, towards[parts.slave]))
+    return (
+        measure,
+        shape,
+        shape[parts.slave, None] * (1 + np.einsum("pqa,paj->pqj", off, towards[parts.slave])),
+    )
 
 
 def _without_rounding(coupling: sparse.csr_array) -> sparse.csr_array:

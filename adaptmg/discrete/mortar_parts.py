@@ -1,8 +1,9 @@
 r"""What of a slave surface is covered: parts of its facets with a part of a master facet opposite.
 
-In the plane, also for solids of revolution, the continuous normal field of the slave surface is n(s), linear on every
-edge between averaged nodal normals: along slave edge (a, b) let :math:`x(s) = x_a + s\,(x_b - x_a)` and :math:`n(s) =
-n_a + s\,(n_b - n_a)`, 0 <= s <= 1. The ray :math:`x(s) + \alpha\,n(s)` meets the line through the master edge
+In the plane, also for solids of revolution, the continuous normal field of the slave surface is
+n(s), linear on every edge between averaged nodal normals: along slave edge (a, b) let :math:`x(s) =
+x_a + s\,(x_b - x_a)` and :math:`n(s) = n_a + s\,(n_b - n_a)`, 0 <= s <= 1. The ray :math:`x(s) +
+\alpha\,n(s)` meets the line through the master edge
 :math:`(y_1, y_2)` at
 
 .. math:: \alpha = \frac{(x - y_1)\times(y_2 - y_1)}{f},\qquad \eta = \frac{(x - y_1)\times n}{f},\qquad
@@ -12,13 +13,13 @@ and the edge faces the ray if f > 0. The rays do not cross between the surfaces 
 :math:`(x_b - x_a)\times n - \alpha\; n\times(n_b - n_a) < 0`. Integrals are sums over Gauss points of the covered parts
 (B. Yang, T. Laursen, X. Meng, Int. J. Numer. Meth. Engng 62, 2005, doi:10.1002/nme.1222).
 
-In space every slave triangle has a frame (e1, e2, n) with its origin at the centroid, n being the average of its nodal
-normals; coordinates in it are called local, and e1 and e2 span the auxiliary plane (M. Puso, T. Laursen, Comput.
-Methods Appl. Mech. Engrg 193, 2004, doi:10.1016/j.cma.2003.06.010). The triangle and the master triangles that face it
-are projected on it along that normal, and clipped against each other. On the common parts all shape functions and the
-gap are affine: three points with the area, centroid and covariance of a part integrate products of two of them exactly.
-Areas are those on the slave triangle.
-"""
+In space every slave triangle has a frame (e1, e2, n) with its origin at the centroid, n being the
+average of its nodal normals; coordinates in it are called local, and e1 and e2 span the auxiliary
+plane (M. Puso, T. Laursen, Comput. Methods Appl. Mech. Engrg 193, 2004,
+doi:10.1016/j.cma.2003.06.010). The triangle and the master triangles that face it are projected on
+it along that normal, and clipped against each other. On the common parts all shape functions and
+the gap are affine: three points with the area, centroid and covariance of a part integrate products
+of two of them exactly. Areas are those on the slave triangle."""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ class Surfaces:
 
     slave_side: Surface
     master_side: Surface  # nodes on both, as at tips of a crack, are ordinary ones
-    normals: np.ndarray  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
+    normals: (
+        np.ndarray
+    )  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
     excluded: np.ndarray = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
     axisymmetric: bool = False  # x is a radius; 2D only
     points: np.ndarray = field(init=False, repr=False)  # (n_nodes, dim): those of the mesh, m
@@ -50,25 +53,40 @@ class Surfaces:
     size: float = field(init=False, repr=False)  # diagonal of the bounding box of both surfaces, m
 
     def __post_init__(self) -> None:
-        points, slave_nodes, master_nodes = self.slave_side.points, self.slave_side.nodes, self.master_side.nodes
+        points, slave_nodes, master_nodes = (
+            self.slave_side.points,
+            self.slave_side.nodes,
+            self.master_side.nodes,
+        )
         carries = np.zeros(len(points), dtype=bool)
         carries[slave_nodes] = True
         carries[master_nodes] = carries[np.asarray(self.excluded, dtype=np.int64)] = False
         if not carries.any():
-            raise ValueError("every node of the slave surface is excluded, or one of the master too, which leaves none "
-                             "to carry contact; take the other surface as slave, or free some of its nodes")
+            raise ValueError(
+                "every node of the slave surface is excluded, or one of the master too, which leaves none "
+                "to carry contact; take the other surface as slave, or free some of its nodes"
+            )
         size = float(np.linalg.norm(np.ptp(points[np.r_[slave_nodes, master_nodes]], axis=0)))
-        slave, master = (np.ascontiguousarray(one.facets, dtype=np.int64) for one in (self.slave_side,
-                                                                                      self.master_side))
-        for name, value in (("points", points), ("slave", slave), ("master", master), ("carries", carries),
-                            ("size", size)):
+        slave, master = (
+            np.ascontiguousarray(one.facets, dtype=np.int64)
+            for one in (self.slave_side, self.master_side)
+        )
+        for name, value in (
+            ("points", points),
+            ("slave", slave),
+            ("master", master),
+            ("carries", carries),
+            ("size", size),
+        ):
             object.__setattr__(self, name, value)
         outward = np.einsum("fd,fkd->fk", self.slave_side.vectors, self.normals[slave])
         if not (outward > 0).all():
             i = slave[outward <= 0][0]
-            raise ValueError(f"normals must point out of the slave body; that of node {i} {tuple(points[i].tolist())} "
-                             "does not on one of its facets. Reverse the facets, or split the boundary where it has a "
-                             "sharp corner")
+            raise ValueError(
+                f"normals must point out of the slave body; that of node {i} {tuple(points[i].tolist())} "
+                "does not on one of its facets. Reverse the facets, or split the boundary where it has a "
+                "sharp corner"
+            )
 
     def depths(self, reach: float | None) -> tuple[float, float]:
         """Return how far behind and in front of the slave surface the master is looked for, m."""
@@ -77,13 +95,15 @@ class Surfaces:
 
 @dataclass(frozen=True, eq=False)
 class CoveredParts:
-    """Covered parts of slave facets with points to integrate by. Places are coordinates along a slave facet, relative
-    to any point of it: so those of small parts lose no digits."""
+    """Covered parts of slave facets with points to integrate by. Places are coordinates along a
+    slave facet, relative to any point of it: so those of small parts lose no digits."""
 
     slave: np.ndarray  # (n,) int: facets
     master: np.ndarray  # (n,) int: facets
     places: np.ndarray  # (n, n_points, dim - 1)
-    weights: np.ndarray  # (n, n_points): their measure on the slave facet, in axisymmetry over the circumference
+    weights: (
+        np.ndarray
+    )  # (n, n_points): their measure on the slave facet, in axisymmetry over the circumference
     shapes: np.ndarray  # (n, n_points, dim): the shape functions of the master's corners
     distances: np.ndarray  # (n, n_points): along the unit normal, m
     corners: np.ndarray  # (n_slave, dim, dim - 1): places of the corners of all slave facets
@@ -91,22 +111,32 @@ class CoveredParts:
 
     def only(self, kept: np.ndarray) -> CoveredParts:
         """Return some of the parts."""
-        return replace(self, **{name: getattr(self, name)[kept] for name in (
-            "slave", "master", "places", "weights", "shapes", "distances")})
+        return replace(
+            self,
+            **{
+                name: getattr(self, name)[kept]
+                for name in ("slave", "master", "places", "weights", "shapes", "distances")
+            },
+        )
 
     def means(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return measure (n_slave,), centroid (n_slave, dim - 1) and covariance of what is covered of slave facets, 0,
-        0 and 1 if nothing is; before the last, places relative to the centroid."""
+        """Return measure (n_slave,), centroid (n_slave, dim - 1) and covariance of what is covered
+        of slave facets, 0, 0 and 1 if nothing is; before the last, places relative to the
+        centroid."""
         n, k = self.corners.shape[:2]
 
         def sums(values: np.ndarray) -> np.ndarray:
-            return np.stack([np.bincount(self.slave, column, minlength=n) for column in values.T], axis=1)
+            return np.stack(
+                [np.bincount(self.slave, column, minlength=n) for column in values.T], axis=1
+            )
 
         measure = sums(self.weights.sum(axis=1, keepdims=True))[:, 0]
-        share = self.weights / np.where(measure > 0, measure, 1.0)[self.slave, None]  # an edge may lie on the axis
+        share = (
+            self.weights / np.where(measure > 0, measure, 1.0)[self.slave, None]
+        )  # an edge may lie on the axis
         centroid = sums(np.einsum("pq,pqa->pa", share, self.places))
         off = self.places - centroid[self.slave, None]
-        products = np.einsum("pq,pqa,pqb->pab", share, off, off).reshape(-1, (k - 1)**2)
+        products = np.einsum("pq,pqa,pqb->pab", share, off, off).reshape(-1, (k - 1) ** 2)
         covariance = sums(products).reshape(n, k - 1, k - 1)
         covariance[measure == 0] = np.eye(k - 1)
         return measure, centroid, off, covariance
@@ -114,7 +144,9 @@ class CoveredParts:
 
 def covered_parts(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     """Return the parts of a slave surface with the master surface opposite."""
-    return (_parts_of_edges if surfaces.points.shape[1] == 2 else _parts_of_triangles)(surfaces, reach)
+    return (_parts_of_edges if surfaces.points.shape[1] == 2 else _parts_of_triangles)(
+        surfaces, reach
+    )
 
 
 def cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -143,11 +175,21 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
         measure = measure * (2 * np.pi * np.maximum(x[:, :1] + s * e[:, :1], 0.0))
     eta, distance = _opposite(surfaces, slave, master, s)
     corners = np.stack([-origin, 1 - origin], axis=1)[..., None]
-    return CoveredParts(edge, facet, offset[..., None], measure, np.stack([1 - eta, eta], axis=2), distance, corners,
-                        covered >= _LEAST_OF_EDGE)
+    return CoveredParts(
+        edge,
+        facet,
+        offset[..., None],
+        measure,
+        np.stack([1 - eta, eta], axis=2),
+        distance,
+        corners,
+        covered >= _LEAST_OF_EDGE,
+    )
 
 
-def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(
+    surfaces: Surfaces, backward: float, forward: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Slave edge, master edge and ends (n, 2) in s of the covered parts of all slave edges."""
     edge, facet = _edges_near(surfaces, backward, forward)
     ends = _in_front(surfaces, edge, facet)
@@ -160,13 +202,27 @@ def _pieces(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.nda
     breaks = ends.ravel()[np.lexsort((ends.ravel(), np.repeat(edge, 2)))]
     room = 2 * len(edge)
     pieces = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty((room, 2))
-    n = nearest_pieces(surfaces.points, surfaces.normals, surfaces.slave, surfaces.master, starts, facet,
-                       np.ascontiguousarray(ends[:, 0]), np.ascontiguousarray(ends[:, 1]), breaks, backward, forward,
-                       np.empty(counts.max(initial=0), dtype=np.int64), *pieces)
+    n = nearest_pieces(
+        surfaces.points,
+        surfaces.normals,
+        surfaces.slave,
+        surfaces.master,
+        starts,
+        facet,
+        np.ascontiguousarray(ends[:, 0]),
+        np.ascontiguousarray(ends[:, 1]),
+        breaks,
+        backward,
+        forward,
+        np.empty(counts.max(initial=0), dtype=np.int64),
+        *pieces,
+    )
     return pieces[0][:n], pieces[1][:n], pieces[2][:n]
 
 
-def _edges_near(surfaces: Surfaces, backward: float, forward: float) -> tuple[np.ndarray, np.ndarray]:
+def _edges_near(
+    surfaces: Surfaces, backward: float, forward: float
+) -> tuple[np.ndarray, np.ndarray]:
     n, x = surfaces.normals[surfaces.slave], surfaces.points[surfaces.slave]
     mean = n.mean(axis=1)
     shortest = np.linalg.norm(mean, axis=1)[:, None, None]  # of n(s), for unit normals at the ends
@@ -175,25 +231,30 @@ def _edges_near(surfaces: Surfaces, backward: float, forward: float) -> tuple[np
     local = np.einsum("ead,ekd->eka", frames, corners - x[:, :1])
     pad = 1e-12 * surfaces.size
     return BoxTree(surfaces.points, surfaces.master).meeting(
-        frames, np.ascontiguousarray(x[:, 0]), local.min(axis=1) - pad, local.max(axis=1) + pad)
+        frames, np.ascontiguousarray(x[:, 0]), local.min(axis=1) - pad, local.max(axis=1) + pad
+    )
 
 
 def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.ndarray:
-    """Part (n, 2) of each slave edge in front of which its master edge lies, without regard to the distance."""
+    """Part (n, 2) of each slave edge in front of which its master edge lies, without regard to the
+    distance."""
     start, end = surfaces.master[facet].T
     slave = surfaces.slave[edge]
-    # the surfaces run in opposite directions, so that the master's end comes first; small parts at the ends of a slave
-    # edge are rounding
-    parts = np.column_stack([_projection(surfaces, slave, end), _projection(surfaces, slave, start)])
+    # the surfaces run in opposite directions, so that the master's end comes first; small parts at
+    # the ends of a slave edge are rounding
+    parts = np.column_stack(
+        [_projection(surfaces, slave, end), _projection(surfaces, slave, start)]
+    )
     parts[parts < 1e-12] = 0.0
     parts[parts > 1 - 1e-12] = 1.0
     return parts
 
 
 def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.ndarray:
-    r"""Where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times n(s) = 0`. Of the two
-    roots of this quadratic equation the one where q falls: there the node is before the centre of curvature. If there
-    is none, 1 where q > 0 and 0 where q < 0: the node is next to all of the edge."""
+    r"""Where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times n(s)
+    = 0`. Of the two roots of this quadratic equation the one where q falls: there the node is
+    before the centre of curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is
+    next to all of the edge."""
     x, n = surfaces.points[slave], surfaces.normals[slave]
     e, turn, r = x[:, 1] - x[:, 0], n[:, 1] - n[:, 0], x[:, 0] - surfaces.points[node]
     a, b, c = cross(e, turn), cross(r, turn) + cross(e, n[:, 0]), cross(r, n[:, 0])
@@ -205,9 +266,11 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
     return s
 
 
-def _opposite(surfaces: Surfaces, slave: np.ndarray, master: np.ndarray, s: np.ndarray
-              ) -> tuple[np.ndarray, np.ndarray]:
-    """Position 0 .. 1 on the master edge, and distance along the unit normal, at points s (n, n_points)."""
+def _opposite(
+    surfaces: Surfaces, slave: np.ndarray, master: np.ndarray, s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position 0 .. 1 on the master edge, and distance along the unit normal, at points s (n,
+    n_points)."""
     x, n, y = surfaces.points[slave], surfaces.normals[slave], surfaces.points[master]
     s = s[:, :, None]
     at = x[:, :1] + s * (x[:, 1:] - x[:, :1]) - y[:, :1]
@@ -225,8 +288,9 @@ _BESIDE = 1e-9  # how far outside a master edge, as a fraction of it, a ray may 
 
 @kernel
 def distance_along_normal(points, normals, a, b, y1, y2, s):
-    """Return the distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1, y2). Infinite if the
-    ray misses the edge, the edge faces away, or rays cross before they reach it."""
+    """Return the distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1,
+    y2). Infinite if the ray misses the edge, the edge faces away, or rays cross before they reach
+    it."""
     ex, ey = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
     dx, dy = normals[b, 0] - normals[a, 0], normals[b, 1] - normals[a, 1]
     nx, ny = normals[a, 0] + s * dx, normals[a, 1] + s * dy
@@ -243,9 +307,25 @@ def distance_along_normal(points, normals, a, b, y1, y2, s):
 
 
 @kernel
-def nearest_pieces(points, normals, slave, master, starts, facets, lows, highs, breaks, backward, forward, active,
-                   piece_edge, piece_facet, piece_ends):
-    """Cut each slave edge where a master edge begins or ends; give each part the nearest master edge in front of it."""
+def nearest_pieces(
+    points,
+    normals,
+    slave,
+    master,
+    starts,
+    facets,
+    lows,
+    highs,
+    breaks,
+    backward,
+    forward,
+    active,
+    piece_edge,
+    piece_facet,
+    piece_ends,
+):
+    """Cut each slave edge where a master edge begins or ends; give each part the nearest master
+    edge in front of it."""
     n_pieces = 0
     for e in range(len(slave)):
         a, b = slave[e, 0], slave[e, 1]
@@ -268,8 +348,9 @@ def nearest_pieces(points, normals, slave, master, starts, facets, lows, highs, 
                     continue
                 active[kept] = pair
                 kept += 1
-                distance = distance_along_normal(points, normals, a, b, master[facets[pair], 0],
-                                                 master[facets[pair], 1], middle)
+                distance = distance_along_normal(
+                    points, normals, a, b, master[facets[pair], 0], master[facets[pair], 1], middle
+                )
                 if -backward <= distance <= forward and abs(distance) < best_distance:
                     best, best_distance = pair, abs(distance)
             n_active = kept
@@ -285,9 +366,13 @@ def nearest_pieces(points, normals, slave, master, starts, facets, lows, highs, 
 
 _LEAST_OF_TRIANGLE = 1e-6  # of a triangle: less is left out
 _GRAZING = 1e-2  # a master facet faces a slave facet if it leans towards its normal by more than this angle (rad)
-_STRIP = 1e-3  # a covariance S of a smaller ratio det(S) / trace(S)^2 is taken in its principal axes
+_STRIP = (
+    1e-3  # a covariance S of a smaller ratio det(S) / trace(S)^2 is taken in its principal axes
+)
 # three points of unit covariance, coordinate by coordinate
-_POINTS = np.sqrt(2) * np.array([np.cos([0, 2 * np.pi / 3, 4 * np.pi / 3]), np.sin([0, 2 * np.pi / 3, 4 * np.pi / 3])])
+_POINTS = np.sqrt(2) * np.array(
+    [np.cos([0, 2 * np.pi / 3, 4 * np.pi / 3]), np.sin([0, 2 * np.pi / 3, 4 * np.pi / 3])]
+)
 
 
 def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts:
@@ -296,7 +381,9 @@ def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts
     start, near = _triangles_near(surfaces, frames, *depths)
     parts = _common_parts(surfaces, frames, start, near, *depths)
     covariance = parts.means()[-1]
-    strips = np.flatnonzero(np.linalg.det(covariance) < _STRIP * np.trace(covariance, axis1=1, axis2=2)**2)
+    strips = np.flatnonzero(
+        np.linalg.det(covariance) < _STRIP * np.trace(covariance, axis1=1, axis2=2) ** 2
+    )
     if len(strips):
         # in the strip's axes, else the covariance has no digits left across it
         axes = np.linalg.eigh(covariance[strips])[1]
@@ -324,9 +411,11 @@ def _local(surfaces: Surfaces, frames: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return origins, np.einsum("fad,fkd->fka", frames, corners - origins[:, None])
 
 
-def _triangles_near(surfaces: Surfaces, frames: np.ndarray, backward: float, forward: float
-                ) -> tuple[np.ndarray, np.ndarray]:
-    """Master facets that may be opposite to a slave facet: where those of each begin, and their numbers."""
+def _triangles_near(
+    surfaces: Surfaces, frames: np.ndarray, backward: float, forward: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Master facets that may be opposite to a slave facet: where those of each begin, and their
+    numbers."""
     origins, local = _local(surfaces, frames)
     low, high = local.min(axis=1), local.max(axis=1)
     low[:, 2] -= backward
@@ -338,14 +427,23 @@ def _triangles_near(surfaces: Surfaces, frames: np.ndarray, backward: float, for
     return start, near[facing]
 
 
-def _common_parts(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, near: np.ndarray, backward: float,
-                  forward: float) -> CoveredParts:
+def _common_parts(
+    surfaces: Surfaces,
+    frames: np.ndarray,
+    start: np.ndarray,
+    near: np.ndarray,
+    backward: float,
+    forward: float,
+) -> CoveredParts:
     """The visible common parts."""
     origins, local = _local(surfaces, frames)
     slave = np.repeat(np.arange(len(frames)), np.diff(start))
     # seen from the slave a facing facet runs clockwise: turned round
-    other = np.einsum("pad,pkd->pka", frames[slave],
-                      surfaces.points[surfaces.master[near, ::-1]] - origins[slave][:, None])
+    other = np.einsum(
+        "pad,pkd->pka",
+        frames[slave],
+        surfaces.points[surfaces.master[near, ::-1]] - origins[slave][:, None],
+    )
     moments = np.empty((len(near), MOMENTS))
     common_moments(local, other, start, backward, forward, moments)
     real = moments[:, 0] > 0
@@ -355,23 +453,39 @@ def _common_parts(surfaces: Surfaces, frames: np.ndarray, start: np.ndarray, nea
     wide = np.sqrt(xx)
     tilt = xy / wide
     high = np.sqrt(np.maximum(yy - tilt**2, 0.0))
-    steps = np.stack([wide[:, None] * _POINTS[0], tilt[:, None] * _POINTS[0] + high[:, None] * _POINTS[1]], axis=2)
+    steps = np.stack(
+        [wide[:, None] * _POINTS[0], tilt[:, None] * _POINTS[0] + high[:, None] * _POINTS[1]],
+        axis=2,
+    )
     value, slope = _barycentric(other[..., :2], at)
     base, base_slope = _barycentric(local[slave, :, :2], at)
     shapes = value[:, None] + np.einsum("pqa,pka->pqk", steps, slope)
     own_shapes = base[:, None] + np.einsum("pqa,pka->pqk", steps, base_slope)
-    distances = np.einsum("pqk,pk->pq", shapes, other[..., 2]) - np.einsum("pqk,pk->pq", own_shapes, local[slave, :, 2])
-    stretch = surfaces.slave_side.measures / np.einsum("fd,fd->f", surfaces.slave_side.vectors, frames[:, 2])
+    distances = np.einsum("pqk,pk->pq", shapes, other[..., 2]) - np.einsum(
+        "pqk,pk->pq", own_shapes, local[slave, :, 2]
+    )
+    stretch = surfaces.slave_side.measures / np.einsum(
+        "fd,fd->f", surfaces.slave_side.vectors, frames[:, 2]
+    )
     weights = np.repeat((area * stretch[slave] / 3)[:, None], 3, axis=1)
     origin = np.zeros((len(frames), 2))
     origin[slave] = at
     covered = np.bincount(slave, weights.sum(axis=1), minlength=len(frames))
-    return CoveredParts(slave, master, (at - origin[slave])[:, None] + steps, weights, shapes, distances,
-                        local[..., :2] - origin[:, None], covered >= _LEAST_OF_TRIANGLE * surfaces.slave_side.measures)
+    return CoveredParts(
+        slave,
+        master,
+        (at - origin[slave])[:, None] + steps,
+        weights,
+        shapes,
+        distances,
+        local[..., :2] - origin[:, None],
+        covered >= _LEAST_OF_TRIANGLE * surfaces.slave_side.measures,
+    )
 
 
 def _barycentric(corners: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shape functions (n, 3) of plane triangles (n, 3, 2) at points (n, 2), and their gradients (n, 3, 2)."""
+    """Shape functions (n, 3) of plane triangles (n, 3, 2) at points (n, 2), and their gradients (n,
+    3, 2)."""
     opposite = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
     double = cross(opposite[:, 0], opposite[:, 1])[:, None]
     values = cross(opposite, at[:, None] - np.roll(corners, -1, axis=1)) / double
@@ -387,20 +501,28 @@ THIN = 1e-10
 
 @kernel
 def common_moments(slave, masters, start, below, above, moments):
-    """Compute the moments of the visible common parts of slave facets and the master facets found for them, by local
-    corners. A part is dropped if its gap, at its centroid, is outside [-below, above]. Where parts overlap, the one
-    with the gap of smaller magnitude, at the centroid of the overlap, hides the other."""
+    """Compute the moments of the visible common parts of slave facets and the master facets found
+    for them, by local corners. A part is dropped if its gap, at its centroid, is outside [-below,
+    above]. Where parts overlap, the one with the gap of smaller magnitude, at the centroid of the
+    overlap, hides the other."""
     room = 1
     for s in range(len(slave)):
         room = max(room, start[s + 1] - start[s])
-    parts, sizes, boxes = np.empty((room, ROOM, 2)), np.empty(room, dtype=np.int64), np.empty((room, 4))
+    parts, sizes, boxes = (
+        np.empty((room, ROOM, 2)),
+        np.empty(room, dtype=np.int64),
+        np.empty((room, 4)),
+    )
     gaps, base, hiding = np.empty((room, 3)), np.empty(3), np.empty(room, dtype=np.int64)
     spare, piece = np.empty((2, 2 * ROOM, 2)), np.empty((2, ROOM, 2))
-    stack, states = np.empty((ROOM * (1 + room), 3, 2)), np.empty((ROOM * (1 + room), 2), dtype=np.int64)
+    stack, states = (
+        np.empty((ROOM * (1 + room), 3, 2)),
+        np.empty((ROOM * (1 + room), 2), dtype=np.int64),
+    )
     for s in range(len(slave)):
         area = 0.5 * _plane(slave[s], base)
         first, n, many = start[s], start[s + 1] - start[s], 0
-        here = masters[first:first + n]
+        here = masters[first : first + n]
         for i in range(n):
             _plane(here[i], gaps[i])
             for k in range(3):
@@ -422,23 +544,47 @@ def common_moments(slave, masters, start, below, above, moments):
         for i in range(n if many > 1 else 0):
             n_hiding = 0
             for j in range(n):
-                if (j != i and boxes[j, 0] < boxes[i, 2] - tolerance and boxes[j, 2] > boxes[i, 0] + tolerance
-                        and boxes[j, 1] < boxes[i, 3] - tolerance and boxes[j, 3] > boxes[i, 1] + tolerance
-                        and _nearer(parts, sizes, here, gaps, i, j, tolerance, spare) == j):
+                if (
+                    j != i
+                    and boxes[j, 0] < boxes[i, 2] - tolerance
+                    and boxes[j, 2] > boxes[i, 0] + tolerance
+                    and boxes[j, 1] < boxes[i, 3] - tolerance
+                    and boxes[j, 3] > boxes[i, 1] + tolerance
+                    and _nearer(parts, sizes, here, gaps, i, j, tolerance, spare) == j
+                ):
                     hiding[n_hiding] = j
                     n_hiding += 1
             if n_hiding > 0:
-                add_visible(parts[i], sizes[i], here, hiding, n_hiding, tolerance, stack, states, piece,
-                            moments[first + i])
+                add_visible(
+                    parts[i],
+                    sizes[i],
+                    here,
+                    hiding,
+                    n_hiding,
+                    tolerance,
+                    stack,
+                    states,
+                    piece,
+                    moments[first + i],
+                )
                 if not moments[first + i, 0] > tolerance * tolerance:
                     moments[first + i, 0] = 0.0
 
 
 @kernel
 def _plane(corners, plane):
-    """Write height at the origin and slope of the plane through three local points; returns twice their area."""
-    x1, y1, z1 = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-    x2, y2, z2 = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+    """Write height at the origin and slope of the plane through three local points; returns twice
+    their area."""
+    x1, y1, z1 = (
+        corners[1, 0] - corners[0, 0],
+        corners[1, 1] - corners[0, 1],
+        corners[1, 2] - corners[0, 2],
+    )
+    x2, y2, z2 = (
+        corners[2, 0] - corners[0, 0],
+        corners[2, 1] - corners[0, 1],
+        corners[2, 2] - corners[0, 2],
+    )
     double = x1 * y2 - x2 * y1
     plane[1] = (z1 * y2 - z2 * y1) / double
     plane[2] = (z2 * x1 - z1 * x2) / double
@@ -454,7 +600,8 @@ def _gap(plane, moments):
 
 @inner_kernel
 def _nearer(parts, sizes, masters, gaps, i, j, tolerance, spare):
-    """Which of two parts is nearer where they overlap, -1 if they do not; the same for (i, j) and (j, i)."""
+    """Which of two parts is nearer where they overlap, -1 if they do not; the same for (i, j) and
+    (j, i)."""
     a, b = min(i, j), max(i, j)
     if separated(parts[a], sizes[a], masters[b], 3, tolerance):
         return -1

@@ -1,8 +1,9 @@
 r"""Contact nodes in front of rigid obstacles, and what supports hold of them.
 
-A support that holds a part of the normal of a node leaves it the rest: with the projection P onto what is free, the
-node goes towards the obstacle along :math:`P n / |P n|`, at the gap :math:`g / |P n|`. Where it holds all of it there
-is no contact; the motion that it prescribes must end before the obstacle. The force of contact is that along
+A support that holds a part of the normal of a node leaves it the rest: with the projection P onto
+what is free, the node goes towards the obstacle along :math:`P n / |P n|`, at the gap :math:`g / |P
+n|`. Where it holds all of it there is no contact; the motion that it prescribes must end before the
+obstacle. The force of contact is that along
 :math:`P n`: the rest goes into the support, and counts as its reaction.
 """
 
@@ -26,23 +27,34 @@ TANGENTIAL = 1e-8  # a component of a unit normal below this is none
 _TURNED = 1e-14  # normals that turn by less than this do not
 
 
-def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, surfaces: list[Surface],
-                owner: np.ndarray, k: int, held: HeldNodes) -> MortarInterface:
+def in_front_of(
+    contact: Contact,
+    problem: ContactProblem,
+    mesh: MeshArrays,
+    surfaces: list[Surface],
+    owner: np.ndarray,
+    k: int,
+    held: HeldNodes,
+) -> MortarInterface:
     """Return the nodes of contact boundary k in front of a rigid obstacle."""
     nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
     try:
         averaged = slave_normals(surfaces[k], held)[nodes]
     except ValueError as error:
         raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
-    normals, gaps = facing_obstacle(contact.obstacle, contact.boundary, mesh.points[nodes], averaged)
+    normals, gaps = facing_obstacle(
+        contact.obstacle, contact.boundary, mesh.points[nodes], averaged
+    )
     gaps = np.array(gaps, dtype=np.float64)
     if gaps.min(initial=0.0) < 0:
         gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
     if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
-        raise ValueError(f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
-                         f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
-                         "allow_interference=True for an interference fit")
+        raise ValueError(
+            f"contact boundary {contact.boundary!r} lies up to {-gaps[deepest]:.6g} m behind its "
+            f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
+            "allow_interference=True for an interference fit"
+        )
     free = free_normals(problem, mesh, k, nodes, normals, held)
     kept = np.linalg.norm(free, axis=1) > TANGENTIAL
     normals, gaps = along_free(free, normals, gaps)
@@ -50,9 +62,15 @@ def in_front_of(contact: Contact, problem: ContactProblem, mesh: MeshArrays, sur
     return MortarInterface(nodes[kept], normals[kept], weights, gaps[kept])
 
 
-def check_held(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem,
-               factors: Mapping[str, float] | None = None, places: Mapping[int, Moving] | None = None) -> None:
-    """Raise ValueError if supports hold nodes in a load step inside an obstacle, in its place of this step."""
+def check_held(
+    problem: ContactProblem,
+    mesh: MeshArrays,
+    discrete: DiscreteProblem,
+    factors: Mapping[str, float] | None = None,
+    places: Mapping[int, Moving] | None = None,
+) -> None:
+    """Raise ValueError if supports hold nodes in a load step inside an obstacle, in its place of
+    this step."""
     held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
     moved = discrete.fixed_values.reshape(mesh.points.shape).copy()
     if discrete.inclined is not None:
@@ -63,20 +81,30 @@ def check_held(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
         obstacle = (places or {}).get(k, _first(contact))
         if not moved.any() and not isinstance(obstacle, Moving):
             continue
-        nodes, outward = mesh.surface(contact.boundary).nodes, slave_normals(mesh.surface(contact.boundary), held)
-        normals, gaps = facing_obstacle(obstacle, contact.boundary, mesh.points[nodes], outward[nodes])
+        nodes, outward = (
+            mesh.surface(contact.boundary).nodes,
+            slave_normals(mesh.surface(contact.boundary), held),
+        )
+        normals, gaps = facing_obstacle(
+            obstacle, contact.boundary, mesh.points[nodes], outward[nodes]
+        )
         free, along = held.free_part(nodes, normals), np.einsum("nd,nd->n", normals, moved[nodes])
         # where a part of the normal is held a motion along it, either way, would change the gap
         over = np.where(_held_in_part(free, normals), np.abs(along), along - gaps)
         over[(free == normals).all(axis=1)] = 0.0
         i = int(np.argmax(over))
-        if over[i] > _ROUNDING * (np.abs([along[i], gaps[i]]).max() + np.ptp(mesh.points, axis=0).max()):
-            raise ValueError(f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {over[i]:.6g} "
-                             "m inside its obstacle: move the support less, or the obstacle")
+        if over[i] > _ROUNDING * (
+            np.abs([along[i], gaps[i]]).max() + np.ptp(mesh.points, axis=0).max()
+        ):
+            raise ValueError(
+                f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {over[i]:.6g} "
+                "m inside its obstacle: move the support less, or the obstacle"
+            )
 
 
-def lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
-                  ) -> np.ndarray:
+def lumped_masses(
+    problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
+) -> np.ndarray:
     """Return the boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
     weights = np.zeros(len(nodes))
     for other, mine in enumerate(surfaces):
@@ -92,8 +120,9 @@ def lumped_masses(problem: ContactProblem, surfaces: list[Surface], nodes: np.nd
     return weights
 
 
-def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
-                    ) -> tuple[np.ndarray, np.ndarray]:
+def facing_obstacle(
+    obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return what an obstacle, perhaps user-defined, says of points of a boundary, checked."""
     answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
@@ -101,12 +130,17 @@ def facing_obstacle(obstacle: Obstacle, boundary: str, points: np.ndarray, norma
     directions = checks.array(f"{name}: its normals", answer[0], points.shape)
     lengths = np.linalg.norm(directions, axis=1)
     if len(points) and not np.abs(lengths - 1).max() <= 1e-6:
-        raise ValueError(f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}")
+        raise ValueError(
+            f"{name} must return normals of length 1, got {lengths[np.argmax(np.abs(lengths - 1))]:.6g}"
+        )
     return directions, checks.vector(f"{name}: its gaps", answer[1], len(points))
 
 
-def along_free(free: np.ndarray, normals: np.ndarray, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals (n, dim) and gaps (n,) along free parts (n, dim) of the normals, unchanged where these vanish."""
+def along_free(
+    free: np.ndarray, normals: np.ndarray, gaps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals (n, dim) and gaps (n,) along free parts (n, dim) of the normals, unchanged
+    where these vanish."""
     part = _held_in_part(free, normals)
     length = np.where(part, np.linalg.norm(free, axis=1), 1.0)
     return np.where(part[:, None], free / length[:, None], normals), gaps / length
@@ -117,27 +151,38 @@ def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return (np.linalg.norm(free, axis=1) > TANGENTIAL) & (free != normals).any(axis=1)
 
 
-def free_normals(problem: ContactProblem, mesh: MeshArrays, k: int, nodes: np.ndarray, normals: np.ndarray,
-                 held: HeldNodes) -> np.ndarray:
-    """Return the normals (n, dim) at nodes on contact boundary k without their parts along what supports hold there.
+def free_normals(
+    problem: ContactProblem,
+    mesh: MeshArrays,
+    k: int,
+    nodes: np.ndarray,
+    normals: np.ndarray,
+    held: HeldNodes,
+) -> np.ndarray:
+    """Return the normals (n, dim) at nodes on contact boundary k without their parts along what
+    supports hold there.
 
-    ValueError if a support on the boundary itself holds a part of them: what is meant is then something else.
-    """
+    ValueError if a support on the boundary itself holds a part of them: what is meant is then
+    something else."""
     boundary = problem.contact[k].boundary
     own = [one for one in problem.supports if one.boundary == boundary]
     for name, directions in held_directions(mesh, own).items():
         clash = np.abs(normals @ directions.T).max(axis=1) > TANGENTIAL
         if clash.any():
             i = int(np.argmax(clash))
-            raise ValueError(f"the support on {name!r} fixes a component with a part normal to contact boundary "
-                             f"{boundary!r}, at node {nodes[i]} {tuple(mesh.points[nodes[i]].tolist())}: contact could "
-                             "never open there; free that component, or name another boundary")
+            raise ValueError(
+                f"the support on {name!r} fixes a component with a part normal to contact boundary "
+                f"{boundary!r}, at node {nodes[i]} {tuple(mesh.points[nodes[i]].tolist())}: contact could "
+                "never open there; free that component, or name another boundary"
+            )
     return held.free_part(nodes, normals)
 
 
 def may_overlap(contact: Contact | ContactPair) -> bool:
     """Return whether initial gaps may be negative."""
-    return contact.allow_interference or (isinstance(contact, Contact) and isinstance(_first(contact), Moving))
+    return contact.allow_interference or (
+        isinstance(contact, Contact) and isinstance(_first(contact), Moving)
+    )
 
 
 def _first(contact: Contact) -> Obstacle:
@@ -145,19 +190,29 @@ def _first(contact: Contact) -> Obstacle:
     return contact.obstacle.obstacle if isinstance(contact.obstacle, Rigid) else contact.obstacle
 
 
-def with_motions(problem: ContactProblem, points: np.ndarray, boundary: np.ndarray, reference: np.ndarray | None
-                  ) -> np.ndarray | None:
-    """Return the slip reference (n_contact, dim) with how obstacles move, None where nothing does."""
+def with_motions(
+    problem: ContactProblem, points: np.ndarray, boundary: np.ndarray, reference: np.ndarray | None
+) -> np.ndarray | None:
+    """Return the slip reference (n_contact, dim) with how obstacles move, None where nothing
+    does."""
     for k, contact in enumerate(problem.contact):
         obstacle = None if isinstance(contact, ContactPair) else _first(contact)
         if isinstance(obstacle, Moving):
-            reference, own = np.zeros_like(points) if reference is None else reference.copy(), boundary == k
+            reference, own = (
+                np.zeros_like(points) if reference is None else reference.copy(),
+                boundary == k,
+            )
             reference[own] += obstacle.motion(points[own])
     return reference
 
 
-def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, now: Mapping[int, Moving],
-          before: Mapping[int, Moving]) -> DiscreteProblem:
+def moved(
+    discrete: DiscreteProblem,
+    problem: ContactProblem,
+    mesh: MeshArrays,
+    now: Mapping[int, Moving],
+    before: Mapping[int, Moving],
+) -> DiscreteProblem:
     """Return the problem with obstacles, by the number of their contact, in the places ``now``.
 
     Slip counts from where they were ``before``.
@@ -166,15 +221,26 @@ def moved(discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays, 
         return discrete
     held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
     contact = discrete.contact
-    normals, gaps, reference = contact.normals.copy(), contact.gaps.copy(), contact.slip_reference.copy()
+    normals, gaps, reference = (
+        contact.normals.copy(),
+        contact.gaps.copy(),
+        contact.slip_reference.copy(),
+    )
     for k, obstacle in now.items():
         own = np.flatnonzero(contact.boundary == k)
         points, boundary = mesh.points[contact.nodes[own]], problem.contact[k].boundary
         outward = slave_normals(mesh.surface(boundary), held)
         direct, gap = facing_obstacle(obstacle, boundary, points, outward[contact.nodes[own]])
-        normals[own], gaps[own] = along_free(held.free_part(contact.nodes[own], direct), direct, gap)
+        normals[own], gaps[own] = along_free(
+            held.free_part(contact.nodes[own], direct), direct, gap
+        )
         reference[own] += obstacle.motion(points) - before[k].motion(points)
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _TURNED
-    new = replace(contact, normals=normals if turned else contact.normals, gaps=gaps, slip_reference=reference,
-                  allow_interference=True)
+    new = replace(
+        contact,
+        normals=normals if turned else contact.normals,
+        gaps=gaps,
+        slip_reference=reference,
+        allow_interference=True,
+    )
     return discrete.facing(new) if turned else discrete.posing(contact=new)

@@ -1,14 +1,13 @@
 r"""What is solved: a contact problem as arrays and matrices.
 
-Find u with :math:`A u - b = r`, r = 0 except at fixed dofs and at contact nodes, where with the outward unit normal n
-and :math:`u_n = u\cdot n,\; p = -r_n,\; f_t = r_t`
+Find u with :math:`A u - b = r`, r = 0 except at fixed dofs and at contact nodes, where with the
+outward unit normal n and :math:`u_n = u\cdot n,\; p = -r_n,\; f_t = r_t`
 
 .. math:: u_n \le g_0,\quad p \ge 0,\quad p\,(g_0 - u_n) = 0,\qquad |f_t| \le s + \mu p,
 
-and :math:`f_t` is opposite to the slip :math:`u_t - u_t^{\mathrm{previous}}` wherever that is not zero.
-Degree of freedom ``dim * node + component``. Between bodies all this is meant in relative coordinates
-(:mod:`adaptmg.discrete.coordinates`), which :meth:`DiscreteProblem.coupled` makes.
-"""
+and :math:`f_t` is opposite to the slip :math:`u_t - u_t^{\mathrm{previous}}` wherever that is not
+zero. Degree of freedom ``dim * node + component``. Between bodies all this is meant in relative
+coordinates (:mod:`adaptmg.discrete.coordinates`), which :meth:`DiscreteProblem.coupled` makes."""
 
 from __future__ import annotations
 
@@ -50,8 +49,8 @@ class DiscreteProblem(Unknowns):
     Parameters
     ----------
     matrix : scipy sparse (n_dofs, n_dofs)
-        Stiffness with no boundary condition applied, symmetric, in Cartesian components, N/m. Kept as BSR with
-        dim x dim blocks.
+        Stiffness with no boundary condition applied, symmetric, in Cartesian components, N/m. Kept
+        as BSR with dim x dim blocks.
     load : (n_dofs,) array
         N.
     fixed : (n_dofs,) bool array
@@ -69,8 +68,9 @@ class DiscreteProblem(Unknowns):
     name : str
         For tables.
     coupling, bodies, strain_free, inclined, ties, volumes
-        What :func:`adaptmg.discretise` adds for several bodies (:meth:`coupled` makes the coupling), initial strains,
-        supports along directions that are no axes, ties and nearly incompressible bodies.
+        What :func:`adaptmg.discretise` adds for several bodies (:meth:`coupled` makes the
+        coupling), initial strains, supports along directions that are no axes, ties and nearly
+        incompressible bodies.
 
     Examples
     --------
@@ -90,76 +90,115 @@ class DiscreteProblem(Unknowns):
     contact: ContactNodes
     fixed_values: np.ndarray | None = None
     coordinates: np.ndarray | None = None
-    near_nullspace: np.ndarray | Any = None  # Any: only problems without coordinates need the test for None
+    near_nullspace: np.ndarray | Any = (
+        None  # Any: only problems without coordinates need the test for None
+    )
     name: str = "discrete problem"
     coupling: Coupling | None = None  # says that all of the above is in relative coordinates
     bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
     # of initial strains the part of the load, N, and the energy of suppressing them, N m
     strain_free: tuple[np.ndarray, float] | None = None
-    inclined: Inclined | None = None  # supports along no axes, which are eliminated from matrix and load
+    inclined: Inclined | None = (
+        None  # supports along no axes, which are eliminated from matrix and load
+    )
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray], ...] = ()
     volumes: Volumes | None = None  # groups of nodes whose mean volume strains add to the stiffness
 
     if TYPE_CHECKING:
-        def __init__(self, *, matrix: sparse.sparray | sparse.spmatrix, load: ArrayLike, fixed: ArrayLike, law: Law,
-                     contact: ContactNodes, fixed_values: ArrayLike | None = None,
-                     coordinates: ArrayLike | None = None, near_nullspace: ArrayLike | None = None,
-                     name: str = "discrete problem", coupling: Coupling | None = None,
-                     bodies: Mapping[str, np.ndarray] | None = None,
-                     strain_free: tuple[np.ndarray, float] | None = None, inclined: Inclined | None = None,
-                     volumes: Volumes | None = None) -> None: ...
+
+        def __init__(
+            self,
+            *,
+            matrix: sparse.sparray | sparse.spmatrix,
+            load: ArrayLike,
+            fixed: ArrayLike,
+            law: Law,
+            contact: ContactNodes,
+            fixed_values: ArrayLike | None = None,
+            coordinates: ArrayLike | None = None,
+            near_nullspace: ArrayLike | None = None,
+            name: str = "discrete problem",
+            coupling: Coupling | None = None,
+            bodies: Mapping[str, np.ndarray] | None = None,
+            strain_free: tuple[np.ndarray, float] | None = None,
+            inclined: Inclined | None = None,
+            volumes: Volumes | None = None,
+        ) -> None: ...
 
     @classmethod
     def assembled(cls, weights: sparse.csr_array | None = None, **parts: Any) -> DiscreteProblem:
-        """Return the problem of the package's own assembly, whose arrays nobody writes and which is not searched for
-        what a user's may have wrong; with ``weights`` as of :meth:`coupled`. ``near_nullspace`` is
+        """Return the problem of the package's own assembly, whose arrays nobody writes and which is
+        not searched for what a user's may have wrong; with ``weights`` as of :meth:`coupled`.
+        ``near_nullspace`` is
         :class:`~adaptmg._on_demand.OnDemand`."""
         if weights is not None:
             parts = _in_relative_coordinates(weights, parts)
         if parts.get("inclined") is not None:
             parts = parts["inclined"].of_problem(parts)
         result = cls.__new__(cls)
-        result.__dict__.update({one.name: parts.get(one.name, one.default) for one in fields(cls)},
-                               matrix=indices_frozen(parts["matrix"]))
+        result.__dict__.update(
+            {one.name: parts.get(one.name, one.default) for one in fields(cls)},
+            matrix=indices_frozen(parts["matrix"]),
+        )
         result._complete()
         return result
 
     def coupled(self, weights: sparse.sparray | sparse.spmatrix) -> DiscreteProblem:
-        """Pose contact between the bodies of this problem: in relative coordinates, with ``coupling``.
+        """Pose contact between the bodies of this problem: in relative coordinates, with
+        ``coupling``.
 
-        ``weights`` W (n_nodes, n_nodes), sparse, have in the rows of slave nodes the nodes that they face, with row
-        sums 1. ``contact`` are the slave nodes; their gaps and slips are relative. ``near_nullspace`` should hold the
-        rigid-body modes of every body (one column a body and mode); with ``coordinates`` alone the bodies move
-        together in it. ValueError if this problem has a coupling or inclined supports already.
-        """
+        ``weights`` W (n_nodes, n_nodes), sparse, have in the rows of slave nodes the nodes that
+        they face, with row sums 1. ``contact`` are the slave nodes; their gaps and slips are
+        relative. ``near_nullspace`` should hold the rigid-body modes of every body (one column a
+        body and mode); with ``coordinates`` alone the bodies move together in it. ValueError if
+        this problem has a coupling or inclined supports already."""
         if self.coupling is not None or self.inclined is not None:
-            raise ValueError("only a problem in displacements can be coupled, not with coupling or inclined supports")
-        weights = sparse.csr_array(checks.sparse_matrix("weights", weights, (self.n_nodes,) * 2), dtype=np.float64)
+            raise ValueError(
+                "only a problem in displacements can be coupled, not with coupling or inclined supports"
+            )
+        weights = sparse.csr_array(
+            checks.sparse_matrix("weights", weights, (self.n_nodes,) * 2), dtype=np.float64
+        )
         _check_row_sums(weights)
-        return self.assembled(weights, **{one.name: self.__dict__[one.name] for one in fields(self)})
+        return self.assembled(
+            weights, **{one.name: self.__dict__[one.name] for one in fields(self)}
+        )
 
     def __repr__(self) -> str:
-        return shortened(f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "
-                         f"{self.n_dofs} dofs fixed, {len(self.contact)} contact nodes, {self.law!r}")
+        return shortened(
+            f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "
+            f"{self.n_dofs} dofs fixed, {len(self.contact)} contact nodes, {self.law!r}"
+        )
 
     def stress_energy(self, displacement: np.ndarray, energy: float) -> float:
-        """Return the energy, N m, of the stresses of a displacement (n_dofs,), relative coordinates, with the energy
-        u'Au: without the share of free expansion. At least 1e-8 of what suppresses the expansion: less is rounding."""
+        """Return the energy, N m, of the stresses of a displacement (n_dofs,), relative
+        coordinates, with the energy u'Au: without the share of free expansion. At least 1e-8 of
+        what suppresses the expansion: less is rounding."""
         if self.strain_free is None:
             return energy
         load, suppressed = self.strain_free
-        return max(energy - 2 * float(np.einsum("i,i->", displacement, load)) + suppressed, 1e-8 * abs(suppressed))
+        return max(
+            energy - 2 * float(np.einsum("i,i->", displacement, load)) + suppressed,
+            1e-8 * abs(suppressed),
+        )
 
-    def with_step(self, load: np.ndarray, fixed_values: np.ndarray, slip_reference: np.ndarray,
-                  strain_free: tuple[np.ndarray, float] | None = None,
-                  factors: Mapping[str, float] | None = None, volumes: Volumes | None = None) -> DiscreteProblem:
-        """Return the same bodies under other data (a load step): nothing else is checked or copied again.
+    def with_step(
+        self,
+        load: np.ndarray,
+        fixed_values: np.ndarray,
+        slip_reference: np.ndarray,
+        strain_free: tuple[np.ndarray, float] | None = None,
+        factors: Mapping[str, float] | None = None,
+        volumes: Volumes | None = None,
+    ) -> DiscreteProblem:
+        """Return the same bodies under other data (a load step): nothing else is checked or copied
+        again.
 
-        ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a coupling relative ones),
-        N and m; slips count from ``slip_reference`` (n_contact, dim), as :meth:`at_contact` has it, m. ``factors`` are
-        those of the step, and ``volumes`` have its initial strains.
-        """
+        ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a
+        coupling relative ones), N and m; slips count from ``slip_reference`` (n_contact, dim), as
+        :meth:`at_contact` has it, m. ``factors`` are those of the step, and ``volumes`` have its
+        initial strains."""
         contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
@@ -168,10 +207,18 @@ class DiscreteProblem(Unknowns):
         if inclined is not None:
             prescribed = inclined.prescribed(factors or {})
             inclined = replace(inclined, load=load)
-            load, strain_free = inclined.posed(load, prescribed), inclined.strain_free(strain_free, prescribed)
-        return self.posing(load=bounded("load", load, (self.n_dofs,)), fixed_values=values, contact=contact,
-                           strain_free=strain_free, inclined=inclined,
-                           volumes=self.volumes if volumes is None else volumes)
+            load, strain_free = (
+                inclined.posed(load, prescribed),
+                inclined.strain_free(strain_free, prescribed),
+            )
+        return self.posing(
+            load=bounded("load", load, (self.n_dofs,)),
+            fixed_values=values,
+            contact=contact,
+            strain_free=strain_free,
+            inclined=inclined,
+            volumes=self.volumes if volumes is None else volumes,
+        )
 
     def posing(self, **parts: object) -> DiscreteProblem:
         """Return the same with other parts (load, law, ...), which have been checked."""
@@ -192,7 +239,8 @@ class DiscreteProblem(Unknowns):
         return self._structure is other._structure
 
     def under(self, pressures: np.ndarray | None) -> DiscreteProblem:
-        """Return the same with given pressures (n_groups,) of ``volumes``, Pa, as part of the load."""
+        """Return the same with given pressures (n_groups,) of ``volumes``, Pa, as part of the
+        load."""
         if self.volumes is None or pressures is None:
             return self
         return self.posing(load=self.load - self.volumes.forces(pressures))
@@ -200,8 +248,10 @@ class DiscreteProblem(Unknowns):
     def need_no_volumes(self, what: str) -> None:
         """Raise ValueError if there are volumes, which ``what`` cannot take."""
         if self.volumes is not None:
-            raise ValueError(f"grids: {what} cannot solve for smoothed elements with poisson above .4; use "
-                             "am.FullMultigrid(), am.Multigrid(correction=am.Truncated()) or am.ActiveSet()")
+            raise ValueError(
+                f"grids: {what} cannot solve for smoothed elements with poisson above .4; use "
+                "am.FullMultigrid(), am.Multigrid(correction=am.Truncated()) or am.ActiveSet()"
+            )
 
     def __post_init__(self) -> None:
         checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
@@ -218,17 +268,25 @@ class DiscreteProblem(Unknowns):
             values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
         values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
         values.flags.writeable = False
-        arrays = {"matrix": indices_frozen(matrix), "load": bounded("load", self.load, (n,)), "fixed": fixed,
-                  "fixed_values": values}
+        arrays = {
+            "matrix": indices_frozen(matrix),
+            "load": bounded("load", self.load, (n,)),
+            "fixed": fixed,
+            "fixed_values": values,
+        }
         if self.coordinates is not None:
-            arrays["coordinates"] = bounded("coordinates", self.coordinates, (n // dim, dim), checks.VAST)
+            arrays["coordinates"] = bounded(
+                "coordinates", self.coordinates, (n // dim, dim), checks.VAST
+            )
         modes = self.__dict__["near_nullspace"]
         if modes is None and self.coordinates is not None:
             modes = OnDemand(_own_modes)
         if modes is not None and not isinstance(modes, OnDemand):
             modes = bounded("near_nullspace", modes, (n, None))
             if not modes.any():
-                raise ValueError("near_nullspace holds no mode: give the rigid-body motions, a column each, or None")
+                raise ValueError(
+                    "near_nullspace holds no mode: give the rigid-body motions, a column each, or None"
+                )
         arrays["near_nullspace"] = modes
         if self.bodies is not None:
             arrays["bodies"] = checked_bodies(self.bodies, n // dim)
@@ -238,27 +296,33 @@ class DiscreteProblem(Unknowns):
             checks.instance("volumes", self.volumes, Volumes, "Volumes(...)")
             checks.sparse_matrix("volumes.rows", self.volumes.rows, (len(self.volumes), n))
         if self.coupling is not None:
-            checks.instance("coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled")
+            checks.instance(
+                "coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled"
+            )
         if self.coupling is not None and (self.coupling.fixed & ~fixed).any():
             raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
         self._check_fixed_at_contact()
         self._complete()
 
     def _complete(self) -> None:
-        """Check what the user's functions return, and mark the structure; see :func:`remembered_of_structure`."""
+        """Check what the user's functions return, and mark the structure; see
+        :func:`remembered_of_structure`."""
         check_size("load", largest_entry(self.load))
         check_bounds(self.law, len(self.contact))
         object.__setattr__(self, "_structure", Token())
 
     def _check_fixed_at_contact(self) -> None:
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
-        # a fixed Cartesian component must lie in the tangent plane, or the contact condition would be prescribed too
+        # a fixed Cartesian component must lie in the tangent plane, or the contact condition would
+        # be prescribed too
         clash = (fixed & (np.abs(self.contact.normals) > 1e-8)).any(axis=1)
         if clash.any():
             i = int(np.argmax(clash))
-            raise ValueError(f"fixed: a component with a normal part is fixed at contact node {i} "
-                             f"(node {self.contact.nodes[i]}, normal {self.contact.normals[i].round(4).tolist()}); "
-                             "take the node out of the contact boundary or free the component")
+            raise ValueError(
+                f"fixed: a component with a normal part is fixed at contact node {i} "
+                f"(node {self.contact.nodes[i]}, normal {self.contact.normals[i].round(4).tolist()}); "
+                "take the node out of the contact boundary or free the component"
+            )
 
     @property
     def n_dofs(self) -> int:
@@ -281,7 +345,9 @@ def _check_row_sums(weights: sparse.csr_array) -> None:
     sums = np.asarray(weights.sum(axis=1)).ravel()[followers]
     if not np.abs(sums - 1).max(initial=0.0) <= 1e-8:
         i = int(np.argmax(np.abs(sums - 1)))
-        raise ValueError(f"weights must have rows with sum 1, got {sums[i]:.6g} at node {followers[i]}")
+        raise ValueError(
+            f"weights must have rows with sum 1, got {sums[i]:.6g} at node {followers[i]}"
+        )
 
 
 def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -> dict[str, Any]:
@@ -289,10 +355,15 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     nodes = parts["contact"].nodes
     held = held_slaves(nodes, weights, parts["fixed"], parts["law"], parts.get("inclined"))
     if len(held):
-        raise ValueError(f"contact: slave node {nodes[held[0]]} has a supported tangential component, and what it "
-                         "faces has not: exchange slave and master, or leave the node out and let its neighbours take "
-                         "its part")
-    coupling, modes = Coupling(weights, parts["fixed"], parts.get("inclined")), parts["near_nullspace"]
+        raise ValueError(
+            f"contact: slave node {nodes[held[0]]} has a supported tangential component, and what it "
+            "faces has not: exchange slave and master, or leave the node out and let its neighbours take "
+            "its part"
+        )
+    coupling, modes = (
+        Coupling(weights, parts["fixed"], parts.get("inclined")),
+        parts["near_nullspace"],
+    )
     if isinstance(modes, OnDemand):
         modes = OnDemand(partial(_relative_modes, modes))
     elif modes is not None:
@@ -309,8 +380,14 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
         for *_, nodes in parts["ties"]:
             tied[nodes] = True
         parts = parts | {"fixed": tied.reshape(-1)}
-    return parts | {"matrix": coupling.transformed(parts["matrix"]), "load": load, "near_nullspace": modes,
-                    "coupling": coupling, "strain_free": strain_free, "volumes": volumes}
+    return parts | {
+        "matrix": coupling.transformed(parts["matrix"]),
+        "load": load,
+        "near_nullspace": modes,
+        "coupling": coupling,
+        "strain_free": strain_free,
+        "volumes": volumes,
+    }
 
 
 def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:
@@ -321,13 +398,17 @@ def _own_modes(problem: DiscreteProblem) -> np.ndarray:
     return rigid_body_modes(problem.coordinates)
 
 
-DiscreteProblem.near_nullspace = made_on_demand("near_nullspace", "Rigid-body modes (n_dofs, k), or None.")
+DiscreteProblem.near_nullspace = made_on_demand(
+    "near_nullspace", "Rigid-body modes (n_dofs, k), or None."
+)
 
 
 def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
     """Return the diagonal blocks (n_nodes, dim, dim) of a matrix, which has them all."""
     numbers, n = np.arange(len(matrix.indices), dtype=np.int32), len(matrix.indptr) - 1
-    return matrix.data.take(sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal(), axis=0)
+    return matrix.data.take(
+        sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal(), axis=0
+    )
 
 
 @remembered_of_structure

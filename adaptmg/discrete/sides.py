@@ -1,13 +1,16 @@
-r"""Sides of pairs and ties: which boundary carries the contact nodes, and boundaries that move together.
+r"""Sides of pairs and ties: which boundary carries the contact nodes, and boundaries that move
+together.
 
-The master's displacement enters that of the slave (:doc:`/theory/mortar`). Where the slave is much stiffer than the
-master, the master's nodes are as stiff as the slave along the surface and soft across it, which no smoother of single
-nodes reduces quickly. Cycles with the slave k times stiffer, of a block on a block and of the dovetail: k = 1 8 and 10,
-3 9 and 11, 10 11 and 15, 30 15 and 44, 1000 27 and 34, both ending in the active set method; the other way 8 at any k.
+The master's displacement enters that of the slave (:doc:`/theory/mortar`). Where the slave is much
+stiffer than the master, the master's nodes are as stiff as the slave along the surface and soft
+across it, which no smoother of single nodes reduces quickly. Cycles with the slave k times stiffer,
+of a block on a block and of the dovetail: k = 1 8 and 10, 3 9 and 11, 10 11 and 15, 30 15 and 44,
+1000 27 and 34, both ending in the active set method; the other way 8 at any k.
 
-A tied slave node follows the combination of master nodes that it faces, in all components: its relative displacement
-(:mod:`adaptmg.discrete.coordinates`) is fixed to zero, on every level. It is contact that sticks and never opens. Where
-surfaces lie on each other constant stresses pass exactly, and rigid motions strain nothing; across a gap g a rotation
+A tied slave node follows the combination of master nodes that it faces, in all components: its
+relative displacement (:mod:`adaptmg.discrete.coordinates`) is fixed to zero, on every level. It is
+contact that sticks and never opens. Where surfaces lie on each other constant stresses pass
+exactly, and rigid motions strain nothing; across a gap g a rotation
 :math:`\omega` strains by :math:`\omega \times g`. What the slave bears at node j is the force
 :math:`\lambda_j = (\hat A w - \hat b)_j` of its relative displacement; the master bears :math:`-W^T \lambda`. Along
 what a support holds of a slave node the support takes its part.
@@ -49,8 +52,11 @@ def _young(problem: ContactProblem, mesh: MeshArrays, boundary: str) -> float:
 
 
 def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
-    """Choose the sides of pairs that leave the choice open; return the problem itself where none does."""
-    free = [pair for pair in problem.contact if isinstance(pair, ContactPair) and pair.sides == "auto"]
+    """Choose the sides of pairs that leave the choice open; return the problem itself where none
+    does."""
+    free = [
+        pair for pair in problem.contact if isinstance(pair, ContactPair) and pair.sides == "auto"
+    ]
     if not free:
         return problem
     problem.check_boundaries(mesh.boundaries)
@@ -61,12 +67,26 @@ def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
         if pair in free:
             ratio = stiffness_ratio(problem, mesh, pair)
             if 1 / ALIKE <= ratio <= ALIKE:
-                slave, master = (mesh.surface(name).measures.mean() for name in (pair.slave, pair.master))
+                slave, master = (
+                    mesh.surface(name).measures.mean() for name in (pair.slave, pair.master)
+                )
                 ratio = slave / master / (1 + 1e-6)  # equal sizes do not change places
-            # a master of several pairs, or one that a tie or a support holds, cannot carry the contact nodes
-            bound = [*held, *(name for other in problem.contact if other is not pair
-                              for name in (other.boundary, getattr(other, "master", "")))]
-            sides = {"slave": pair.master, "master": pair.slave} if ratio > 1 and pair.master not in bound else {}
+            # a master of several pairs, or one that a tie or a support holds, cannot carry the
+            # contact nodes
+            bound = [
+                *held,
+                *(
+                    name
+                    for other in problem.contact
+                    if other is not pair
+                    for name in (other.boundary, getattr(other, "master", ""))
+                ),
+            ]
+            sides = (
+                {"slave": pair.master, "master": pair.slave}
+                if ratio > 1 and pair.master not in bound
+                else {}
+            )
             pair = replace(pair, sides="given", **sides)
         contact.append(pair)
     return replace(problem, contact=tuple(contact))
@@ -93,10 +113,11 @@ class TieForces:
         return result
 
 
-def tie_interfaces(ties: Sequence[Tied | Periodic], mesh: MeshArrays, held: HeldNodes, axisymmetric: bool
-                   ) -> list[MortarInterface]:
-    """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what supports hold in
-    all directions is not tied."""
+def tie_interfaces(
+    ties: Sequence[Tied | Periodic], mesh: MeshArrays, held: HeldNodes, axisymmetric: bool
+) -> list[MortarInterface]:
+    """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what
+    supports hold in all directions is not tied."""
     if not ties:
         return []
     taken = held.fixed.all(axis=1)
@@ -111,7 +132,11 @@ def tie_interfaces(ties: Sequence[Tied | Periodic], mesh: MeshArrays, held: Held
         pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
         own = mesh.surface(tie.slave).nodes
         try:
-            parts.append(pair_interface(mesh, pair, held=held, excluded=own[taken[own]], axisymmetric=axisymmetric))
+            parts.append(
+                pair_interface(
+                    mesh, pair, held=held, excluded=own[taken[own]], axisymmetric=axisymmetric
+                )
+            )
         except ValueError as error:
             raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
         if tie.reach is None:
@@ -123,29 +148,39 @@ def tie_interfaces(ties: Sequence[Tied | Periodic], mesh: MeshArrays, held: Held
 def _warn_of_gaps(tie: Tied, mesh: MeshArrays, apart: float) -> None:
     """Warn of surfaces that are farther apart than an element, as where a body is misplaced."""
     if apart > np.ptp(mesh.points[mesh.surface(tie.slave).facets], axis=1).max():
-        warn_user(f"tie {tie.slave!r} on {tie.master!r}: the surfaces are up to {apart:.3g} m apart, more than an "
-                  "element, and rotations strain the bodies by that distance. Check their positions (m), or give "
-                  "reach= where it is meant")
+        warn_user(
+            f"tie {tie.slave!r} on {tie.master!r}: the surfaces are up to {apart:.3g} m apart, more than an "
+            "element, and rotations strain the bodies by that distance. Check their positions (m), or give "
+            "reach= where it is meant"
+        )
 
 
 def _periodic(tie: Periodic, mesh: MeshArrays, taken: np.ndarray) -> MortarInterface:
     """Nodes of a side of a cell, each with its partner on the other one."""
     slave, master = mesh.surface(tie.slave).nodes, mesh.surface(tie.master).nodes
     points, size = mesh.points, np.ptp(mesh.points, axis=0).max()
-    middle = [0.5 * (points[side].max(axis=0) + points[side].min(axis=0)) for side in (slave, master)]
+    middle = [
+        0.5 * (points[side].max(axis=0) + points[side].min(axis=0)) for side in (slave, master)
+    ]
     shift = middle[0] - middle[1]
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     away, partner = cKDTree(points[master]).query(points[slave] - shift)
     if len(slave) != len(master) or away.max() > _OFFSET * size:
         i = int(np.argmax(away))
-        raise ValueError(f"periodic sides {tie.master!r} and {tie.slave!r} do not match: {len(master)} and "
-                         f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
-                         f"lies {away[i]:.3g} m off. Take a structured mesh, or one with sides made alike")
+        raise ValueError(
+            f"periodic sides {tie.master!r} and {tie.slave!r} do not match: {len(master)} and "
+            f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
+            f"lies {away[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
+        )
     free = ~taken[slave]
     slave, partner = slave[free], master[partner[free]]
-    rows = sparse.csr_array((np.ones(len(slave)), partner, np.arange(len(slave) + 1)), shape=(len(slave), len(points)))
-    return MortarInterface(slave, np.zeros((len(slave), mesh.dim)), np.ones(len(slave)), np.zeros(len(slave)), rows)
+    rows = sparse.csr_array(
+        (np.ones(len(slave)), partner, np.arange(len(slave) + 1)), shape=(len(slave), len(points))
+    )
+    return MortarInterface(
+        slave, np.zeros((len(slave), mesh.dim)), np.ones(len(slave)), np.zeros(len(slave)), rows
+    )
 
 
 def jump_of(tie: Tied | Periodic, nodes: np.ndarray, held: HeldNodes) -> np.ndarray:
@@ -155,7 +190,8 @@ def jump_of(tie: Tied | Periodic, nodes: np.ndarray, held: HeldNodes) -> np.ndar
 
 
 def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
-    """Return the forces of the ties of a problem with the residual A w - b (n_dofs,), N; None without ties."""
+    """Return the forces of the ties of a problem with the residual A w - b (n_dofs,), N; None
+    without ties."""
     if not problem.ties:
         return None
     at, held = residual.reshape(-1, problem.dim), problem.held.reshape(-1, problem.dim)

@@ -2,25 +2,26 @@ r"""Strain and stress, element by element, from a P1 displacement; and continuou
 
 .. math:: \varepsilon = \tfrac12(\nabla u + \nabla u^T), \qquad \sigma = C (\varepsilon - \varepsilon_0)
 
-with the initial strain :math:`\varepsilon_0`, if any, and the tensors C of :mod:`adaptmg.discrete.moduli`. Both are
-constant on an element, but for the hoop strain :math:`u_r / r` of axisymmetric bodies, whose mean over the volume is
-taken: its value at the centroid, :math:`\int u_r \big/ \int r`. The strain energy is
+with the initial strain :math:`\varepsilon_0`, if any, and the tensors C of
+:mod:`adaptmg.discrete.moduli`. Both are constant on an element, but for the hoop strain :math:`u_r
+/ r` of axisymmetric bodies, whose mean over the volume is taken: its value at the centroid,
+:math:`\int u_r \big/ \int r`. The strain energy is
 :math:`\tfrac12 \int \sigma : (\varepsilon - \varepsilon_0)`, by the quadrature of the stiffness matrix.
 
-Smoothed elements have the stress that is in equilibrium, :math:`\sum_T V_T\, \sigma_T : \varepsilon_T(v) = b^T v`: by
-means around edges (S of :mod:`adaptmg.discrete.elasticity`), with the mean pressure p of the groups of their corners
-(:mod:`adaptmg.discrete.volumes`): :math:`\sigma = C\,S(\varepsilon - \varepsilon_0) + p I`.
+Smoothed elements have the stress that is in equilibrium, :math:`\sum_T V_T\, \sigma_T :
+\varepsilon_T(v) = b^T v`: by means around edges (S of :mod:`adaptmg.discrete.elasticity`), with the
+mean pressure p of the groups of their corners (:mod:`adaptmg.discrete.volumes`): :math:`\sigma =
+C\,S(\varepsilon - \varepsilon_0) + p I`.
 
 Nodal values of what is constant on elements come from a linear fit around each node,
 
 .. math:: \sum_e \big|\sigma_e - a - B (x_e - x_i)\big|^2 \to \min, \qquad \sigma^*_i = a
 
-over the elements e around node i, with centroids :math:`x_e` (O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth.
-Engng 33, 1992, doi:10.1002/nme.1620330702). Patches of boundary nodes lie on one side, where a fit around the node is
-far less accurate (on the symmetry lines of a plate with a hole three times): a boundary node takes the mean of the
-fits of the inner nodes around it, at its place; one without such nodes, a corner, a fit to the patches of all nodes of
-its elements.
-"""
+over the elements e around node i, with centroids :math:`x_e` (O. C. Zienkiewicz and J. Z. Zhu, Int.
+J. Numer. Meth. Engng 33, 1992, doi:10.1002/nme.1620330702). Patches of boundary nodes lie on one
+side, where a fit around the node is far less accurate (on the symmetry lines of a plate with a hole
+three times): a boundary node takes the mean of the fits of the inner nodes around it, at its place;
+one without such nodes, a corner, a fit to the patches of all nodes of its elements."""
 
 from __future__ import annotations
 
@@ -58,7 +59,8 @@ from adaptmg.problem.loads import InitialStrain, Load, Preload
 
 
 def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """Return symmetric small-strain tensors (n_elements, dim, dim) in the plane (3D: full), initial strains included.
+    """Return symmetric small-strain tensors (n_elements, dim, dim) in the plane (3D: full), initial
+    strains included.
 
     The displacement is (n_nodes, dim) or (n_dofs,), m.
     """
@@ -68,7 +70,10 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
-    (slopes, _), corners = shape_gradients(mesh), _nodal(mesh, displacement).take(mesh.elements, axis=0)
+    (slopes, _), corners = (
+        shape_gradients(mesh),
+        _nodal(mesh, displacement).take(mesh.elements, axis=0),
+    )
     gradients = np.empty((len(corners), mesh.dim, mesh.dim))
     for i, j in np.ndindex(mesh.dim, mesh.dim):  # three times as fast as products of small matrices
         gradients[:, i, j] = np.einsum("nk,nk->n", corners[:, :, i], slopes[:, :, j])
@@ -97,21 +102,43 @@ class StressData:
     # of groups of nodes (adaptmg.discrete.volumes), if there are any
     pressure: np.ndarray | None = None  # (n_elements,): mean of the corners, tension positive, Pa
     volume_energy: float = 0.0  # J (plane: J/m)
-    moduli: Moduli | None = None  # where a body is anisotropic; Lame constants are those of an isotropic one near it
+    moduli: Moduli | None = (
+        None  # where a body is anisotropic; Lame constants are those of an isotropic one near it
+    )
 
     @classmethod
-    def of(cls, mesh: MeshArrays, material: Materials, loads: Sequence[Load] = (), elements: str = "linear"
-           ) -> StressData:
-        """Return the data of materials (one, or body name -> Elastic) and of the initial strains among loads."""
+    def of(
+        cls,
+        mesh: MeshArrays,
+        material: Materials,
+        loads: Sequence[Load] = (),
+        elements: str = "linear",
+    ) -> StressData:
+        """Return the data of materials (one, or body name -> Elastic) and of the initial strains
+        among loads."""
         materials = body_materials(mesh, material)
-        kind = [_THIN if isinstance(one, PlaneStress) else _AXISYMMETRIC if is_axisymmetric(one) else _PLAIN
-                for one in materials]
+        kind = [
+            _THIN
+            if isinstance(one, PlaneStress)
+            else _AXISYMMETRIC
+            if is_axisymmetric(one)
+            else _PLAIN
+            for one in materials
+        ]
         strains = [load for load in loads if isinstance(load, InitialStrain)]
-        initial = mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials)) if strains else None
+        initial = (
+            mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials))
+            if strains
+            else None
+        )
         own = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
-        return cls(*lame_constants(materials), np.array(kind, dtype=np.int8),
-                   np.zeros((0, 3)) if initial is None else initial, elements == "smoothed",
-                   moduli=own if any(one.anisotropy for one in materials) else None)
+        return cls(
+            *lame_constants(materials),
+            np.array(kind, dtype=np.int8),
+            np.zeros((0, 3)) if initial is None else initial,
+            elements == "smoothed",
+            moduli=own if any(one.anisotropy for one in materials) else None,
+        )
 
     @property
     def axisymmetric(self) -> bool:
@@ -119,17 +146,21 @@ class StressData:
         return bool((self.kind == _AXISYMMETRIC).any())
 
     def of_elements(self, mesh: MeshArrays) -> Moduli:
-        """Return the tensors of the elements; of smoothed ones those that act on means around edges."""
+        """Return the tensors of the elements; of smoothed ones those that act on means around
+        edges."""
         if self.moduli is not None:
             return self.moduli
-        return isotropic(self.lame, self.shear, self.kind == _THIN, mesh, EDGE_PART if self.smoothed else np.inf)
+        return isotropic(
+            self.lame, self.shear, self.kind == _THIN, mesh, EDGE_PART if self.smoothed else np.inf
+        )
 
     def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return the stress tensors (n_elements, 3, 3) as of :func:`full_stress`."""
         return self._stress(mesh, self._elastic(mesh, displacement))
 
     def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-        """Return strain tensors (n_elements, 3, 3) with initial strains, through the thickness and of the hoop, too."""
+        """Return strain tensors (n_elements, 3, 3) with initial strains, through the thickness and
+        of the hoop, too."""
         strain, thin = self._elastic(mesh, displacement), (self.kind == _THIN)[mesh.element_body]
         if thin.any():
             strain[thin, 2, 2] = self.of_elements(mesh).stress(strain)[thin, 2]
@@ -138,7 +169,8 @@ class StressData:
         return strain
 
     def suppressed(self, mesh: MeshArrays) -> float:
-        """Return the energy of stresses that suppress initial strains, N m; of plane bodies of those in the plane."""
+        """Return the energy of stresses that suppress initial strains, N m; of plane bodies of
+        those in the plane."""
         own, volume = self.of_elements(mesh), element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
         strain[(self.kind == _THIN)[mesh.element_body], 2] = 0.0
@@ -152,8 +184,13 @@ class StressData:
     def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
         """Return the strain energy, J (plane: J/m)."""
         elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)
-        stress, volumes = replace(self, pressure=None)._stress(mesh, elastic), element_measures(mesh, self.axisymmetric)
-        energy = 0.5 * float(np.einsum("n,nij,nij->", volumes, stress, elastic)) + self.volume_energy
+        stress, volumes = (
+            replace(self, pressure=None)._stress(mesh, elastic),
+            element_measures(mesh, self.axisymmetric),
+        )
+        energy = (
+            0.5 * float(np.einsum("n,nij,nij->", volumes, stress, elastic)) + self.volume_energy
+        )
         if not self.axisymmetric or self.smoothed:
             return energy
         # what the hoop strain varies within elements adds
@@ -165,9 +202,14 @@ class StressData:
 
     def _elastic(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Strain minus initial strain; of plane stress without the strain through the thickness."""
-        if len(self.kind) != len(mesh.bodies) or len(self.initial_strain) not in (0, len(mesh.elements)):
-            raise ValueError(f"stress data of {len(self.kind)} bodies and {len(self.initial_strain)} elements do not "
-                             f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}")
+        if len(self.kind) != len(mesh.bodies) or len(self.initial_strain) not in (
+            0,
+            len(mesh.elements),
+        ):
+            raise ValueError(
+                f"stress data of {len(self.kind)} bodies and {len(self.initial_strain)} elements do not "
+                f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}"
+            )
         dim, diagonal = mesh.dim, np.arange(3)
         strain = np.zeros((len(mesh.elements), 3, 3))
         strain[:, :dim, :dim] = element_strain(mesh, displacement)
@@ -181,7 +223,9 @@ class StressData:
 
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
         if self.smoothed:
-            strain = smoothed(mesh, strain.reshape(-1, 9), element_measures(mesh, self.axisymmetric)).reshape(-1, 3, 3)
+            strain = smoothed(
+                mesh, strain.reshape(-1, 9), element_measures(mesh, self.axisymmetric)
+            ).reshape(-1, 3, 3)
         stress, diagonal = as_tensors(self.of_elements(mesh).stress(strain)), np.arange(3)
         if self.pressure is not None:
             stress[:, diagonal, diagonal] += self.pressure[:, None]
@@ -189,21 +233,25 @@ class StressData:
         return stress
 
 
-def full_stress(mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
-                ) -> np.ndarray:
-    """Return Cauchy stresses (n_elements, 3, 3) of linear elements, Pa, tension positive, with that out of the plane.
+def full_stress(
+    mesh: MeshArrays, material: Materials, displacement: np.ndarray, loads: Sequence[Load] = ()
+) -> np.ndarray:
+    """Return Cauchy stresses (n_elements, 3, 3) of linear elements, Pa, tension positive, with that
+    out of the plane.
 
-    In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress; the shear stresses out of
-    the plane are 0. The displacement is (n_nodes, dim) or (n_dofs,), m; initial strains among the loads carry no
-    stress, other loads do not matter.
-    """
+    In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress; the
+    shear stresses out of the plane are 0. The displacement is (n_nodes, dim) or (n_dofs,), m;
+    initial strains among the loads carry no stress, other loads do not matter."""
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
-    r"""Return equivalent stresses :math:`\sqrt{\tfrac32\, s : s}` (n,), Pa, of the deviators s of tensors (n, 3, 3)."""
+    r"""Return equivalent stresses :math:`\sqrt{\tfrac32\, s : s}` (n,), Pa, of the deviators s of
+    tensors (n, 3, 3)."""
     if np.shape(stress)[1:] != (3, 3):
-        raise ValueError(f"stress must have shape (n, 3, 3), as of full_stress, got {np.shape(stress)}")
+        raise ValueError(
+            f"stress must have shape (n, 3, 3), as of full_stress, got {np.shape(stress)}"
+        )
     deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
     return np.sqrt(1.5 * np.sum(deviator**2, axis=(1, 2)))
 
@@ -216,31 +264,39 @@ def _nodal(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     return u.reshape(mesh.points.shape)
 
 
-def cut_force(mesh: MeshArrays, data: StressData, displacement: np.ndarray, preload: Preload) -> float:
-    r"""Return the tension across the cut of a preload, N; ValueError if no element of the body lies across it.
+def cut_force(
+    mesh: MeshArrays, data: StressData, displacement: np.ndarray, preload: Preload
+) -> float:
+    r"""Return the tension across the cut of a preload, N; ValueError if no element of the body lies
+    across it.
 
-    With the nodal function chi, 1 beyond the cut and 0 before it, and the axis a it is the virtual work of moving the
-    part beyond by a unit, :math:`\int \sigma : \nabla (\chi a)`: what all forces on that part pull.
-    """
+    With the nodal function chi, 1 beyond the cut and 0 before it, and the axis a it is the virtual
+    work of moving the part beyond by a unit, :math:`\int \sigma : \nabla (\chi a)`: what all forces
+    on that part pull."""
     elements, axis = body_elements(mesh, preload.body), preload.direction
     nodes = np.unique(mesh.elements[elements])
     along = mesh.points[nodes, axis]
     at = 0.5 * (along.min() + along.max()) if preload.at is None else preload.at
     if not along.min() < at < along.max():
-        raise ValueError(f"at of the preload of {preload.body!r} must be in ({along.min():g}, {along.max():g}), the "
-                         f"extent of the body along {preload.axis}, got {at:g}")
+        raise ValueError(
+            f"at of the preload of {preload.body!r} must be in ({along.min():g}, {along.max():g}), the "
+            f"extent of the body along {preload.axis}, got {at:g}"
+        )
     beyond = np.zeros(mesh.points.shape)
     beyond[nodes[along > at], axis] = 1.0
     slopes = displacement_gradient(mesh, beyond)[elements]
-    stress = data.tensors(mesh, displacement)[elements, :mesh.dim, :mesh.dim]
+    stress = data.tensors(mesh, displacement)[elements, : mesh.dim, : mesh.dim]
     volumes = element_measures(mesh, data.axisymmetric)[elements]
     return float(np.einsum("n,nij,nij->", volumes, stress, slopes))
 
 
 def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> float:
-    """Return the force, N, that a strain of 1 makes in the mean section of the body, whose sides are free."""
-    elements, young = body_elements(mesh, preload.body), body_materials(mesh, material)[
-        mesh.bodies.index(preload.body)].young
+    """Return the force, N, that a strain of 1 makes in the mean section of the body, whose sides
+    are free."""
+    elements, young = (
+        body_elements(mesh, preload.body),
+        body_materials(mesh, material)[mesh.bodies.index(preload.body)].young,
+    )
     volume = element_measures(mesh, is_axisymmetric(material))[elements].sum()
     return float(young * volume / np.ptp(mesh.points[mesh.elements[elements], preload.direction]))
 
@@ -250,15 +306,18 @@ _SINGULAR = 1e-5
 
 
 def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cells of :func:`~adaptmg.discrete.elasticity.apart`, and nodal values (n, n_values) of those
-    (n_elements, n_values) of elements."""
+    """Return the cells of :func:`~adaptmg.discrete.elasticity.apart`, and nodal values (n,
+    n_values) of those (n_elements, n_values) of elements."""
     cells, points = apart(mesh)
     corners = cells.shape[1]
     centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
     of_nodes = elements_of_nodes(cells, len(points))
-    around = sparse.csr_array((np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=of_nodes.shape[::-1])
+    around = sparse.csr_array(
+        (np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=of_nodes.shape[::-1]
+    )
     indptr, _ = pattern(of_nodes, starts_of(cells), cells.reshape(-1))
-    # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2); else there are more
+    # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2);
+    # else there are more
     others, count = np.diff(indptr) - 1, np.diff(around.indptr)
     inner = np.flatnonzero(others == count if corners == 3 else 2 * others == count + 4)
     fits, good = _fits(around[inner], points[inner], centroids, values)
@@ -266,26 +325,35 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     nodal, left = np.zeros((len(points), values.shape[1])), np.ones(len(points), dtype=bool)
     nodal[inner], left[inner] = fits[:, 0], False
     # the nodes of each element
-    corners_of = sparse.csr_array((np.ones(cells.size), cells.reshape(-1), corners * np.arange(len(cells) + 1)),
-                                  shape=of_nodes.shape)
+    corners_of = sparse.csr_array(
+        (np.ones(cells.size), cells.reshape(-1), corners * np.arange(len(cells) + 1)),
+        shape=of_nodes.shape,
+    )
     shared, fit = sparse.coo_array(around[left] @ corners_of), np.full(len(points), -1)
     fit[inner] = np.arange(len(inner))
     fitted = fit[shared.col] >= 0
-    at, other, often = np.flatnonzero(left)[shared.row[fitted]], shared.col[fitted], shared.data[fitted]
+    at, other, often = (
+        np.flatnonzero(left)[shared.row[fitted]],
+        shared.col[fitted],
+        shared.data[fitted],
+    )
     fits = fits[fit[other]]
     away = points[at] - points[other]
     np.add.at(nodal, at, often[:, None] * (fits[:, 0] + np.einsum("nd,ndc->nc", away, fits[:, 1:])))
     weights = np.bincount(at, often, len(points))
     nodal[weights > 0] /= weights[weights > 0, None]
     left &= weights == 0
-    nodal[left] = _fits(around[left] @ corners_of @ around, points[left], centroids, values)[0][:, 0]
+    nodal[left] = _fits(around[left] @ corners_of @ around, points[left], centroids, values)[0][
+        :, 0
+    ]
     return cells, nodal
 
 
-def _fits(patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, values: np.ndarray
-          ) -> tuple[np.ndarray, np.ndarray]:
-    """Fits a, B (n, dim + 1, n_values) around places (n, dim) and whether the patches (n, n_elements) determine them;
-    elsewhere a is the mean."""
+def _fits(
+    patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fits a, B (n, dim + 1, n_values) around places (n, dim) and whether the patches (n,
+    n_elements) determine them; elsewhere a is the mean."""
     first, rows = patches.indptr[:-1], np.repeat(np.arange(len(places)), np.diff(patches.indptr))
     away = centroids.take(patches.indices, axis=0) - places.take(rows, axis=0)
     size = np.maximum.reduceat(np.abs(away), first).max(axis=1)
@@ -293,19 +361,25 @@ def _fits(patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, 
     np.divide(away, size[rows, None], out=terms[:, 1:])
     (n, k), samples = (len(places), terms.shape[1]), values.take(patches.indices, axis=0)
     # numbers of all nodes side by side
-    matrix, sides, good = np.empty((k, k, n)), np.empty((k, values.shape[1], n)), np.ones(n, dtype=bool)
+    matrix, sides, good = (
+        np.empty((k, k, n)),
+        np.empty((k, values.shape[1], n)),
+        np.ones(n, dtype=bool),
+    )
     for a in range(k):
-        sums = sparse.csr_array((terms[:, a], np.arange(len(terms)), patches.indptr), shape=(n, len(terms)))
+        sums = sparse.csr_array(
+            (terms[:, a], np.arange(len(terms)), patches.indptr), shape=(n, len(terms))
+        )
         matrix[a], sides[a] = (sums @ terms).T, (sums @ samples).T
     means, limit = sides[0] / matrix[0, 0], _SINGULAR * matrix[0, 0]
     for a in range(k):
         good &= matrix[a, a] > limit
         matrix[a, a, ~good] = 1.0
-        factor = matrix[a + 1:, a] / matrix[a, a]
-        matrix[a + 1:] -= factor[:, None] * matrix[a]
-        sides[a + 1:] -= factor[:, None] * sides[a]
+        factor = matrix[a + 1 :, a] / matrix[a, a]
+        matrix[a + 1 :] -= factor[:, None] * matrix[a]
+        sides[a + 1 :] -= factor[:, None] * sides[a]
     for a in reversed(range(k)):
-        sides[a] -= (matrix[a, a + 1:, None] * sides[a + 1:]).sum(axis=0)
+        sides[a] -= (matrix[a, a + 1 :, None] * sides[a + 1 :]).sum(axis=0)
         sides[a] /= matrix[a, a]
     sides[1:] /= size
     sides[0] = np.where(good, sides[0], means)

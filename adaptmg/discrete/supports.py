@@ -1,13 +1,15 @@
-r"""The nodes and dofs that supports and springs hold, also along directions that are no coordinate axes.
+r"""The nodes and dofs that supports and springs hold, also along directions that are no coordinate
+axes.
 
-With the projection :math:`Z_i` onto the directions along which inclined supports hold node i, and the displacement
+With the projection :math:`Z_i` onto the directions along which inclined supports hold node i, and
+the displacement
 :math:`\bar u_i` that they prescribe along them, the problem in relative coordinates
 
 .. math:: A' = (I - Z)\,A\,(I - Z) + Z D Z,\qquad b' = (I - Z)\,(b - A \bar u) + Z D \bar u
 
-has the solution of :math:`A u = b` with :math:`Z u = \bar u`: these components are coupled to no other, and solvers
-need not know of them. D has the size of the diagonal blocks. The supports exert :math:`Z (A u - b)`. The energy of a
-displacement is that of A,
+has the solution of :math:`A u = b` with :math:`Z u = \bar u`: these components are coupled to no
+other, and solvers need not know of them. D has the size of the diagonal blocks. The supports exert
+:math:`Z (A u - b)`. The energy of a displacement is that of A,
 
 .. math:: u^T A u = u^T A' u + 2\,u^T (I - Z) A \bar u + \bar u^T A \bar u - \bar u^T D \bar u .
 """
@@ -24,7 +26,15 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg._checks import narrowed
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.loads import AnySupport, FieldLike, PointSpring, PointSupport, Support, Symmetry, times
+from adaptmg.problem.loads import (
+    AnySupport,
+    FieldLike,
+    PointSpring,
+    PointSupport,
+    Support,
+    Symmetry,
+    times,
+)
 
 _AT_POINT = 1e-9  # of the size of the mesh: nodes nearer to a point lie at it
 _ALONG_AXIS = 1e-9  # of the cosine with an axis or a mean normal; of prescribed values
@@ -33,55 +43,81 @@ _PARALLEL = 1e-6  # directions that differ by less count as one
 
 @dataclass(frozen=True, eq=False)
 class Inclined:
-    """The nodes that supports hold along directions that are no axes. Their fixed components count among these."""
+    """The nodes that supports hold along directions that are no axes. Their fixed components count
+    among these."""
 
     nodes: np.ndarray  # (k,) int, ascending
     spans: np.ndarray  # (k, dim, dim): Z
     moved: Mapping[str, np.ndarray]  # (k, dim) by name in a load path: what supports prescribe, m
-    rows: sparse.csr_array = field(default_factory=lambda: sparse.csr_array((0, 0)))  # (k * dim, n_dofs): of A
+    rows: sparse.csr_array = field(
+        default_factory=lambda: sparse.csr_array((0, 0))
+    )  # (k * dim, n_dofs): of A
     stiffness: np.ndarray = field(default_factory=lambda: np.empty(0))  # (k,): D
     load: np.ndarray = field(default_factory=lambda: np.empty(0))  # (n_dofs,): b
 
     def prescribed(self, factors: Mapping[str, float]) -> np.ndarray:
         """Return the displacement (k, dim) that supports prescribe in a load step, m."""
-        return sum((factors.get(name, 1.0) * part for name, part in self.moved.items()), np.zeros(self.spans.shape[:2]))
+        return sum(
+            (factors.get(name, 1.0) * part for name, part in self.moved.items()),
+            np.zeros(self.spans.shape[:2]),
+        )
 
     @property
     def moving(self) -> np.ndarray:
         """Which of the nodes (k,) bool supports move."""
-        return sum((part.any(axis=1) for part in self.moved.values()), np.zeros(len(self.nodes), dtype=bool)) > 0
+        return (
+            sum(
+                (part.any(axis=1) for part in self.moved.values()),
+                np.zeros(len(self.nodes), dtype=bool),
+            )
+            > 0
+        )
 
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Return vectors (n, dim) at some nodes without their parts along the directions that are held."""
+        """Return vectors (n, dim) at some nodes without their parts along the directions that are
+        held."""
         at = np.minimum(np.searchsorted(self.nodes, nodes), len(self.nodes) - 1)
         here = self.nodes[at] == nodes
-        return np.where(here[:, None], vectors - np.einsum("nij,nj->ni", self.spans[at], vectors), vectors)
+        return np.where(
+            here[:, None], vectors - np.einsum("nij,nj->ni", self.spans[at], vectors), vectors
+        )
 
     def spread(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
         """Return the matrix of all nodes with blocks (k, dim, dim) on the diagonal."""
         counts = np.zeros(n_nodes, dtype=np.int64)
         counts[self.nodes] = 1
         n = n_nodes * self.spans.shape[1]
-        return sparse.csr_array(sparse.bsr_array((blocks, self.nodes, np.append(0, np.cumsum(counts))), shape=(n, n)))
+        return sparse.csr_array(
+            sparse.bsr_array((blocks, self.nodes, np.append(0, np.cumsum(counts))), shape=(n, n))
+        )
 
     def along(self, vector: np.ndarray) -> np.ndarray:
         """Return the parts (k, dim) of a vector (n_dofs,) along the directions that are held."""
-        return np.einsum("nij,nj->ni", self.spans, vector.reshape(-1, self.spans.shape[1])[self.nodes])
+        return np.einsum(
+            "nij,nj->ni", self.spans, vector.reshape(-1, self.spans.shape[1])[self.nodes]
+        )
 
     def of_problem(self, parts: dict[str, Any]) -> dict[str, Any]:
-        """Return the parts of a problem, in relative coordinates, with these directions eliminated."""
+        """Return the parts of a problem, in relative coordinates, with these directions
+        eliminated."""
         matrix, dim = parts["matrix"], self.spans.shape[1]
         dofs = (dim * self.nodes[:, None] + np.arange(dim)).reshape(-1)
         rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
         this = replace(self, rows=rows, stiffness=stiffness, load=parts["load"])
         prescribed = this.prescribed({})
-        return parts | {"matrix": this._eliminated(matrix), "load": this.posed(parts["load"], prescribed),
-                        "strain_free": this.strain_free(parts.get("strain_free"), prescribed), "inclined": this}
+        return parts | {
+            "matrix": this._eliminated(matrix),
+            "load": this.posed(parts["load"], prescribed),
+            "strain_free": this.strain_free(parts.get("strain_free"), prescribed),
+            "inclined": this,
+        }
 
     def _eliminated(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
         size, n = matrix.blocksize, matrix.shape[0]
-        free = sparse.bsr_array(sparse.eye_array(n) - self.spread(self.spans, n // size[0]), blocksize=size)
+        free = sparse.bsr_array(
+            sparse.eye_array(n) - self.spread(self.spans, n // size[0]), blocksize=size
+        )
         own = self.spread(self.stiffness[:, None, None] * self.spans, n // size[0])
         half = sparse.bsr_array(0.5 * (free @ matrix @ free + own), blocksize=size)
         return narrowed(sparse.bsr_array(half + half.T, blocksize=size).sorted_indices())
@@ -92,19 +128,23 @@ class Inclined:
         result[self.nodes] += self.stiffness[:, None] * prescribed - self.along(result)
         return result.reshape(-1)
 
-    def strain_free(self, before: tuple[np.ndarray, float] | None, prescribed: np.ndarray
-                    ) -> tuple[np.ndarray, float] | None:
+    def strain_free(
+        self, before: tuple[np.ndarray, float] | None, prescribed: np.ndarray
+    ) -> tuple[np.ndarray, float] | None:
         """Return what makes the energy of A' that of A; see ``DiscreteProblem.stress_energy``."""
         if not prescribed.any():
             return before
         forces = (self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
-        own = float(np.sum(prescribed * (forces[self.nodes] - self.stiffness[:, None] * prescribed)))
+        own = float(
+            np.sum(prescribed * (forces[self.nodes] - self.stiffness[:, None] * prescribed))
+        )
         forces[self.nodes] -= self.along(forces)
         load, energy = (0.0, 0.0) if before is None else before
         return load - forces.reshape(-1), energy + own
 
     def reaction(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the forces (n_dofs,) that the supports exert along these directions, of the unknowns (n_dofs,), N."""
+        """Return the forces (n_dofs,) that the supports exert along these directions, of the
+        unknowns (n_dofs,), N."""
         load, result = self.load.reshape(-1, self.spans.shape[1]), np.zeros_like(self.load)
         forces = (self.rows @ unknowns).reshape(-1, load.shape[1]) - load[self.nodes]
         result.reshape(load.shape)[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
@@ -128,19 +168,29 @@ def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -
     """Return the node at a point; ValueError if there is none, or several bodies have one."""
     text = f"point {tuple(point)}"
     if body is not None and body not in mesh.bodies:
-        raise ValueError(f"{text}: body {body!r} does not exist; the bodies are {', '.join(mesh.bodies)}")
-    mine = mesh.elements if body is None else mesh.elements[mesh.element_body == mesh.bodies.index(body)]
+        raise ValueError(
+            f"{text}: body {body!r} does not exist; the bodies are {', '.join(mesh.bodies)}"
+        )
+    mine = (
+        mesh.elements
+        if body is None
+        else mesh.elements[mesh.element_body == mesh.bodies.index(body)]
+    )
     nodes = np.unique(mine)
     away = np.linalg.norm(mesh.points[nodes] - point, axis=1)
     near = nodes[away <= _AT_POINT * np.ptp(mesh.points, axis=0).max()]
     if not len(near):
         nearest = mesh.points[nodes[np.argmin(away)]]
-        raise ValueError(f"{text}: no node of the mesh lies there, the nearest one {away.min():.3g} m away at "
-                         f"{tuple(nearest.tolist())}. Graded meshes of plane domains have a node at any point of a "
-                         "straight edge; otherwise take a point that is a node of every mesh")
+        raise ValueError(
+            f"{text}: no node of the mesh lies there, the nearest one {away.min():.3g} m away at "
+            f"{tuple(nearest.tolist())}. Graded meshes of plane domains have a node at any point of a "
+            "straight edge; otherwise take a point that is a node of every mesh"
+        )
     if len(near) > 1:
-        raise ValueError(f"{text}: {len(near)} nodes lie there, of bodies that touch (say body=...), or on both faces "
-                         "of a crack (take another point)")
+        raise ValueError(
+            f"{text}: {len(near)} nodes lie there, of bodies that touch (say body=...), or on both faces "
+            "of a crack (take another point)"
+        )
     return int(near[0])
 
 
@@ -165,22 +215,30 @@ def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
     axes, result = np.eye(mesh.dim), []
     for one in supports:
         components = list(one.components(mesh.dim))
-        normal = 0.0 if isinstance(one, Symmetry) else one.normal if isinstance(one, Support) else None
+        normal = (
+            0.0 if isinstance(one, Symmetry) else one.normal if isinstance(one, Support) else None
+        )
         if normal is not None:
             normals = mesh.surface(one.boundary).normals
             direction = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
             if not (normals @ direction).min() > 1 - _ALONG_AXIS:
-                raise ValueError(f"the support on {one.boundary!r} holds its normal, and the boundary is not plane: "
-                                 "name each of its plane parts")
+                raise ValueError(
+                    f"the support on {one.boundary!r} holds its normal, and the boundary is not plane: "
+                    "name each of its plane parts"
+                )
             axis = int(np.argmax(np.abs(direction)))
             if np.abs(direction[axis]) <= 1 - _ALONG_AXIS:
                 result.append(Held(one, direction, None, normal))
             elif components[axis] is not None:
-                raise ValueError(f"the support on {one.boundary!r} prescribes {'xyz'[axis]}, which is its normal "
-                                 "displacement, twice: leave one out")
+                raise ValueError(
+                    f"the support on {one.boundary!r} prescribes {'xyz'[axis]}, which is its normal "
+                    "displacement, twice: leave one out"
+                )
             else:
                 components[axis] = times(normal, np.sign(direction[axis]))
-        result += [Held(one, axes[k], k, value) for k, value in enumerate(components) if value is not None]
+        result += [
+            Held(one, axes[k], k, value) for k, value in enumerate(components) if value is not None
+        ]
     return result
 
 
@@ -199,39 +257,50 @@ def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[st
 
 
 def inclined_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> Inclined | None:
-    """Return the nodes that supports hold along directions other than axes; ValueError where values contradict."""
+    """Return the nodes that supports hold along directions other than axes; ValueError where values
+    contradict."""
     held = held_by(mesh, supports)
     if all(one.axis is not None for one in held):
         return None
-    nodes = np.unique(np.concatenate([supported_nodes(mesh, one.support) for one in held if one.axis is None]))
+    nodes = np.unique(
+        np.concatenate([supported_nodes(mesh, one.support) for one in held if one.axis is None])
+    )
     rows, values = np.zeros((len(nodes), len(held), mesh.dim)), np.zeros((len(nodes), len(held)))
     for k, one in enumerate(held):
         own = np.intersect1d(supported_nodes(mesh, one.support), nodes)
         at = np.searchsorted(nodes, own)
         rows[at, k] = one.direction
-        values[at, k] = checks.field(f"the support on {one.support.place!r}", one.value, mesh.points[own])
+        values[at, k] = checks.field(
+            f"the support on {one.support.place!r}", one.value, mesh.points[own]
+        )
     inverse = np.linalg.pinv(rows, rcond=_PARALLEL)
     left = np.einsum("nsd,ndt,nt->ns", rows, inverse, values) - values
     wrong = np.abs(left).max(axis=1) > _ALONG_AXIS * np.abs(values).max()
     if wrong.any():
         i = int(np.argmax(wrong))
-        names = dict.fromkeys(repr(held[k].support.place) for k in np.flatnonzero(rows[i].any(axis=1)))
-        raise ValueError(f"the supports on {', '.join(names)} contradict each other at their common node {nodes[i]} "
-                         f"{tuple(mesh.points[nodes[i]].tolist())}: give them values that agree, or free one")
+        names = dict.fromkeys(
+            repr(held[k].support.place) for k in np.flatnonzero(rows[i].any(axis=1))
+        )
+        raise ValueError(
+            f"the supports on {', '.join(names)} contradict each other at their common node {nodes[i]} "
+            f"{tuple(mesh.points[nodes[i]].tolist())}: give them values that agree, or free one"
+        )
     moved: dict[str, np.ndarray] = {}
     for k, one in enumerate(held):
         name = one.support.path_name
         moved[name] = moved.get(name, 0.0) + inverse[:, :, k] * values[:, k, None]
-    return Inclined(nodes, inverse @ rows, {name: part for name, part in moved.items() if part.any()})
+    return Inclined(
+        nodes, inverse @ rows, {name: part for name, part in moved.items() if part.any()}
+    )
 
 
 def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mask (n_dofs,) and values (n_dofs,), m, zero where free, of the prescribed dofs; without those of
-    nodes that supports hold along other directions, see :func:`inclined_supports`.
+    """Return the mask (n_dofs,) and values (n_dofs,), m, zero where free, of the prescribed dofs;
+    without those of nodes that supports hold along other directions, see :func:`inclined_supports`.
 
-    Where two supports meet, they must agree or prescribe different components. ValueError for a boundary or point the
-    mesh does not have, a z component in 2D, two values for one dof, or functions with values that are not finite.
-    """
+    Where two supports meet, they must agree or prescribe different components. ValueError for a
+    boundary or point the mesh does not have, a z component in 2D, two values for one dof, or
+    functions with values that are not finite."""
     mask, all_values = np.zeros(mesh.points.size, dtype=bool), np.zeros(mesh.points.size)
     fixed, values = (array.reshape(mesh.points.shape) for array in (mask, all_values))
     origin = np.zeros(mesh.points.shape, dtype=np.int64)  # of fixed ones
@@ -240,14 +309,18 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
         if one.axis is None:
             continue
         nodes, d = supported_nodes(mesh, one.support), one.axis
-        prescribed = checks.field(f"{'xyz'[d]} of the support on {one.support.place!r}", one.value, mesh.points[nodes])
+        prescribed = checks.field(
+            f"{'xyz'[d]} of the support on {one.support.place!r}", one.value, mesh.points[nodes]
+        )
         clash = fixed[nodes, d] & (values[nodes, d] != prescribed)
         if clash.any():
             node, here = int(nodes[np.argmax(clash)]), prescribed[np.argmax(clash)]
             other = held[origin[node, d]].support.place
-            raise ValueError(f"supports on {other!r} and {one.support.place!r} prescribe different {'xyz'[d]} "
-                             f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
-                             f"{tuple(mesh.points[node].tolist())}: give both the same value or free one")
+            raise ValueError(
+                f"supports on {other!r} and {one.support.place!r} prescribe different {'xyz'[d]} "
+                f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
+                f"{tuple(mesh.points[node].tolist())}: give both the same value or free one"
+            )
         fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, prescribed, k
     for one in held:
         if one.axis is None:

@@ -1,21 +1,25 @@
-r"""Volumes: mean volume strains over groups of nodes, which a nearly incompressible body keeps nearly at zero.
+r"""Volumes: mean volume strains over groups of nodes, which a nearly incompressible body keeps
+nearly at zero.
 
-Of a body whose first Lame constant :math:`\lambda` is more than four shear moduli, the smoothed stiffness K' has
+Of a body whose first Lame constant :math:`\lambda` is more than four shear moduli, the smoothed
+stiffness K' has
 :math:`\lambda_1 = 4\mu` (:mod:`adaptmg.discrete.elasticity`); the rest acts on the mean divergence b_a u of groups of
 nodes, with the volume A_a,
 
 .. math:: K = K' + \sum_a A_a\,\kappa\, b_a b_a^T,\qquad \kappa = \lambda - \lambda_1,\qquad
           A_a\,b_a u = \sum_{n \in a} \sum_{T \ni n} \frac{V_T}{d + 1}\,\mathrm{div}_T u .
 
-K is never formed. With the group pressures :math:`p_a = \kappa\, b_a u` (tension positive) and the rows
+K is never formed. With the group pressures :math:`p_a = \kappa\, b_a u` (tension positive) and the
+rows
 :math:`B_a = A_a b_a` equilibrium is
 
 .. math:: K' u + B^T p = f,\qquad b_a u - p_a/\kappa = 0,
 
-which makes sense for Poisson's ratio .5, :math:`1/\kappa = 0`, too. Of initial strains the mean trace is taken off
+which makes sense for Poisson's ratio .5, :math:`1/\kappa = 0`, too. Of initial strains the mean
+trace is taken off
 :math:`b_a u`. Single nodes are an unstable pair with linear
-displacements; groups of four in the plane, eight in space are stable (the inf-sup constant is .17 on all meshes tried).
-"""
+displacements; groups of four in the plane, eight in space are stable (the inf-sup constant is .17
+on all meshes tried)."""
 
 from __future__ import annotations
 
@@ -26,8 +30,21 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._numba import kernel, read_only
-from adaptmg.discrete.elasticity import apart, element_measures, elements_of_nodes, pattern, shape_gradients, starts_of
-from adaptmg.discrete.moduli import EDGE_PART, Materials, body_materials, is_axisymmetric, lame_constants
+from adaptmg.discrete.elasticity import (
+    apart,
+    element_measures,
+    elements_of_nodes,
+    pattern,
+    shape_gradients,
+    starts_of,
+)
+from adaptmg.discrete.moduli import (
+    EDGE_PART,
+    Materials,
+    body_materials,
+    is_axisymmetric,
+    lame_constants,
+)
 from adaptmg.geometry.search import morton_order
 from adaptmg.mesh.arrays import MeshArrays
 
@@ -42,12 +59,16 @@ class Volumes:
     """The groups of a problem, in its unknowns."""
 
     rows: sparse.csr_array  # (n_groups, n_dofs): B, m or m^2
-    means: sparse.csr_array  # (n_groups, n_nodes): shares of nodes in the volume of a group, row sums 1
+    means: (
+        sparse.csr_array
+    )  # (n_groups, n_nodes): shares of nodes in the volume of a group, row sums 1
     areas: np.ndarray  # (n_groups,): A, m^2 (plane) or m^3
     compliance: np.ndarray  # (n_groups,): 1 / kappa, 1/Pa; 0: incompressible
     modulus: np.ndarray  # (n_groups,): lam_1 + mu, Pa
     body: np.ndarray  # (n_groups,) int: number of the body that a group belongs to
-    corners: np.ndarray  # (n_elements, dim + 1) int32: groups of the corners of elements, -1 for none
+    corners: (
+        np.ndarray
+    )  # (n_elements, dim + 1) int32: groups of the corners of elements, -1 for none
     expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
 
     def __len__(self) -> int:
@@ -90,11 +111,16 @@ class Volumes:
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
         """Return the same under initial strains (n_elements, 3)."""
         own, size = self.corners >= 0, self.corners.shape[1]
-        shares = np.repeat(element_measures(mesh, axisymmetric) * strain.sum(axis=1) / size, size).reshape(own.shape)
-        return replace(self, expansion=np.bincount(self.corners[own], shares[own], len(self)) / self.areas)
+        shares = np.repeat(
+            element_measures(mesh, axisymmetric) * strain.sum(axis=1) / size, size
+        ).reshape(own.shape)
+        return replace(
+            self, expansion=np.bincount(self.corners[own], shares[own], len(self)) / self.areas
+        )
 
     def at_nodes(self, pressures: np.ndarray) -> np.ndarray:
-        """Return pressures (n_nodes,) of the groups of nodes, between bodies their mean; zero where there are none."""
+        """Return pressures (n_nodes,) of the groups of nodes, between bodies their mean; zero where
+        there are none."""
         total = np.asarray(self.means.sum(axis=0)).reshape(-1)
         return np.divide(self.means.T @ pressures, total, out=np.zeros_like(total), where=total > 0)
 
@@ -123,7 +149,9 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     node, body_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     node[cells], body_of[cells] = elements, body[:, None]
     ends, group = starts_of(cells), np.full(n, -1, dtype=np.int32)
-    count = _gather(*pattern(elements_of_nodes(cells, n), ends, read_only(cells.reshape(-1))), GROUP[dim], group)
+    count = _gather(
+        *pattern(elements_of_nodes(cells, n), ends, read_only(cells.reshape(-1))), GROUP[dim], group
+    )
     slopes, part = (every[soft] for every in shape_gradients(mesh))
     if is_axisymmetric(materials):
         radius = mesh.points[elements, 0].mean(axis=1)
@@ -133,21 +161,29 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     shares = np.bincount(cells.reshape(-1), np.repeat(part, dim + 1))
     areas = np.bincount(group, shares, minlength=count)
     dofs = dim * elements[:, :, None] + np.arange(dim)
-    members = sparse.csr_array((np.ones(cells.size), group[cells].reshape(-1), ends), shape=(len(cells), count))
-    strains = sparse.csr_array(((part[:, None, None] * slopes).reshape(-1), dofs.reshape(-1), dim * ends),
-                               shape=(len(cells), dim * mesh.n_nodes))
+    members = sparse.csr_array(
+        (np.ones(cells.size), group[cells].reshape(-1), ends), shape=(len(cells), count)
+    )
+    strains = sparse.csr_array(
+        ((part[:, None, None] * slopes).reshape(-1), dofs.reshape(-1), dim * ends),
+        shape=(len(cells), dim * mesh.n_nodes),
+    )
     rows = sparse.csr_array(sparse.csr_array(members.T) @ strains)
     rows.sort_indices()
     means = sparse.csr_array((shares / areas[group], (group, node)), shape=(count, mesh.n_nodes))
-    owner, corners = np.empty(count, dtype=np.int64), np.full(mesh.elements.shape, -1, dtype=np.int32)
+    owner, corners = (
+        np.empty(count, dtype=np.int64),
+        np.full(mesh.elements.shape, -1, dtype=np.int32),
+    )
     owner[group], corners[soft] = body_of, group[cells]
     return Volumes(rows, means, areas, 1 / kappa[owner], (edge + shear)[owner], owner, corners)
 
 
 @kernel
 def _gather(indptr, indices, size, group):
-    """Number the groups of nodes in ``group``, which comes as -1; returns their number. A group grows from the first
-    free node over free neighbours, the first ones first; one that stays too small joins its smallest neighbour."""
+    """Number the groups of nodes in ``group``, which comes as -1; returns their number. A group
+    grows from the first free node over free neighbours, the first ones first; one that stays too
+    small joins its smallest neighbour."""
     n, count = len(group), 0
     queue, sizes = np.empty(size, dtype=np.int64), np.zeros(n, dtype=np.int64)
     for seed in range(n):

@@ -1,9 +1,9 @@
 r"""adapt: solve, estimate, mark, refine, and solve again on all meshes so far.
 
-Every mesh becomes the finest level of the hierarchy of those before it; the solution before, carried to it, is the
-start. The solves of all meshes together cost little more than that on the last: with meshes that grow by a factor g the
-nodes of all are :math:`1/(1 - 1/g)` times those of the last.
-"""
+Every mesh becomes the finest level of the hierarchy of those before it; the solution before,
+carried to it, is the start. The solves of all meshes together cost little more than that on the
+last: with meshes that grow by a factor g the nodes of all are :math:`1/(1 - 1/g)` times those of
+the last."""
 
 from __future__ import annotations
 
@@ -20,7 +20,15 @@ from adaptmg import _checks as checks
 from adaptmg._text import say
 from adaptmg.estimate.engines import Bisect, Engine, sound_mesh
 from adaptmg.estimate.estimate import AnyEstimate, Doerfler, Indicator, Mark, Residual
-from adaptmg.estimate.loop import LOOP_KINDS, AdaptiveLoop, Limits, LoopParts, Progress, Step, loop_fingerprint
+from adaptmg.estimate.loop import (
+    LOOP_KINDS,
+    AdaptiveLoop,
+    Limits,
+    LoopParts,
+    Progress,
+    Step,
+    loop_fingerprint,
+)
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures
@@ -37,13 +45,24 @@ if TYPE_CHECKING:
     Start = float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None
 
 
-def adapt(problem: ContactProblem,
-          start: float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None = None,
-          indicator: Indicator[AnyEstimate] | None = None, mark: Mark | None = None, engine: Engine | None = None, *,
-          tolerance: float | None = None, max_nodes: int | None = None, max_seconds: float | None = None,
-          store: str | os.PathLike[str] | None = None, depends: Mapping[str, object] | None = None,
-          transfer: Transfer | None = None, solver: Solver | None = None, load_path: LoadPath | None = None,
-          adapt_on: str = "last", progress: Progress | bool | None = None) -> Iterator[Step[AnyEstimate]]:
+def adapt(
+    problem: ContactProblem,
+    start: float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None = None,
+    indicator: Indicator[AnyEstimate] | None = None,
+    mark: Mark | None = None,
+    engine: Engine | None = None,
+    *,
+    tolerance: float | None = None,
+    max_nodes: int | None = None,
+    max_seconds: float | None = None,
+    store: str | os.PathLike[str] | None = None,
+    depends: Mapping[str, object] | None = None,
+    transfer: Transfer | None = None,
+    solver: Solver | None = None,
+    load_path: LoadPath | None = None,
+    adapt_on: str = "last",
+    progress: Progress | bool | None = None,
+) -> Iterator[Step[AnyEstimate]]:
     """Solve on meshes that follow the error, one finer than the other, until a limit is reached.
 
     Without ``tolerance``, ``max_nodes`` and ``max_seconds`` it ends at 20 000 nodes. Warnings as of
@@ -53,49 +72,58 @@ def adapt(problem: ContactProblem,
     ----------
     problem : ContactProblem
     start : float, MeshArrays, ngsolve.Mesh, path of a mesh file or Hierarchy, optional
-        The first mesh, or its element size in m. Of a hierarchy, which is not changed, the finest mesh. Default: an
-        eighth of the square root of the mean area of the bodies (3D: a quarter of the cube root of the mean volume), in
-        the plane with at least three elements along each contact boundary.
-    indicator : Residual, Recovery, Goal or an object with ``indicate(hierarchy, result) -> Estimate``, optional
+        The first mesh, or its element size in m. Of a hierarchy, which is not changed, the finest
+        mesh. Default: an eighth of the square root of the mean area of the bodies (3D: a quarter of
+        the cube root of the mean volume), in the plane with at least three elements along each
+        contact boundary.
+    indicator : Residual, Recovery, Goal or an object with ``indicate(hierarchy, result) ->
+    Estimate``, optional
         Default ``Residual()``.
     mark : Doerfler, Maximum or an object with ``mark(estimate) -> mask of elements``, optional
         Default ``Doerfler()``.
-    engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked, max_nodes=None)``, optional
+    engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked,
+    max_nodes=None)``, optional
         See :class:`adaptmg.estimate.engines.Engine`. Default ``Bisect()``.
     tolerance : float, optional
-        Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity; and :attr:`Step.settled`,
-        or on two meshes in a row).
+        Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity; and
+        :attr:`Step.settled`, or on two meshes in a row).
     max_nodes : int, optional
-        No mesh has more; a first mesh that has more is refused, a size that asks for far more before it is meshed.
+        No mesh has more; a first mesh that has more is refused, a size that asks for far more
+        before it is meshed.
     max_seconds : float, optional
         No step begins after this time, meshes included.
     store : path, optional
-        A folder where every step is kept immediately. A loop that was interrupted, or killed, goes on after its last
-        complete step, and ends with the same numbers; steps that are there are yielded again. A folder with steps of
-        another problem or other options is refused; limits may change. User-defined functions and classes are compared
-        by their code and the values they read.
+        A folder where every step is kept immediately. A loop that was interrupted, or killed, goes
+        on after its last complete step, and ends with the same numbers; steps that are there are
+        yielded again. A folder with steps of another problem or other options is refused; limits
+        may change. User-defined functions and classes are compared by their code and the values
+        they read.
     depends : mapping of str to value, optional
-        For the store: values that stand for what cannot be compared (an open file, a generator of random numbers), by
-        the name of the part of the problem (``law``, ``loads``, ...), of the option, or of the variable that is read.
+        For the store: values that stand for what cannot be compared (an open file, a generator of
+        random numbers), by the name of the part of the problem (``law``, ``loads``, ...), of the
+        option, or of the variable that is read.
     transfer : Transfer, optional
-        Between the meshes; default :class:`adaptmg.transfer.Interpolation`, or that of the hierarchy ``start``.
+        Between the meshes; default :class:`adaptmg.transfer.Interpolation`, or that of the
+        hierarchy ``start``.
     solver : Solver, optional
-        For every step; it starts from the step before unless it is a FullMultigrid. Default ``Multigrid(rtol=1e-6)``:
-        forces and compliances of every step hold to about 1e-4 of those of its mesh, and mostly far better.
+        For every step; it starts from the step before unless it is a FullMultigrid. Default
+        ``Multigrid(rtol=1e-6)``: forces and compliances of every step hold to about 1e-4 of those
+        of its mesh, and mostly far better.
     load_path : LoadPath, optional
         Every mesh goes along the whole path; by default with ``FullMultigrid(rtol=1e-6)``.
     adapt_on : {"last", "worst"}
-        With a load path: take the estimate of its last load step and refine for it; or the largest relative estimate of
-        all load steps, and refine where any of them needs it.
+        With a load path: take the estimate of its last load step and refine for it; or the largest
+        relative estimate of all load steps, and refine where any of them needs it.
     progress : callable or bool, optional
-        Called with a dict before each phase of a step, and after it: step, phase, nodes, estimate (of the step before),
-        seconds. True: write lines to standard error.
+        Called with a dict before each phase of a step, and after it: step, phase, nodes, estimate
+        (of the step before), seconds. True: write lines to standard error.
 
     Yields
     ------
     Step
-        The generator may be broken off at any step. After the last one ``step.outcome`` says why there are no more.
-        TypeError or ValueError for bad arguments, immediately; NotConverged if a step cannot be solved.
+        The generator may be broken off at any step. After the last one ``step.outcome`` says why
+        there are no more. TypeError or ValueError for bad arguments, immediately; NotConverged if a
+        step cannot be solved.
 
     Examples
     --------
@@ -109,8 +137,14 @@ def adapt(problem: ContactProblem,
         max_nodes = _NODES
     limits = Limits(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds)
     engine = Bisect() if engine is None else engine
-    parts = LoopParts(Residual() if indicator is None else indicator, Doerfler() if mark is None else mark, engine,
-                  solver, load_path, adapt_on)
+    parts = LoopParts(
+        Residual() if indicator is None else indicator,
+        Doerfler() if mark is None else mark,
+        engine,
+        solver,
+        load_path,
+        adapt_on,
+    )
     _check(parts)
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
@@ -123,36 +157,62 @@ def adapt(problem: ContactProblem,
     first = _first_hierarchy(problem, start, transfer, engine, limits)
     steps = None
     if store is not None:
-        options = {"indicator": parts.indicator, "mark": parts.mark, "engine": parts.engine, "solver": parts.solver,
-                   "transfer": first.transfer, "contact_rows": first.contact_rows, "adapt_on": parts.adapt_on}
+        options = {
+            "indicator": parts.indicator,
+            "mark": parts.mark,
+            "engine": parts.engine,
+            "solver": parts.solver,
+            "transfer": first.transfer,
+            "contact_rows": first.contact_rows,
+            "adapt_on": parts.adapt_on,
+        }
         head = {"fingerprint": loop_fingerprint(first, options, load_path, depends)}
         steps = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
     report = _written if progress is True else progress or None
-    return cast("Iterator[Step[AnyEstimate]]", AdaptiveLoop(first, parts, limits, steps, report).steps())
+    return cast(
+        "Iterator[Step[AnyEstimate]]", AdaptiveLoop(first, parts, limits, steps, report).steps()
+    )
 
 
 def _check_obstacles(problem: ContactProblem, path: LoadPath | None) -> None:
     if problem.by_force:
-        raise ValueError("problem has a Rigid obstacle or a Preload, which the estimates do not account for: give "
-                         "am.adapt the motion that am.solve finds (Result.motions) as Moving or InitialStrain")
+        raise ValueError(
+            "problem has a Rigid obstacle or a Preload, which the estimates do not account for: give "
+            "am.adapt the motion that am.solve finds (Result.motions) as Moving or InitialStrain"
+        )
     if path is not None and obstacles_in_path(problem):
-        raise ValueError("problem has an obstacle that moves along load_path, which the estimates do not account for: "
-                         "leave load_path out, and give Moving the motion at its end")
+        raise ValueError(
+            "problem has an obstacle that moves along load_path, which the estimates do not account for: "
+            "leave load_path out, and give Moving the motion at its end"
+        )
 
 
 def _written(row: dict[str, float | str]) -> None:
     """Write a line before each solve and after each step."""
-    words = {"solve": "solve", "done": f"estimate {row['estimate']:.3%}, {row['seconds']:.2f} s in all"}
+    words = {
+        "solve": "solve",
+        "done": f"estimate {row['estimate']:.3%}, {row['seconds']:.2f} s in all",
+    }
     if row["phase"] in words:
         say(f"step {row['step']}: {row['nodes']} nodes, {words[row['phase']]}")
 
 
 def _check(parts: LoopParts) -> None:
-    checks.offers("indicator", parts.indicator, "indicate",
-                  "Residual(), Recovery(), Goal(...) or offer indicate(hierarchy, result) -> Estimate")
-    checks.offers("mark", parts.mark, "mark", "Doerfler(...), Maximum(...) or offer mark(estimate) -> mask")
-    checks.offers("engine", parts.engine, "refine",
-                  "Remesh(), Bisect() or offer refine(problem, mesh, estimate, marked, max_nodes) -> MeshArrays")
+    checks.offers(
+        "indicator",
+        parts.indicator,
+        "indicate",
+        "Residual(), Recovery(), Goal(...) or offer indicate(hierarchy, result) -> Estimate",
+    )
+    checks.offers(
+        "mark", parts.mark, "mark", "Doerfler(...), Maximum(...) or offer mark(estimate) -> mask"
+    )
+    checks.offers(
+        "engine",
+        parts.engine,
+        "refine",
+        "Remesh(), Bisect() or offer refine(problem, mesh, estimate, marked, max_nodes) -> MeshArrays",
+    )
     if parts.solver is not None:
         checks.offers("solver", parts.solver, "run", "Multigrid(), ActiveSet(), ... or offer run()")
     if parts.load_path is not None:
@@ -168,8 +228,9 @@ _ACROSS, _ALONG = {2: 8, 3: 4}, 3
 _SURELY = 1.5
 
 
-def _first_hierarchy(problem: ContactProblem, start: Start, transfer: Transfer | None, engine: Engine, limits: Limits
-                     ) -> Hierarchy:
+def _first_hierarchy(
+    problem: ContactProblem, start: Start, transfer: Transfer | None, engine: Engine, limits: Limits
+) -> Hierarchy:
     """The hierarchy that the loop begins with; ValueError if it exceeds the limits."""
     if isinstance(start, Hierarchy):
         first = _checked(problem, start, transfer)
@@ -180,26 +241,38 @@ def _first_hierarchy(problem: ContactProblem, start: Start, transfer: Transfer |
             first = Hierarchy.from_meshes(problem, (start,), transfer)
     nodes = first.finest.n_nodes
     if limits.max_nodes is not None and nodes > limits.max_nodes:
-        raise ValueError(f"max_nodes must be at least {nodes}, the nodes of the first mesh ({first.origin}), got "
-                         f"{limits.max_nodes}; or take a coarser start")
+        raise ValueError(
+            f"max_nodes must be at least {nodes}, the nodes of the first mesh ({first.origin}), got "
+            f"{limits.max_nodes}; or take a coarser start"
+        )
     return first
 
 
 def _checked(problem: ContactProblem, start: Hierarchy, transfer: Transfer | None) -> Hierarchy:
     if start.problem is not problem:
-        raise ValueError(f"start must be a hierarchy for the problem, got one for "
-                         f"{start.problem and start.problem.name!r}")
+        raise ValueError(
+            f"start must be a hierarchy for the problem, got one for "
+            f"{start.problem and start.problem.name!r}"
+        )
     if transfer is not None:
         raise ValueError("transfer: the hierarchy start has one; make it with that transfer")
     without = [k for k, level in enumerate(start.levels) if level.mesh_or_none is None]
     if without:
-        raise ValueError(f"start: levels {without} of the hierarchy have no mesh; make it from meshes")
+        raise ValueError(
+            f"start: levels {without} of the hierarchy have no mesh; make it from meshes"
+        )
     return start
 
 
-def _of_size(problem: ContactProblem, start: Real | None, transfer: Transfer | None, engine: Engine, limits: Limits
-             ) -> Hierarchy:
-    """With a mesh of an element size, m, or of the default one; refused before Netgen works for minutes."""
+def _of_size(
+    problem: ContactProblem,
+    start: Real | None,
+    transfer: Transfer | None,
+    engine: Engine,
+    limits: Limits,
+) -> Hierarchy:
+    """With a mesh of an element size, m, or of the default one; refused before Netgen works for
+    minutes."""
     from adaptmg.mesh.sizes import NODES_PER_CELL
 
     size = None if start is None else checks.positive("start", start)
@@ -208,14 +281,18 @@ def _of_size(problem: ContactProblem, start: Real | None, transfer: Transfer | N
     dim, ratio = problem.dim, 1.0
     if size is None:
         size = float(f"{(sum(volumes) / len(volumes)) ** (1 / dim) / _ACROSS[dim]:.2g}")
-        shortest = min((lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf)
+        shortest = min(
+            (lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf
+        )
         ratio = max(ratio, _ALONG * size / shortest)
     cells, most = NODES_PER_CELL[dim] * sum(volumes), limits.max_nodes
     with np.errstate(over="ignore", divide="ignore"):
         nodes = float(cells * np.float64(1 / size) ** dim)
     if most is not None and nodes > _SURELY * most:
-        raise ValueError(f"start must be at least {(cells / most) ** (1 / dim):.2g} m for max_nodes={most}, got "
-                         f"{size:g}: its mesh has about {nodes:.2g} nodes")
+        raise ValueError(
+            f"start must be at least {(cells / most) ** (1 / dim):.2g} m for max_nodes={most}, got "
+            f"{size:g}: its mesh has about {nodes:.2g} nodes"
+        )
     make = getattr(engine, "first", None)
     with _naming_start():
         mesh = make(problem, size) if callable(make) else None
@@ -228,7 +305,8 @@ def _of_size(problem: ContactProblem, start: Real | None, transfer: Transfer | N
 
 @contextmanager
 def _naming_start() -> Iterator[None]:
-    """Name the argument in messages on the mesh that is made of it; others speak of the problem or the transfer."""
+    """Name the argument in messages on the mesh that is made of it; others speak of the problem or
+    the transfer."""
     try:
         yield
     except (TypeError, ValueError, FileNotFoundError) as error:

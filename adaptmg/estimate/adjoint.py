@@ -1,19 +1,22 @@
-r"""The linearised contact problem of a solution, and its adjoint: what a force at any place changes in a quantity.
+r"""The linearised contact problem of a solution, and its adjoint: what a force at any place changes
+in a quantity.
 
-With the normal n, a tangent t and the direction f of the friction force on the body, the condition of a slipping node
-is :math:`r_t - \mu p f = 0`, r = A u - b, p = -r_n. An error v of the displacement therefore has :math:`v_n = 0` where
-bodies touch and :math:`v_t = 0` where they stick, and its equations are those of A, but at slipping nodes
+With the normal n, a tangent t and the direction f of the friction force on the body, the condition
+of a slipping node is :math:`r_t - \mu p f = 0`, r = A u - b, p = -r_n. An error v of the
+displacement therefore has :math:`v_n = 0` where bodies touch and :math:`v_t = 0` where they stick,
+and its equations are those of A, but at slipping nodes
 
 .. math:: (A_t + H)\,v + \mu f A_n\,v, \qquad H = \frac{g}{|s|}\Bigl(I - \frac{s s^T}{|s|^2}\Bigr)
 
-(H in 3D; slip s, limit g). With the errors E and the combinations T of equations (:math:`t + \mu f\,n` at a slipping
-node) the dual field z of a functional j solves the transpose of :math:`T^T (A + H) E`,
+(H in 3D; slip s, limit g). With the errors E and the combinations T of equations (:math:`t + \mu
+f\,n` at a slipping node) the dual field z of a functional j solves the transpose of :math:`T^T (A +
+H) E`,
 
 .. math:: E^T (A + H)\,T\,y = E^T j, \qquad z = T y .
 
-GMRES (Y. Saad, M. H. Schultz, SIAM J. Sci. Stat. Comput. 7, 1986, doi:10.1137/0907058) solves it, preconditioned by a
-multigrid cycle on the same matrix; small problems and those of a single level are factorised.
-"""
+GMRES (Y. Saad, M. H. Schultz, SIAM J. Sci. Stat. Comput. 7, 1986, doi:10.1137/0907058) solves it,
+preconditioned by a multigrid cycle on the same matrix; small problems and those of a single level
+are factorised."""
 
 from __future__ import annotations
 
@@ -54,8 +57,12 @@ class LinearisedContact:
     residual: np.ndarray  # (n_dofs,): A u - b, Cartesian, N
     gap: np.ndarray  # (n,), m
     slip: np.ndarray  # (n, dim - 1), m
-    fixed_limit: np.ndarray  # (n,): of the friction, its part that does not depend on the pressure, N
-    slips: np.ndarray  # (n,) bool: nodes with friction at its limit, open ones of Tresca's law included
+    fixed_limit: (
+        np.ndarray
+    )  # (n,): of the friction, its part that does not depend on the pressure, N
+    slips: (
+        np.ndarray
+    )  # (n,) bool: nodes with friction at its limit, open ones of Tresca's law included
     sticks: np.ndarray  # (n,) bool
     unit: np.ndarray  # (n, dim - 1): f at slipping nodes
     direction: np.ndarray  # (n, dim - 1): mu f at nodes that slip and touch, else 0
@@ -78,22 +85,31 @@ class LinearisedContact:
 
     @property
     def fixed_friction(self) -> np.ndarray:
-        """Forces (n_dofs,) of the friction that does not depend on pressure, in local components, N."""
+        """Forces (n_dofs,) of the friction that does not depend on pressure, in local components,
+        N."""
         forces = np.zeros((self.discrete.n_nodes, self.discrete.dim))
         forces[self.nodes, 1:] = np.where(self.slips, self.fixed_limit, 0.0)[:, None] * self.unit
         return forces.reshape(-1)
 
 
-def linearised_contact(discrete: DiscreteProblem, displacement: np.ndarray, state: np.ndarray) -> LinearisedContact:
-    """Return the contact conditions at a displacement (n_nodes, dim) with these states, linearised."""
+def linearised_contact(
+    discrete: DiscreteProblem, displacement: np.ndarray, state: np.ndarray
+) -> LinearisedContact:
+    """Return the contact conditions at a displacement (n_nodes, dim) with these states,
+    linearised."""
     nodal, frames = local_contact(discrete)
     dim, nodes = discrete.dim, discrete.contact.nodes
     unknowns = discrete.relative(displacement).reshape(-1)
     residual = discrete.matrix @ unknowns - discrete.load
     held = held_tangents(discrete)
     moved = to_frames(frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
-    slip, gap = moved[:, 1:], nodal.gap - np.einsum(
-        "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes])
+    slip, gap = (
+        moved[:, 1:],
+        nodal.gap
+        - np.einsum(
+            "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes]
+        ),
+    )
     force = to_frames(frames, residual.reshape(-1, dim)[nodes])
     force[:, 1:][held] = 0.0
     length = np.linalg.norm(slip, axis=1)
@@ -109,8 +125,23 @@ def linearised_contact(discrete: DiscreteProblem, displacement: np.ndarray, stat
     free = np.ones((len(nodes), dim), dtype=bool)
     free[state != State.OPEN, 0] = False
     free[:, 1:] = ~held & ~sticks[:, None]
-    return LinearisedContact(discrete, frames, state, unknowns, residual, gap, slip, nodal.limit, slips, sticks, unit,
-                             direction, hessian, free, held)
+    return LinearisedContact(
+        discrete,
+        frames,
+        state,
+        unknowns,
+        residual,
+        gap,
+        slip,
+        nodal.limit,
+        slips,
+        sticks,
+        unit,
+        direction,
+        hessian,
+        free,
+        held,
+    )
 
 
 def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -124,7 +155,9 @@ def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.nda
 class AdjointSolution:
     """A dual field."""
 
-    field: np.ndarray  # (n_dofs,): z in relative coordinates, Cartesian, m/N times the unit of the quantity
+    field: (
+        np.ndarray
+    )  # (n_dofs,): z in relative coordinates, Cartesian, m/N times the unit of the quantity
     residual: float  # euclidean, over that of the functional
     iterations: int  # 0 of a direct solution
     converged: bool  # whether the residual is below the tolerance
@@ -147,7 +180,8 @@ class AdjointSystem:
         except RuntimeError as error:
             raise np.linalg.LinAlgError(
                 "the adjoint matrix is singular, the contact state leaves a motion free: solve more accurately, or add "
-                "a support") from error
+                "a support"
+            ) from error
         for functional in functionals:
             load, y = self._load(functional), np.zeros(len(self.trial))
             y[free] = factors.solve(load[free])
@@ -155,8 +189,13 @@ class AdjointSystem:
             result.append(AdjointSolution(self._field(y), residual, 0, residual <= 1e-6))
         return result
 
-    def multigrid(self, hierarchy: Hierarchy, functionals: list[np.ndarray], rtol: float = RTOL,
-                  max_iterations: int = MAX_ITERATIONS) -> list[AdjointSolution]:
+    def multigrid(
+        self,
+        hierarchy: Hierarchy,
+        functionals: list[np.ndarray],
+        rtol: float = RTOL,
+        max_iterations: int = MAX_ITERATIONS,
+    ) -> list[AdjointSolution]:
         """Return dual fields of functionals (n_dofs,), by GMRES with a multigrid cycle."""
         cycle, n, finest = _cycle(hierarchy, self), len(self.trial), len(hierarchy) - 1
 
@@ -167,19 +206,33 @@ class AdjointSystem:
         result = []
         for functional in functionals:
             load, norms = self._load(functional), []
-            # scipy tests the preconditioned residual: its tolerance is tightened until the true one is small
+            # scipy tests the preconditioned residual: its tolerance is tightened until the true one
+            # is small
             y, tolerance = np.zeros(n), rtol
             for _ in range(3):
-                y, _ = gmres(self.matrix, load, x0=y, rtol=tolerance, atol=0.0, restart=min(max_iterations, 30),
-                             maxiter=max(1, max_iterations // 30), M=preconditioner, callback=norms.append,
-                             callback_type="pr_norm")
+                y, _ = gmres(
+                    self.matrix,
+                    load,
+                    x0=y,
+                    rtol=tolerance,
+                    atol=0.0,
+                    restart=min(max_iterations, 30),
+                    maxiter=max(1, max_iterations // 30),
+                    M=preconditioner,
+                    callback=norms.append,
+                    callback_type="pr_norm",
+                )
                 residual = self._relative(load, y)
                 if residual <= rtol or len(norms) >= max_iterations:
                     break
                 tolerance *= 0.1
             if residual > rtol:
-                _LOG.info("the adjoint problem was solved to %.1e, not %.1e, in %d iterations", residual, rtol,
-                          len(norms))
+                _LOG.info(
+                    "the adjoint problem was solved to %.1e, not %.1e, in %d iterations",
+                    residual,
+                    rtol,
+                    len(norms),
+                )
             result.append(AdjointSolution(self._field(y), residual, len(norms), residual <= rtol))
         return result
 
@@ -195,22 +248,30 @@ class AdjointSystem:
         return residual / size if size > 0 else residual
 
 
-def error_spaces(contact: LinearisedContact) -> tuple[sparse.csr_array, np.ndarray, sparse.csr_array]:
+def error_spaces(
+    contact: LinearisedContact,
+) -> tuple[sparse.csr_array, np.ndarray, sparse.csr_array]:
     """Return A + H in local components, the dofs (n_dofs,) that an error has, and T on them."""
     local, dim, n = local_system(contact.discrete), contact.discrete.dim, contact.discrete.n_dofs
     matrix = sparse.csr_array(local.system.matrix)
     at = contact.nodes[:, None] * dim + np.arange(dim)
     if contact.hessian.any():
         rows, columns = np.broadcast_arrays(at[:, 1:, None], at[:, None, 1:])
-        matrix = matrix + sparse.csr_array((contact.hessian.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n))
+        matrix = matrix + sparse.csr_array(
+            (contact.hessian.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n)
+        )
     trial = ~local.system.fixed
     trial[at[~contact.free]] = False
     node, k = np.nonzero(contact.direction)
     node, k = node[trial[at[node, 1 + k]]], k[trial[at[node, 1 + k]]]
     every = np.flatnonzero(trial)
-    test = sparse.csr_array((np.concatenate([np.ones(len(every)), contact.direction[node, k]]),
-                             (np.concatenate([every, at[node, 0]]), np.concatenate([every, at[node, 1 + k]]))),
-                            shape=(n, n))
+    test = sparse.csr_array(
+        (
+            np.concatenate([np.ones(len(every)), contact.direction[node, k]]),
+            (np.concatenate([every, at[node, 0]]), np.concatenate([every, at[node, 1 + k]])),
+        ),
+        shape=(n, n),
+    )
     return matrix, trial, test
 
 
@@ -224,19 +285,26 @@ def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
 
 
 def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
-    r"""A V-cycle for the adjoint matrix M, which is not symmetric where nodes slip with Coulomb friction. M is in local
-    components with the dofs that cannot move decoupled, Z; with the frames F at contact nodes and the nodal
-    prolongation P the first coarse matrix is :math:`(Z F P)^T M Z F P`; those below are Galerkin products with P."""
+    r"""A V-cycle for the adjoint matrix M, which is not symmetric where nodes slip with Coulomb
+    friction. M is in local components with the dofs that cannot move decoupled, Z; with the frames
+    F at contact nodes and the nodal prolongation P the first coarse matrix is :math:`(Z F P)^T M Z
+    F P`; those below are Galerkin products with P."""
     levels, dim = hierarchy.levels, system.contact.discrete.dim
     prolongations = [_rotated(levels[-1].prolongation, system.contact, system.trial)]
     matrices = [split(system.matrix, ~system.trial)]
-    coarse = sparse.csr_array(prolongations[0].T @ sparse.csr_array(system.matrix) @ prolongations[0])
+    coarse = sparse.csr_array(
+        prolongations[0].T @ sparse.csr_array(system.matrix) @ prolongations[0]
+    )
     # dofs that nothing reaches get a diagonal
     diagonal = coarse.diagonal()
-    coarse = coarse + sparse.diags_array(np.where(diagonal == 0, np.abs(diagonal).max(), 0.0), format="csr")
+    coarse = coarse + sparse.diags_array(
+        np.where(diagonal == 0, np.abs(diagonal).max(), 0.0), format="csr"
+    )
     matrix = sparse.bsr_array(sparse.csr_array(coarse), blocksize=(dim, dim)).sorted_indices()
     matrices.insert(0, split(matrix, levels[-2].discrete.fixed))
-    for nodal, below in zip(reversed(nodal_prolongations(hierarchy)[:-1]), reversed(levels[:-2]), strict=True):
+    for nodal, below in zip(
+        reversed(nodal_prolongations(hierarchy)[:-1]), reversed(levels[:-2]), strict=True
+    ):
         matrix = galerkin_product(matrix, nodal)
         matrices.insert(0, split(matrix, below.discrete.fixed))
         prolongations.insert(0, nodal)
@@ -245,15 +313,18 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
     return cycle
 
 
-def _rotated(nodal: sparse.csr_array, contact: LinearisedContact, trial: np.ndarray) -> sparse.csr_array:
+def _rotated(
+    nodal: sparse.csr_array, contact: LinearisedContact, trial: np.ndarray
+) -> sparse.csr_array:
     """Z F P by dofs, columns sorted."""
     n, dim = contact.discrete.n_nodes, contact.discrete.dim
     frames = np.broadcast_to(np.eye(dim), (n, dim, dim)).copy()
     frames[contact.nodes] = contact.frames
     rotation = sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
     keep = sparse.diags_array(trial.astype(float), format="csr")
-    result = sparse.csr_array(keep @ sparse.csr_array(rotation) @ sparse.kron(nodal, sparse.eye_array(dim),
-                                                                             format="csr"))
+    result = sparse.csr_array(
+        keep @ sparse.csr_array(rotation) @ sparse.kron(nodal, sparse.eye_array(dim), format="csr")
+    )
     result.eliminate_zeros()
     result.sort_indices()
     return indices_frozen(result)

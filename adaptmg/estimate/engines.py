@@ -1,25 +1,29 @@
-r"""Engines of the adaptive loop, which make the next mesh: Bisect, by bisection of what is marked, and Remesh.
+r"""Engines of the adaptive loop, which make the next mesh: Bisect, by bisection of what is marked,
+and Remesh.
 
-Bisect bisects each marked element, and its neighbours as far as conformity asks; new nodes of curved boundaries are
-moved onto :attr:`ContactProblem.domain <adaptmg.ContactProblem>`.
+Bisect bisects each marked element, and its neighbours as far as conformity asks; new nodes of
+curved boundaries are moved onto :attr:`ContactProblem.domain <adaptmg.ContactProblem>`.
 
-Halving all edges leaves :math:`2^{-(2+d)}` of a square where the solution is smooth. Marked elements of which more than
-half of the mean square would be left, as at singularities, are halved twice, so that large steps lose nothing: measured
-on six problems, theta .8 takes .55 to .8 of the seconds to an energy error that single halvings with theta .5 take,
-with as many nodes (a bolted junction: a third more).
+Halving all edges leaves :math:`2^{-(2+d)}` of a square where the solution is smooth. Marked
+elements of which more than half of the mean square would be left, as at singularities, are halved
+twice, so that large steps lose nothing: measured on six problems, theta .8 takes .55 to .8 of the
+seconds to an energy error that single halvings with theta .5 take, with as many nodes (a bolted
+junction: a third more).
 
-The first mesh decides on the shapes of all others. Regular ones stay regular: rectangles and boxes begin with them.
-Measured at equal nodes, from such a mesh instead of one by Netgen, the energy error is 3 % less in 2D, and 20 % (two
-boxes) to 30 % (one) in 3D.
+The first mesh decides on the shapes of all others. Regular ones stay regular: rectangles and boxes
+begin with them. Measured at equal nodes, from such a mesh instead of one by Netgen, the energy
+error is 3 % less in 2D, and 20 % (two boxes) to 30 % (one) in 3D.
 
-Remesh makes each mesh from scratch, with sizes that equilibrate the error: independent of the one before, coarser where
-the error is small, with nodes on the curves of the domain. Linear elements of size h in d dimensions have
+Remesh makes each mesh from scratch, with sizes that equilibrate the error: independent of the one
+before, coarser where the error is small, with nodes on the curves of the domain. Linear elements of
+size h in d dimensions have
 :math:`\eta_E^2 \sim h^{2+d}`. Equal squares therefore ask for
 
 .. math:: \frac{h_{new}}{h} = c\,(\eta_E^2)^{-1/(2+d)}
 
-(L. Y. Li and P. Bettess, Appl. Mech. Rev. 50, 1997, doi:10.1115/1.3101670), kept between two bounds, averaged at the
-nodes (geometric mean over their elements) and graded: the largest sizes below these with
+(L. Y. Li and P. Bettess, Appl. Mech. Rev. 50, 1997, doi:10.1115/1.3101670), kept between two
+bounds, averaged at the nodes (geometric mean over their elements) and graded: the largest sizes
+below these with
 :math:`h_i \le h_j + g\,|x_i - x_j|` for every edge ij. The constant c follows from the number of nodes that are wanted.
 A mesh of sizes h has about
 
@@ -54,18 +58,31 @@ from adaptmg.problem import Assembly, Box, ContactProblem, Rectangle
 
 
 class Engine(Protocol):
-    """What makes the next mesh: Remesh, Bisect or a user-defined object. It may also have ``intermediate(problem,
-    coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes differ too much for neighbouring levels, and
-    ``first(problem, size) -> MeshArrays or None``, the mesh to begin with."""
+    """What makes the next mesh: Remesh, Bisect or a user-defined object. It may also have
+    ``intermediate(problem, coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes
+    differ too much for neighbouring levels, and ``first(problem, size) -> MeshArrays or None``, the
+    mesh to begin with."""
 
-    def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
-               max_nodes: int | None = None) -> MeshArrays | None:
+    def refine(
+        self,
+        problem: ContactProblem,
+        mesh: MeshArrays,
+        estimate: Estimate,
+        marked: np.ndarray,
+        max_nodes: int | None = None,
+    ) -> MeshArrays | None:
         """Return the next mesh; the same one or None where there is no finer one."""
 
 
-def sound_mesh(engine: Engine, method: str, problem: ContactProblem, made: object, like: MeshArrays | None = None
-               ) -> MeshArrays:
-    """Return a mesh that an engine has made: sound, with the problem's boundaries and the bodies of another mesh."""
+def sound_mesh(
+    engine: Engine,
+    method: str,
+    problem: ContactProblem,
+    made: object,
+    like: MeshArrays | None = None,
+) -> MeshArrays:
+    """Return a mesh that an engine has made: sound, with the problem's boundaries and the bodies of
+    another mesh."""
     name = f"engine {checks.shown(engine)}: what {method} returns"
     made = checks.instance(name, made, MeshArrays, "MeshArrays")
     try:
@@ -74,7 +91,9 @@ def sound_mesh(engine: Engine, method: str, problem: ContactProblem, made: objec
             raise ValueError(f"it is {made.dim}D, the problem {problem.dim}D")
         problem.check_boundaries(made.boundaries)
         if like is not None and set(made.bodies) != set(like.bodies):
-            raise ValueError(f"its bodies are {', '.join(made.bodies)}, not {', '.join(like.bodies)}")
+            raise ValueError(
+                f"its bodies are {', '.join(made.bodies)}, not {', '.join(like.bodies)}"
+            )
     except (TypeError, ValueError) as error:
         raise type(error)(f"{name} is not a mesh of the problem: {error}") from error
     return made
@@ -93,7 +112,8 @@ _FINEST = 1e-9
 
 
 def divisible(mesh: MeshArrays) -> np.ndarray:
-    """Return the mask (n_elements,) of the elements that are so large that coordinates resolve smaller ones."""
+    """Return the mask (n_elements,) of the elements that are so large that coordinates resolve
+    smaller ones."""
     return mesh.volumes > (_FINEST * np.abs(mesh.points).max()) ** mesh.dim
 
 
@@ -101,11 +121,13 @@ def divisible(mesh: MeshArrays) -> np.ndarray:
 class Bisect:
     """The default engine of :func:`adaptmg.adapt`: bisection.
 
-    Processor time to the same estimate, that of :class:`Remesh` over that of bisection, on eight cases: 1.1 (a ball) to
-    2.7, 3.5 in 3D. The same estimate is a somewhat larger error here: at equal true errors the flat punch is remeshed
-    as quickly, the others are not (``studies/adaptive_vs_uniform.py``).
+    Processor time to the same estimate, that of :class:`Remesh` over that of bisection, on eight
+    cases: 1.1 (a ball) to 2.7, 3.5 in 3D. The same estimate is a somewhat larger error here: at
+    equal true errors the flat punch is remeshed as quickly, the others are not
+    (``studies/adaptive_vs_uniform.py``).
 
-    All edges of marked elements are halved: 4 triangles, at least 8 tetrahedra; twice where squares are large.
+    All edges of marked elements are halved: 4 triangles, at least 8 tetrahedra; twice where squares
+    are large.
 
     Examples
     --------
@@ -116,25 +138,37 @@ class Bisect:
     """
 
     def first(self, problem: ContactProblem, size: float) -> MeshArrays | None:
-        """Return the regular mesh to begin with, of an element size in m; None for domains that have no such mesh."""
+        """Return the regular mesh to begin with, of an element size in m; None for domains that
+        have no such mesh."""
         domain = meshed_domain(problem)
         parts = domain.parts if isinstance(domain, Assembly) else {"": domain}
         if not all(isinstance(part, Rectangle | Box) for part in parts.values()):
             return None
         # a side of a body has three nodes at least
-        cells = {name: tuple(int(n) for n in np.maximum(np.ceil((part.upper - part.lower) / size * (1 - 1e-9)), 2))
-                 for name, part in parts.items()}
+        cells = {
+            name: tuple(
+                int(n)
+                for n in np.maximum(np.ceil((part.upper - part.lower) / size * (1 - 1e-9)), 2)
+            )
+            for name, part in parts.items()
+        }
         return lattices(domain, cells if isinstance(domain, Assembly) else cells[""])
 
-    def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: np.ndarray,
-               max_nodes: int | None = None) -> MeshArrays:
+    def refine(
+        self,
+        problem: ContactProblem,
+        mesh: MeshArrays,
+        estimate: Estimate,
+        marked: np.ndarray,
+        max_nodes: int | None = None,
+    ) -> MeshArrays:
         """Return the next mesh.
 
-        Where the mesh carries a history, bisection goes on from it; where the problem has a domain, this says where
-        curved boundaries lie. If ``max_nodes`` asks for it, only the marked (n_elements,) elements with the largest
-        squares are refined. The same mesh is returned where nothing is marked, ``max_nodes`` leaves no room, or
-        coordinates do not resolve smaller elements than those that are marked.
-        """
+        Where the mesh carries a history, bisection goes on from it; where the problem has a domain,
+        this says where curved boundaries lie. If ``max_nodes`` asks for it, only the marked
+        (n_elements,) elements with the largest squares are refined. The same mesh is returned where
+        nothing is marked, ``max_nodes`` leaves no room, or coordinates do not resolve smaller
+        elements than those that are marked."""
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
         marked = check_marked(check_mesh(mesh), marked)
         squares = estimate_for(mesh, estimate).squares
@@ -145,7 +179,9 @@ class Bisect:
         fine = self._within(mesh, squares, marked, limit)
         return mesh if fine is None else onto_domain(problem.domain, fine, mesh.n_nodes)
 
-    def _halved(self, mesh: MeshArrays, squares: np.ndarray, chosen: np.ndarray, limit: float) -> MeshArrays:
+    def _halved(
+        self, mesh: MeshArrays, squares: np.ndarray, chosen: np.ndarray, limit: float
+    ) -> MeshArrays:
         """Refined, large squares twice unless that exceeds the limit."""
         fine = refined(mesh, chosen)
         enough = 2.0 ** (2 + mesh.dim) * _LEFT * max(squares.mean(), squares[chosen].min())
@@ -155,8 +191,11 @@ class Bisect:
             return finer if finer.n_nodes <= limit else fine.mesh
         return fine.mesh
 
-    def _within(self, mesh: MeshArrays, squares: np.ndarray, marked: np.ndarray, limit: float) -> MeshArrays | None:
-        """Refined, with fewer elements marked until the nodes are within the limit; None if not even one is."""
+    def _within(
+        self, mesh: MeshArrays, squares: np.ndarray, marked: np.ndarray, limit: float
+    ) -> MeshArrays | None:
+        """Refined, with fewer elements marked until the nodes are within the limit; None if not
+        even one is."""
         order = np.flatnonzero(marked)
         order = order[np.argsort(-squares[order], kind="stable")]
         room, most, fits, best = limit - mesh.n_nodes, len(order) + 1, 0, None
@@ -198,17 +237,19 @@ _EDGES = 4
 class Remesh:
     """Remeshing by a size field, an engine of :func:`adaptmg.adapt`.
 
-    It takes 1.1 to 3.5 times the seconds of :class:`Bisect` to the same estimate: a third goes into meshing, and
-    Galerkin matrices of independent meshes are denser. It pays where nodes are dear (a fifth fewer at strong
-    singularities), where the first mesh is too fine somewhere, and where cycles count (a third fewer).
+    It takes 1.1 to 3.5 times the seconds of :class:`Bisect` to the same estimate: a third goes into
+    meshing, and Galerkin matrices of independent meshes are denser. It pays where nodes are dear (a
+    fifth fewer at strong singularities), where the first mesh is too fine somewhere, and where
+    cycles count (a third fewer).
 
     Parameters
     ----------
     growth : float
-        Nodes of the next mesh over those of this one, > 1; at most 2 where elements with a third of the sum of squares
-        are to become smaller than .3 of their size. The last two meshes before ``max_nodes`` grow alike, by less or up
-        to a fifth (in the exponent) more. Seconds to an error, 3.2 over 2.5: .65 to .96 on five cases, 1.07 on a
-        sixth (bolted junction); rates are the same.
+        Nodes of the next mesh over those of this one, > 1; at most 2 where elements with a third of
+        the sum of squares are to become smaller than .3 of their size. The last two meshes before
+        ``max_nodes`` grow alike, by less or up to a fifth (in the exponent) more. Seconds to an
+        error, 3.2 over 2.5: .65 to .96 on five cases, 1.07 on a sixth (bolted junction); rates are
+        the same.
 
     Examples
     --------
@@ -223,26 +264,41 @@ class Remesh:
         if not self.growth > 1:
             raise ValueError(f"growth must be > 1, got {self.growth!r}")
 
-    def refine(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, marked: object = None,
-               max_nodes: int | None = None) -> MeshArrays:
+    def refine(
+        self,
+        problem: ContactProblem,
+        mesh: MeshArrays,
+        estimate: Estimate,
+        marked: object = None,
+        max_nodes: int | None = None,
+    ) -> MeshArrays:
         """Return the next mesh.
 
-        Sizes follow from all squares of the estimate; ``marked`` is ignored. The mesh has about ``growth`` times as
-        many nodes, within 15 %, less where ``max_nodes`` (5 % less are aimed at) says so. TypeError or
-        ValueError if the problem has no domain, the estimate is not of this mesh, or Netgen fails.
-        """
+        Sizes follow from all squares of the estimate; ``marked`` is ignored. The mesh has about
+        ``growth`` times as many nodes, within 15 %, less where ``max_nodes`` (5 % less are aimed
+        at) says so. TypeError or ValueError if the problem has no domain, the estimate is not of
+        this mesh, or Netgen fails."""
         need_domain(problem)
         estimate_for(checks.instance("mesh", mesh, MeshArrays), estimate)
-        sizes = self._equilibrated(problem, mesh, estimate, _aim(mesh.n_nodes, max_nodes, self.growth))
+        sizes = self._equilibrated(
+            problem, mesh, estimate, _aim(mesh.n_nodes, max_nodes, self.growth)
+        )
         factors = (sizes / nodal_sizes(mesh, simplex_sizes(mesh)))[mesh.elements].min(axis=1)
         # much of the error lies in elements that are to become much smaller
-        if self.growth > _SLOW and estimate.squares[factors < _STEEP].sum() > _SHARE * estimate.squares.sum():
-            sizes = self._equilibrated(problem, mesh, estimate, _aim(mesh.n_nodes, max_nodes, _SLOW))
+        if (
+            self.growth > _SLOW
+            and estimate.squares[factors < _STEEP].sum() > _SHARE * estimate.squares.sum()
+        ):
+            sizes = self._equilibrated(
+                problem, mesh, estimate, _aim(mesh.n_nodes, max_nodes, _SLOW)
+            )
         return self.mesh(problem, SizeField(mesh, sizes))
 
-    def _equilibrated(self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, aim: float
-                      ) -> np.ndarray:
-        """Sizes (n_nodes,) for a mesh of about ``aim`` nodes, m; contact boundaries keep four edges at least."""
+    def _equilibrated(
+        self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, aim: float
+    ) -> np.ndarray:
+        """Sizes (n_nodes,) for a mesh of about ``aim`` nodes, m; contact boundaries keep four edges
+        at least."""
         sizes = equilibrated_sizes(mesh, estimate.squares, aim)
         for name in problem.pair_boundaries:
             surface = mesh.surface(name)
@@ -250,7 +306,9 @@ class Remesh:
             sizes[surface.nodes] = np.minimum(sizes[surface.nodes], largest)
         return graded_sizes(mesh, sizes, _GRADATION)
 
-    def intermediate(self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays) -> MeshArrays:
+    def intermediate(
+        self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays
+    ) -> MeshArrays:
         """Return a mesh between two neighbouring levels, of the geometric mean of both sizes.
 
         A size ratio of q between the two becomes about the root of q to either side.
@@ -263,8 +321,12 @@ class Remesh:
         from adaptmg.mesh import sized
 
         functions = {body: field.function(body) for body in field.mesh.bodies}
-        return sized(meshed_domain(problem), functions if len(functions) > 1 else functions.popitem()[1],
-                     float(field.sizes.max()), grading=_GRADATION)
+        return sized(
+            meshed_domain(problem),
+            functions if len(functions) > 1 else functions.popitem()[1],
+            float(field.sizes.max()),
+            grading=_GRADATION,
+        )
 
 
 def _aim(nodes: int, max_nodes: int | None, growth: float) -> float:
@@ -280,28 +342,32 @@ def _aim(nodes: int, max_nodes: int | None, growth: float) -> float:
 # nodes per h^-d of volume, and per h^(1-d) of boundary
 _INSIDE = {2: 2 / math.sqrt(3), 3: 1.4}
 _BOUNDARY = {2: 0.5, 3: 0.6}
-# squares below this share of the largest ask for nothing: the upper bound of growth holds there anyway
+# squares below this share of the largest ask for nothing: the upper bound of growth holds there
+# anyway
 _TINY = 1e-30
 # of the logarithm of c
 _ACCURACY = 2e-3
 
 
 def simplex_sizes(mesh: MeshArrays) -> np.ndarray:
-    """Return the edge length (n_elements,), m, of the equilateral element with the same area or volume."""
+    """Return the edge length (n_elements,), m, of the equilateral element with the same area or
+    volume."""
     if mesh.dim == 2:
         return np.sqrt(mesh.volumes * (4 / math.sqrt(3)))
     return np.cbrt(mesh.volumes * (6 * math.sqrt(2)))
 
 
 def nodal_sizes(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:
-    """Return the geometric mean (n_nodes,) of the sizes (n_elements,) of the elements at each node."""
+    """Return the geometric mean (n_nodes,) of the sizes (n_elements,) of the elements at each
+    node."""
     flat = mesh.elements.ravel()
     total = np.bincount(flat, np.repeat(np.log(sizes), mesh.elements.shape[1]), mesh.n_nodes)
     return np.exp(total / np.bincount(flat, minlength=mesh.n_nodes))
 
 
 class NodeCount:
-    """About how many nodes a mesh has whose sizes are given at the nodes of another (module docstring)."""
+    """About how many nodes a mesh has whose sizes are given at the nodes of another (module
+    docstring)."""
 
     def __init__(self, mesh: MeshArrays) -> None:
         self.mesh, dim = mesh, mesh.dim
@@ -313,7 +379,8 @@ class NodeCount:
     def __call__(self, sizes: np.ndarray) -> float:
         """Nodes for the sizes (n_nodes,), m."""
         mesh = self.mesh
-        # sizes at the middles between corner and centroid: integrated as linear functions nearly exactly
+        # sizes at the middles between corner and centroid: integrated as linear functions nearly
+        # exactly
         at = sizes[mesh.elements]
         at = 0.5 * (at + at.mean(axis=1, keepdims=True))
         on = sizes[mesh.facets]
@@ -322,7 +389,9 @@ class NodeCount:
         return self.factor * float(self.inside @ inside + self.boundary @ boundary)
 
 
-def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, growth: float = _GRADATION) -> np.ndarray:
+def equilibrated_sizes(
+    mesh: MeshArrays, squares: np.ndarray, n_nodes: float, growth: float = _GRADATION
+) -> np.ndarray:
     """Return sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes."""
     from scipy.optimize import brentq  # takes long to import
 
@@ -347,16 +416,25 @@ def equilibrated_sizes(mesh: MeshArrays, squares: np.ndarray, n_nodes: float, gr
 
 def _edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Both ends and lengths of the edges of a mesh."""
-    i, j = (mesh.elements[:, corners].ravel().astype(np.int64) for corners in np.triu_indices(mesh.dim + 1, 1))
+    i, j = (
+        mesh.elements[:, corners].ravel().astype(np.int64)
+        for corners in np.triu_indices(mesh.dim + 1, 1)
+    )
     i, j = np.divmod(np.unique(np.minimum(i, j) * mesh.n_nodes + np.maximum(i, j)), mesh.n_nodes)
     return i, j, np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
 
 
-def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float,
-                 edges: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None) -> np.ndarray:
-    """Return the largest sizes below these that grow by at most ``growth`` per distance along edges."""
+def graded_sizes(
+    mesh: MeshArrays,
+    sizes: np.ndarray,
+    growth: float,
+    edges: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Return the largest sizes below these that grow by at most ``growth`` per distance along
+    edges."""
     n, (i, j, lengths) = mesh.n_nodes, _edges(mesh) if edges is None else edges
-    # sizes are distances from a further node, whose edge to each of the others is as long as the size there
+    # sizes are distances from a further node, whose edge to each of the others is as long as the
+    # size there
     weights = np.concatenate([growth * lengths, sizes])
     ends = np.append(i, np.full(n, n)), np.append(j, np.arange(n))
     graph = sparse.csr_array((weights, ends), shape=(n + 1, n + 1))
@@ -365,7 +443,8 @@ def graded_sizes(mesh: MeshArrays, sizes: np.ndarray, growth: float,
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Sizes between the nodes of a mesh: linear on each element, outside those of the nearest point of the mesh."""
+    """Sizes between the nodes of a mesh: linear on each element, outside those of the nearest point
+    of the mesh."""
 
     mesh: MeshArrays
     sizes: np.ndarray  # (n_nodes,): edge lengths at its nodes, m, > 0

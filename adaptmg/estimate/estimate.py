@@ -1,11 +1,13 @@
-r"""Estimate: what an indicator finds for a discrete solution, element by element and in all, and which are marked.
+r"""Estimate: what an indicator finds for a discrete solution, element by element and in all, and
+which are marked.
 
 With :math:`\eta_E^2` the square of element E (an energy, N m; in 2D per metre of thickness),
 
 .. math:: \eta = \Bigl(\sum_E \eta_E^2\Bigr)^{1/2}, \qquad \eta / \|u_h\|_A .
 
-Goals (:class:`adaptmg.Goal`) quote a signed estimate of the error of one quantity; their squares only say where to
-refine. Doerfler marks a smallest set M (W. Doerfler, SIAM J. Numer. Anal. 33, 1996, doi:10.1137/0733054),
+Goals (:class:`adaptmg.Goal`) quote a signed estimate of the error of one quantity; their squares
+only say where to refine. Doerfler marks a smallest set M (W. Doerfler, SIAM J. Numer. Anal. 33,
+1996, doi:10.1137/0733054),
 
 .. math:: \sum_{E \in M} \eta_E^2 \ge \theta \sum_E \eta_E^2 ,
 
@@ -18,26 +20,28 @@ Residual measures what the discrete solution leaves of the equations:
    + \int p_h (g_0 - u_n) + \int (\mu p_h |d_t| + t_h \cdot d_t)
 
 :math:`L^2` norms over element or facet, E Young's modulus of the element, so that all terms are energies; :math:`h_T`
-the longest edge, :math:`h_F = |F|`, in space :math:`\sqrt{2|F|}`; :math:`t_h` the contact traction on slave and master,
-nodal forces over lumped masses; springs add :math:`-k_n u_n n - k_t u_t` to g. In axisymmetry integrals are weighted
-with :math:`2 \pi r`. The last two terms, on slaves alone, have linear interpolants of nodal pressures, gaps, limits and
-slips: they vanish where the conditions hold all along an edge.
+the longest edge, :math:`h_F = |F|`, in space :math:`\sqrt{2|F|}`; :math:`t_h` the contact traction
+on slave and master, nodal forces over lumped masses; springs add :math:`-k_n u_n n - k_t u_t` to g.
+In axisymmetry integrals are weighted with :math:`2 \pi r`. The last two terms, on slaves alone,
+have linear interpolants of nodal pressures, gaps, limits and slips: they vanish where the
+conditions hold all along an edge.
 
-Measured, the estimate is 2 to 5 times the error, by problem and pattern of the mesh (the GRECO bar: 2.7 with
-alternating diagonals and on bisected meshes, 3.0 to 3.2 on Netgen meshes, 3.3 to 3.7 with all diagonals alike), and
-nearly constant on the meshes of one family; it is not proven to bound the error. Where body forces, or the hoop stress
-of smooth axisymmetric fields, rule the error it is 5.7 to 8.8 times the error; where a contact zone between curved
-bodies has one or two nodes up to 30 times, nearly all of it complementarity, until meshes resolve the zone. Of smoothed
-elements, on the meshes of four adaptive loops, it is 2 to 2.7 times the error of their stress.
+Measured, the estimate is 2 to 5 times the error, by problem and pattern of the mesh (the GRECO bar:
+2.7 with alternating diagonals and on bisected meshes, 3.0 to 3.2 on Netgen meshes, 3.3 to 3.7 with
+all diagonals alike), and nearly constant on the meshes of one family; it is not proven to bound the
+error. Where body forces, or the hoop stress of smooth axisymmetric fields, rule the error it is 5.7
+to 8.8 times the error; where a contact zone between curved bodies has one or two nodes up to 30
+times, nearly all of it complementarity, until meshes resolve the zone. Of smoothed elements, on the
+meshes of four adaptive loops, it is 2 to 2.7 times the error of their stress.
 
 The recovered estimate (Zienkiewicz and Zhu) is that of a smoother stress,
 
 .. math:: \eta_E^2 = \int_E (\sigma^* - \sigma_h) : C^{-1} (\sigma^* - \sigma_h)
 
-with a stress :math:`\sigma^*` that is continuous and piecewise linear in each body: it may jump where materials meet
-and between bodies in contact (:mod:`adaptmg.discrete.stress`). Where the solution is smooth the estimate tends to the
-error itself; it does not depend on loads and contact conditions. Of smoothed elements, the error is that of the stress
-of :meth:`adaptmg.Result.stress`.
+with a stress :math:`\sigma^*` that is continuous and piecewise linear in each body: it may jump
+where materials meet and between bodies in contact (:mod:`adaptmg.discrete.stress`). Where the
+solution is smooth the estimate tends to the error itself; it does not depend on loads and contact
+conditions. Of smoothed elements, the error is that of the stress of :meth:`adaptmg.Result.stress`.
 """
 
 from __future__ import annotations
@@ -72,8 +76,8 @@ class Estimate:
     Parameters
     ----------
     squares : (n_elements,) array
-        Square of each element's part, >= 0; N m. Of a goal: the absolute value of its part, in the goal's unit; these
-        mark, their sum overestimates the error many times and is never quoted.
+        Square of each element's part, >= 0; N m. Of a goal: the absolute value of its part, in the
+        goal's unit; these mark, their sum overestimates the error many times and is never quoted.
     norm : float
         Energy norm of the displacement ||u_h||_A, sqrt(N m): what ``relative`` refers to.
     indicator : str
@@ -81,7 +85,8 @@ class Estimate:
     terms : mapping of str to float
         Parts of the sum of squares by name; they add up to it.
     value, signed : float, optional
-        Of a goal: the quantity of the discrete solution, and the estimate of exact minus discrete value.
+        Of a goal: the quantity of the discrete solution, and the estimate of exact minus discrete
+        value.
 
     Examples
     --------
@@ -98,16 +103,31 @@ class Estimate:
     signed: float | None = None
 
     if TYPE_CHECKING:
-        def __init__(self, *, squares: ArrayLike, norm: float, indicator: str = "", terms: Mapping[str, float] = ...,
-                     value: float | None = None, signed: float | None = None) -> None: ...
+
+        def __init__(
+            self,
+            *,
+            squares: ArrayLike,
+            norm: float,
+            indicator: str = "",
+            terms: Mapping[str, float] = ...,
+            value: float | None = None,
+            signed: float | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "squares", _checked_squares("squares", self.squares))
         object.__setattr__(self, "norm", checks.nonnegative("norm", self.norm))
         checks.instance("indicator", self.indicator, str, "text")
-        checks.instance("terms", self.terms, Mapping, "a mapping of names to parts of the sum of squares")
-        terms = {checks.instance("the keys of terms", name, str, "text"): checks.number(f"terms[{name!r}]", part)
-                 for name, part in self.terms.items()}
+        checks.instance(
+            "terms", self.terms, Mapping, "a mapping of names to parts of the sum of squares"
+        )
+        terms = {
+            checks.instance("the keys of terms", name, str, "text"): checks.number(
+                f"terms[{name!r}]", part
+            )
+            for name, part in self.terms.items()
+        }
         object.__setattr__(self, "terms", terms)
         for name in ("value", "signed"):
             if getattr(self, name) is not None:
@@ -117,12 +137,14 @@ class Estimate:
 
     @property
     def total(self) -> float:
-        """Return the square root of the sum of squares, sqrt(N m); of a goal the absolute ``signed``, in its unit."""
+        """Return the square root of the sum of squares, sqrt(N m); of a goal the absolute
+        ``signed``, in its unit."""
         return float(np.sqrt(self.squares.sum())) if self.signed is None else abs(self.signed)
 
     @property
     def relative(self) -> float:
-        """Return ``total`` over ||u_h||_A; of a goal over ``|value|``, infinite where that is 0 and a square is not."""
+        """Return ``total`` over ||u_h||_A; of a goal over ``|value|``, infinite where that is 0 and
+        a square is not."""
         size = self.norm if self.value is None else abs(self.value)
         if size > 0:
             return self.total / size
@@ -135,20 +157,30 @@ class Estimate:
     def __str__(self) -> str:
         lines = [f"Estimate by {self.indicator or 'an indicator'}: {len(self.squares)} elements"]
         if self.signed is None:
-            lines.append(f"  total {self.total:.4g} sqrt(N m), relative {self.relative:.3%} of "
-                         f"||u||_A = {self.norm:.4g} sqrt(N m)")
+            lines.append(
+                f"  total {self.total:.4g} sqrt(N m), relative {self.relative:.3%} of "
+                f"||u||_A = {self.norm:.4g} sqrt(N m)"
+            )
         else:
-            lines.append(f"  value {self.value:.8g}, estimated error {self.signed:+.3g} (exact minus discrete), "
-                         f"relative {self.relative:.3%}")
+            lines.append(
+                f"  value {self.value:.8g}, estimated error {self.signed:+.3g} (exact minus discrete), "
+                f"relative {self.relative:.3%}"
+            )
         whole = sum(self.terms.values())
-        lines += [f"  {name:<28s} {part:11.4g} {part / whole:7.1%}" for name, part in self.terms.items() if whole > 0]
+        lines += [
+            f"  {name:<28s} {part:11.4g} {part / whole:7.1%}"
+            for name, part in self.terms.items()
+            if whole > 0
+        ]
         return "\n".join(lines)
 
 
 def _checked_squares(name: str, squares: object) -> np.ndarray:
     result = checks.array(name, squares, (None,))
     if not len(result) or result.min() < 0:
-        raise ValueError(f"{name} must be numbers >= 0, one for each element, got {checks.shown(squares)}")
+        raise ValueError(
+            f"{name} must be numbers >= 0, one for each element, got {checks.shown(squares)}"
+        )
     return result
 
 
@@ -170,15 +202,20 @@ class Indicator(Protocol[AnyEstimate]):
 
 def estimate_of(indicator: Indicator, hierarchy: Hierarchy, result: Result) -> Estimate:
     """Return the estimate of an indicator, of the elements of the finest mesh."""
-    return estimate_for(hierarchy.finest.mesh, indicator.indicate(hierarchy, result),
-                        f"what the indicator {checks.shown(indicator)} returns")
+    return estimate_for(
+        hierarchy.finest.mesh,
+        indicator.indicate(hierarchy, result),
+        f"what the indicator {checks.shown(indicator)} returns",
+    )
 
 
 def estimate_for(mesh: MeshArrays, estimate: Estimate, name: str = "estimate") -> Estimate:
     """Return an estimate, checked to be one of the elements of a mesh."""
     checks.instance(name, estimate, Estimate, "an Estimate")
     if len(estimate.squares) != len(mesh.elements):
-        raise ValueError(f"{name} is of {len(estimate.squares)} elements, but mesh has {len(mesh.elements)}")
+        raise ValueError(
+            f"{name} is of {len(estimate.squares)} elements, but mesh has {len(mesh.elements)}"
+        )
     return estimate
 
 
@@ -192,15 +229,22 @@ class Mark(Protocol):
 def marks_of(mark: Mark, estimate: Estimate) -> np.ndarray:
     """Return the mask (n_elements,) that a marking chooses, checked."""
     mask = mark.mark(estimate)
-    if not isinstance(mask, np.ndarray) or mask.dtype.kind != "b" or mask.shape != estimate.squares.shape:
-        raise TypeError(f"mark: {checks.shown(mark)} must return a boolean mask over the {len(estimate.squares)} "
-                        f"elements, got {checks.described(mask)}")
+    if (
+        not isinstance(mask, np.ndarray)
+        or mask.dtype.kind != "b"
+        or mask.shape != estimate.squares.shape
+    ):
+        raise TypeError(
+            f"mark: {checks.shown(mark)} must return a boolean mask over the {len(estimate.squares)} "
+            f"elements, got {checks.described(mask)}"
+        )
     return mask
 
 
 @dataclass(frozen=True)
 class Doerfler:
-    """Bulk marking: the smallest set of elements that holds the share ``theta`` of the sum of squares.
+    """Bulk marking: the smallest set of elements that holds the share ``theta`` of the sum of
+    squares.
 
     Parameters
     ----------
@@ -219,10 +263,11 @@ class Doerfler:
         object.__setattr__(self, "theta", _share(self.theta))
 
     def mark(self, estimate: Estimate | np.ndarray) -> np.ndarray:
-        """Return the mask (n_elements,) of the marked elements of an estimate or of its squares (n_elements,).
+        """Return the mask (n_elements,) of the marked elements of an estimate or of its squares
+        (n_elements,).
 
-        Of elements with equal squares those with the lowest numbers come first; none are marked where all are 0.
-        """
+        Of elements with equal squares those with the lowest numbers come first; none are marked
+        where all are 0."""
         squares = _squares(estimate)
         total, mask = squares.sum(), np.zeros(len(squares), dtype=bool)
         if total == 0:
@@ -230,7 +275,9 @@ class Doerfler:
         order = np.argsort(-squares, kind="stable")
         reached = np.cumsum(squares[order])
         # a sum in another order differs by rounding: theta = 1 takes every element that has a part
-        count = min(int(np.searchsorted(reached, self.theta * min(total, reached[-1]))) + 1, len(squares))
+        count = min(
+            int(np.searchsorted(reached, self.theta * min(total, reached[-1]))) + 1, len(squares)
+        )
         mask[order[:count]] = True
         return mask & (squares > 0)
 
@@ -256,7 +303,8 @@ class Maximum:
         object.__setattr__(self, "theta", _share(self.theta))
 
     def mark(self, estimate: Estimate | np.ndarray) -> np.ndarray:
-        """Return the mask (n_elements,) of the marked elements of an estimate or of its squares (n_elements,)."""
+        """Return the mask (n_elements,) of the marked elements of an estimate or of its squares
+        (n_elements,)."""
         squares = _squares(estimate)
         return (squares >= self.theta * squares.max()) & (squares > 0)
 
@@ -269,7 +317,11 @@ def _share(theta: float) -> float:
 
 
 def _squares(estimate: Estimate | np.ndarray) -> np.ndarray:
-    return estimate.squares if isinstance(estimate, Estimate) else _checked_squares("estimate", estimate)
+    return (
+        estimate.squares
+        if isinstance(estimate, Estimate)
+        else _checked_squares("estimate", estimate)
+    )
 
 
 @dataclass(frozen=True)
@@ -286,22 +338,33 @@ class Residual:
 
     @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
-        """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
+        """Estimate the error on the finest mesh of a hierarchy, of a result of
+        :func:`adaptmg.solve` on it.
 
-        The terms of the estimate are "element residual", "jumps inside", "traction on boundaries", "traction in
-        contact", "complementarity" and "friction"; squares of energies, N m (plane: per metre of thickness). TypeError
-        or ValueError without problem, mesh or materials, for a result of another mesh, other loads, or not finite.
-        """
+        The terms of the estimate are "element residual", "jumps inside", "traction on boundaries",
+        "traction in contact", "complementarity" and "friction"; squares of energies, N m (plane:
+        per metre of thickness). TypeError or ValueError without problem, mesh or materials, for a
+        result of another mesh, other loads, or not finite."""
         this = posed(hierarchy, result)
         volume = volume_squares(this.stress, this.problem.loads, this.young)
         free, touching = boundary_squares(this)
         complementarity, friction = condition_squares(this)
         jumps = jump_squares(this)
-        parts = {"element residual": volume, "jumps inside": jumps, "traction on boundaries": free,
-                 "traction in contact": touching, "complementarity": complementarity, "friction": friction}
+        parts = {
+            "element residual": volume,
+            "jumps inside": jumps,
+            "traction on boundaries": free,
+            "traction in contact": touching,
+            "complementarity": complementarity,
+            "friction": friction,
+        }
         parts = {name: part for name, part in parts.items() if part is not None}
-        return Estimate(squares=sum(parts.values()), norm=this.norm, indicator="residuals",
-                        terms={name: part.sum() for name, part in parts.items()})
+        return Estimate(
+            squares=sum(parts.values()),
+            norm=this.norm,
+            indicator="residuals",
+            terms={name: part.sum() for name, part in parts.items()},
+        )
 
 
 def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
@@ -328,11 +391,15 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
         for spring in this.problem.supports:
             if isinstance(spring, Spring) and spring.boundary == name:
                 stiffness = foundation(spring, at, normals)
-                residual -= np.einsum("fqij,qk,fkj->fqi", stiffness, rule, this.result.displacement[facets])
+                residual -= np.einsum(
+                    "fqij,qk,fkj->fqi", stiffness, rule, this.result.displacement[facets]
+                )
         held = supports.get(name, np.empty((0, mesh.dim)))
         residual -= residual @ held.T @ held
         sizes = surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures)
-        squares = sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
+        squares = (
+            sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
+        )
         into = contact if name in touching else plain
         into += np.bincount(elements, weights=np.where(outside, squares, 0.0), minlength=len(into))
     return plain, contact
@@ -343,10 +410,11 @@ _STILL = 1e-12
 
 
 def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
-    """Return squares (n_elements,) from complementarity and from friction, N m. At the nodes the conditions are taken
-    as met: no pressure where a node is OPEN, no gap elsewhere, friction at its limit against the slip where there is
-    one. What a solver leaves of them is algebraic error; multiplied by a gap, or by a slip, far larger than the
-    deformation it would exceed all that the mesh has left."""
+    """Return squares (n_elements,) from complementarity and from friction, N m. At the nodes the
+    conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction at its
+    limit against the slip where there is one. What a solver leaves of them is algebraic error;
+    multiplied by a gap, or by a slip, far larger than the deformation it would exceed all that the
+    mesh has left."""
     mesh, contact, near = this.mesh, this.result.contact, this.neighbours
     complementarity, friction = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
     opens = contact.state == State.OPEN
@@ -360,25 +428,35 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
         index = np.full(mesh.n_nodes, len(mine))
         index[contact.node[mine]] = np.arange(len(mine))
         pressure, gap, limit, traction, slip = (
-            _padded(values[mine])[index[surface.facets]] for values in (pressures, gaps, limits, tractions, slips))
-        rule, _, weights = integration(mesh.points, surface.facets, surface.measures, this.stress.axisymmetric)
+            _padded(values[mine])[index[surface.facets]]
+            for values in (pressures, gaps, limits, tractions, slips)
+        )
+        rule, _, weights = integration(
+            mesh.points, surface.facets, surface.measures, this.stress.axisymmetric
+        )
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
-        slip_part = (np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))
-                     + np.einsum("fij,fid,fjd->f", mass, traction, slip))
+        slip_part = np.einsum(
+            "fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2)
+        ) + np.einsum("fij,fid,fjd->f", mass, traction, slip)
         elements = near.owner[mesh.facet_labels == mesh.boundaries.index(name)]
         complementarity += np.bincount(elements, weights=open_part, minlength=len(complementarity))
         # below zero by rounding
-        friction += np.bincount(elements, weights=np.maximum(slip_part, 0.0), minlength=len(friction))
+        friction += np.bincount(
+            elements, weights=np.maximum(slip_part, 0.0), minlength=len(friction)
+        )
     return complementarity, friction
 
 
 def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Limits (n,) of the friction and its tractions (n, dim), Cartesian, which obey the law for the slip, Pa."""
+    """Limits (n,) of the friction and its tractions (n, dim), Cartesian, which obey the law for the
+    slip, Pa."""
     contact = this.result.contact
     fixed, _ = this.discrete.law.bounds(len(contact))
     limit, length = np.where(opens, fixed, contact.limit), np.linalg.norm(contact.slip, axis=1)
-    moves = (contact.state != State.STICK) & (length > _STILL * np.abs(this.result.displacement).max(initial=0.0))
+    moves = (contact.state != State.STICK) & (
+        length > _STILL * np.abs(this.result.displacement).max(initial=0.0)
+    )
     along = np.where(moves[:, None], -contact.slip, contact.force_t)
     size = np.linalg.norm(along, axis=1)
     factor = np.divide(limit, size, out=np.zeros_like(size), where=size > 0)
@@ -391,31 +469,50 @@ def _padded(values: np.ndarray) -> np.ndarray:
 
 
 def jump_squares(this: Posed) -> np.ndarray:
-    """Return squares (n_elements,), N m; half of each facet to each of its elements, with that element's modulus."""
-    mesh, stress, (one, other), facets = this.mesh, this.stress, this.neighbours.pairs, this.neighbours.facets
+    """Return squares (n_elements,), N m; half of each facet to each of its elements, with that
+    element's modulus."""
+    mesh, stress, (one, other), facets = (
+        this.mesh,
+        this.stress,
+        this.neighbours.pairs,
+        this.neighbours.facets,
+    )
     surface = Surface(mesh.points, facets)
     if stress.axisymmetric:
         rule, _, weights = integration(mesh.points, facets, surface.measures, True)
-        jump = np.subtract(*(stress.tractions(elements, surface.normals, facets, rule) for elements in (one, other)))
+        jump = np.subtract(
+            *(
+                stress.tractions(elements, surface.normals, facets, rule)
+                for elements in (one, other)
+            )
+        )
         squares = np.einsum("fqd,fqd,fq->f", jump, jump, weights)
     else:
         values, vectors = stress.values.T, surface.vectors.T
         change = values.take(one, axis=1) - values.take(other, axis=1)
-        jumps = [sum(change[c] * part for c, part in zip(row, vectors, strict=True)) for row in stress.columns]
+        jumps = [
+            sum(change[c] * part for c, part in zip(row, vectors, strict=True))
+            for row in stress.columns
+        ]
         squares = sum(jump * jump for jump in jumps) / surface.measures
     squares *= 0.5 * (surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures))
     n = len(mesh.elements)
     return sum(np.bincount(elements, squares, n) for elements in (one, other)) / this.young
 
 
-def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarray) -> np.ndarray | None:
-    """Return squares (n_elements,), N m; None where there is neither a body force nor axisymmetry."""
+def volume_squares(
+    stress: ElementStress, loads: Sequence[Load], young: np.ndarray
+) -> np.ndarray | None:
+    """Return squares (n_elements,), N m; None where there is neither a body force nor
+    axisymmetry."""
     forces = [load for load in loads if isinstance(load, BodyForce)]
     if not forces and not stress.axisymmetric:
         return None
     mesh = stress.mesh
     rule, at, weights = integration(mesh.points, mesh.elements, mesh.volumes, stress.axisymmetric)
-    residual = _divergence(stress, rule) if stress.axisymmetric else np.zeros((*weights.shape, mesh.dim))
+    residual = (
+        _divergence(stress, rule) if stress.axisymmetric else np.zeros((*weights.shape, mesh.dim))
+    )
     for load in forces:
         here = slice(None) if load.body is None else body_elements(mesh, load.body)
         residual[here] += load_density(load, at[here], None)
@@ -423,16 +520,22 @@ def volume_squares(stress: ElementStress, loads: Sequence[Load], young: np.ndarr
 
 
 def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
-    """Divergence (n_elements, n_points, 2) of an axisymmetric stress: (d_r sigma_rr + (sigma_rr - sigma_tt) / r, d_z
-    sigma_zz + sigma_rz / r), where stresses vary with the hoop strain u_r / r."""
+    """Divergence (n_elements, n_points, 2) of an axisymmetric stress: (d_r sigma_rr + (sigma_rr -
+    sigma_tt) / r, d_z sigma_zz + sigma_rz / r), where stresses vary with the hoop strain u_r /
+    r."""
     mesh = stress.mesh
     slope = displacement_gradient(mesh, stress.displacement)[:, 0, :, None]
     rise, values = stress.rise(slice(None), mesh.elements, rule), stress.values[:, :, None]
     per_hoop, r = stress.of_hoop[:, :, None], mesh.points[mesh.elements, 0] @ rule.T
     # r times the change of the hoop strain along r and along z
     along_r, along_z = slope[:, 0] - stress.hoop[:, None] - rise, slope[:, 1]
-    radial = (per_hoop[:, 0] * along_r + per_hoop[:, 3] * along_z + values[:, 0] - values[:, 2]
-              + (per_hoop[:, 0] - per_hoop[:, 2]) * rise)
+    radial = (
+        per_hoop[:, 0] * along_r
+        + per_hoop[:, 3] * along_z
+        + values[:, 0]
+        - values[:, 2]
+        + (per_hoop[:, 0] - per_hoop[:, 2]) * rise
+    )
     axial = per_hoop[:, 3] * (along_r + rise) + per_hoop[:, 1] * along_z + values[:, 3]
     return np.stack([radial / r, axial / r], axis=2)
 
@@ -451,25 +554,34 @@ class Recovery:
 
     @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> Estimate:
-        """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
+        """Estimate the error on the finest mesh of a hierarchy, of a result of
+        :func:`adaptmg.solve` on it.
 
         The terms of the estimate are the bodies by name; TypeError and ValueError as of
         :meth:`adaptmg.Residual.indicate`.
         """
         this = posed(hierarchy, result)
         squares = recovered_energy(this.stress, *recovered(this.mesh, this.stress.values))
-        by_body = np.bincount(this.mesh.element_body, weights=squares, minlength=len(this.mesh.bodies))
-        return Estimate(squares=squares, norm=this.norm, indicator="recovered stress",
-                        terms=dict(zip(this.mesh.bodies, by_body, strict=True)))
+        by_body = np.bincount(
+            this.mesh.element_body, weights=squares, minlength=len(this.mesh.bodies)
+        )
+        return Estimate(
+            squares=squares,
+            norm=this.norm,
+            indicator="recovered stress",
+            terms=dict(zip(this.mesh.bodies, by_body, strict=True)),
+        )
 
 
 def recovered_energy(stress: ElementStress, cells: np.ndarray, nodal: np.ndarray) -> np.ndarray:
-    """Return energies (n_elements,) of a recovered stress, linear between nodal values on cells, minus that of the
-    elements, N m."""
+    """Return energies (n_elements,) of a recovered stress, linear between nodal values on cells,
+    minus that of the elements, N m."""
     mesh = stress.mesh
     rule, _, weights = integration(mesh.points, mesh.elements, mesh.volumes, stress.axisymmetric)
     difference = rule @ nodal[cells] - stress.values[:, None]
     if stress.axisymmetric:
-        difference -= stress.rise(slice(None), mesh.elements, rule)[:, :, None] * stress.of_hoop[:, None]
+        difference -= (
+            stress.rise(slice(None), mesh.elements, rule)[:, :, None] * stress.of_hoop[:, None]
+        )
     plane = mesh.dim == 2 and not stress.axisymmetric
     return np.einsum("eq,eq->e", weights, stress.compliances.work(difference, difference, plane))

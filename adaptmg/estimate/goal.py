@@ -1,20 +1,23 @@
 r"""Goal: the error of single quantities of a contact solution, by dual-weighted residuals.
 
-On the mesh with all edges halved the new nodes M carry most of the error d of the interpolated solution
+On the mesh with all edges halved the new nodes M carry most of the error d of the interpolated
+solution
 :math:`u_h`. With the dual field z of a quantity J (:mod:`adaptmg.estimate.adjoint`), interpolated as well,
 
 .. math:: A_{MM}\,d = (b - A u_h)_M, \qquad
           J(u) - J(u_h) \approx \tfrac43\,\bigl((J' - A^T z_h)_M \cdot d + J_{h/2}(u_h) - J_h(u_h)\bigr),
 
-as halving the elements leaves a quarter of an error (hierarchical basis, R. Bank, R. K. Smith, SIAM J. Numer. Anal. 30,
-1993, doi:10.1137/0730048). The last difference is what the chords of curves change. Contact is linearised at the
-solution, and an edge between an open node and a closed one counts as open. The signed sum is quoted; its parts with the
-diagonal in place of :math:`A_{MM}` say by absolute value where to refine, and overestimate the error several times.
+as halving the elements leaves a quarter of an error (hierarchical basis, R. Bank, R. K. Smith, SIAM
+J. Numer. Anal. 30, 1993, doi:10.1137/0730048). The last difference is what the chords of curves
+change. Contact is linearised at the solution, and an edge between an open node and a closed one
+counts as open. The signed sum is quoted; its parts with the diagonal in place of :math:`A_{MM}` say
+by absolute value where to refine, and overestimate the error several times.
 
-R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and friction linearised at
-the solution as in the semismooth Newton method. The sum does not contain that the contact zones end elsewhere than in
-the discrete solution; both fields are singular at the ends of the zones, so that the marks refine there all the same.
-"""
+R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and
+   friction linearised at
+the solution as in the semismooth Newton method. The sum does not contain that the contact zones end
+elsewhere than in the discrete solution; both fields are singular at the ends of the zones, so that
+the marks refine there all the same."""
 
 from __future__ import annotations
 
@@ -77,14 +80,22 @@ class GoalEstimate(Estimate):
         return shortened(str(self))
 
     def __str__(self) -> str:
-        lines = [f"Estimate by {self.indicator}: {len(self.squares)} elements, estimated relative energy error "
-                 f"{self.discretisation:.3%}"]
+        lines = [
+            f"Estimate by {self.indicator}: {len(self.squares)} elements, estimated relative energy error "
+            f"{self.discretisation:.3%}"
+        ]
         width = max(map(len, self.names))
-        lines += [f"  {name:<{width}s} {value:14.7g} {unit:<3s} estimated error {error:+.3g} (exact minus discrete)"
-                  + (f", {error / abs(value):+.3%}" if value else "")
-                  for name, unit, value, error in zip(self.names, self.units, self.values, self.errors, strict=True)]
+        lines += [
+            f"  {name:<{width}s} {value:14.7g} {unit:<3s} estimated error {error:+.3g} (exact minus discrete)"
+            + (f", {error / abs(value):+.3%}" if value else "")
+            for name, unit, value, error in zip(
+                self.names, self.units, self.values, self.errors, strict=True
+            )
+        ]
         if not self.converged:
-            lines.append(f"  the adjoint problems were not solved: residual {self.residuals.max():.1e}")
+            lines.append(
+                f"  the adjoint problems were not solved: residual {self.residuals.max():.1e}"
+            )
         return "\n".join(lines)
 
 
@@ -99,15 +110,18 @@ class Goal:
     Parameters
     ----------
     quantity : Displacement, MeanDisplacement, ContactForce, Opening, or a sequence of these
-        Of several (also several points of one Displacement) everything is relative to their values: the squares are
-        sums of relative parts, ``value`` is 1 and ``signed`` the relative error of that with the largest.
+        Of several (also several points of one Displacement) everything is relative to their values:
+        the squares are sums of relative parts, ``value`` is 1 and ``signed`` the relative error of
+        that with the largest.
 
     Notes
     -----
-    A quantity that the contact state holds (an opening while all nodes touch, the motion of a node that sticks) has no
-    dual field; then elements are marked by the energy of the error, until a finer mesh has another state.
+    A quantity that the contact state holds (an opening while all nodes touch, the motion of a node
+    that sticks) has no dual field; then elements are marked by the energy of the error, until a
+    finer mesh has another state.
 
-    The signed estimate contains the algebraic error, as far as it leaves the contact state unchanged.
+    The signed estimate contains the algebraic error, as far as it leaves the contact state
+    unchanged.
 
     Examples
     --------
@@ -122,8 +136,13 @@ class Goal:
 
     def __post_init__(self) -> None:
         for item in self.quantities:
-            checks.offers("quantity", item, "functionals", "Displacement(...), MeanDisplacement(...), "
-                          "ContactForce(...), Opening(...), or several of these")
+            checks.offers(
+                "quantity",
+                item,
+                "functionals",
+                "Displacement(...), MeanDisplacement(...), "
+                "ContactForce(...), Opening(...), or several of these",
+            )
         if not self.quantities:
             raise ValueError("quantity is empty: give at least one")
         if isinstance(self.quantity, list):
@@ -132,17 +151,20 @@ class Goal:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """Return all quantities."""
-        return tuple(self.quantity) if isinstance(self.quantity, (list, tuple)) else (self.quantity,)
+        return (
+            tuple(self.quantity) if isinstance(self.quantity, (list, tuple)) else (self.quantity,)
+        )
 
     @one_blas_thread()
     def indicate(self, hierarchy: Hierarchy, result: Result) -> GoalEstimate:
-        """Estimate the error on the finest mesh of a hierarchy, of a result of :func:`adaptmg.solve` on it.
+        """Estimate the error on the finest mesh of a hierarchy, of a result of
+        :func:`adaptmg.solve` on it.
 
-        The terms of the estimate are the sums of squares of each quantity by name. TypeError and ValueError as of
+        The terms of the estimate are the sums of squares of each quantity by name. TypeError and
+        ValueError as of
         :meth:`adaptmg.Residual.indicate`, where a point, boundary or pair of a quantity does not exist, where elements
-        are smoothed (estimates were -1 to 3 times the error), and where of several quantities one is zero;
-        numpy.linalg.LinAlgError if the adjoint matrix is singular.
-        """
+        are smoothed (estimates were -1 to 3 times the error), and where of several quantities one
+        is zero; numpy.linalg.LinAlgError if the adjoint matrix is singular."""
         this = posed(hierarchy, result)
         need_linear(this.problem)
         view = GoalView.of(this)
@@ -157,29 +179,43 @@ class Goal:
         fine, origin = view.halved()
         finer = [one for item in self.quantities for one in checked_functionals(fine, item)]
         error = HalvedError(view, fine, this.norm)
-        algebraic = np.array([_algebraic(view, *pair) for pair in zip(functionals, duals, strict=True)])
+        algebraic = np.array(
+            [_algebraic(view, *pair) for pair in zip(functionals, duals, strict=True)]
+        )
         signed, parts = zip(*map(error.of_functional, functionals, finer, duals), strict=True)
         errors = np.array(signed) + algebraic
         worst = int(np.argmax(np.abs(errors / sizes)))
-        squares = [_on_elements(fine, origin, part / size) for part, size in zip(parts, sizes, strict=True)]
+        squares = [
+            _on_elements(fine, origin, part / size) for part, size in zip(parts, sizes, strict=True)
+        ]
         values = np.array([one.value for one in functionals])
         return GoalEstimate(
-            squares=sum(squares), norm=this.norm, terms={name: part.sum() for name, part in zip(names, squares,
-                                                                                             strict=True)},
-            indicator=f"dual-weighted residuals for {names[0]}" + (f" and {len(names) - 1} more" if len(names) > 1
-                                                                   else ""),
-            value=1.0 if len(functionals) > 1 else float(values[0]), signed=float(errors[worst] / sizes[worst]),
-            names=names, units=tuple(one.unit for one in functionals), values=values, errors=errors,
-            algebraic=algebraic, discretisation=error.energy,
+            squares=sum(squares),
+            norm=this.norm,
+            terms={name: part.sum() for name, part in zip(names, squares, strict=True)},
+            indicator=f"dual-weighted residuals for {names[0]}"
+            + (f" and {len(names) - 1} more" if len(names) > 1 else ""),
+            value=1.0 if len(functionals) > 1 else float(values[0]),
+            signed=float(errors[worst] / sizes[worst]),
+            names=names,
+            units=tuple(one.unit for one in functionals),
+            values=values,
+            errors=errors,
+            algebraic=algebraic,
+            discretisation=error.energy,
             residuals=np.array([dual.residual for dual in duals]),
-            iterations=sum(dual.iterations for dual in duals), converged=all(dual.converged for dual in duals))
+            iterations=sum(dual.iterations for dual in duals),
+            converged=all(dual.converged for dual in duals),
+        )
 
 
 def need_linear(problem: ContactProblem) -> None:
     """Raise ValueError unless the elements of the problem are linear."""
     if problem.elements != "linear":
-        raise ValueError("am.Goal estimates errors of linear elements, not of smoothed ones: take am.Recovery() or "
-                         "am.Residual() as indicator")
+        raise ValueError(
+            "am.Goal estimates errors of linear elements, not of smoothed ones: take am.Recovery() or "
+            "am.Residual() as indicator"
+        )
 
 
 def _sizes(functionals: list[Functional]) -> np.ndarray:
@@ -188,8 +224,10 @@ def _sizes(functionals: list[Functional]) -> np.ndarray:
         return np.ones(1)
     sizes = np.array([abs(functional.value) for functional in functionals])
     if not sizes.min() > 0:
-        raise ValueError(f"quantity: {functionals[int(np.argmin(sizes))].name} is zero, and several quantities are "
-                         "taken relative to their values: estimate it alone")
+        raise ValueError(
+            f"quantity: {functionals[int(np.argmin(sizes))].name} is zero, and several quantities are "
+            "taken relative to their values: estimate it alone"
+        )
     return sizes
 
 
@@ -213,25 +251,48 @@ class HalvedError:
         self.alone = load / diagonal  # of each new node by itself: marks
         inner = LinearOperator(matrix.shape, lambda x: x.reshape(-1) / diagonal, dtype=np.float64)
         # of all in one system: signed estimates. scipy tests the preconditioned residual
-        self.together, failed = gmres(matrix, load, rtol=_RTOL, atol=0.0, restart=_STEPS, maxiter=3, M=inner)
+        self.together, failed = gmres(
+            matrix, load, rtol=_RTOL, atol=0.0, restart=_STEPS, maxiter=3, M=inner
+        )
         if failed:
             _LOG.info("the equations of %d new unknowns were not solved to %.0e", len(new), _RTOL)
         self.energies = np.abs(load * self.alone)
         #: energy norm of the error over that of the solution
-        self.energy = float(np.sqrt(max(_WHOLE * load @ self.together, 0.0))) / norm if norm > 0 else 0.0
+        self.energy = (
+            float(np.sqrt(max(_WHOLE * load @ self.together, 0.0))) / norm if norm > 0 else 0.0
+        )
 
-    def of_functional(self, coarse: Functional, finer: Functional, dual: AdjointSolution) -> tuple[float, np.ndarray]:
-        """Return the signed error of a quantity, and the parts (n_nodes,) of the new nodes that mark."""
+    def of_functional(
+        self, coarse: Functional, finer: Functional, dual: AdjointSolution
+    ) -> tuple[float, np.ndarray]:
+        """Return the signed error of a quantity, and the parts (n_nodes,) of the new nodes that
+        mark."""
         contact = self.fine.contact
         reaction = finer.vector - self.fine.discrete.matrix @ self.fine.interpolated(dual.field)
-        weighted, geometry = contact.local(reaction)[self.new], _WHOLE * (finer.value - coarse.value)
-        signed, parts = _WHOLE * float(weighted @ self.together) + geometry, np.abs(weighted * self.alone)
+        weighted, geometry = (
+            contact.local(reaction)[self.new],
+            _WHOLE * (finer.value - coarse.value),
+        )
+        signed, parts = (
+            _WHOLE * float(weighted @ self.together) + geometry,
+            np.abs(weighted * self.alone),
+        )
         if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
-            # the contact state alone leaves the quantity no way to change, but a finer mesh may have another state:
-            # the parts of the energy; in all a relative error of the displacement as large as that of the energy
-            moved = float(np.abs(self.view.contact.unknowns).max(initial=0.0) * np.abs(coarse.vector).sum())
-            parts = self.energies / max(float(self.energies.sum()), np.finfo(float).tiny) * self.energy * moved
-        nodal = np.bincount(self.new // contact.discrete.dim, parts, minlength=contact.discrete.n_nodes)
+            # the contact state alone leaves the quantity no way to change, but a finer mesh may
+            # have another state: the parts of the energy; in all a relative error of the
+            # displacement as large as that of the energy
+            moved = float(
+                np.abs(self.view.contact.unknowns).max(initial=0.0) * np.abs(coarse.vector).sum()
+            )
+            parts = (
+                self.energies
+                / max(float(self.energies.sum()), np.finfo(float).tiny)
+                * self.energy
+                * moved
+            )
+        nodal = np.bincount(
+            self.new // contact.discrete.dim, parts, minlength=contact.discrete.n_nodes
+        )
         # an edge of length h changes a mean by h^3, a facet by h^4
         dim, first = contact.discrete.dim, self.view.mesh.n_nodes
         share = np.linalg.norm(finer.vector.reshape(-1, dim), axis=1) ** ((dim + 1) / (dim - 1))
@@ -240,25 +301,31 @@ class HalvedError:
 
 
 def _on_elements(fine: GoalView, origin: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Parts of the nodes of the halved mesh shared out evenly among the elements around each, by those that these come
-    from."""
+    """Parts of the nodes of the halved mesh shared out evenly among the elements around each, by
+    those that these come from."""
     elements = fine.mesh.elements
     around = np.bincount(elements.ravel(), minlength=len(parts))
     return np.bincount(origin, (parts / around)[elements].sum(axis=1))
 
 
 def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) -> float:
-    r"""What the solver has left: J of the discrete solution minus J of the result, in the unit of the quantity.
+    r"""What the solver has left: J of the discrete solution minus J of the result, in the unit of
+    the quantity.
 
-    With the residual r = A u - b, the slip force s f of Tresca's law, and what is left of prescribed values,
+    With the residual r = A u - b, the slip force s f of Tresca's law, and what is left of
+    prescribed values,
     :math:`\delta` (a gap where bodies touch, a slip where they stick),
 
     .. math:: -z \cdot r + \sum_{\mathrm{slip}} s\, f \cdot z_t - \lambda^* \cdot \delta, \qquad \lambda^* = A z - j .
     """
     contact, discrete = view.contact, view.discrete
-    reaction = contact.local(discrete.matrix @ dual.field - functional.vector).reshape(-1, discrete.dim)[contact.nodes]
+    reaction = contact.local(discrete.matrix @ dual.field - functional.vector).reshape(
+        -1, discrete.dim
+    )[contact.nodes]
     part = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
     part += float(contact.fixed_friction @ contact.local(dual.field))
     touches, sticks = contact.state != State.OPEN, contact.sticks[:, None] & ~contact.held
-    part -= float(np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0)))
+    part -= float(
+        np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0))
+    )
     return part + float(np.sum(np.where(sticks, reaction[:, 1:] * contact.slip, 0.0)))

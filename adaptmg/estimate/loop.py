@@ -1,16 +1,22 @@
-r"""AdaptiveLoop: from mesh to mesh: mark, refine, carry over, solve, estimate, store; and the Step that each yields.
+r"""AdaptiveLoop: from mesh to mesh: mark, refine, carry over, solve, estimate, store; and the Step
+that each yields.
 
-Each mesh is solved from the solution before. The rate of multigrid depends on the local size
-ratio of neighbouring levels, the element sizes :math:`H/h` at the same place (measured on a flat punch: 3.3, 6.5, 12,
-24 give rates of .35-.64, .66-.82, .83, .88), its cost on the nodes of all levels. With its 99 % quantile :math:`q`
+Each mesh is solved from the solution before. The rate of multigrid depends on the local size ratio
+of neighbouring levels, the element sizes :math:`H/h` at the same place (measured on a flat punch:
+3.3, 6.5, 12, 24 give rates of .35-.64, .66-.82, .83, .88), its cost on the nodes of all levels.
+With its 99 % quantile :math:`q`
 
-- a mesh is put in between where q > 4.5 and the engine can make one (at 4 it has hardly more nodes than the coarser),
-- a level is dropped where it has nearly as many nodes as the next finer one, and q <= 3.5 holds without it (at 4, two
-  bisections of everything near a singularity, the flat punch's rate goes from .6 to .75 and the work of the loop up).
+- a mesh is put in between where q > 4.5 and the engine can make one (at 4 it has hardly more nodes
+  than the coarser),
+- a level is dropped where it has nearly as many nodes as the next finer one, and q <= 3.5 holds
+  without it (at 4, two bisections of everything near a singularity, the flat punch's rate goes from
+  .6 to .75 and the work of the loop up).
 
-With a load path every mesh goes along the whole path, and is refined for its last load step or for all.
+With a load path every mesh goes along the whole path, and is refined for its last load step or for
+all.
 
-In a folder each step is one file of a :class:`adaptmg.solver.store.StepStore`: the result with its mesh, and a
+In a folder each step is one file of a :class:`adaptmg.solver.store.StepStore`: the result with its
+mesh, and a
 :class:`StoredStep`. A killed loop goes on with the same numbers. Limits are not part of the fingerprint: a loop may go
 on under others.
 """
@@ -66,13 +72,17 @@ class Limits:
 
     def __post_init__(self) -> None:
         if self.tolerance is None and self.max_nodes is None and self.max_seconds is None:
-            raise ValueError("give at least one of tolerance, max_nodes and max_seconds: the loop would never end")
+            raise ValueError(
+                "give at least one of tolerance, max_nodes and max_seconds: the loop would never end"
+            )
         if self.tolerance is not None:
             object.__setattr__(self, "tolerance", checks.tolerance("tolerance", self.tolerance))
         if self.max_nodes is not None:
             checks.integer("max_nodes", self.max_nodes, 1)
         if self.max_seconds is not None:
-            object.__setattr__(self, "max_seconds", checks.positive("max_seconds", self.max_seconds))
+            object.__setattr__(
+                self, "max_seconds", checks.positive("max_seconds", self.max_seconds)
+            )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,12 +96,12 @@ class Step(Generic[AnyEstimate]):
     hierarchy : Hierarchy
         All levels that were used; its finest is the mesh of the step.
     result : Result
-        On it, solved to ``result.rtol`` (by default 1e-6, far below the estimate, so that forces and compliances hold);
-        of a load path that of the load step by which the mesh is refined.
+        On it, solved to ``result.rtol`` (by default 1e-6, far below the estimate, so that forces
+        and compliances hold); of a load path that of the load step by which the mesh is refined.
     estimate : Estimate
     timings : dict of str to float
-        Seconds of this step by phase: "mesh" (marking and refining the mesh before), "assembly", "transfer", "levels"
-        (which meshes stay), "solve", "estimate", "store".
+        Seconds of this step by phase: "mesh" (marking and refining the mesh before), "assembly",
+        "transfer", "levels" (which meshes stay), "solve", "estimate", "store".
     total_seconds : float
         Of all steps so far.
     work_units, total_work_units : float
@@ -99,9 +109,10 @@ class Step(Generic[AnyEstimate]):
     path : PathResult or None
         All load steps, where there is a load path.
     settled : bool or None
-        Of a goal: whether its signed estimates have the sign of those of the mesh before, and are no smaller than the
-        change of the corrected values since then; False on the first mesh. While they are not, the printed step says
-        "not settled", and only two meshes in a row below it end the loop by ``tolerance``. None for energy norms.
+        Of a goal: whether its signed estimates have the sign of those of the mesh before, and are
+        no smaller than the change of the corrected values since then; False on the first mesh.
+        While they are not, the printed step says "not settled", and only two meshes in a row below
+        it end the loop by ``tolerance``. None for energy norms.
     outcome : str
         Why the loop stopped after this step; empty as long as it has not.
 
@@ -137,10 +148,12 @@ class Step(Generic[AnyEstimate]):
 
     def __repr__(self) -> str:
         doubtful = " (not settled)" if self.settled is False else ""
-        text = (f"step {self.number:>2}: {self.nodes:>7} nodes, {len(self.hierarchy):>2} levels, estimate "
-                f"{self.estimate.relative:>7.3%}{doubtful}, {self.result.cycles:>3} cycles, {self.work_units:>6.1f} "
-                f"work units ({self.total_work_units:.1f} in all), {self.seconds:.3g} s ({self.total_seconds:.3g} s "
-                "in all)")
+        text = (
+            f"step {self.number:>2}: {self.nodes:>7} nodes, {len(self.hierarchy):>2} levels, estimate "
+            f"{self.estimate.relative:>7.3%}{doubtful}, {self.result.cycles:>3} cycles, {self.work_units:>6.1f} "
+            f"work units ({self.total_work_units:.1f} in all), {self.seconds:.3g} s ({self.total_seconds:.3g} s "
+            "in all)"
+        )
         return shortened(f"{text}; {self.outcome}" if self.outcome else text)
 
     def _repr_html_(self) -> str:
@@ -148,16 +161,30 @@ class Step(Generic[AnyEstimate]):
 
     @staticmethod
     def table(steps: Sequence[Step]) -> pandas.DataFrame:
-        """Return one row a step, with units in the heads: ``am.Step.table(list(am.adapt(...)))``."""
+        """Return one row a step, with units in the heads:
+        ``am.Step.table(list(am.adapt(...)))``."""
         import pandas
 
-        return pandas.DataFrame([
-            {"step": step.number, "nodes": step.nodes, "levels": len(step.hierarchy),
-             "contact_nodes": len(step.result.contact), "estimate": step.estimate.relative,
-             "status": step.result.status.name, "rtol": step.result.rtol, "cycles": step.result.cycles,
-             "work_units": step.work_units, "total_work_units": step.total_work_units, "seconds [s]": step.seconds,
-             "total_seconds [s]": step.total_seconds, "pressure [Pa]": step.result.max_pressure}
-            for step in steps])
+        return pandas.DataFrame(
+            [
+                {
+                    "step": step.number,
+                    "nodes": step.nodes,
+                    "levels": len(step.hierarchy),
+                    "contact_nodes": len(step.result.contact),
+                    "estimate": step.estimate.relative,
+                    "status": step.result.status.name,
+                    "rtol": step.result.rtol,
+                    "cycles": step.result.cycles,
+                    "work_units": step.work_units,
+                    "total_work_units": step.total_work_units,
+                    "seconds [s]": step.seconds,
+                    "total_seconds [s]": step.total_seconds,
+                    "pressure [Pa]": step.result.max_pressure,
+                }
+                for step in steps
+            ]
+        )
 
 
 def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
@@ -167,9 +194,16 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
     if before is None or before.signed is None:
         return False
     (values, errors), (old_values, old_errors) = (
-        (one.values, one.errors) if isinstance(one, GoalEstimate) else (np.array([one.value]), np.array([one.signed]))
-        for one in (estimate, before))
-    change = np.abs(values + errors - old_values - old_errors) if values.shape == old_values.shape else np.inf
+        (one.values, one.errors)
+        if isinstance(one, GoalEstimate)
+        else (np.array([one.value]), np.array([one.signed]))
+        for one in (estimate, before)
+    )
+    change = (
+        np.abs(values + errors - old_values - old_errors)
+        if values.shape == old_values.shape
+        else np.inf
+    )
     return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
 
 
@@ -218,9 +252,21 @@ RESOLVED = 500
 class AdaptiveLoop:
     """One run of the adaptive loop."""
 
-    def __init__(self, start: Hierarchy, parts: LoopParts, limits: Limits, store: StepStore | None,
-                 progress: Progress | None) -> None:
-        self.first, self.parts, self.limits, self.store, self.progress = start, parts, limits, store, progress
+    def __init__(
+        self,
+        start: Hierarchy,
+        parts: LoopParts,
+        limits: Limits,
+        store: StepStore | None,
+        progress: Progress | None,
+    ) -> None:
+        self.first, self.parts, self.limits, self.store, self.progress = (
+            start,
+            parts,
+            limits,
+            store,
+            progress,
+        )
         self.clock = Run(unit=1)
         self.clock.timings |= start.timings
         self.done: list[Step] = []
@@ -249,12 +295,19 @@ class AdaptiveLoop:
     def _reached(self, last: Step) -> str:
         """Which limit a step has reached, as text; empty if none."""
         limits, relative = self.limits, last.estimate.relative
-        met = [limits.tolerance is not None and step.estimate.relative <= limits.tolerance for step in self.done[-2:]]
+        met = [
+            limits.tolerance is not None and step.estimate.relative <= limits.tolerance
+            for step in self.done[-2:]
+        ]
         # signs of goals may be chance on every mesh: twice in a row is enough
         if met[-1] and (last.settled is not False or met == [True, True]):
-            return f"tolerance met: the estimate is {relative:.3g}, the tolerance {limits.tolerance:g}"
+            return (
+                f"tolerance met: the estimate is {relative:.3g}, the tolerance {limits.tolerance:g}"
+            )
         estimate = last.estimate
-        exact = EXACT * estimate.norm**2 if estimate.value is None else EXACT_GOAL * abs(estimate.value)
+        exact = (
+            EXACT * estimate.norm**2 if estimate.value is None else EXACT_GOAL * abs(estimate.value)
+        )
         if estimate.squares.sum() <= exact:
             return "no progress: the indicator finds no error beyond rounding"
         if self._full(last.nodes):
@@ -265,8 +318,10 @@ class AdaptiveLoop:
             if before.nodes >= RESOLVED and last.nodes >= OVER * before.nodes:
                 falls = np.sqrt(last.estimate.squares.sum() / before.estimate.squares.sum())
                 if falls > PROGRESS:
-                    return (f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "
-                            f"{1 - falls:.1%} only")
+                    return (
+                        f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "
+                        f"{1 - falls:.1%} only"
+                    )
                 break
         return ""
 
@@ -290,9 +345,17 @@ class AdaptiveLoop:
                 if finer is not None:
                     finer = sound_mesh(engine, "refine", problem, finer, mesh)
                 if finer is None or finer.n_nodes <= mesh.n_nodes:
-                    floor = "" if divisible(mesh)[marked].any() else (
-                        "; the marked elements are so small that coordinates do not resolve smaller ones")
-                    return None, f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes{floor}"
+                    floor = (
+                        ""
+                        if divisible(mesh)[marked].any()
+                        else (
+                            "; the marked elements are so small that coordinates do not resolve smaller ones"
+                        )
+                    )
+                    return (
+                        None,
+                        f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes{floor}",
+                    )
                 if most is None or finer.n_nodes <= most:
                     return finer, ""
                 # sizes are met roughly only: ask for as much less
@@ -336,22 +399,48 @@ class AdaptiveLoop:
         work = result.work_units if path is None else sum(one.work_units for one in path)
         nonzeros, timings = hierarchy.finest.matrix.nnz, self.clock.timings
         self.clock.timings = {}
-        before = 0.0 if last is None else last.total_work_units * last.hierarchy.finest.matrix.nnz / nonzeros
-        step = Step(number, hierarchy, result, estimate, timings,
-                    sum(timings.values()) + (0.0 if last is None else last.total_seconds), work, work + before, path,
-                    settled(estimate, None if last is None else last.estimate))
+        before = (
+            0.0
+            if last is None
+            else last.total_work_units * last.hierarchy.finest.matrix.nnz / nonzeros
+        )
+        step = Step(
+            number,
+            hierarchy,
+            result,
+            estimate,
+            timings,
+            sum(timings.values()) + (0.0 if last is None else last.total_seconds),
+            work,
+            work + before,
+            path,
+            settled(estimate, None if last is None else last.estimate),
+        )
         with self.clock.phase("store"):
             if self.store is not None:
-                numbers = {"total_seconds": step.total_seconds, "work_units": step.work_units,
-                           "total_work_units": step.total_work_units}
-                self.store.put(number, result, StoredStep(
-                    estimate, [level.mesh for level in hierarchy.levels], result.mesh.refinement, numbers, timings,
-                    path))
+                numbers = {
+                    "total_seconds": step.total_seconds,
+                    "work_units": step.work_units,
+                    "total_work_units": step.total_work_units,
+                }
+                self.store.put(
+                    number,
+                    result,
+                    StoredStep(
+                        estimate,
+                        [level.mesh for level in hierarchy.levels],
+                        result.mesh.refinement,
+                        numbers,
+                        timings,
+                        path,
+                    ),
+                )
         self._remember(step)
         return step
 
     def _steering(self, last: Step) -> Estimate:
-        """The estimate by which the next mesh is made: of a load path perhaps more than that of the step."""
+        """The estimate by which the next mesh is made: of a load path perhaps more than that of the
+        step."""
         if last.path is None or self.parts.adapt_on == "last":
             return last.estimate
         if self.steering is None:  # the step is from a store
@@ -360,12 +449,25 @@ class AdaptiveLoop:
 
     def _restored(self, number: int, step: Stored) -> Step:
         stored: StoredStep = step.more
-        own, last = with_refinement(step.value.mesh, stored.history), self.done[-1] if self.done else None
-        hierarchy = restored(self.first if last is None else last.hierarchy, [*stored.levels[:-1], own])
+        own, last = (
+            with_refinement(step.value.mesh, stored.history),
+            self.done[-1] if self.done else None,
+        )
+        hierarchy = restored(
+            self.first if last is None else last.hierarchy, [*stored.levels[:-1], own]
+        )
         # one mesh for both, with its source
         result = replace(step.value, mesh=hierarchy.finest.mesh)
-        return Step(number, hierarchy, result, stored.estimate, stored.timings, path=stored.path,
-                    settled=settled(stored.estimate, last and last.estimate), **stored.numbers)
+        return Step(
+            number,
+            hierarchy,
+            result,
+            stored.estimate,
+            stored.timings,
+            path=stored.path,
+            settled=settled(stored.estimate, last and last.estimate),
+            **stored.numbers,
+        )
 
     def _remember(self, step: Step) -> None:
         self.done.append(step)
@@ -377,8 +479,15 @@ class AdaptiveLoop:
             return
         last = self.done[-1] if self.done else None
         seconds = sum(self.clock.timings.values()) + (0.0 if last is None else last.total_seconds)
-        self.progress({"step": len(self.done) - (phase == "done"), "phase": phase, "nodes": nodes, "seconds": seconds,
-                       "estimate": float("nan") if last is None else last.estimate.relative})
+        self.progress(
+            {
+                "step": len(self.done) - (phase == "done"),
+                "phase": phase,
+                "nodes": nodes,
+                "seconds": seconds,
+                "estimate": float("nan") if last is None else last.estimate.relative,
+            }
+        )
 
 
 def solved(hierarchy: Hierarchy, solver: Solver | None, start: Result | None) -> Result:
@@ -405,8 +514,8 @@ MOST_BETWEEN, GROWTH = 4, 1.2
 
 
 def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarchy:
-    """Return the hierarchy with a finer mesh, and meshes between it and the present finest where the size ratio asks
-    for them."""
+    """Return the hierarchy with a finer mesh, and meshes between it and the present finest where
+    the size ratio asks for them."""
     between = getattr(engine, "intermediate", None)
     for _ in range(MOST_BETWEEN if callable(between) else 0):
         finest = hierarchy.finest.mesh
@@ -422,31 +531,40 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarch
 
 
 def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
-    """Return the hierarchy without the levels next to the finest that are too close to their neighbours and not needed.
-    A single one that is too close to the ``last`` mesh stays: its cycles cost less than to do without it."""
+    """Return the hierarchy without the levels next to the finest that are too close to their
+    neighbours and not needed. A single one that is too close to the ``last`` mesh stays: its cycles
+    cost less than to do without it."""
     if last and (len(hierarchy) < 3 or hierarchy[-2].n_nodes >= CLOSE * hierarchy[-3].n_nodes):
         return hierarchy
     for level in (len(hierarchy) - 2, len(hierarchy) - 3):
         if level < 1:
             break
         finer, this = hierarchy[level + 1], hierarchy[level]
-        if finer.n_nodes < CLOSE * this.n_nodes and size_ratio(hierarchy[level - 1].mesh, finer.mesh) <= THINNED:
+        if (
+            finer.n_nodes < CLOSE * this.n_nodes
+            and size_ratio(hierarchy[level - 1].mesh, finer.mesh) <= THINNED
+        ):
             hierarchy = hierarchy.without(level)
     return hierarchy
 
 
 def carried(hierarchy: Hierarchy, below: int, result: Result) -> Result:
-    """Return the result of a level with displacement and pressures interpolated to the finest one, level by level."""
+    """Return the result of a level with displacement and pressures interpolated to the finest one,
+    level by level."""
     values, pressures = hierarchy[below].discrete.relative(result.displacement), result.pressures
     for coarse, level in pairwise(hierarchy.levels[below:]):
         values = level.prolongation @ values
-        pressures = prolonged_pressures(coarse.discrete, level.discrete, level.prolongation, pressures)
-    return replace(result, displacement=hierarchy.finest.discrete.physical(values), pressures=pressures)
+        pressures = prolonged_pressures(
+            coarse.discrete, level.discrete, level.prolongation, pressures
+        )
+    return replace(
+        result, displacement=hierarchy.finest.discrete.physical(values), pressures=pressures
+    )
 
 
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
-    """Return the hierarchy with the problem of load step ``k`` on the finest level, slips counted from the step
-    before."""
+    """Return the hierarchy with the problem of load step ``k`` on the finest level, slips counted
+    from the step before."""
     problem, finest = hierarchy.problem, hierarchy.finest
     factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
     loads, discrete = load_steps(problem, finest.mesh, finest.discrete), finest.discrete
@@ -454,22 +572,39 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     if k > 0:
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
     posed = finest.posing(discrete=loads.step(discrete, factors, reference))
-    return replace(hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors))
+    return replace(
+        hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors)
+    )
 
 
-def _path_estimate(hierarchy: Hierarchy, parts: LoopParts, results: PathResult) -> tuple[int, Estimate, Estimate]:
-    """The last load step, or the one with the largest relative estimate: number, estimate, and what to refine by. Of
-    several load steps each element counts with its largest share in the relative estimate of any step: a mesh made for
-    one step alone is too coarse where others need it, and the loop would alternate between them."""
+def _path_estimate(
+    hierarchy: Hierarchy, parts: LoopParts, results: PathResult
+) -> tuple[int, Estimate, Estimate]:
+    """The last load step, or the one with the largest relative estimate: number, estimate, and what
+    to refine by. Of several load steps each element counts with its largest share in the relative
+    estimate of any step: a mesh made for one step alone is too coarse where others need it, and the
+    loop would alternate between them."""
     steps = range(len(results)) if parts.adapt_on == "worst" else (len(results) - 1,)
-    estimates = {k: estimate_of(parts.indicator, posed_at(hierarchy, parts.load_path, results, k), results[k])
-                 for k in steps if parts.adapt_on == "last" or results[k].displacement.any()}
+    estimates = {
+        k: estimate_of(
+            parts.indicator, posed_at(hierarchy, parts.load_path, results, k), results[k]
+        )
+        for k in steps
+        if parts.adapt_on == "last" or results[k].displacement.any()
+    }
     if not estimates:
-        raise ValueError("load_path: nothing moves in any of its steps, so there is nothing to refine for")
+        raise ValueError(
+            "load_path: nothing moves in any of its steps, so there is nothing to refine for"
+        )
     k = max(estimates, key=lambda k: estimates[k].relative)
     # a quantity that is zero has no relative error: above 1 all steps count alike
-    shares = np.max([min(one.relative, 1.0) ** 2 / (one.squares.sum() or 1.0) * one.squares
-                     for one in estimates.values()], axis=0)
+    shares = np.max(
+        [
+            min(one.relative, 1.0) ** 2 / (one.squares.sum() or 1.0) * one.squares
+            for one in estimates.values()
+        ],
+        axis=0,
+    )
     return k, estimates[k], replace(estimates[k], squares=shares)
 
 
@@ -477,21 +612,36 @@ def _path_estimate(hierarchy: Hierarchy, parts: LoopParts, results: PathResult) 
 LOOP_KINDS = (*KINDS, StoredStep, GoalEstimate, Estimate, PathResult, Refinement)
 
 
-def loop_fingerprint(start: Hierarchy, options: Mapping[str, object], load_path: LoadPath | None = None,
-                     depends: Mapping[str, object] | None = None) -> dict[str, object]:
-    """Return the fingerprint of a loop that begins with a hierarchy, with its options by name: indicator, mark, engine,
-    ..."""
+def loop_fingerprint(
+    start: Hierarchy,
+    options: Mapping[str, object],
+    load_path: LoadPath | None = None,
+    depends: Mapping[str, object] | None = None,
+) -> dict[str, object]:
+    """Return the fingerprint of a loop that begins with a hierarchy, with its options by name:
+    indicator, mark, engine, ..."""
     loads = [load_steps(start.problem, level.mesh, level.discrete) for level in start.levels]
     factors = {} if load_path is None else load_path.resolved(start.problem)
-    # the problem itself, since another law or gap may differ only between the nodes of the first mesh; references only
-    # document it
-    posed = {part.name: getattr(start.problem, part.name) for part in fields(start.problem) if part.name != "reference"}
-    return fingerprint(start, loads, factors, 0 if load_path is None else len(load_path), posed | dict(options),
-                       depends)
+    # the problem itself, since another law or gap may differ only between the nodes of the first
+    # mesh; references only document it
+    posed = {
+        part.name: getattr(start.problem, part.name)
+        for part in fields(start.problem)
+        if part.name != "reference"
+    }
+    return fingerprint(
+        start,
+        loads,
+        factors,
+        0 if load_path is None else len(load_path),
+        posed | dict(options),
+        depends,
+    )
 
 
 def restored(before: Hierarchy, meshes: Sequence[MeshArrays]) -> Hierarchy:
-    """Return the hierarchy of a stored step, which has these meshes, made of that of the step before."""
+    """Return the hierarchy of a stored step, which has these meshes, made of that of the step
+    before."""
     stored = [_key(mesh) for mesh in meshes]
     there = [_key(level.mesh) for level in before.levels]
     for key, mesh in zip(stored, meshes, strict=True):

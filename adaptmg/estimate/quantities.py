@@ -2,13 +2,14 @@ r"""Quantities of interest: displacements, contact forces and openings as functi
 
 .. math:: J(u) = u_k(x), \qquad J(u) = \frac1{|\Gamma|} \int_\Gamma u_k, \qquad J(u) = \sum_i d_i \cdot (A u - b)_i
 
-with nodal directions d_i at the contact nodes of a boundary (the normal against the body, the tangent, or an axis) and
-the derivative :math:`J(v) = (A d) \cdot v`. Tangents that a support holds are left out: there the force of contact
-cannot be separated from that of the support. The gap is :math:`g_0 - u_n`, u_n between bodies relative.
+with nodal directions d_i at the contact nodes of a boundary (the normal against the body, the
+tangent, or an axis) and the derivative :math:`J(v) = (A d) \cdot v`. Tangents that a support holds
+are left out: there the force of contact cannot be separated from that of the support. The gap is
+:math:`g_0 - u_n`, u_n between bodies relative.
 
-A quantity is asked on the mesh of the solution, and for the solution on the mesh with all edges halved, whose new nodes
-lie on the curves of the domain: what its value changes there is the error of the chords.
-"""
+A quantity is asked on the mesh of the solution, and for the solution on the mesh with all edges
+halved, whose new nodes lie on the curves of the domain: what its value changes there is the error
+of the chords."""
 
 from __future__ import annotations
 
@@ -41,7 +42,8 @@ _OUTSIDE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class GoalView:
-    """A solution on its mesh as quantities see it, or the same on the mesh with all edges halved."""
+    """A solution on its mesh as quantities see it, or the same on the mesh with all edges
+    halved."""
 
     problem: ContactProblem
     mesh: MeshArrays
@@ -65,7 +67,8 @@ class GoalView:
         return self.discrete.contact
 
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
-        """Return a functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative coordinates."""
+        """Return a functional of the displacement (n_nodes, dim) as one (n_dofs,) of the relative
+        coordinates."""
         return self.discrete.relative_forces(np.asarray(nodal, dtype=np.float64).reshape(-1))
 
     def interpolated(self, coarse: np.ndarray) -> np.ndarray:
@@ -74,15 +77,21 @@ class GoalView:
         return self.discrete.relative(_halved(self.mesh, nodal, _mean)).reshape(-1)
 
     def halved(self) -> tuple[GoalView, np.ndarray]:
-        """Return the view of the mesh with all edges halved, and for each of its elements the one that holds it."""
+        """Return the view of the mesh with all edges halved, and for each of its elements the one
+        that holds it."""
         made = refined(self.mesh, np.ones(len(self.mesh.elements), dtype=bool))
         mesh = onto_domain(self.problem.domain, made.mesh, self.mesh.n_nodes)
         slips, states = np.zeros(self.displacement.shape), np.full(self.mesh.n_nodes, _NONE)
-        slips[self.touching.nodes], states[self.touching.nodes] = self.touching.slip_reference, self.contact.state
+        slips[self.touching.nodes], states[self.touching.nodes] = (
+            self.touching.slip_reference,
+            self.contact.state,
+        )
         discrete = discretise(self.problem, mesh, slip_reference=_halved(mesh, slips, _mean))
         u, states = _halved(mesh, self.displacement, _mean), _halved(mesh, states, _looser)
         at = discrete.contact.nodes
-        contact = linearised_contact(discrete, u, np.where(states[at] == _NONE, State.OPEN, states[at]))
+        contact = linearised_contact(
+            discrete, u, np.where(states[at] == _NONE, State.OPEN, states[at])
+        )
         # the forces that bend slips are not known at new nodes
         contact = replace(contact, hessian=np.zeros_like(contact.hessian))
         return GoalView(self.problem, mesh, u, contact, self), made.origin
@@ -92,8 +101,11 @@ class GoalView:
 _NONE = -1
 
 
-def _halved(mesh: MeshArrays, values: np.ndarray, rule: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Values (n_nodes, ...) of a mesh that was bisected, from those of the first nodes, by a rule for halved edges."""
+def _halved(
+    mesh: MeshArrays, values: np.ndarray, rule: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Values (n_nodes, ...) of a mesh that was bisected, from those of the first nodes, by a rule
+    for halved edges."""
     n = len(values)
     first, second = mesh.refinement.parents[n:].T
     result = np.concatenate([values, np.zeros((len(first), *values.shape[1:]), values.dtype)])
@@ -109,7 +121,8 @@ def _mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _looser(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The state between two nodes: the solution does not say where contact ends; without a condition the other's."""
+    """The state between two nodes: the solution does not say where contact ends; without a
+    condition the other's."""
     return np.where(a == _NONE, b, np.where(b == _NONE, a, np.minimum(a, b)))
 
 
@@ -131,11 +144,13 @@ class Quantity(Protocol):
 
 
 def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
-    """Return what a quantity asks for; TypeError or ValueError, which name it, unless these are functionals of this
-    view."""
+    """Return what a quantity asks for; TypeError or ValueError, which name it, unless these are
+    functionals of this view."""
     made, name = quantity.functionals(view), f"quantity {checks.shown(quantity)}: "
     if not isinstance(made, (list, tuple)) or not all(isinstance(one, Functional) for one in made):
-        raise TypeError(f"{name}functionals(view) must return a list of Functional, got {checks.described(made)}")
+        raise TypeError(
+            f"{name}functionals(view) must return a list of Functional, got {checks.described(made)}"
+        )
     if not made:
         raise ValueError(f"{name}functionals(view) must return at least one Functional, got none")
     for one in made:
@@ -183,33 +198,56 @@ class Displacement:
         try:
             shape = np.shape(self.points)
         except ValueError:
-            raise ValueError(f"points must all have 2 or all 3 coordinates, got {checks.shown(self.points)}") from None
-        points = [] if 0 in shape else checks.array("points", [self.points] if len(shape) == 1 else self.points,
-                                                          (None, None))
+            raise ValueError(
+                f"points must all have 2 or all 3 coordinates, got {checks.shown(self.points)}"
+            ) from None
+        points = (
+            []
+            if 0 in shape
+            else checks.array(
+                "points", [self.points] if len(shape) == 1 else self.points, (None, None)
+            )
+        )
         if not len(points) or points.shape[1] not in (2, 3):
-            raise ValueError(f"points must hold at least one point of 2 or 3 coordinates, got shape {shape}")
-        object.__setattr__(self, "points", tuple(tuple(float(c) for c in point) for point in points))
+            raise ValueError(
+                f"points must hold at least one point of 2 or 3 coordinates, got shape {shape}"
+            )
+        object.__setattr__(
+            self, "points", tuple(tuple(float(c) for c in point) for point in points)
+        )
         _axis("component", self.component)
         if self.body is not None:
             checks.boundary_name("body", self.body)
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return one functional a point."""
-        mesh, points, k = view.mesh, np.array(self.points), _axis("component", self.component, view.mesh.dim)
+        mesh, points, k = (
+            view.mesh,
+            np.array(self.points),
+            _axis("component", self.component, view.mesh.dim),
+        )
         if points.shape[1] != mesh.dim:
             raise ValueError(f"points have {points.shape[1]} coordinates in a {mesh.dim}D problem")
         if self.body is not None and self.body not in mesh.bodies:
-            raise ValueError(f"body {self.body!r} does not exist{checks.suggestion(self.body, mesh.bodies)}; the "
-                             f"bodies are {', '.join(mesh.bodies)}")
-        at = PointLocator(mesh, None if self.body is None else mesh.bodies.index(self.body)).locate(points)
+            raise ValueError(
+                f"body {self.body!r} does not exist{checks.suggestion(self.body, mesh.bodies)}; the "
+                f"bodies are {', '.join(mesh.bodies)}"
+            )
+        at = PointLocator(mesh, None if self.body is None else mesh.bodies.index(self.body)).locate(
+            points
+        )
         result = []
-        for point, element, weights, distance in zip(self.points, at.element, at.weights, at.distance, strict=True):
+        for point, element, weights, distance in zip(
+            self.points, at.element, at.weights, at.distance, strict=True
+        ):
             if view.coarse is None and distance > _OUTSIDE * mesh.element_sizes[element]:
                 raise ValueError(f"points: {point} lies {distance:.3g} m outside the mesh")
             nodal = np.zeros(mesh.points.shape)
             nodal[mesh.elements[element], k] = weights
             value = float(np.sum(nodal * view.displacement))
-            result.append(Functional(f"u_{'xyz'[k]} at {_place(point)}", value, "m", view.load_of(nodal)))
+            result.append(
+                Functional(f"u_{'xyz'[k]} at {_place(point)}", value, "m", view.load_of(nodal))
+            )
         return result
 
 
@@ -219,7 +257,8 @@ def _place(point: Sequence[float]) -> str:
 
 @dataclass(frozen=True)
 class MeanDisplacement:
-    """The mean of a component of the displacement over a boundary (axisymmetric: weighted with the radius).
+    """The mean of a component of the displacement over a boundary (axisymmetric: weighted with the
+    radius).
 
     Parameters
     ----------
@@ -246,25 +285,35 @@ class MeanDisplacement:
         shares = surface.shape_integrals(view.problem.axisymmetric)
         np.add.at(nodal[:, k], surface.facets, shares / shares.sum())
         value = float(np.sum(nodal * view.displacement))
-        return [Functional(f"mean u_{'xyz'[k]} on {self.boundary!r}", value, "m", view.load_of(nodal))]
+        return [
+            Functional(f"mean u_{'xyz'[k]} on {self.boundary!r}", value, "m", view.load_of(nodal))
+        ]
 
 
 def _contact_mask(contact: ContactNodes, name: str) -> tuple[np.ndarray, float]:
-    """Mask of the contact nodes of a boundary, and the sign: -1 where it is the master of a pair."""
+    """Mask of the contact nodes of a boundary, and the sign: -1 where it is the master of a
+    pair."""
     if name == "contact":
         return np.ones(len(contact), dtype=bool), 1.0
-    pairs = [f"{slave} on {master}" if master else slave
-             for slave, master in zip(contact.names, contact.masters, strict=True)]
+    pairs = [
+        f"{slave} on {master}" if master else slave
+        for slave, master in zip(contact.names, contact.masters, strict=True)
+    ]
     for names, sign in ((contact.names, 1.0), (pairs, 1.0), (contact.masters, -1.0)):
         if name in names:
-            return np.isin(contact.boundary, [k for k, one in enumerate(names) if one == name]), sign
+            return np.isin(
+                contact.boundary, [k for k, one in enumerate(names) if one == name]
+            ), sign
     candidates = ("contact", *contact.names, *filter(None, contact.masters))
-    raise ValueError(f"there is no contact on boundary {name!r}{checks.suggestion(name, candidates)}; contact is on "
-                     f"{', '.join(map(repr, pairs))}")
+    raise ValueError(
+        f"there is no contact on boundary {name!r}{checks.suggestion(name, candidates)}; contact is on "
+        f"{', '.join(map(repr, pairs))}"
+    )
 
 
 def _on_slaves(view: GoalView) -> np.ndarray:
-    """The share (n_contact,) of contact forces that slaves bear; the rest they pass to nodes without a multiplier."""
+    """The share (n_contact,) of contact forces that slaves bear; the rest they pass to nodes
+    without a multiplier."""
     contact, coupling = view.touching, view.discrete.coupling
     share = np.ones(len(contact))
     for k, name in enumerate(contact.names if coupling is not None else ()):
@@ -278,17 +327,19 @@ def _on_slaves(view: GoalView) -> np.ndarray:
 class ContactForce:
     """Force through a contact boundary, a sum over nodes.
 
-    Next to a support that holds a tangent of the boundary the tangential part misses what acts on half an edge: where
-    friction acts there, an error of first order in the size of that edge, which no estimate contains.
+    Next to a support that holds a tangent of the boundary the tangential part misses what acts on
+    half an edge: where friction acts there, an error of first order in the size of that edge, which
+    no estimate contains.
 
     Parameters
     ----------
     boundary : str
-        A contact boundary, the slave, the master or the name ("slave on master") of a pair, or "contact" for all.
+        A contact boundary, the slave, the master or the name ("slave on master") of a pair, or
+        "contact" for all.
     direction : str or int
-        "normal": the sum of the compressive nodal forces; "tangential" (2D): that of the tangential forces on the
-        slave, along the normal turned by +90 degrees; 0, 1, 2 or "x", "y", "z": the component of the force on the body
-        of this boundary.
+        "normal": the sum of the compressive nodal forces; "tangential" (2D): that of the tangential
+        forces on the slave, along the normal turned by +90 degrees; 0, 1, 2 or "x", "y", "z": the
+        component of the force on the body of this boundary.
 
     Examples
     --------
@@ -312,7 +363,9 @@ class ContactForce:
         if view is not source:
             direction = view.interpolated(direction)
         name = f"{self.direction if isinstance(self.direction, str) else 'xyz'[self.direction]} force on "
-        return [Functional(name + repr(self.boundary), value, "N", view.discrete.matrix @ direction)]
+        return [
+            Functional(name + repr(self.boundary), value, "N", view.discrete.matrix @ direction)
+        ]
 
     def _direction(self, view: GoalView) -> np.ndarray:
         """The directions d (n_dofs,)."""
@@ -325,7 +378,9 @@ class ContactForce:
         elif self.direction == "normal":
             local[mine, 0] = -1.0
         elif dim == 3:
-            raise ValueError("direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2")
+            raise ValueError(
+                "direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2"
+            )
         else:
             local[mine, 1] = 1.0
         vector = np.zeros((view.discrete.n_nodes, dim))
@@ -338,10 +393,11 @@ class ContactForce:
 class Opening:
     """The gap at a point of a contact boundary, or its mean over the boundary.
 
-    On curved boundaries of the domain, and in front of a curved obstacle, the signed estimate contains what the chords
-    of the mesh change; on those of STEP files, combined solids and meshes without a domain it does not. Of a pair only
-    that part of the slave counts that faces the master: where the slave bends away, the end of this part follows the
-    mesh; name a boundary that ends before.
+    On curved boundaries of the domain, and in front of a curved obstacle, the signed estimate
+    contains what the chords of the mesh change; on those of STEP files, combined solids and meshes
+    without a domain it does not. Of a pair only that part of the slave counts that faces the
+    master: where the slave bends away, the end of this part follows the mesh; name a boundary that
+    ends before.
 
     Parameters
     ----------
@@ -372,13 +428,20 @@ class Opening:
         contact, posed, mesh = view.contact, view.touching, view.mesh
         mine, sign = _contact_mask(posed, self.boundary)
         if sign < 0:
-            raise ValueError(f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps")
+            raise ValueError(
+                f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps"
+            )
         if self.point is None:
             weights, name = np.where(mine, posed.weights, 0.0), f"mean opening of {self.boundary!r}"
             weights /= weights.sum()
         else:
-            facets = np.concatenate([mesh.boundary_facets(posed.names[k]) for k in np.unique(posed.boundary[mine])])
-            weights, name = self._at_point(view, facets), f"opening of {self.boundary!r} at {_place(self.point)}"
+            facets = np.concatenate(
+                [mesh.boundary_facets(posed.names[k]) for k in np.unique(posed.boundary[mine])]
+            )
+            weights, name = (
+                self._at_point(view, facets),
+                f"opening of {self.boundary!r} at {_place(self.point)}",
+            )
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
         vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]
         return [Functional(name, float(weights @ contact.gap), "m", vector.reshape(-1))]
@@ -390,11 +453,18 @@ class Opening:
             raise ValueError(f"point has {len(point)} coordinates in a {mesh.dim}D problem")
         (k,), (shape,), _ = BoxTree(mesh.points, facets).nearest(point[None])
         distance = np.linalg.norm(shape @ mesh.points[facets[k]] - point)
-        if view.coarse is None and distance > _OUTSIDE * np.ptp(mesh.points[facets[k]], axis=0).max():
-            raise ValueError(f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}")
+        if (
+            view.coarse is None
+            and distance > _OUTSIDE * np.ptp(mesh.points[facets[k]], axis=0).max()
+        ):
+            raise ValueError(
+                f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}"
+            )
         nodal, nodes = np.zeros(mesh.n_nodes), view.touching.nodes
         nodal[facets[k]] = shape
         lone = facets[k][(shape > 1e-9) & ~np.isin(facets[k], nodes)]
         if view.coarse is None and len(lone):
-            raise ValueError(f"point {self.point}: its neighbour, node {lone[0]}, carries no contact condition")
+            raise ValueError(
+                f"point {self.point}: its neighbour, node {lone[0]}, carries no contact condition"
+            )
         return nodal[nodes]

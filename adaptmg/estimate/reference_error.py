@@ -1,17 +1,20 @@
-r"""The energy error of a discrete solution against a reference on another, finer mesh, without interpolating it there.
+r"""The energy error of a discrete solution against a reference on another, finer mesh, without
+interpolating it there.
 
 .. math:: \|u - u_h\|^2 = \|u\|^2 - 2\,a(u, u_h) + \|u_h\|^2,\qquad
    a(u, v) = b(v) + \sum_i R_i \cdot v(x_i)
 
-with the load b and the nodal forces R that contact (on slaves and masters) and supports exert on the reference: u_h is
-needed only at the nodes that have such forces, and in b on its own mesh, where it is exact. The interpolant of u_h in
-the reference's mesh would have another energy wherever elements overlap.
+with the load b and the nodal forces R that contact (on slaves and masters) and supports exert on
+the reference: u_h is needed only at the nodes that have such forces, and in b on its own mesh,
+where it is exact. The interpolant of u_h in the reference's mesh would have another energy wherever
+elements overlap.
 
-For u stands the reference :math:`u_H`. By Galerkin orthogonality (exact for nested spaces without contact)
+For u stands the reference :math:`u_H`. By Galerkin orthogonality (exact for nested spaces without
+contact)
 :math:`\|u - u_h\|^2 \approx \|u_H - u_h\|^2 + \|u - u_H\|^2`, so that the reference's own error is added; unless it is
-given it is estimated by :class:`~adaptmg.estimate.estimate.Recovery`. Measured on exact solutions the result is right
-to .4 times the square of the quotient of both errors: 2 % against a reference of four times less error.
-"""
+given it is estimated by :class:`~adaptmg.estimate.estimate.Recovery`. Measured on exact solutions
+the result is right to .4 times the square of the quotient of both errors: 2 % against a reference
+of four times less error."""
 
 from __future__ import annotations
 
@@ -42,7 +45,8 @@ _INWARD = 1e-9
 
 @dataclass(frozen=True)
 class EnergyError:
-    """An error in the energy norm; where ``allowance`` is not well below, the figures are no better than it."""
+    """An error in the energy norm; where ``allowance`` is not well below, the figures are no better
+    than it."""
 
     absolute: float  # ||u - u_h||, sqrt(N m)
     relative: float  # the same over ||u||
@@ -52,22 +56,30 @@ class EnergyError:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What errors are measured against; made once, by :meth:`of`. Mappings are by the name of the body."""
+    """What errors are measured against; made once, by :meth:`of`. Mappings are by the name of the
+    body."""
 
     problem: ContactProblem
     energy: float  # ||u_H||^2, N m
     own_error: float  # ||u - u_H|| by Recovery, sqrt(N m)
-    points: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): where contact or supports exert forces, m
+    points: Mapping[str, np.ndarray] = field(
+        repr=False
+    )  # (n, dim): where contact or supports exert forces, m
     forces: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): these forces, on the body, N
-    prescribed: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): constants of supports there, m; NaN elsewhere
+    prescribed: Mapping[str, np.ndarray] = field(
+        repr=False
+    )  # (n, dim): constants of supports there, m; NaN elsewhere
 
     @classmethod
     def of(cls, hierarchy: Hierarchy, result: Result) -> Reference:
-        """Return that of a result on the finest mesh of a hierarchy, solved far below the errors to be measured."""
+        """Return that of a result on the finest mesh of a hierarchy, solved far below the errors to
+        be measured."""
         this = posed(hierarchy, result)
         if this.problem.elements == "smoothed":
-            raise ValueError("a reference must have linear elements, whose energy is that of their strains: solve "
-                             "dataclasses.replace(problem, elements=\"linear\")")
+            raise ValueError(
+                "a reference must have linear elements, whose energy is that of their strains: solve "
+                'dataclasses.replace(problem, elements="linear")'
+            )
         mesh, points, on_body, constants = this.mesh, {}, {}, {}
         forces = _exerted(this.discrete, result)
         prescribed = _constants(this.problem, mesh)
@@ -79,14 +91,20 @@ class Reference:
         places = mesh.points + _INWARD * (inside - mesh.points)
         for k, body in enumerate(mesh.bodies):
             here = acting & (owner == k)
-            points[body], on_body[body], constants[body] = places[here], forces[here], prescribed[here]
+            points[body], on_body[body], constants[body] = (
+                places[here],
+                forces[here],
+                prescribed[here],
+            )
         own_error = Recovery().indicate(hierarchy, result).total
         return cls(this.problem, this.norm**2, own_error, points, on_body, constants)
 
     def against(self, result: Result) -> float:
         """Return a(u, u_h) of a result, N m."""
         mesh, u = result.mesh, result.displacement
-        product = float(load_vector(mesh, self.problem.loads, self.problem.material) @ u.reshape(-1))
+        product = float(
+            load_vector(mesh, self.problem.loads, self.problem.material) @ u.reshape(-1)
+        )
         for body, points in self.points.items():
             if len(points):
                 # next to a body too, of curved surfaces
@@ -100,26 +118,31 @@ class Reference:
 def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result) -> EnergyError:
     """Return the error of a result in the energy norm.
 
-    The strains are those of each element, also where the elements are smoothed. As a difference of energies it does not
-    resolve errors below 1e-4 of the norm, where it may be 0. ValueError without a mesh, for other bodies, or where the
-    squared error comes out negative.
+    The strains are those of each element, also where the elements are smoothed. As a difference of
+    energies it does not resolve errors below 1e-4 of the norm, where it may be 0. ValueError
+    without a mesh, for other bodies, or where the squared error comes out negative.
 
     Parameters
     ----------
     reference : Reference, or (Hierarchy, Result)
         On a mesh 4 to 8 times finer; a Reference made once serves many results.
     result : Result
-        Of the same problem, on any mesh of the same domain with the same names. On curved boundaries the domains of two
-        meshes differ, which counts as error too: on a pin with a fillet in 3D, 2 800 nodes, a quarter of it.
+        Of the same problem, on any mesh of the same domain with the same names. On curved
+        boundaries the domains of two meshes differ, which counts as error too: on a pin with a
+        fillet in 3D, 2 800 nodes, a quarter of it.
     """
     if isinstance(reference, tuple) and len(reference) == 2:
         reference = Reference.of(*reference)
-    checks.instance("reference", reference, Reference, "a Reference, or a hierarchy and a result on it")
+    checks.instance(
+        "reference", reference, Reference, "a Reference, or a hierarchy and a result on it"
+    )
     checks.instance("result", result, Result, "a Result")
     mesh = result.mesh
     if set(mesh.bodies) != set(reference.points):
-        raise ValueError(f"result has the bodies {', '.join(mesh.bodies)}, the reference "
-                         f"{', '.join(reference.points)}: give results of one problem")
+        raise ValueError(
+            f"result has the bodies {', '.join(mesh.bodies)}, the reference "
+            f"{', '.join(reference.points)}: give results of one problem"
+        )
     reference.problem.check_boundaries(mesh.boundaries)
     u = result.displacement.reshape(-1)
     posed_by = reference.problem
@@ -128,17 +151,23 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     if -_RESOLVED * reference.energy <= squared < 0:
         squared = 0.0
     if not squared >= 0:
-        raise ValueError(f"the squared error comes out as {squared:.3g} N m, that of the reference as "
-                         f"{reference.own_error**2:.3g}: the reference must be several times finer than the result, "
-                         "and solved far below the error to be measured")
+        raise ValueError(
+            f"the squared error comes out as {squared:.3g} N m, that of the reference as "
+            f"{reference.own_error**2:.3g}: the reference must be several times finer than the result, "
+            "and solved far below the error to be measured"
+        )
     norm = float(np.sqrt(reference.energy))
-    return EnergyError(float(np.sqrt(squared)), float(np.sqrt(squared)) / norm if norm > 0 else np.inf, norm,
-                       reference.own_error)
+    return EnergyError(
+        float(np.sqrt(squared)),
+        float(np.sqrt(squared)) / norm if norm > 0 else np.inf,
+        norm,
+        reference.own_error,
+    )
 
 
 def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
-    """Forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's residual is cut, and
-    ties do next to no work on displacements that obey them."""
+    """Forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's
+    residual is cut, and ties do next to no work on displacements that obey them."""
     contact, forces = result.contact, np.zeros_like(result.reaction)
     forces[contact.node] = contact.force
     np.add.at(forces, contact.master_node, contact.master_force)
@@ -151,8 +180,9 @@ def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
 
 
 def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
-    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same on all meshes, m. NaN
-    elsewhere: of a function of position a coarse mesh has its own interpolant."""
+    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same
+    on all meshes, m. NaN elsewhere: of a function of position a coarse mesh has its own
+    interpolant."""
     result = np.full(mesh.points.shape, np.nan)
     for one in held_by(mesh, problem.supports):
         if one.axis is not None and not callable(one.value):

@@ -3,17 +3,17 @@ r"""A discrete solution as estimates see it: its stress on each element, and who
 The stress (:mod:`adaptmg.discrete.stress`) is constant on each element but for what the hoop strain
 :math:`\varepsilon_\theta = u_r / r` of axisymmetric bodies adds to that at the centroid; of smoothed elements constant.
 
-Tractions on a boundary are of the stress inside, :math:`\sigma_h n`, constant on each facet, from the element behind
-it; and of contact, :math:`t_h`, linear in between the nodes,
+Tractions on a boundary are of the stress inside, :math:`\sigma_h n`, constant on each facet, from
+the element behind it; and of contact, :math:`t_h`, linear in between the nodes,
 
 .. math:: t_{h,i} = F_i \Big/ \sum_F \int_F \varphi_i ,
 
-the nodal contact force over the lumped mass of the surface. They differ by what the mesh does not resolve: the second
-is one order more accurate as a mean, and obeys the contact conditions at the nodes. Both act on the body whose boundary
-it is, n points out of it: pressure is :math:`-t \cdot n`, positive in compression. At a node on two contact boundaries
-the first one named has the force. Where the second goes on in the same direction it has the same traction there; around
-a corner it has that of its neighbours.
-"""
+the nodal contact force over the lumped mass of the surface. They differ by what the mesh does not
+resolve: the second is one order more accurate as a mean, and obeys the contact conditions at the
+nodes. Both act on the body whose boundary it is, n points out of it: pressure is :math:`-t \cdot
+n`, positive in compression. At a node on two contact boundaries the first one named has the force.
+Where the second goes on in the same direction it has the same traction there; around a corner it
+has that of its neighbours."""
 
 from __future__ import annotations
 
@@ -37,7 +37,11 @@ from adaptmg.solver.result import Result
 #: rows and columns of the tensor that are kept of stresses in the plane and in space; of axisymmetric ones; and back
 _PLAIN = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
 _ROUND = ([0, 1, 2, 0], [0, 1, 2, 1])
-_BACK = {3: np.array([[0, 2], [2, 1]]), 4: np.array([[0, 3], [3, 1]]), 6: np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])}
+_BACK = {
+    3: np.array([[0, 2], [2, 1]]),
+    4: np.array([[0, 3], [3, 1]]),
+    6: np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]]),
+}
 #: Lame's first constant over the shear modulus where it is infinite
 _VAST = 1e9
 
@@ -49,7 +53,9 @@ class ElementStress:
     mesh: MeshArrays
     displacement: np.ndarray  # (n_nodes, dim): m
     data: StressData
-    values: np.ndarray  # (n_elements, n_values) at centroids: xx, yy, xy; rr, zz, hoop, rz; xx, yy, zz, xy, yz, xz
+    values: (
+        np.ndarray
+    )  # (n_elements, n_values) at centroids: xx, yy, xy; rr, zz, hoop, rz; xx, yy, zz, xy, yz, xz
 
     @property
     def axisymmetric(self) -> bool:
@@ -63,20 +69,29 @@ class ElementStress:
 
     @cached_property
     def compliances(self) -> Moduli:
-        """The tensors whose inverses make energies of stresses; Lame's first constant may be infinite."""
+        """The tensors whose inverses make energies of stresses; Lame's first constant may be
+        infinite."""
         if self.data.moduli is not None:
             return self.data.moduli
-        return isotropic(self.data.lame, self.data.shear, np.zeros(len(self.data.lame), dtype=bool), self.mesh, _VAST)
+        return isotropic(
+            self.data.lame,
+            self.data.shear,
+            np.zeros(len(self.data.lame), dtype=bool),
+            self.mesh,
+            _VAST,
+        )
 
     @cached_property
     def of_hoop(self) -> np.ndarray:
-        """Stresses rr, zz, hoop, rz (n_elements, 4) of a hoop strain of 1, Pa, which varies within linear elements."""
+        """Stresses rr, zz, hoop, rz (n_elements, 4) of a hoop strain of 1, Pa, which varies within
+        linear elements."""
         if self.data.smoothed:
             return np.zeros((len(self.mesh.elements), 4))
         return self.data.of_elements(self.mesh).of_hoop()
 
-    def tractions(self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
-                  ) -> np.ndarray:
+    def tractions(
+        self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
+    ) -> np.ndarray:
         """Return sigma n (n, n_points, dim) at points of facets."""
         plain = np.einsum("nij,nj->ni", self.values[elements][:, self.columns], normals)
         result = np.repeat(plain[:, None, :], len(rule), axis=1)
@@ -91,18 +106,23 @@ class ElementStress:
         return hoop_strain(self.mesh, self.displacement) if self.axisymmetric else np.empty(0)
 
     def rise(self, elements: np.ndarray | slice, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
-        """Return the hoop strain (n, n_points) at points of cells (n, k) less that at the centroids of their elements;
-        0 where elements are smoothed."""
+        """Return the hoop strain (n, n_points) at points of cells (n, k) less that at the centroids
+        of their elements; 0 where elements are smoothed."""
         if self.data.smoothed:
             return np.zeros((len(cells), len(rule)))
         radius, moved = self.mesh.points[cells, 0] @ rule.T, self.displacement[cells, 0] @ rule.T
-        return np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0) - self.hoop[elements, None]
+        return (
+            np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0)
+            - self.hoop[elements, None]
+        )
 
 
 def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData) -> ElementStress:
     """Return the stress of a displacement (n_nodes, dim), m."""
     rows, columns = _ROUND if data.axisymmetric else _PLAIN[mesh.dim]
-    return ElementStress(mesh, displacement, data, data.tensors(mesh, displacement)[:, rows, columns])
+    return ElementStress(
+        mesh, displacement, data, data.tensors(mesh, displacement)[:, rows, columns]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +136,8 @@ class Neighbours:
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
-    """Return neighbours in a mesh: two facets of elements with the same nodes follow each other when sorted."""
+    """Return neighbours in a mesh: two facets of elements with the same nodes follow each other
+    when sorted."""
     k, n, facets = mesh.dim + 1, mesh.n_nodes, element_facets(mesh.elements).reshape(-1, mesh.dim)
     keys, own = facet_keys(facets, n), facet_keys(mesh.facets, n)
     order = np.argsort(keys)
@@ -128,14 +149,18 @@ def neighbours(mesh: MeshArrays) -> Neighbours:
     place = np.minimum(np.searchsorted(keys, own), len(keys) - 1)
     lost = np.flatnonzero(keys[place] != own)
     if len(lost):
-        raise ValueError(f"mesh: boundary facet {lost[0]} of nodes {mesh.facets[lost[0]].tolist()} belongs to no "
-                         "element")
+        raise ValueError(
+            f"mesh: boundary facet {lost[0]} of nodes {mesh.facets[lost[0]].tolist()} belongs to no "
+            "element"
+        )
     side = order[place]
     return Neighbours(inside // k, facets.take(inside[0], axis=0), side // k, alone[side])
 
 
-_OTHER_STEP = ("of a load step, or where forces are prescribed, give hierarchy.with_problem("
-               "adaptmg.problem.step_problem(problem, factors, result.motions))")
+_OTHER_STEP = (
+    "of a load step, or where forces are prescribed, give hierarchy.with_problem("
+    "adaptmg.problem.step_problem(problem, factors, result.motions))"
+)
 #: relative difference of loads that agree; those of the result are exact to rounding
 _LOADS_AGREE = 1e-6
 #: of A u, over the diagonal times u: bodies that their supports move strain no element
@@ -156,7 +181,9 @@ class Posed:
         """Stress on each element."""
         data = self.result.stress_data
         if data is None:
-            data = StressData.of(self.mesh, self.problem.material, self.problem.loads, self.problem.elements)
+            data = StressData.of(
+                self.mesh, self.problem.material, self.problem.loads, self.problem.elements
+            )
         return element_stress(self.mesh, self.result.displacement, data)
 
     @cached_property
@@ -167,7 +194,9 @@ class Posed:
     @cached_property
     def young(self) -> np.ndarray:
         """Young's modulus of each element (n_elements,), Pa."""
-        of_bodies = np.array([one.young for one in body_materials(self.mesh, self.problem.material)])
+        of_bodies = np.array(
+            [one.young for one in body_materials(self.mesh, self.problem.material)]
+        )
         return of_bodies[self.mesh.element_body]
 
     @cached_property
@@ -175,40 +204,65 @@ class Posed:
         """||u_h||_A, sqrt(N m): of displacements, prescribed ones included."""
         unknowns, forces = self._moved
         inclined = self.discrete.inclined
-        if inclined is None or (changed := inclined.strain_free(None, inclined.along(unknowns))) is None:
+        if (
+            inclined is None
+            or (changed := inclined.strain_free(None, inclined.along(unknowns))) is None
+        ):
             return energy_norm(unknowns, forces)
         return float(np.sqrt(max(unknowns @ (forces - 2 * changed[0]) + changed[1], 0.0)))
 
     @cached_property
     def _moved(self) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns and the forces A u (n_dofs,), between bodies relative; with those of the pressures of volumes."""
+        """Unknowns and the forces A u (n_dofs,), between bodies relative; with those of the
+        pressures of volumes."""
         unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
         forces, volumes = self.discrete.matrix @ unknowns, self.discrete.volumes
-        return unknowns, forces if volumes is None else forces + volumes.forces(self.result.pressures)
+        return unknowns, forces if volumes is None else forces + volumes.forces(
+            self.result.pressures
+        )
 
     def check_loads(self) -> None:
-        """Raise ValueError unless the loads of the problem are those of the result, b = A u - reactions - contact
-        forces, and its obstacles."""
+        """Raise ValueError unless the loads of the problem are those of the result, b = A u -
+        reactions - contact forces, and its obstacles."""
         unknowns, forces = self._moved
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:
-            raise ValueError(f"result.reaction must have {forces.size} components, got {exerted.shape}")
+            raise ValueError(
+                f"result.reaction must have {forces.size} components, got {exerted.shape}"
+            )
         load, inclined = forces - self.discrete.relative_forces(exerted), self.discrete.inclined
-        expected, posed = self.discrete.load, self.discrete.relative_forces(load_vector(
-            self.mesh, self.problem.loads, self.problem.material, self.problem.elements))
+        expected, posed = (
+            self.discrete.load,
+            self.discrete.relative_forces(
+                load_vector(
+                    self.mesh, self.problem.loads, self.problem.material, self.problem.elements
+                )
+            ),
+        )
         if inclined is not None:
             # what acts along held directions goes into the supports
-            posed, nodes = inclined.posed(posed, inclined.along(unknowns)), np.arange(self.mesh.n_nodes)
-            load, expected, posed = (inclined.free_part(nodes, one.reshape(-1, self.mesh.dim)).reshape(-1)
-                                     for one in (load, expected, posed))
+            posed, nodes = (
+                inclined.posed(posed, inclined.along(unknowns)),
+                np.arange(self.mesh.n_nodes),
+            )
+            load, expected, posed = (
+                inclined.free_part(nodes, one.reshape(-1, self.mesh.dim)).reshape(-1)
+                for one in (load, expected, posed)
+            )
         rounding = _ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
         if not min(euclidean_norm(load - expected), euclidean_norm(load - posed)) <= allowed:
-            raise ValueError("result has other loads than those of hierarchy.problem: " + _OTHER_STEP)
+            raise ValueError(
+                "result has other loads than those of hierarchy.problem: " + _OTHER_STEP
+            )
         own = self.result.contact
         left = own.gap + own.u_n - self.discrete.contact.gaps
-        if np.abs(left).max(initial=0.0) > _LOADS_AGREE * np.abs([own.gap, own.u_n]).max(initial=0.0):
-            raise ValueError("result has its obstacles in other places than hierarchy.problem: " + _OTHER_STEP)
+        if np.abs(left).max(initial=0.0) > _LOADS_AGREE * np.abs([own.gap, own.u_n]).max(
+            initial=0.0
+        ):
+            raise ValueError(
+                "result has its obstacles in other places than hierarchy.problem: " + _OTHER_STEP
+            )
 
 
 def posed(hierarchy: Hierarchy, result: Result) -> Posed:
@@ -216,17 +270,24 @@ def posed(hierarchy: Hierarchy, result: Result) -> Posed:
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
     checks.instance("result", result, Result, "a Result")
     if hierarchy.problem is None or hierarchy.finest.mesh_or_none is None:
-        raise ValueError("hierarchy has no ContactProblem or no mesh (it comes from matrices): make it by "
-                         "Hierarchy.uniform, graded or from_meshes")
+        raise ValueError(
+            "hierarchy has no ContactProblem or no mesh (it comes from matrices): make it by "
+            "Hierarchy.uniform, graded or from_meshes"
+        )
     mesh, discrete, own = hierarchy.finest.mesh, hierarchy.finest.discrete, result.mesh
-    if own is not mesh and not (np.array_equal(own.elements, mesh.elements)
-                                and np.array_equal(own.points, mesh.points)):
-        raise ValueError(f"result is of another mesh ({own.n_nodes} nodes) than the finest of hierarchy "
-                         f"({mesh.n_nodes} nodes): give the hierarchy it was solved on, or hierarchy.truncated(...)")
+    if own is not mesh and not (
+        np.array_equal(own.elements, mesh.elements) and np.array_equal(own.points, mesh.points)
+    ):
+        raise ValueError(
+            f"result is of another mesh ({own.n_nodes} nodes) than the finest of hierarchy "
+            f"({mesh.n_nodes} nodes): give the hierarchy it was solved on, or hierarchy.truncated(...)"
+        )
     if not np.isfinite(result.displacement).all():
         i = int(np.argmin(np.isfinite(result.displacement).all(axis=1)))
-        raise ValueError(f"result.displacement must be finite, got {result.displacement[i]} at node {i}: the solver "
-                         f"ended with {result.status.name}")
+        raise ValueError(
+            f"result.displacement must be finite, got {result.displacement[i]} at node {i}: the solver "
+            f"ended with {result.status.name}"
+        )
     this = Posed(hierarchy.problem, mesh, discrete, result)
     this.check_loads()
     return this
@@ -250,12 +311,17 @@ class SurfaceTraction:
         return self.values[np.searchsorted(self.nodes, self.facets)]
 
 
-def contact_tractions(mesh: MeshArrays, result: Result, axisymmetric: bool) -> Mapping[str, SurfaceTraction]:
-    """Return tractions of contact and ties on all boundaries that touch something, masters too, by name."""
+def contact_tractions(
+    mesh: MeshArrays, result: Result, axisymmetric: bool
+) -> Mapping[str, SurfaceTraction]:
+    """Return tractions of contact and ties on all boundaries that touch something, masters too, by
+    name."""
     contact, ties = result.contact, result.ties
     on_slave = contact.on_slaves(mesh)
-    found = {name: _on_surface(mesh, contact, name, on_slave, axisymmetric)
-             for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])}
+    found = {
+        name: _on_surface(mesh, contact, name, on_slave, axisymmetric)
+        for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])
+    }
     names = () if ties is None else ties.names
     sides = np.zeros(mesh.n_nodes, dtype=np.int64)
     for name in set(names):
@@ -266,16 +332,20 @@ def contact_tractions(mesh: MeshArrays, result: Result, axisymmetric: bool) -> M
         values = np.zeros((len(surface.nodes), mesh.dim))
         values[np.searchsorted(surface.nodes, ties.node[own])] = ties.force[own]
         values = np.divide(values, mass, out=np.zeros_like(values), where=mass > 0)
-        # where several meet, and at slave nodes that are not tied, the traction is that of the neighbours
+        # where several meet, and at slave nodes that are not tied, the traction is that of the
+        # neighbours
         lone = sides[surface.nodes] == 1
-        _fill(surface, lone & (np.isin(surface.nodes, ties.node[own]) if k % 2 == 0 else True), values)
+        _fill(
+            surface, lone & (np.isin(surface.nodes, ties.node[own]) if k % 2 == 0 else True), values
+        )
         before = found[name].values if name in found else 0.0
         found[name] = SurfaceTraction(surface.facets, surface.nodes, before + values)
     return found
 
 
 def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
-    """Fill ``values`` in at other nodes with the mean of their neighbours', corners from edges that were filled."""
+    """Fill ``values`` in at other nodes with the mean of their neighbours', corners from edges that
+    were filled."""
     place, filled = np.searchsorted(surface.nodes, surface.facets), filled.copy()
     for _ in range(2):
         before = filled.copy()
@@ -285,8 +355,9 @@ def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
                 values[i], filled[i] = values[near[before[near]]].mean(axis=0), True
 
 
-def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: np.ndarray, axisymmetric: bool
-                ) -> SurfaceTraction:
+def _on_surface(
+    mesh: MeshArrays, contact: ContactResult, name: str, on_slave: np.ndarray, axisymmetric: bool
+) -> SurfaceTraction:
     surface = mesh.surface(name)
     nodes, mass = surface.nodes, surface.lumped(axisymmetric)[surface.nodes]
     force, filled = np.zeros((len(nodes), mesh.dim)), np.zeros(len(nodes), dtype=bool)
@@ -296,7 +367,9 @@ def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: n
             at = np.searchsorted(nodes, contact.node[mine])
             force[at] += contact.force[mine]
             filled[at] = True
-            if not master:  # an obstacle: the mass of a neighbouring contact boundary that goes on counts too
+            if (
+                not master
+            ):  # an obstacle: the mass of a neighbouring contact boundary that goes on counts too
                 mass[at] = np.maximum(mass[at], contact.weights[mine])
         if name in (slave, master):
             mine = (contact.master_boundary == k) & (on_slave if slave == name else ~on_slave)
@@ -309,7 +382,9 @@ def _on_surface(mesh: MeshArrays, contact: ContactResult, name: str, on_slave: n
         of_node = np.zeros((2, *mesh.points.shape))
         of_node[:, contact.node] = contact.normal, contact.force / contact.weights[:, None]
         normals, tractions = of_node[:, nodes]
-        straight = ~filled & (np.einsum("nd,nd->n", normals, surface.node_normals[nodes]) > _STRAIGHT)
+        straight = ~filled & (
+            np.einsum("nd,nd->n", normals, surface.node_normals[nodes]) > _STRAIGHT
+        )
         values[straight] = tractions[straight]
         _fill(surface, filled | straight | ~normals.any(axis=1), values)
     return SurfaceTraction(surface.facets, nodes, values)

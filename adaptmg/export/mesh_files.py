@@ -1,21 +1,22 @@
 """Meshes, and results on them, as files of other programs.
 
 :func:`mesh` writes a mesh with the names of its boundaries and bodies as a file of Gmsh, or as a deck of Abaqus or
-CalculiX. :func:`vtk` and :func:`vtk_series` write results as VTK unstructured grids (.vtu), for ParaView and others.
-meshio writes the formats that it knows.
+CalculiX. :func:`vtk` and :func:`vtk_series` write results as VTK unstructured grids (.vtu), for
+ParaView and others. meshio writes the formats that it knows.
 
 SI units; vectors have three components, z = 0 in 2D. No value is NaN.
 
-Point data: ``displacement`` m, ``reaction`` N (2D: N/m); at contact nodes ``contact_pressure`` Pa, ``contact_traction``
-Pa (the tangential traction on the body), ``contact_gap`` m, ``contact_slip`` m, 0 elsewhere; ``contact_mask`` is 1 at
-contact nodes, where ``contact_state`` (0 open, 1 slip, 2 stick) and ``contact_pair`` are not -1. Between two bodies the
-contact nodes are those of the slave surface, gap and slip relative to the master.
+Point data: ``displacement`` m, ``reaction`` N (2D: N/m); at contact nodes ``contact_pressure`` Pa,
+``contact_traction`` Pa (the tangential traction on the body), ``contact_gap`` m, ``contact_slip``
+m, 0 elsewhere; ``contact_mask`` is 1 at contact nodes, where ``contact_state`` (0 open, 1 slip, 2
+stick) and ``contact_pair`` are not -1. Between two bodies the contact nodes are those of the slave
+surface, gap and slip relative to the master.
 
-Cell data: ``body``, and with materials ``stress`` (xx, yy, zz, xy, yz, xz; axisymmetric: x = r, y axial, zz the hoop
-stress) and ``von_mises``, Pa, constant in each cell.
+Cell data: ``body``, and with materials ``stress`` (xx, yy, zz, xy, yz, xz; axisymmetric: x = r, y
+axial, zz the hoop stress) and ``von_mises``, Pa, constant in each cell.
 
-Bodies and contact boundaries are numbered in the order of ``result.mesh.bodies`` and ``result.contact.names``.
-"""
+Bodies and contact boundaries are numbered in the order of ``result.mesh.bodies`` and
+``result.contact.names``."""
 
 from __future__ import annotations
 
@@ -57,8 +58,9 @@ def mesh(mesh: MeshArrays, path: str | os.PathLike[str], *, unit: float = 1.0) -
     Raises
     ------
     TypeError, ValueError
-        On a mesh that is not sound, another kind of file, or names that it cannot hold: with quotation marks, in a deck
-        also with commas and equals signs, or that differ in capitals only.
+        On a mesh that is not sound, another kind of file, or names that it cannot hold: with
+        quotation marks, in a deck also with commas and equals signs, or that differ in capitals
+        only.
 
     Examples
     --------
@@ -77,7 +79,9 @@ def mesh(mesh: MeshArrays, path: str | os.PathLike[str], *, unit: float = 1.0) -
             if any(sign in name for sign in ('",=' if deck else '"')) or name != name.strip():
                 raise ValueError(f"{target.suffix} files cannot hold the name {name!r}: rename it")
         if deck and len({name.upper() for name in names}) < len(names):
-            raise ValueError(f"names of a deck must differ in more than capitals, got {', '.join(names)}")
+            raise ValueError(
+                f"names of a deck must differ in more than capitals, got {', '.join(names)}"
+            )
     write_bytes(target, (_deck if deck else _gmsh)(mesh, mesh.points / unit))
 
 
@@ -91,8 +95,12 @@ def _gmsh(mesh: MeshArrays, points: np.ndarray) -> bytes:
     if common := sorted(set(names).intersection(mesh.bodies)):
         raise ValueError(f"a boundary and a body are both called {', '.join(common)}: rename one")
     names |= {name: np.array([k + 1, dim]) for k, name in enumerate(mesh.bodies)}
-    raw = meshio.Mesh(np.pad(points, ((0, 0), (0, 3 - dim))), [(solid, mesh.elements), (face, mesh.facets)],
-                      cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags}, field_data=names)
+    raw = meshio.Mesh(
+        np.pad(points, ((0, 0), (0, 3 - dim))),
+        [(solid, mesh.elements), (face, mesh.facets)],
+        cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+        field_data=names,
+    )
     with waiting_folder() as folder:
         meshio.write(Path(folder, "mesh.msh"), raw, "gmsh22", binary=False)
         return Path(folder, "mesh.msh").read_bytes()
@@ -106,7 +114,10 @@ def _deck(mesh: MeshArrays, points: np.ndarray) -> bytes:
         np.savetxt(out, table, fmt=form, delimiter=", ")
 
     out.write("*NODE\n")
-    rows(np.column_stack([np.arange(1, len(points) + 1), points]), ", ".join(["%d"] + ["%.17g"] * mesh.dim))
+    rows(
+        np.column_stack([np.arange(1, len(points) + 1), points]),
+        ", ".join(["%d"] + ["%.17g"] * mesh.dim),
+    )
     for k, body in enumerate(mesh.bodies):
         mine = np.flatnonzero(mesh.element_body == k)
         out.write(f"*ELEMENT, TYPE={kind}, ELSET={body}\n")
@@ -124,7 +135,8 @@ def _deck(mesh: MeshArrays, points: np.ndarray) -> bytes:
 
 
 def vtk(result: Result, path: str | os.PathLike[str]) -> None:
-    """Write a result with a mesh to a ``.vtu`` file, which appears complete or not at all; see the module.
+    """Write a result with a mesh to a ``.vtu`` file, which appears complete or not at all; see the
+    module.
 
     Examples
     --------
@@ -139,17 +151,20 @@ def vtk(result: Result, path: str | os.PathLike[str]) -> None:
         write_bytes(target, (folder / "result.vtu").read_bytes())
 
 
-def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None
-               ) -> Path:
-    """Write a sequence of results as a ParaView collection: a .vtu file a step and a .pvd file that lists them.
+def vtk_series(
+    results: Sequence[Result], path: str | os.PathLike[str], times: Sequence[float] | None = None
+) -> Path:
+    """Write a sequence of results as a ParaView collection: a .vtu file a step and a .pvd file that
+    lists them.
 
     Parameters
     ----------
     results : sequence of Result
         With meshes, one a step.
     path : path
-        The ``.pvd`` file, which is returned. Its folder is made where it is missing. The steps lie next to it
-        (``run_0000.vtu``, ...), in place of all that it listed, but of no other files. It is written last.
+        The ``.pvd`` file, which is returned. Its folder is made where it is missing. The steps lie
+        next to it (``run_0000.vtu``, ...), in place of all that it listed, but of no other files.
+        It is written last.
     times : sequence of float, optional
         Strictly increasing; default 0, 1, 2, ...
 
@@ -165,19 +180,28 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
         raise ValueError("results is empty: a series needs at least one step")
     times = np.arange(len(results), dtype=float) if times is None else checks.vector("times", times)
     if len(times) != len(results):
-        raise ValueError(f"times must have one value a result: {len(results)} results, {len(times)} times")
+        raise ValueError(
+            f"times must have one value a result: {len(results)} results, {len(times)} times"
+        )
     if (np.diff(times) <= 0).any():
-        raise ValueError(f"times must increase strictly, got {times.tolist()}: give pseudo-times, or leave times out")
+        raise ValueError(
+            f"times must increase strictly, got {times.tolist()}: give pseudo-times, or leave times out"
+        )
     target = checks.file_path("path", path)
     if target.suffix != ".pvd":
         raise ValueError(f"path must end in .pvd, got {os.fspath(path)!r}")
     old = read_bytes(target).decode("utf-8", "replace") if target.exists() else ""
     steps = [f"{target.stem}_{k:04d}.vtu" for k in range(max(len(results), old.count("<DataSet")))]
-    names, listed = steps[:len(results)], [name for name in steps if f" file={quoteattr(printable(name))}/" in old]
+    names, listed = (
+        steps[: len(results)],
+        [name for name in steps if f" file={quoteattr(printable(name))}/" in old],
+    )
     for name in names:
         if os.path.lexists(target.parent / name) and name not in listed:
-            raise FileExistsError(f"path: {str(target.parent / name)!r} is not a step of an older series: move it, or "
-                                  "give another name")
+            raise FileExistsError(
+                f"path: {str(target.parent / name)!r} is not a step of an older series: move it, or "
+                "give another name"
+            )
     make_folder("path", target.parent)
     with waiting_folder(target.parent) as waiting:
         for name, result in zip(names, results, strict=True):
@@ -191,10 +215,21 @@ def vtk_series(results: Sequence[Result], path: str | os.PathLike[str], times: S
 
 
 def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
-    lines = [f'<DataSet timestep="{float(time)!r}" part="0" file={quoteattr(printable(name))}/>'
-             for name, time in zip(names, times, strict=True)]
-    return "\n".join(['<?xml version="1.0"?>', '<VTKFile type="Collection" version="1.0">', "<Collection>", *lines,
-                      "</Collection>", "</VTKFile>", ""]).encode()
+    lines = [
+        f'<DataSet timestep="{float(time)!r}" part="0" file={quoteattr(printable(name))}/>'
+        for name, time in zip(names, times, strict=True)
+    ]
+    return "\n".join(
+        [
+            '<?xml version="1.0"?>',
+            '<VTKFile type="Collection" version="1.0">',
+            "<Collection>",
+            *lines,
+            "</Collection>",
+            "</VTKFile>",
+            "",
+        ]
+    ).encode()
 
 
 def _write(result: Result, path: Path) -> None:
@@ -204,8 +239,16 @@ def _write(result: Result, path: Path) -> None:
     cells = {"body": [mesh.element_body]}
     if result.stress_data is not None:
         cells |= {"stress": [result.stress()], "von_mises": [result.von_mises()]}
-    points = {"displacement": _three(result.displacement), "reaction": _three(result.reaction)} | _contact_data(result)
-    raw = meshio.Mesh(_three(mesh.points), [("triangle" if mesh.dim == 2 else "tetra", mesh.elements)], points, cells)
+    points = {
+        "displacement": _three(result.displacement),
+        "reaction": _three(result.reaction),
+    } | _contact_data(result)
+    raw = meshio.Mesh(
+        _three(mesh.points),
+        [("triangle" if mesh.dim == 2 else "tetra", mesh.elements)],
+        points,
+        cells,
+    )
     meshio.vtu.write(path, raw, compression=None, header_type="UInt64")
 
 
@@ -220,11 +263,15 @@ def _contact_data(result: Result) -> dict[str, np.ndarray]:
     def tangential(values: np.ndarray) -> np.ndarray:
         return spread(_three(from_frames(contact.frames[:, 1:], values)))
 
-    return {"contact_pressure": spread(contact.pressure), "contact_traction": tangential(contact.traction),
-            "contact_gap": spread(contact.gap), "contact_slip": tangential(contact.slip),
-            "contact_state": spread(np.asarray(contact.state, dtype=np.int8), -1),
-            "contact_pair": spread(np.asarray(contact.boundary, dtype=np.int32), -1),
-            "contact_mask": spread(np.ones(len(contact), dtype=np.uint8))}
+    return {
+        "contact_pressure": spread(contact.pressure),
+        "contact_traction": tangential(contact.traction),
+        "contact_gap": spread(contact.gap),
+        "contact_slip": tangential(contact.slip),
+        "contact_state": spread(np.asarray(contact.state, dtype=np.int8), -1),
+        "contact_pair": spread(np.asarray(contact.boundary, dtype=np.int32), -1),
+        "contact_mask": spread(np.ones(len(contact), dtype=np.uint8)),
+    }
 
 
 def _three(vectors: np.ndarray) -> np.ndarray:

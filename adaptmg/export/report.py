@@ -1,12 +1,12 @@
-"""Reports: one self-contained HTML page of sections, tables and pictures, and the report of a parameter study.
+"""Reports: one self-contained HTML page of sections, tables and pictures, and the report of a
+parameter study.
 
 :class:`Report` collects the parts of a page; ``report.html.j2`` and ``report.css`` are its layout. jinja2 escapes all
 texts.
 
 :func:`study_report` draws numeric results against the parameter that varies most, one line for each value of another
-parameter. Where several runs share a point, the line is their median and a band spans them all. Where no two runs share
-a value of any parameter (a random design), they are points.
-"""
+parameter. Where several runs share a point, the line is their median and a band spans them all.
+Where no two runs share a value of any parameter (a random design), they are points."""
 
 from __future__ import annotations
 
@@ -49,8 +49,22 @@ _TURNS = re.compile("[\u202a-\u202e]")
 #: words joined by underscores, but not a symbol with an index such as u_n
 _IDENTIFIER = re.compile(r"(?![A-Za-z]_[A-Za-z0-9]$)[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)+")
 _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-_UNITS = {"s": "s", "ms": "ms", "us": "µs", "min": "min", "m": "m", "mm": "mm", "pa": "Pa", "mpa": "MPa", "n": "N",
-          "kn": "kN", "mb": "MB", "mib": "MiB", "gb": "GB", "percent": "%"}
+_UNITS = {
+    "s": "s",
+    "ms": "ms",
+    "us": "µs",
+    "min": "min",
+    "m": "m",
+    "mm": "mm",
+    "pa": "Pa",
+    "mpa": "MPa",
+    "n": "N",
+    "kn": "kN",
+    "mb": "MB",
+    "mib": "MiB",
+    "gb": "GB",
+    "percent": "%",
+}
 
 
 def _text(name: str, value: str, empty: bool = True) -> str:
@@ -60,8 +74,11 @@ def _text(name: str, value: str, empty: bool = True) -> str:
 
 
 def one_line(text: object) -> str:
-    """Return a text in one line; control characters and marks that override the direction become codes."""
-    return _TURNS.sub(lambda match: f"\\u{ord(match[0]):04x}", printable(_BLANK.sub(" ", str(text)).strip()))
+    """Return a text in one line; control characters and marks that override the direction become
+    codes."""
+    return _TURNS.sub(
+        lambda match: f"\\u{ord(match[0]):04x}", printable(_BLANK.sub(" ", str(text)).strip())
+    )
 
 
 def worded(name: object, unit: str | None = None) -> tuple[str, str]:
@@ -94,20 +111,40 @@ class Column(NamedTuple):
     texts: list[str]
 
 
-def columns_of(frame: pd.DataFrame, units: Mapping[str, str] | None = None,
-               formats: Mapping[str, str] | None = None) -> list[Column]:
+def columns_of(
+    frame: pd.DataFrame,
+    units: Mapping[str, str] | None = None,
+    formats: Mapping[str, str] | None = None,
+) -> list[Column]:
     """Return the columns of a table; ValueError where units or formats name others."""
-    return [Column(*worded(name, (units or {}).get(name)), numeric(column), texts)
-            for (name, column), texts in zip(frame.items(), cells(frame, units, formats)[1], strict=True)]
+    return [
+        Column(*worded(name, (units or {}).get(name)), numeric(column), texts)
+        for (name, column), texts in zip(
+            frame.items(), cells(frame, units, formats)[1], strict=True
+        )
+    ]
 
 
-def _table(frame: pd.DataFrame, caption: str, units: Mapping[str, str] | None, formats: Mapping[str, str] | None,
-           note: str = "", open: bool = False, csv: str = "") -> dict[str, object]:
+def _table(
+    frame: pd.DataFrame,
+    caption: str,
+    units: Mapping[str, str] | None,
+    formats: Mapping[str, str] | None,
+    note: str = "",
+    open: bool = False,
+    csv: str = "",
+) -> dict[str, object]:
     checks.instance("table", frame, pd.DataFrame, "a pandas DataFrame")
     columns = columns_of(frame.head(LONGEST), units, formats)
-    return {"caption": _text("caption", caption, empty=False), "columns": columns, "rows": len(frame),
-            "cells": list(zip(*(column.texts for column in columns), strict=True)), "note": note, "open": open,
-            "csv": csv}
+    return {
+        "caption": _text("caption", caption, empty=False),
+        "columns": columns,
+        "rows": len(frame),
+        "cells": list(zip(*(column.texts for column in columns), strict=True)),
+        "note": note,
+        "open": open,
+        "csv": csv,
+    }
 
 
 #: a drawing of more bytes as SVG becomes a PNG
@@ -125,7 +162,8 @@ class Picture(NamedTuple):
 
 
 def picture_of(figure: Figure | Picture, caption: str) -> Picture:
-    """Return a figure in its present state as a picture; pyplot then drops it (an open figure costs memory)."""
+    """Return a figure in its present state as a picture; pyplot then drops it (an open figure costs
+    memory)."""
     if isinstance(figure, Picture):
         return figure
     checks.instance("figure", figure, Figure, "a matplotlib Figure or a Picture")
@@ -134,14 +172,18 @@ def picture_of(figure: Figure | Picture, caption: str) -> Picture:
     if len(data) > DENSE:
         kind, data = "png", small_png(figure, min(150.0, _ACROSS / across))
     plt.close(figure)
-    return Picture(f"data:image/{kind};base64,{base64.b64encode(data).decode()}", caption, round(96 * across))
+    return Picture(
+        f"data:image/{kind};base64,{base64.b64encode(data).decode()}", caption, round(96 * across)
+    )
 
 
 def _svg(figure: Figure) -> bytes:
     """A figure as SVG, the same bytes in each run."""
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "adaptmg"}):
-        figure.savefig(buffer, format="svg", bbox_inches="tight", facecolor="white", metadata={"Date": None})
+        figure.savefig(
+            buffer, format="svg", bbox_inches="tight", facecolor="white", metadata={"Date": None}
+        )
     return printable(buffer.getvalue().decode()).encode()
 
 
@@ -155,7 +197,8 @@ def small_png(figure: Figure, dpi: float = 130) -> bytes:
 
 @dataclass
 class _Section:
-    """A section; its parts are pairs of a kind ('text', 'summary', 'table', 'pictures') and the part."""
+    """A section; its parts are pairs of a kind ('text', 'summary', 'table', 'pictures') and the
+    part."""
 
     title: str
     key: str
@@ -171,9 +214,14 @@ def _hash(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
-_PAGES = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined,
-                     trim_blocks=True, lstrip_blocks=True,
-                     finalize=lambda value: value if isinstance(value, Markup) else one_line(value))
+_PAGES = Environment(
+    loader=FileSystemLoader(Path(__file__).parent),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    finalize=lambda value: value if isinstance(value, Markup) else one_line(value),
+)
 _PAGES.filters |= {"paragraphs": _paragraphs, "quote": quote, "hash": _hash}
 _PAGES.globals |= {"LONGEST": LONGEST}
 
@@ -181,17 +229,19 @@ _PAGES.globals |= {"LONGEST": LONGEST}
 def _made() -> dict[str, str]:
     """Facts of every report."""
     packages = {"Python": platform.python_version(), **versions()}
-    return {"Written": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}",
-            "Versions": ", ".join(f"{name} {version}" for name, version in packages.items()),
-            "Machine": f"{processor()}, {os.cpu_count()} cores, {memory() / 2**30:.0f} GiB, {platform.system()} "
-                       f"{platform.release()}"}
+    return {
+        "Written": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}",
+        "Versions": ", ".join(f"{name} {version}" for name, version in packages.items()),
+        "Machine": f"{processor()}, {os.cpu_count()} cores, {memory() / 2**30:.0f} GiB, {platform.system()} "
+        f"{platform.release()}",
+    }
 
 
 class Report:
     """An HTML page; what is added appears in order.
 
-    All text is escaped; a blank line in a text begins a new paragraph, and all but the first fold. Tables sort by
-    their headers, where the reader's browser runs scripts.
+    All text is escaped; a blank line in a text begins a new paragraph, and all but the first fold.
+    Tables sort by their headers, where the reader's browser runs scripts.
 
     Parameters
     ----------
@@ -212,20 +262,34 @@ class Report:
         self._sections = [_Section("", "")]
         self._made: dict[str, str] = {}
 
-    def card(self, title: str, text: str = "", *, to: str = "", table: pd.DataFrame | None = None,
-             figure: Figure | Picture | None = None, units: Mapping[str, str] | None = None,
-             formats: Mapping[str, str] | None = None) -> None:
-        """Add a small table or a picture with a sentence to the first screen, and a link to the section of key ``to``.
+    def card(
+        self,
+        title: str,
+        text: str = "",
+        *,
+        to: str = "",
+        table: pd.DataFrame | None = None,
+        figure: Figure | Picture | None = None,
+        units: Mapping[str, str] | None = None,
+        formats: Mapping[str, str] | None = None,
+    ) -> None:
+        """Add a small table or a picture with a sentence to the first screen, and a link to the
+        section of key ``to``.
 
-        For ``units`` and ``formats`` see :func:`adaptmg.study.as_text`. A card with neither table nor figure says that
-        there is no result: ``text`` should say how to get it.
-        """
+        For ``units`` and ``formats`` see :func:`adaptmg.study.as_text`. A card with neither table
+        nor figure says that there is no result: ``text`` should say how to get it."""
         _text("title", title, empty=False)
         if table is not None and figure is not None:
             raise ValueError("card takes a table or a figure, not both: make two cards")
-        self._cards.append({"title": title, "text": _text("text", text), "to": _text("to", to),
-                            "picture": None if figure is None else picture_of(figure, title),
-                            "table": None if table is None else _table(table, title, units, formats)})
+        self._cards.append(
+            {
+                "title": title,
+                "text": _text("text", text),
+                "to": _text("to", to),
+                "picture": None if figure is None else picture_of(figure, title),
+                "table": None if table is None else _table(table, title, units, formats),
+            }
+        )
 
     def section(self, title: str, text: str = "", *, summary: str = "", key: str = "") -> None:
         """Begin a section with a summary, which is not folded, and a text.
@@ -235,7 +299,9 @@ class Report:
         _text("title", title, empty=False)
         key = _text("key", key) or f"section-{len(self._sections)}"
         if not _KEY.fullmatch(key):
-            raise ValueError(f"key must begin with a letter and have letters, digits, - and _, got {checks.shown(key)}")
+            raise ValueError(
+                f"key must begin with a letter and have letters, digits, - and _, got {checks.shown(key)}"
+            )
         if key in ("contents", "made", *(section.key for section in self._sections)):
             raise ValueError(f"key {key!r} is that of another section")
         self._sections.append(_Section(title, key))
@@ -246,17 +312,36 @@ class Report:
         """Add paragraphs, of which all but the first fold."""
         self._add("text", _text("text", text))
 
-    def table(self, table: pd.DataFrame, caption: str, note: str = "", *, units: Mapping[str, str] | None = None,
-              formats: Mapping[str, str] | None = None, open: bool = False, csv: str = "") -> None:
+    def table(
+        self,
+        table: pd.DataFrame,
+        caption: str,
+        note: str = "",
+        *,
+        units: Mapping[str, str] | None = None,
+        formats: Mapping[str, str] | None = None,
+        open: bool = False,
+        csv: str = "",
+    ) -> None:
         """Add a table without its index, a caption above and a note below.
 
-        For ``units`` and ``formats`` by column see :func:`adaptmg.study.as_text`; a column named as an identifier is
-        written as words with a unit, 'total_s' as 'total [s]'. ``open``: whether it stands open, as the first table of
-        a section does. ``csv`` names a CSV file of the table next to the page, for a link.
-        """
+        For ``units`` and ``formats`` by column see :func:`adaptmg.study.as_text`; a column named as
+        an identifier is written as words with a unit, 'total_s' as 'total [s]'. ``open``: whether
+        it stands open, as the first table of a section does. ``csv`` names a CSV file of the table
+        next to the page, for a link."""
         first = all(kind != "table" for kind, _ in self._sections[-1].parts)
-        self._add("table", _table(table, caption, units, formats, _text("note", note),
-                                  checks.flag("open", open) or first, csv))
+        self._add(
+            "table",
+            _table(
+                table,
+                caption,
+                units,
+                formats,
+                _text("note", note),
+                checks.flag("open", open) or first,
+                csv,
+            ),
+        )
 
     def figure(self, figure: Figure | Picture, caption: str) -> None:
         """Add a figure in its present state; pyplot then drops it (an open figure costs memory).
@@ -270,7 +355,8 @@ class Report:
         parts[-1][1].append(picture_of(figure, caption))
 
     def made(self, **facts: str) -> None:
-        """Add facts on the origin of the page (seeds, command) next to versions, machine and time."""
+        """Add facts on the origin of the page (seeds, command) next to versions, machine and
+        time."""
         for name, fact in facts.items():
             self._made[name.replace("_", " ").capitalize()] = _text(name, fact, empty=False)
 
@@ -283,8 +369,14 @@ class Report:
     def page(self) -> str:
         """Return the whole page as text."""
         return _PAGES.get_template("report.html.j2").render(
-            title=self.title, summary=self.summary, terms=self.terms, cards=self._cards, sections=self._sections,
-            keys={section.key for section in self._sections[1:]}, facts=_made() | self._made)
+            title=self.title,
+            summary=self.summary,
+            terms=self.terms,
+            cards=self._cards,
+            sections=self._sections,
+            keys={section.key for section in self._sections[1:]},
+            facts=_made() | self._made,
+        )
 
     def _add(self, kind: str, part: object) -> None:
         if not isinstance(part, str) or part.strip():
@@ -297,22 +389,32 @@ _LETTERS, _LINES, _MARKED = 300, 7, 60
 _LOGARITHMIC = 30.0
 
 
-def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameters: Sequence[str],
-                 results: Sequence[str] | None = None, summary: str = "", units: Mapping[str, str] | None = None,
-                 csv: str = "", made: Mapping[str, str] | None = None) -> Path:
-    """Write a report of a study: the number of runs, pictures of the results, all runs, those that failed.
+def study_report(
+    table: pd.DataFrame,
+    path: str | os.PathLike[str],
+    *,
+    parameters: Sequence[str],
+    results: Sequence[str] | None = None,
+    summary: str = "",
+    units: Mapping[str, str] | None = None,
+    csv: str = "",
+    made: Mapping[str, str] | None = None,
+) -> Path:
+    """Write a report of a study: the number of runs, pictures of the results, all runs, those that
+    failed.
 
     Parameters
     ----------
     table : pandas.DataFrame
-        A row for each run, as :meth:`adaptmg.Study.run` returns it. Only runs with the ``status`` 'done' are drawn; a
-        column ``error`` is shown for the others.
+        A row for each run, as :meth:`adaptmg.Study.run` returns it. Only runs with the ``status``
+        'done' are drawn; a column ``error`` is shown for the others.
     path : path
         The HTML file; it appears complete or not at all.
     parameters : sequence of str
         Columns that were varied.
     results : sequence of str, optional
-        Columns to draw, a picture each; default: the first two numeric columns that vary and are not parameters.
+        Columns to draw, a picture each; default: the first two numeric columns that vary and are
+        not parameters.
     summary : str
         Stands below the title, which is the name of the study (``table.attrs["study"]``).
     units : mapping of column to str, optional
@@ -331,34 +433,57 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
     checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
     for name, columns in (("parameters", parameters), ("results", results or ())):
         if missing := [column for column in checks.strings(name, columns) if column not in table]:
-            raise ValueError(f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}")
+            raise ValueError(
+                f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}"
+            )
     units = {"seconds": "s"} | dict(units or {})
     done = table[table["status"] == "done"] if "status" in table else table
-    varied = [name for name in done if name not in (*parameters, "status", "error")
-              and (values := numbers(done[name])) is not None and values.nunique() > 1]
+    varied = [
+        name
+        for name in done
+        if name not in (*parameters, "status", "error")
+        and (values := numbers(done[name])) is not None
+        and values.nunique() > 1
+    ]
     drawn = varied[:2] if results is None else results
     for name in drawn:
         if len(done) and numbers(done[name]) is None:
-            raise ValueError(f"results: column {name!r} holds no numbers to draw, got "
-                             f"{checks.shown(done[name].iloc[0])} in its first row")
+            raise ValueError(
+                f"results: column {name!r} holds no numbers to draw, got "
+                f"{checks.shown(done[name].iloc[0])} in its first row"
+            )
     counts = table["status"].value_counts() if "status" in table else {}
-    counted = ", ".join([f"{len(table):,} runs", *(f"{n:,} {status}" for status, n in counts.items())])
+    counted = ", ".join(
+        [f"{len(table):,} runs", *(f"{n:,} {status}" for status, n in counts.items())]
+    )
     page = Report(str(table.attrs.get("study") or "Study"), f"{counted}. {summary}".strip())
 
     def add(frame: pd.DataFrame, caption: str, **options: str | bool) -> None:
         frame = frame.copy()
         for name in frame.select_dtypes(exclude="number"):
-            frame[name] = pd.Series([f"{value[:_LETTERS]} ..." if isinstance(value, str) and len(value) > _LETTERS else
-                                     value for value in frame[name]], frame.index, dtype=object)
+            frame[name] = pd.Series(
+                [
+                    f"{value[:_LETTERS]} ..."
+                    if isinstance(value, str) and len(value) > _LETTERS
+                    else value
+                    for value in frame[name]
+                ],
+                frame.index,
+                dtype=object,
+            )
         page.table(frame, caption, units={k: v for k, v in units.items() if k in frame}, **options)
 
     page.section("Results")
     axis = axes_of_study(done, parameters) if len(done) else None
     for result in drawn if axis else ():
-        page.figure(curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
-                    caption(axis, result))
+        page.figure(
+            curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
+            caption(axis, result),
+        )
     add(table.drop(columns="error", errors="ignore"), "All runs", csv=csv, open=True)
-    failed = table[table["error"].fillna("").astype(str) != ""] if "error" in table else table.head(0)
+    failed = (
+        table[table["error"].fillna("").astype(str) != ""] if "error" in table else table.head(0)
+    )
     if len(failed):
         page.section("Runs that failed")
         add(failed[[*parameters, "error"]], "Errors", csv=csv if len(failed) > LONGEST else "")
@@ -370,7 +495,8 @@ def study_report(table: pd.DataFrame, path: str | os.PathLike[str], *, parameter
 
 @dataclass(frozen=True)
 class Axis:
-    """The parameter along the axis, the one of the lines ("" for none), and whether points are joined."""
+    """The parameter along the axis, the one of the lines ("" for none), and whether points are
+    joined."""
 
     along: str
     lines: str
@@ -385,8 +511,8 @@ def numbers(column: pd.Series) -> pd.Series | None:
 
 
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
-    """Return the axis, the numeric parameter with most values; None if none varies. A parameter that is different in
-    every run (a seed) is chosen only where all are."""
+    """Return the axis, the numeric parameter with most values; None if none varies. A parameter
+    that is different in every run (a seed) is chosen only where all are."""
     counts = {name: _keys(table[name]).nunique() for name in parameters}
     varied = [name for name in parameters if counts[name] > 1]
     if not varied:
@@ -399,7 +525,9 @@ def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None
 
 
 @styled
-def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_unit: str = "") -> Figure:
+def curves(
+    table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_unit: str = ""
+) -> Figure:
     """Return a picture of a numeric result of finished runs against a parameter."""
     figure = Figure(figsize=(6.2, 3.9))
     ax = figure.subplots()
@@ -407,16 +535,26 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     named = position is None
     if named:
         position = _keys(table[axis.along]).map(_name)
-    data = pd.DataFrame({"x": position.to_numpy(), "y": numbers(table[result]).to_numpy(),
-                         "line": _keys(table[axis.lines]).to_numpy() if axis.lines else ""})
+    data = pd.DataFrame(
+        {
+            "x": position.to_numpy(),
+            "y": numbers(table[result]).to_numpy(),
+            "line": _keys(table[axis.lines]).to_numpy() if axis.lines else "",
+        }
+    )
     data = data.replace([np.inf, -np.inf], np.nan).dropna()
     joined = axis.joined and not named
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
         color, values = CYCLE[k % len(CYCLE)], part.groupby("x", sort=not named)["y"]
         median, low, high = values.median(), values.min(), values.max()
-        ax.plot(median.index, median, color=color, linestyle="-" if joined else "",
-                label=f"{plain(worded(axis.lines)[0])} = {_name(line)}",
-                marker="o" if len(median) <= _MARKED else "" if joined else ".")
+        ax.plot(
+            median.index,
+            median,
+            color=color,
+            linestyle="-" if joined else "",
+            label=f"{plain(worded(axis.lines)[0])} = {_name(line)}",
+            marker="o" if len(median) <= _MARKED else "" if joined else ".",
+        )
         if len(part) > len(median) and joined:
             ax.fill_between(median.index, low, high, color=color, alpha=0.18, linewidth=0)
         elif len(part) > len(median):
@@ -430,19 +568,27 @@ def curves(table: pd.DataFrame, axis: Axis, result: str, unit: str = "", along_u
     _scale(ax, "y", data["y"])
     if axis.lines and len(data):
         # above the drawing, where nothing is drawn
-        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(4, data["line"].nunique()), borderpad=0.0)
+        ax.legend(
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=min(4, data["line"].nunique()),
+            borderpad=0.0,
+        )
     return figure
 
 
 def caption(axis: Axis, result: str) -> str:
     """Return what :func:`curves` shows."""
     lines = f", a line for each value of {worded(axis.lines)[0]}" if axis.lines else ""
-    return (f"{worded(result)[0]} against {worded(axis.along)[0]}{lines}; where runs share a point their median, and "
-            "the band from the least to the largest")
+    return (
+        f"{worded(result)[0]} against {worded(axis.along)[0]}{lines}; where runs share a point their median, and "
+        "the band from the least to the largest"
+    )
 
 
 def _scale(ax: Axes, name: str, values: pd.Series) -> None:
-    """Choose a logarithmic scale where values span much; on x, ticks at the values where these are few integers."""
+    """Choose a logarithmic scale where values span much; on x, ticks at the values where these are
+    few integers."""
     axis, single = getattr(ax, f"{name}axis"), np.unique(values)
     if len(single) and single[0] > 0 and single[-1] >= _LOGARITHMIC * single[0]:
         ax.set(**{f"{name}scale": "log"})
@@ -458,7 +604,9 @@ def _name(value: str) -> str:
 
 def _keys(column: pd.Series) -> pd.Series:
     """Values as texts, floats in few digits where these differ."""
-    texts = column.map(lambda value: f"{value:g}" if isinstance(value, float) else str(value)).astype(object)
+    texts = column.map(
+        lambda value: f"{value:g}" if isinstance(value, float) else str(value)
+    ).astype(object)
     if types.is_numeric_dtype(column) and texts.nunique() < column.nunique():
         texts = column.map(repr).astype(object)
     return texts

@@ -1,4 +1,5 @@
-"""Computational geometry on plain arrays: trees of boxes, location, closest points, clipping, quadrature.
+"""Computational geometry on plain arrays: trees of boxes, location, closest points, clipping,
+quadrature.
 
-Points (n, dim) and simplices (n, k) in, numbers out; meshes, discretisation and transfer all use it.
-"""
+Points (n, dim) and simplices (n, k) in, numbers out; meshes, discretisation and transfer all use
+it."""

@@ -1,22 +1,24 @@
-r"""Intersections of simplices in barycentric coordinates and of convex polygons in a plane, with moments (kernels).
+r"""Intersections of simplices in barycentric coordinates and of convex polygons in a plane, with
+moments (kernels).
 
-A fine element is cut by the d + 1 half-spaces :math:`\mu_m \ge 0` of a coarse one (:math:`\mu` its barycentric
-coordinates) by bisecting edges: while a piece has a corner a with :math:`\mu_m > 0` and one b with
+A fine element is cut by the d + 1 half-spaces :math:`\mu_m \ge 0` of a coarse one (:math:`\mu` its
+barycentric coordinates) by bisecting edges: while a piece has a corner a with :math:`\mu_m > 0` and
+one b with
 :math:`\mu_m < 0`, it is split at the point of the edge ab where :math:`\mu_m = 0`, into pieces with the fractions t and
-1 - t of its volume. What is left consists of simplices on which all shape functions are affine, so that with V the
-volume of a piece
+1 - t of its volume. What is left consists of simplices on which all shape functions are affine, so
+that with V the volume of a piece
 
 .. math:: \int \lambda_i \lambda_j = \frac{V}{(d+1)(d+2)} \Big(\sum_v \lambda_i(v)\lambda_j(v)
           + \sum_v \lambda_i(v) \sum_v \lambda_j(v)\Big)
 
 is exact. There are no topological cases, and a sliver only makes a piece of small volume.
 
-A polygon is an array (room, 2) of which the first n rows are its corners, counter-clockwise. Half-planes are taken off
-one by one (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); the point where an edge crosses a line is computed
-only between corners strictly on different sides, so that coincident edges need no tolerance. Moments are area A,
-centroid c and covariance :math:`S = \frac1A \int (x - c)(x - c)^T`, so that those of a small polygon far from the
-origin lose no digits; they are merged from triangles, whose negative areas (rounding) count as zero.
-"""
+A polygon is an array (room, 2) of which the first n rows are its corners, counter-clockwise.
+Half-planes are taken off one by one (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); the
+point where an edge crosses a line is computed only between corners strictly on different sides, so
+that coincident edges need no tolerance. Moments are area A, centroid c and covariance :math:`S =
+\frac1A \int (x - c)(x - c)^T`, so that those of a small polygon far from the origin lose no digits;
+they are merged from triangles, whose negative areas (rounding) count as zero."""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ SNAP = 1e-13
 
 @kernel
 def common_moments(mu, k, pieces, levels, moments):
-    """Compute the moments of the fine shape functions over the intersection of a fine and a coarse element."""
+    """Compute the moments of the fine shape functions over the intersection of a fine and a coarse
+    element."""
     kk = k * k
     moments[:] = 0.0
     pieces[0, 0] = 1.0
@@ -86,7 +89,9 @@ def _cut(pieces, at, moved, kept, m, k):
     t = b / (b - a)
     for c in range(k):
         pieces[at, first + c] = (1.0 - t) * pieces[at, second + c] + t * pieces[at, first + c]
-        pieces[at, kk + first + c] = (1.0 - t) * pieces[at, kk + second + c] + t * pieces[at, kk + first + c]
+        pieces[at, kk + first + c] = (1.0 - t) * pieces[at, kk + second + c] + t * pieces[
+            at, kk + first + c
+        ]
     # exactly on the plane, or rounding would have it cut again
     pieces[at, kk + first + m] = 0.0
     pieces[at, 0] *= t
@@ -118,14 +123,16 @@ MOMENTS = 6
 
 @kernel
 def _side(polygon, i, ax, ay, bx, by):
-    """Twice the area of the triangle of a, b and corner i: positive to the left of the line from a to b."""
+    """Twice the area of the triangle of a, b and corner i: positive to the left of the line from a
+    to b."""
     return (bx - ax) * (polygon[i, 1] - ay) - (by - ay) * (polygon[i, 0] - ax)
 
 
 @inner_kernel
 def keep_left(polygon, n, ax, ay, bx, by, out):
-    """Write the part of a polygon to the left of the line from a to b to ``out``; returns its number of corners.
-    Corners beyond the room of ``out`` are dropped: only rounding makes more, on an edge along the line."""
+    """Write the part of a polygon to the left of the line from a to b to ``out``; returns its
+    number of corners. Corners beyond the room of ``out`` are dropped: only rounding makes more, on
+    an edge along the line."""
     kept, room = 0, len(out)
     if n == 0:
         return kept
@@ -164,7 +171,8 @@ def clip(polygon, n, window, m, out, spare):
 
 @inner_kernel
 def _separated_by_edge(polygon, n, window, m, tolerance):
-    """Whether ``polygon`` lies to the right of an edge of ``window``, but for a strip as wide as ``tolerance``."""
+    """Whether ``polygon`` lies to the right of an edge of ``window``, but for a strip as wide as
+    ``tolerance``."""
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
         ax, ay, bx, by = window[i, 0], window[i, 1], window[j, 0], window[j, 1]
@@ -184,7 +192,8 @@ def _separated_by_edge(polygon, n, window, m, tolerance):
 
 @inner_kernel
 def separated(polygon, n, window, m, tolerance):
-    """Return whether an edge of one of two polygons separates them, but for a strip as wide as ``tolerance``."""
+    """Return whether an edge of one of two polygons separates them, but for a strip as wide as
+    ``tolerance``."""
     for c in range(2):
         low, high, window_low, window_high = np.inf, -np.inf, np.inf, -np.inf
         for i in range(n):
@@ -193,7 +202,9 @@ def separated(polygon, n, window, m, tolerance):
             window_low, window_high = min(window_low, window[i, c]), max(window_high, window[i, c])
         if low >= window_high - tolerance or window_low >= high - tolerance:
             return True
-    return _separated_by_edge(polygon, n, window, m, tolerance) or _separated_by_edge(window, m, polygon, n, tolerance)
+    return _separated_by_edge(polygon, n, window, m, tolerance) or _separated_by_edge(
+        window, m, polygon, n, tolerance
+    )
 
 
 @inner_kernel
@@ -233,9 +244,9 @@ def polygon_moments(polygon, n, moments):
 
 @kernel
 def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states, piece, moments):
-    """Add the moments of what is left of a polygon when triangles hide parts of it. Its triangles are cut along the
-    edges of one blocker after the other, depth first: what lies outside an edge goes on to the next blocker, what lies
-    inside all of them is hidden."""
+    """Add the moments of what is left of a polygon when triangles hide parts of it. Its triangles
+    are cut along the edges of one blocker after the other, depth first: what lies outside an edge
+    goes on to the next blocker, what lies inside all of them is hidden."""
     for c in range(MOMENTS):
         moments[c] = 0.0
     depth = _push(polygon, n, 0, 0, stack, states, 0)

@@ -1,9 +1,10 @@
-r"""Point location: which element holds a point, with which barycentric weights, and how far outside it lies.
+r"""Point location: which element holds a point, with which barycentric weights, and how far outside
+it lies.
 
 The weights of :math:`x` in an element with corners :math:`x_0 \dots x_d` are
 :math:`\lambda_m = G_m\cdot(x - x_0)`, m = 1 .. d, and :math:`\lambda_0 = 1 - \sum_m \lambda_m`, where :math:`G_m` is
-the gradient of the shape function of corner m. ``maps`` holds :math:`x_0, G_1, \dots, G_d` of each element.
-"""
+the gradient of the shape function of corner m. ``maps`` holds :math:`x_0, G_1, \dots, G_d` of each
+element."""
 
 from __future__ import annotations
 
@@ -27,11 +28,15 @@ class Location:
 
 
 class SimplexLocator:
-    """Finds points in a mesh of simplices. Every point is found. A point on a node or an edge belongs to one of the
-    elements there: its interpolation weights do not depend on which."""
+    """Finds points in a mesh of simplices. Every point is found. A point on a node or an edge
+    belongs to one of the elements there: its interpolation weights do not depend on which."""
 
-    def __init__(self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None) -> None:
-        self.chosen = np.arange(len(elements), dtype=np.int32) if chosen is None else chosen.astype(np.int32)
+    def __init__(
+        self, points: np.ndarray, elements: np.ndarray, chosen: np.ndarray | None = None
+    ) -> None:
+        self.chosen = (
+            np.arange(len(elements), dtype=np.int32) if chosen is None else chosen.astype(np.int32)
+        )
         self.dim, self.n_nodes = points.shape[1], len(points)
         self.tree = BoxTree(points, elements[self.chosen])
         self.maps = affine_maps(self.tree.points, self.tree.simplices)
@@ -45,15 +50,33 @@ class SimplexLocator:
         if queries.ndim != 2 or queries.shape[1] != self.dim:
             raise ValueError(f"points must have shape (n, {self.dim}), got {queries.shape}")
         if not np.isfinite(queries).all():
-            raise ValueError(f"points must be finite; point {np.argmin(np.isfinite(queries).all(axis=1))} is not")
+            raise ValueError(
+                f"points must be finite; point {np.argmin(np.isfinite(queries).all(axis=1))} is not"
+            )
         n = len(queries)
-        holder, weights, distance = np.empty(n, dtype=np.int64), np.empty((n, self.dim + 1)), np.zeros(n)
+        holder, weights, distance = (
+            np.empty(n, dtype=np.int64),
+            np.empty((n, self.dim + 1)),
+            np.zeros(n),
+        )
         # about as long as it takes to read 20 numbers a point
-        in_parts(locate, n, 20 * n, padded(queries), morton_order(queries), self.maps, self.tree.boxes, holder, weights,
-                 joined=False)
+        in_parts(
+            locate,
+            n,
+            20 * n,
+            padded(queries),
+            morton_order(queries),
+            self.maps,
+            self.tree.boxes,
+            holder,
+            weights,
+            joined=False,
+        )
         element = self.tree.order[holder]
         if len(outside := np.flatnonzero(holder < 0)):
-            element[outside], weights[outside], distance[outside] = self.tree.nearest(queries[outside])
+            element[outside], weights[outside], distance[outside] = self.tree.nearest(
+                queries[outside]
+            )
             # rounding may put a point on an edge outside of every box and element around it
             lower, upper = self.tree.boxes[0].reshape(2, -1)
             distance[distance <= INSIDE * (upper - lower).max()] = 0.0
@@ -67,12 +90,14 @@ _ROUNDING = 4 * np.finfo(np.float64).eps
 
 
 def affine_maps(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
-    """Return the origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim * dim), of points
-    (n, 3). Not finite where an element has no volume."""
+    """Return the origin and gradients of the shape functions 1 .. d of every element, (n, dim + dim
+    * dim), of points (n, 3). Not finite where an element has no volume."""
     dim = elements.shape[1] - 1
     origin = points[elements[:, 0]]
     # the gradients are cross products of the edges; in 2D the third edge is the unit vector along z
-    edges = [points[elements[:, m + 1]] - origin for m in range(dim)] + [np.array([[0.0, 0.0, 1.0]])] * (3 - dim)
+    edges = [points[elements[:, m + 1]] - origin for m in range(dim)] + [
+        np.array([[0.0, 0.0, 1.0]])
+    ] * (3 - dim)
     normals = [np.cross(edges[(m + 1) % 3], edges[(m + 2) % 3])[:, :dim] for m in range(dim)]
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = 1.0 / (edges[0][:, :dim] * normals[0]).sum(axis=1, keepdims=True)
@@ -102,14 +127,17 @@ def _inside(maps, e, x, y, z, dim):
 @inner_kernel
 def _box_contains(boxes, node, x, y, z, dim):
     """Whether the closed box of ``node`` contains a point."""
-    return (boxes[node, 0] <= x <= boxes[node, dim] and boxes[node, 1] <= y <= boxes[node, dim + 1]
-            and (dim == 2 or boxes[node, 2] <= z <= boxes[node, 5]))
+    return (
+        boxes[node, 0] <= x <= boxes[node, dim]
+        and boxes[node, 1] <= y <= boxes[node, dim + 1]
+        and (dim == 2 or boxes[node, 2] <= z <= boxes[node, 5])
+    )
 
 
 @inner_kernel
 def _holder(x, y, z, start, maps, boxes, dim, stack):
-    """The position of an element that contains a point and its leaf, -1 if there is none; leaf ``start`` comes first,
-    then its sibling, its parent's sibling, and so on up to the root."""
+    """The position of an element that contains a point and its leaf, -1 if there is none; leaf
+    ``start`` comes first, then its sibling, its parent's sibling, and so on up to the root."""
     n = len(maps)
     n_leaves = (len(boxes) + 1) // 2
     top = stack[0] = start
@@ -134,8 +162,8 @@ def _holder(x, y, z, start, maps, boxes, dim, stack):
 
 @kernel
 def locate(first, last, queries, sequence, maps, boxes, holder, weights):
-    """Find the position of an element that holds each of ``queries`` (n, 3) in the order ``sequence[first:last]``, -1
-    if there is none."""
+    """Find the position of an element that holds each of ``queries`` (n, 3) in the order
+    ``sequence[first:last]``, -1 if there is none."""
     dim = weights.shape[1] - 1
     stack = np.empty(STACK, dtype=np.int64)
     leaf = len(boxes) // 2
@@ -149,7 +177,8 @@ def locate(first, last, queries, sequence, maps, boxes, holder, weights):
 
 @inner_kernel
 def _take_clipped(maps, e, x, y, z, dim, q, weights):
-    """Row q of the weights, normalised; those that the rounding of coordinates explains are zero."""
+    """Row q of the weights, normalised; those that the rounding of coordinates explains are
+    zero."""
     # a point on an edge of a small element has a weight of about eps |x| / h at the corner opposite
     steepest = 0.0
     for m in range(dim, dim + dim * dim):

@@ -1,12 +1,13 @@
-r"""turn, in_circle: on which side of a line, or of a circle, a point lies, right where rounding would decide.
+r"""turn, in_circle: on which side of a line, or of a circle, a point lies, right where rounding
+would decide.
 
 .. math:: \det(b - a, c - a), \qquad \det(b - d, c - d)\,(b - a)\cdot(c - a) - \det(b - a, c - a)\,(b - d)\cdot(c - d)
 
-The second is positive where d lies inside the circle through a, b, c (counter-clockwise). Floating-point values whose
-sign is beyond their error bound are returned. Others are computed again as sums of floating-point numbers that do not
-overlap, without any error (J. R. Shewchuk, 1997, doi:10.1007/PL00009321), which takes some hundred times as long.
-Products are split after Dekker: no fused operations are needed, none are made (kernels compile without fastmath).
-"""
+The second is positive where d lies inside the circle through a, b, c (counter-clockwise).
+Floating-point values whose sign is beyond their error bound are returned. Others are computed again
+as sums of floating-point numbers that do not overlap, without any error (J. R. Shewchuk, 1997,
+doi:10.1007/PL00009321), which takes some hundred times as long. Products are split after Dekker: no
+fused operations are needed, none are made (kernels compile without fastmath)."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ import numpy as np
 
 from adaptmg._numba import inner_kernel
 
-# error bounds over the sum of the absolute terms: 4 and 10 roundings of 2^-53, and room for those of the bounds
+# error bounds over the sum of the absolute terms: 4 and 10 roundings of 2^-53, and room for those
+# of the bounds
 _TURN, _CIRCLE = 4.6e-16, 1.3e-15
 # terms of a product of four differences, each of two terms; there are eight products
 _TERMS = 256
@@ -22,8 +24,8 @@ _TERMS = 256
 
 @inner_kernel
 def turn(points, a, b, c):
-    """Return a number that is positive where c lies to the left of the line from a to b, zero on it. Nodes are int64,
-    here and below: kernels are compiled again for other integers."""
+    """Return a number that is positive where c lies to the left of the line from a to b, zero on
+    it. Nodes are int64, here and below: kernels are compiled again for other integers."""
     left = (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
     right = (points[b, 1] - points[a, 1]) * (points[c, 0] - points[a, 0])
     value = left - right
@@ -34,14 +36,25 @@ def turn(points, a, b, c):
 
 @inner_kernel
 def in_circle(points, a, b, c, d):
-    """Return a number that is positive where d lies inside the circle through a, b, c, zero on it."""
-    x, y, z, w = (points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[c, 0] - points[a, 0],
-                  points[c, 1] - points[a, 1])
-    p, q, r, s = (points[b, 0] - points[d, 0], points[b, 1] - points[d, 1], points[c, 0] - points[d, 0],
-                  points[c, 1] - points[d, 1])
+    """Return a number that is positive where d lies inside the circle through a, b, c, zero on
+    it."""
+    x, y, z, w = (
+        points[b, 0] - points[a, 0],
+        points[b, 1] - points[a, 1],
+        points[c, 0] - points[a, 0],
+        points[c, 1] - points[a, 1],
+    )
+    p, q, r, s = (
+        points[b, 0] - points[d, 0],
+        points[b, 1] - points[d, 1],
+        points[c, 0] - points[d, 0],
+        points[c, 1] - points[d, 1],
+    )
     value = (p * s - q * r) * (x * z + y * w) - (x * w - y * z) * (p * r + q * s)
     x, y, z, w, p, q, r, s = abs(x), abs(y), abs(z), abs(w), abs(p), abs(q), abs(r), abs(s)
-    if abs(value) > _CIRCLE * ((p * s + q * r) * (x * z + y * w) + (x * w + y * z) * (p * r + q * s)):
+    if abs(value) > _CIRCLE * (
+        (p * s + q * r) * (x * z + y * w) + (x * w + y * z) * (p * r + q * s)
+    ):
         return value
     return _exact(points, a, b, c, d)
 
@@ -64,7 +77,8 @@ def _product(a, b):
 
 @inner_kernel
 def _add(terms, n, value):
-    """Add a number to the sum of n terms, which do not overlap and ascend; returns how many they are then."""
+    """Add a number to the sum of n terms, which do not overlap and ascend; returns how many they
+    are then."""
     m = 0
     for i in range(n):
         value, error = _sum(terms[i], value)
@@ -79,7 +93,8 @@ def _add(terms, n, value):
 
 @inner_kernel
 def _add_product(terms, n, factors, sign, work):
-    """Add a signed product of factors, each of two terms, to the sum of n terms; returns how many they are then."""
+    """Add a signed product of factors, each of two terms, to the sum of n terms; returns how many
+    they are then."""
     work[0, 0], count = sign, 1
     for f in factors:
         size = np.int64(0)
@@ -98,7 +113,12 @@ def _add_product(terms, n, factors, sign, work):
 @inner_kernel
 def _exact(points, a, b, c, d):
     """The value of ``in_circle``, or for d < 0 of ``turn``, with the right sign."""
-    terms, work, factors, n = np.empty(8 * _TERMS), np.empty((2, _TERMS)), np.empty((4, 2)), np.int64(0)
+    terms, work, factors, n = (
+        np.empty(8 * _TERMS),
+        np.empty((2, _TERMS)),
+        np.empty((4, 2)),
+        np.int64(0),
+    )
     sides = np.empty((2, 2, 2, 2))  # from a and from d to b and to c, component, terms
     for k in range(2):
         for i in range(2):

@@ -1,9 +1,9 @@
-r"""Quadrature on edges, triangles and tetrahedra: barycentric points inside the cell, positive weights of sum 1.
+r"""Quadrature on edges, triangles and tetrahedra: barycentric points inside the cell, positive
+weights of sum 1.
 
-Gauss on edges; on triangles the 3-point rule of degree 2 (Strang and Fix 1973) and the 7-point rule of degree 5 (Radon
-1948); on tetrahedra the 4-point rule of degree 2 (Keast 1986, doi:10.1016/0045-7825(86)90059-9). Of any degree: the
-conical product rules (Stroud 1971).
-"""
+Gauss on edges; on triangles the 3-point rule of degree 2 (Strang and Fix 1973) and the 7-point rule
+of degree 5 (Radon 1948); on tetrahedra the 4-point rule of degree 2 (Keast 1986,
+doi:10.1016/0045-7825(86)90059-9). Of any degree: the conical product rules (Stroud 1971)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
 def _radon() -> tuple[np.ndarray, np.ndarray]:
     root = np.sqrt(15)
     near, far = (6 - root) / 21, (6 + root) / 21
-    points = np.vstack([np.full(3, 1 / 3), _rotations(1 - 2 * near, near, near), _rotations(1 - 2 * far, far, far)])
+    points = np.vstack(
+        [np.full(3, 1 / 3), _rotations(1 - 2 * near, near, near), _rotations(1 - 2 * far, far, far)]
+    )
     return points, np.repeat([9 / 40, (155 - root) / 1200, (155 + root) / 1200], [1, 3, 3])
 
 
@@ -47,16 +49,19 @@ def quadrature_rule(corners: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quadrature_points(points: np.ndarray, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
-    """Return positions (n_cells, n, dim) of the ``rule``'s barycentric points (n, corners) in ``cells`` (n_cells,
-    corners)."""
+    """Return positions (n_cells, n, dim) of the ``rule``'s barycentric points (n, corners) in
+    ``cells`` (n_cells, corners)."""
     return np.einsum("qk,ckd->cqd", rule, points.take(cells, axis=0))
 
 
-def integration(points: np.ndarray, cells: np.ndarray, measures: np.ndarray, axisymmetric: bool
-                ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return barycentric points, their positions in cells of these measures, and weights (n_cells, n); in axisymmetry
-    times 2 pi r."""
-    rule, weights = quadrature_rule(cells.shape[1], AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE)
+def integration(
+    points: np.ndarray, cells: np.ndarray, measures: np.ndarray, axisymmetric: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return barycentric points, their positions in cells of these measures, and weights (n_cells,
+    n); in axisymmetry times 2 pi r."""
+    rule, weights = quadrature_rule(
+        cells.shape[1], AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE
+    )
     at, weights = quadrature_points(points, cells, rule), measures[:, None] * weights
     return rule, at, weights * (2 * np.pi * at[:, :, 0]) if axisymmetric else weights
 
@@ -70,7 +75,9 @@ def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
         # collapse the last coordinate: what is left of the simplex there has measure (1 - x)^level
         x, w = roots_jacobi(n, level, 0)
         x, w = (1 + x) / 2, w / w.sum()
-        shape = np.concatenate([np.multiply.outer(1 - x, shape), np.multiply.outer(x, np.ones((len(shape), 1)))],
-                               axis=2).reshape(-1, level + 2)
+        shape = np.concatenate(
+            [np.multiply.outer(1 - x, shape), np.multiply.outer(x, np.ones((len(shape), 1)))],
+            axis=2,
+        ).reshape(-1, level + 2)
         weights = np.multiply.outer(w, weights).ravel()
     return shape, weights

@@ -1,15 +1,16 @@
 r"""A tree of bounding boxes over simplices: which is the nearest to a point, which meet a box.
 
-The simplices are laid along a Morton curve and cut into 2^m leaves of equal count; node i of the complete binary tree
-has the children 2 i + 1 and 2 i + 2 and the box of all simplices below it. Leaves hold the same number of simplices
-whatever their sizes, so graded meshes cost what uniform ones do (a grid of cells does not have this). Points to locate
-are taken along a Morton curve too and climb from the leaf where the last one ended. For Morton codes a coordinate is
-cut into 2^31 (2D) or 2^21 (3D) steps over the bounding box, and the bits of the components are interleaved.
+The simplices are laid along a Morton curve and cut into 2^m leaves of equal count; node i of the
+complete binary tree has the children 2 i + 1 and 2 i + 2 and the box of all simplices below it.
+Leaves hold the same number of simplices whatever their sizes, so graded meshes cost what uniform
+ones do (a grid of cells does not have this). Points to locate are taken along a Morton curve too
+and climb from the leaf where the last one ended. For Morton codes a coordinate is cut into 2^31
+(2D) or 2^21 (3D) steps over the bounding box, and the bits of the components are interleaved.
 
-Closest points are found on segments, triangles (by their Voronoi regions: Ericson, Real-Time Collision Detection, 2005,
-section 5.1.5) and tetrahedra (the closest of the four faces: callers test for points inside before). Kernels read
-corners from ``points`` (n, 3) (2D is padded with z = 0).
-"""
+Closest points are found on segments, triangles (by their Voronoi regions: Ericson, Real-Time
+Collision Detection, 2005, section 5.1.5) and tetrahedra (the closest of the four faces: callers
+test for points inside before). Kernels read corners from ``points`` (n, 3) (2D is padded with z =
+0)."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ STACK = 128
 
 @inner_kernel
 def leaf_range(node, n_leaves, n_simplices):
-    """Return the first and past-the-last position of the simplices in a leaf, given its node number."""
+    """Return the first and past-the-last position of the simplices in a leaf, given its node
+    number."""
     leaf = node - (n_leaves - 1)
     return leaf * n_simplices // n_leaves, (leaf + 1) * n_simplices // n_leaves
 
@@ -73,7 +75,8 @@ def bounding_box(points, corners, box):
 
 @kernel
 def overlapping(boxes, box, points, simplices, stack, candidates):
-    """Write the positions of all simplices whose bounding box meets ``box``; returns their number."""
+    """Write the positions of all simplices whose bounding box meets ``box``; returns their
+    number."""
     n, k = simplices.shape
     dim = k - 1
     n_leaves = (len(boxes) + 1) // 2
@@ -121,7 +124,8 @@ def _box_distance(boxes, node, x, dim):
 
 @kernel
 def _nearest(queries, points, simplices, boxes, dim, found, weights, distances):
-    """Find position and distance of the simplex nearest to each query (n, 3), and weights of the closest point."""
+    """Find position and distance of the simplex nearest to each query (n, 3), and weights of the
+    closest point."""
     n, k = simplices.shape
     n_leaves = (len(boxes) + 1) // 2
     trial, candidate = np.empty(k), np.empty(k)
@@ -182,8 +186,9 @@ def _simplex_meets_turned(points, corners, frame, origin, low, high):
 
 @kernel
 def meet_turned(frames, origins, low, high, boxes, points, simplices, start, fill, found):
-    """Find the simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) along the rows of ``frames``.
-    Counts those of box s to ``start[s + 1]`` or, with ``fill``, writes their positions from ``found[start[s]]`` on."""
+    """Find the simplices that meet turned boxes: extents ``low`` .. ``high`` (n, dim) along the
+    rows of ``frames``. Counts those of box s to ``start[s + 1]`` or, with ``fill``, writes their
+    positions from ``found[start[s]]`` on."""
     n_leaves = (len(boxes) + 1) // 2
     stack = np.empty(STACK, dtype=np.int64)
     for s in range(len(frames)):
@@ -200,7 +205,9 @@ def meet_turned(frames, origins, low, high, boxes, points, simplices, start, fil
                 continue
             first, last = leaf_range(node, n_leaves, len(simplices))
             for i in range(first, last):
-                if _simplex_meets_turned(points, simplices[i], frames[s], origins[s], low[s], high[s]):
+                if _simplex_meets_turned(
+                    points, simplices[i], frames[s], origins[s], low[s], high[s]
+                ):
                     if fill:
                         found[start[s] + count] = i
                     count += 1
@@ -213,7 +220,9 @@ class BoxTree:
 
     def __init__(self, points: np.ndarray, simplices: np.ndarray) -> None:
         n, self.dim = len(simplices), points.shape[1]
-        self.order = morton_order(sum(points[corner] for corner in simplices.T) / simplices.shape[1])
+        self.order = morton_order(
+            sum(points[corner] for corner in simplices.T) / simplices.shape[1]
+        )
         self.simplices = np.ascontiguousarray(simplices[self.order], dtype=np.int32)
         n_leaves = 1
         while n_leaves * LEAF_SIZE < n:
@@ -227,11 +236,21 @@ class BoxTree:
         n = len(queries)
         found = np.empty(n, dtype=np.int64)
         weights, distance = np.empty((n, self.simplices.shape[1])), np.empty(n)
-        _nearest(padded(queries), self.points, self.simplices, self.boxes, self.dim, found, weights, distance)
+        _nearest(
+            padded(queries),
+            self.points,
+            self.simplices,
+            self.boxes,
+            self.dim,
+            found,
+            weights,
+            distance,
+        )
         return self.order[found], weights, distance
 
-    def meeting(self, frames: np.ndarray, origins: np.ndarray, low: np.ndarray, high: np.ndarray
-                ) -> tuple[np.ndarray, np.ndarray]:
+    def meeting(
+        self, frames: np.ndarray, origins: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return pairs (turned box, simplex that meets it); see :func:`meet_turned`."""
         start = np.zeros(len(frames) + 1, dtype=np.int64)
         arguments = (frames, origins, low, high, self.boxes, self.points, self.simplices, start)
@@ -245,19 +264,32 @@ class BoxTree:
 def padded(points: np.ndarray) -> np.ndarray:
     """Return points (n, dim) as (n, 3), z = 0 in 2D."""
     result = np.zeros((len(points), 3))
-    result[:, :points.shape[1]] = points
+    result[:, : points.shape[1]] = points
     return result
 
 
 #: by dimension the shifts and masks that put one or two zero bits between the lower 32 or 21 bits
-_SPREAD = {2: ((16, 0x0000FFFF0000FFFF), (8, 0x00FF00FF00FF00FF), (4, 0x0F0F0F0F0F0F0F0F), (2, 0x3333333333333333),
-               (1, 0x5555555555555555)),
-           3: ((32, 0x001F00000000FFFF), (16, 0x001F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
-               (2, 0x1249249249249249))}
+_SPREAD = {
+    2: (
+        (16, 0x0000FFFF0000FFFF),
+        (8, 0x00FF00FF00FF00FF),
+        (4, 0x0F0F0F0F0F0F0F0F),
+        (2, 0x3333333333333333),
+        (1, 0x5555555555555555),
+    ),
+    3: (
+        (32, 0x001F00000000FFFF),
+        (16, 0x001F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ),
+}
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:
-    """Return the order of points (n, dim), dim 2 or 3, along the Z-curve of their own bounding box."""
+    """Return the order of points (n, dim), dim 2 or 3, along the Z-curve of their own bounding
+    box."""
     dim = points.shape[1]
     if not len(points):
         return np.empty(0, dtype=np.int64)
@@ -331,8 +363,8 @@ def _squared_distance(points, corners, weights, x):
 
 @inner_kernel
 def closest_on_simplex(points, corners, x, weights, trial):
-    """Compute the weights (k,) of the point of the simplex ``corners`` (k,), k = 2, 3, 4, closest to ``x`` (3,).
-    ``trial`` (k,) is scratch. Returns the squared distance."""
+    """Compute the weights (k,) of the point of the simplex ``corners`` (k,), k = 2, 3, 4, closest
+    to ``x`` (3,). ``trial`` (k,) is scratch. Returns the squared distance."""
     k = len(corners)
     if k == 2:
         weights[1] = _on_segment(points, corners[0], corners[1], x)

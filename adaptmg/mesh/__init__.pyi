@@ -6,7 +6,10 @@ from .read import as_mesh as as_mesh, from_file as from_file, from_ngsolve as fr
 from .sizes import SizeNear as SizeNear
 from .slits import split as split
 from .soundness import (
-    check_mesh as check_mesh, MeshQuality as MeshQuality, quality as quality, with_source as with_source
+    check_mesh as check_mesh,
+    MeshQuality as MeshQuality,
+    quality as quality,
+    with_source as with_source,
 )
 from .step import step_table as step_table, touching as touching
 from .structured import merged as merged, structured as structured

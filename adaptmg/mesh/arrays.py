@@ -1,8 +1,9 @@
-"""MeshArrays: a simplicial mesh as frozen arrays, the form in which every other layer sees a mesh; its facets.
+"""MeshArrays: a simplicial mesh as frozen arrays, the form in which every other layer sees a mesh;
+its facets.
 
-A facet (edge of a triangle, face of a tetrahedron) belongs to two elements inside a mesh and to one on its boundary. It
-is identified by its sorted nodes :math:`a < b (< c)`, packed into one integer :math:`(a N + b) N + c`.
-"""
+A facet (edge of a triangle, face of a tetrahedron) belongs to two elements inside a mesh and to one
+on its boundary. It is identified by its sorted nodes :math:`a < b (< c)`, packed into one integer
+:math:`(a N + b) N + c`."""
 
 from __future__ import annotations
 
@@ -22,23 +23,33 @@ from adaptmg._text import shortened
 if TYPE_CHECKING:
     import ngsolve
 
-# of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one writes
+# of these, masks and floats that are whole numbers are taken too: np.zeros(n) or x > 0 is what one
+# writes
 _LABELS = ("facet_labels", "element_body")
-# pictures: pixels of the longer side, elements beyond which only the boundary is drawn, the view from above and right
+# pictures: pixels of the longer side, elements beyond which only the boundary is drawn, the view
+# from above and right
 _SIZE, _MANY, _VIEW = 480, 20_000, np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 
 
 def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
-    """A read-only copy; node numbers are not rounded from floats, nor wrapped from more than 32 bits."""
-    if (type(array) is np.ndarray and array.dtype == dtype and array.base is None and array.flags.c_contiguous
-            and not array.flags.writeable):
+    """A read-only copy; node numbers are not rounded from floats, nor wrapped from more than 32
+    bits."""
+    if (
+        type(array) is np.ndarray
+        and array.dtype == dtype
+        and array.base is None
+        and array.flags.c_contiguous
+        and not array.flags.writeable
+    ):
         return array
     data = np.asarray(array)
-    whole = name in _LABELS and (data.dtype.kind == "b" or (data.dtype.kind == "f" and (data == data // 1).all()))
+    whole = name in _LABELS and (
+        data.dtype.kind == "b" or (data.dtype.kind == "f" and (data == data // 1).all())
+    )
     if data.dtype.kind not in ("iuf" if dtype is np.float64 else "iu") and data.size and not whole:
         what = "real numbers" if dtype is np.float64 else "integers"
         raise TypeError(f"{name} must be an array of {what}, got an array of {data.dtype}")
-    if dtype is np.int32 and data.size and not (data.min() >= -2**31 and data.max() < 2**31):
+    if dtype is np.int32 and data.size and not (data.min() >= -(2**31) and data.max() < 2**31):
         raise ValueError(f"{name} must be below 2**31, got {data.min()} to {data.max()}")
     result = np.array(data, dtype=dtype, order="C")
     result.flags.writeable = False
@@ -66,8 +77,9 @@ class MeshArrays:
     elements : (n_elements, dim + 1) array
         Node numbers, positively oriented.
     facets : (n_facets, dim) array
-        Boundary edges (triangles in 3D), oriented so that the normal points out of the body: in 2D the outward
-        normal of the edge (a, b) is its direction turned by -90 degrees; in 3D of (a, b, c) it is (b - a) x (c - a).
+        Boundary edges (triangles in 3D), oriented so that the normal points out of the body: in 2D
+        the outward normal of the edge (a, b) is its direction turned by -90 degrees; in 3D of (a,
+        b, c) it is (b - a) x (c - a).
     facet_labels : (n_facets,) array
         Index into ``boundaries``.
     boundaries : tuple of str
@@ -77,27 +89,29 @@ class MeshArrays:
     bodies : tuple of str
         Names of the bodies.
     source : ngsolve.Mesh, optional
-        A straight ngsolve.Mesh with the same node and element numbers, which meshes made by adaptmg build when it is
-        first read. Neither saved nor pickled: :func:`adaptmg.mesh.with_source` makes a new one.
+        A straight ngsolve.Mesh with the same node and element numbers, which meshes made by adaptmg
+        build when it is first read. Neither saved nor pickled: :func:`adaptmg.mesh.with_source`
+        makes a new one.
 
     Raises
     ------
     TypeError, ValueError
-        On wrong shapes and types, points that are not finite, no elements, numbers of nodes, boundaries or bodies that
-        do not exist. :func:`adaptmg.mesh.check_mesh` checks the rest.
+        On wrong shapes and types, points that are not finite, no elements, numbers of nodes,
+        boundaries or bodies that do not exist. :func:`adaptmg.mesh.check_mesh` checks the rest.
 
     Attributes
     ----------
     sound : bool
         Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction.
     refinement : Refinement or None
-        The history of a bisected mesh, which further bisection needs. Pickled, but not saved in a result;
-        a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
+        The history of a bisected mesh, which further bisection needs. Pickled, but not saved in a
+        result; a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
     lattices : tuple of tuple of int
-        Cells along each axis of each body of a structured mesh, between which interpolation needs no search; empty for
-        others.
+        Cells along each axis of each body of a structured mesh, between which interpolation needs
+        no search; empty for others.
     notes : tuple of str
-        What :func:`adaptmg.mesh.from_file` says of the file: elements that were cut, materials, what was not read.
+        What :func:`adaptmg.mesh.from_file` says of the file: elements that were cut, materials,
+        what was not read.
 
     Examples
     --------
@@ -121,13 +135,26 @@ class MeshArrays:
     notes: tuple[str, ...] = field(default=(), init=False, repr=False)
 
     if TYPE_CHECKING:
-        def __init__(self, points: ArrayLike, elements: ArrayLike, facets: ArrayLike, facet_labels: ArrayLike,
-                     boundaries: tuple[str, ...], element_body: ArrayLike | None = None,
-                     bodies: tuple[str, ...] = ("body",), source: ngsolve.Mesh | None = None) -> None: ...
+
+        def __init__(
+            self,
+            points: ArrayLike,
+            elements: ArrayLike,
+            facets: ArrayLike,
+            facet_labels: ArrayLike,
+            boundaries: tuple[str, ...],
+            element_body: ArrayLike | None = None,
+            bodies: tuple[str, ...] = ("body",),
+            source: ngsolve.Mesh | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
-        for name, dtype in (("points", np.float64), ("elements", np.int32), ("facets", np.int32),
-                            ("facet_labels", np.int32)):
+        for name, dtype in (
+            ("points", np.float64),
+            ("elements", np.int32),
+            ("facets", np.int32),
+            ("facet_labels", np.int32),
+        ):
             object.__setattr__(self, name, _frozen(name, getattr(self, name), dtype))
         body = self.element_body
         if body is None:
@@ -141,12 +168,16 @@ class MeshArrays:
 
     def __repr__(self) -> str:
         kind = "triangles" if self.dim == 2 else "tetrahedra"
-        return shortened(f"MeshArrays: {self.n_nodes} nodes, {len(self.elements)} {kind}; bodies "
-                         f"{', '.join(self.bodies)}; boundaries {', '.join(self.boundaries)}"
-                         + "; see its notes" * bool(self.notes))
+        return shortened(
+            f"MeshArrays: {self.n_nodes} nodes, {len(self.elements)} {kind}; bodies "
+            f"{', '.join(self.bodies)}; boundaries {', '.join(self.boundaries)}"
+            + "; see its notes"
+            * bool(self.notes)
+        )
 
     def _repr_svg_(self) -> str | None:
-        """Draw the edges of a plane mesh, or those on the surface of a solid one; None where they are too many."""
+        """Draw the edges of a plane mesh, or those on the surface of a solid one; None where they
+        are too many."""
         cells = self.elements if self.dim == 2 and len(self.elements) <= _MANY else self.facets
         ends = np.concatenate([cells[:, [a, b]] for a in range(cells.shape[1]) for b in range(a)])
         edges = np.unique(np.sort(ends, axis=1), axis=0)
@@ -157,17 +188,31 @@ class MeshArrays:
         at = seen * (_SIZE / (seen.max() or 1.0)) + 4
         width, height = np.ceil(at.max(axis=(0, 1)) + 4).astype(int)
         path = "".join(f"M{x:.1f} {y:.1f}L{u:.1f} {v:.1f}" for (x, y), (u, v) in at.tolist())
-        return (f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}">'
-                f'<path d="{path}" fill="none" stroke="#3f454d" stroke-width="0.6"/></svg>')
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}">'
+            f'<path d="{path}" fill="none" stroke="#3f454d" stroke-width="0.6"/></svg>'
+        )
 
     def __reduce__(self) -> tuple:
-        # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to hand a mesh back
-        return type(self), (self.points, self.elements, self.facets, self.facet_labels, self.boundaries,
-                            self.element_body, self.bodies), {name: getattr(self, name)
-                                                       for name in ("sound", "refinement", "lattices", "notes")}
+        # by way of __init__, so that the arrays are frozen again; a worker need not load NGSolve to
+        # hand a mesh back
+        return (
+            type(self),
+            (
+                self.points,
+                self.elements,
+                self.facets,
+                self.facet_labels,
+                self.boundaries,
+                self.element_body,
+                self.bodies,
+            ),
+            {name: getattr(self, name) for name in ("sound", "refinement", "lattices", "notes")},
+        )
 
     def __copy__(self) -> MeshArrays:
-        # what is frozen needs no second copy, and a source that nobody has asked for yet is built once
+        # what is frozen needs no second copy, and a source that nobody has asked for yet is built
+        # once
         return self
 
     def __deepcopy__(self, memo: dict[int, object]) -> MeshArrays:
@@ -184,9 +229,12 @@ class MeshArrays:
         return len(self.points)
 
     def boundary_facets(self, boundary: str) -> np.ndarray:
-        """Return the facets (n, dim) of a named boundary; ValueError if there is no such boundary."""
+        """Return the facets (n, dim) of a named boundary; ValueError if there is no such
+        boundary."""
         if boundary not in self.boundaries:
-            raise ValueError(f"boundary {boundary!r} does not exist; the boundaries are {', '.join(self.boundaries)}")
+            raise ValueError(
+                f"boundary {boundary!r} does not exist; the boundaries are {', '.join(self.boundaries)}"
+            )
         return self.facets[self.facet_labels == self.boundaries.index(boundary)]
 
     def boundary_nodes(self, boundary: str) -> np.ndarray:
@@ -194,12 +242,15 @@ class MeshArrays:
         return np.unique(self.boundary_facets(boundary))
 
     def surface(self, boundary: str) -> Surface:
-        """Return a named boundary with its measures and normals; ValueError if it does not exist, or has no facets."""
+        """Return a named boundary with its measures and normals; ValueError if it does not exist,
+        or has no facets."""
         if boundary not in self._surfaces:
             facets = self.boundary_facets(boundary)
             if not len(facets):
-                raise ValueError(f"boundary {boundary!r} has a name in the mesh but no facets: was its label lost in "
-                                 "meshing?")
+                raise ValueError(
+                    f"boundary {boundary!r} has a name in the mesh but no facets: was its label lost in "
+                    "meshing?"
+                )
             self._surfaces[boundary] = Surface(self.points, facets)
         return self._surfaces[boundary]
 
@@ -214,7 +265,8 @@ class MeshArrays:
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """Return the signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a valid mesh."""
+        """Return the signed area (m^2) or volume (m^3) of each element (n_elements,); positive in a
+        valid mesh."""
         return signed_measures(self.points, self.elements)
 
 
@@ -222,8 +274,9 @@ class MeshArrays:
 class Surface:
     r"""Facets, and what follows from where they lie, computed when it is first read.
 
-    The area vector of a facet is its measure times its outward unit normal: in 2D the edge (a, b) turned by -90
-    degrees, in 3D :math:`\tfrac12 (b - a) \times (c - a)`. A node has the average normal
+    The area vector of a facet is its measure times its outward unit normal: in 2D the edge (a, b)
+    turned by -90 degrees, in 3D :math:`\tfrac12 (b - a) \times (c - a)`. A node has the average
+    normal
     :math:`n_i = \sum_F a_F \big/ \big|\sum_F a_F\big|` of the area vectors of the facets there.
     """
 
@@ -255,7 +308,8 @@ class Surface:
 
     @cached_property
     def node_normals(self) -> np.ndarray:
-        """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where facets at a node cancel."""
+        """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where facets at
+        a node cancel."""
         total, measure, nodes = np.zeros(self.points.shape), np.zeros(len(self.points)), self.nodes
         for corner in self.facets.T:
             np.add.at(total, corner, self.vectors)
@@ -263,13 +317,16 @@ class Surface:
         lengths = np.linalg.norm(total[nodes], axis=1)
         if not (lengths > 1e-8 * measure[nodes]).all():
             i = nodes[int(np.argmin(lengths / measure[nodes]))]
-            raise ValueError(f"the surface has no normal at node {i} {tuple(self.points[i].tolist())}: its facets "
-                             "there cancel; split the boundary")
+            raise ValueError(
+                f"the surface has no normal at node {i} {tuple(self.points[i].tolist())}: its facets "
+                "there cancel; split the boundary"
+            )
         total[nodes] /= lengths[:, None]
         return total
 
     def shares(self, axisymmetric: bool) -> np.ndarray:
-        """Return means (n, dim) of the shape functions of the corners over each facet; in axisymmetry times 2 pi r."""
+        """Return means (n, dim) of the shape functions of the corners over each facet; in
+        axisymmetry times 2 pi r."""
         if not axisymmetric:
             return np.full(self.facets.shape, 1.0 / self.points.shape[1])
         r = self.points[self.facets, 0]
@@ -281,8 +338,11 @@ class Surface:
 
     def lumped(self, axisymmetric: bool) -> np.ndarray:
         """Return the integrals (n_nodes,) of the shape functions of all nodes."""
-        return np.bincount(self.facets.ravel(), weights=self.shape_integrals(axisymmetric).ravel(),
-                           minlength=len(self.points))
+        return np.bincount(
+            self.facets.ravel(),
+            weights=self.shape_integrals(axisymmetric).ravel(),
+            minlength=len(self.points),
+        )
 
 
 def _check_numbers(points: np.ndarray, elements: np.ndarray, facets: np.ndarray) -> None:
@@ -290,7 +350,9 @@ def _check_numbers(points: np.ndarray, elements: np.ndarray, facets: np.ndarray)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
     if not np.isfinite(points).all():
-        raise ValueError(f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not")
+        raise ValueError(
+            f"points must be finite, node {int(np.argmin(np.isfinite(points).all(axis=1)))} is not"
+        )
     if not elements.size:
         raise ValueError("the mesh has no elements")
     n, dim = points.shape
@@ -299,18 +361,24 @@ def _check_numbers(points: np.ndarray, elements: np.ndarray, facets: np.ndarray)
             raise ValueError(f"{name} must have shape (n, {width}) in {dim}D, got {array.shape}")
         if len(array) and not 0 <= array.min() <= array.max() < n:
             bad = int(np.argmax(((array < 0) | (array >= n)).any(axis=1)))
-            raise ValueError(f"{name}[{bad}] = {array[bad].tolist()} names a node that does not exist; "
-                             f"there are {n} nodes, counted from 0")
+            raise ValueError(
+                f"{name}[{bad}] = {array[bad].tolist()} names a node that does not exist; "
+                f"there are {n} nodes, counted from 0"
+            )
 
 
 def _check_labels(mesh: MeshArrays) -> None:
-    for name, count, what in (("facet_labels", len(mesh.facets), "boundaries"),
-                              ("element_body", len(mesh.elements), "bodies")):
+    for name, count, what in (
+        ("facet_labels", len(mesh.facets), "boundaries"),
+        ("element_body", len(mesh.elements), "bodies"),
+    ):
         index, names = getattr(mesh, name), getattr(mesh, what)
         if index.shape != (count,):
             raise ValueError(f"{name} must have shape ({count},), got {index.shape}")
         if count and not 0 <= index.min() <= index.max() < len(names):
-            raise ValueError(f"{name} must index {what} ({len(names)} names), got {index.min()} to {index.max()}")
+            raise ValueError(
+                f"{name} must index {what} ({len(names)} names), got {index.min()} to {index.max()}"
+            )
         if len(set(names)) < len(names):
             raise ValueError(f"{what} must be distinct, got {names}")
 
@@ -334,13 +402,20 @@ def positive(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 
 def longest_edges(corners: np.ndarray) -> np.ndarray:
-    """Return the longest edge (n,) of each of some simplices, given by their corners (n, dim + 1, dim)."""
+    """Return the longest edge (n,) of each of some simplices, given by their corners (n, dim + 1,
+    dim)."""
     k = corners.shape[1]
-    return np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)], axis=0)
+    return np.max(
+        [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)],
+        axis=0,
+    )
 
 
-def trusted(mesh: MeshArrays, source: ngsolve.Mesh | OnDemand | None, sound: bool = True) -> MeshArrays:
-    """Return the same arrays, not copied, as a mesh that is known to be sound, with another source."""
+def trusted(
+    mesh: MeshArrays, source: ngsolve.Mesh | OnDemand | None, sound: bool = True
+) -> MeshArrays:
+    """Return the same arrays, not copied, as a mesh that is known to be sound, with another
+    source."""
     result = object.__new__(MeshArrays)
     result.__dict__.update(mesh.__dict__)
     result.__dict__.update(source=source, sound=sound)
@@ -348,20 +423,30 @@ def trusted(mesh: MeshArrays, source: ngsolve.Mesh | OnDemand | None, sound: boo
 
 
 def swept(mesh: MeshArrays) -> MeshArrays:
-    """Return the same sound mesh with its nodes in the order of the longest side of its bounding box, elements in that
-    of their first nodes. Gauss-Seidel takes a fifth more cycles in the order that refinement leaves behind, where new
-    nodes come last, and where bodies come one after the other."""
+    """Return the same sound mesh with its nodes in the order of the longest side of its bounding
+    box, elements in that of their first nodes. Gauss-Seidel takes a fifth more cycles in the order
+    that refinement leaves behind, where new nodes come last, and where bodies come one after the
+    other."""
     order = np.argsort(mesh.points[:, np.argmax(np.ptp(mesh.points, axis=0))], kind="stable")
     number = np.empty(len(order), dtype=np.int32)
     number[order] = np.arange(len(order), dtype=np.int32)
     elements = number[mesh.elements]
     rows = np.argsort(np.min(list(elements.T), axis=0), kind="stable")
-    return sound_by_construction(replace(mesh, points=mesh.points[order], elements=elements[rows],
-                                         facets=number[mesh.facets], element_body=mesh.element_body[rows],
-                                         source=None))
+    return sound_by_construction(
+        replace(
+            mesh,
+            points=mesh.points[order],
+            elements=elements[rows],
+            facets=number[mesh.facets],
+            element_body=mesh.element_body[rows],
+            source=None,
+        )
+    )
 
 
-def sound_by_construction(mesh: MeshArrays, lattices: tuple[tuple[int, ...], ...] = ()) -> MeshArrays:
+def sound_by_construction(
+    mesh: MeshArrays, lattices: tuple[tuple[int, ...], ...] = ()
+) -> MeshArrays:
     """Return the mesh, not checked (it was written down as it must be), with a source on demand."""
     result = trusted(mesh, OnDemand(ngsolve_mesh))
     object.__setattr__(result, "lattices", lattices)
@@ -369,8 +454,8 @@ def sound_by_construction(mesh: MeshArrays, lattices: tuple[tuple[int, ...], ...
 
 
 def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
-    """Return the mesh for NGSolve, with the same numbers of nodes, elements and facets; bodies become materials. It has
-    no geometry, so that it stays straight when it is refined."""
+    """Return the mesh for NGSolve, with the same numbers of nodes, elements and facets; bodies
+    become materials. It has no geometry, so that it stays straight when it is refined."""
     import netgen.meshing
     import ngsolve
 
@@ -378,7 +463,11 @@ def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
     result = netgen.meshing.Mesh(dim=dim)
     result.AddPoints(np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - dim)))))
     for i in range(len(mesh.bodies if dim == 2 else mesh.boundaries)):
-        result.Add(netgen.meshing.FaceDescriptor(surfnr=i + 1, domin=i + 1 if dim == 2 else 1, domout=0, bc=i + 1))
+        result.Add(
+            netgen.meshing.FaceDescriptor(
+                surfnr=i + 1, domin=i + 1 if dim == 2 else 1, domout=0, bc=i + 1
+            )
+        )
     for i, name in enumerate(mesh.bodies):
         result.SetMaterial(i + 1, name)
     if dim == 3:
@@ -386,8 +475,11 @@ def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
         elements = np.ascontiguousarray(elements[:, [0, 1, 3, 2]])
     result.AddElements(dim=dim, index=1, data=elements, base=0)
     result.AddElements(dim=dim - 1, index=1, data=mesh.facets, base=0)
-    volume, surface = ((result.Elements2D(), result.Elements1D()) if dim == 2 else
-                       (result.Elements3D(), result.Elements2D()))
+    volume, surface = (
+        (result.Elements2D(), result.Elements1D())
+        if dim == 2
+        else (result.Elements3D(), result.Elements2D())
+    )
     volume.NumPy()["index"] = mesh.element_body + 1
     surface.NumPy()["index"] = mesh.facet_labels + 1
     for i, name in enumerate(mesh.boundaries):
@@ -402,7 +494,10 @@ MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these a
 MOST_NODES = {2: 2**31 - 1, 3: 2**21 - 1}
 
 #: facet k lies opposite node k; of a positively oriented element its normal (see MeshArrays.facets) points outwards
-OPPOSITE = {2: np.array([[1, 2], [2, 0], [0, 1]]), 3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])}
+OPPOSITE = {
+    2: np.array([[1, 2], [2, 0], [0, 1]]),
+    3: np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,7 +518,8 @@ class FacetTable:
 
 
 def element_facets(elements: np.ndarray) -> np.ndarray:
-    """Return facets (n_elements, dim + 1, dim) of positively oriented elements, outward, facet k opposite node k."""
+    """Return facets (n_elements, dim + 1, dim) of positively oriented elements, outward, facet k
+    opposite node k."""
     return elements[:, OPPOSITE[elements.shape[1] - 1]]
 
 
@@ -466,7 +562,8 @@ def same_orientation(facets: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
-    """Return the connected parts of a mesh: elements of one body that hang together through facets."""
+    """Return the connected parts of a mesh: elements of one body that hang together through
+    facets."""
     inner = table.second >= 0
     a, b = table.first[inner], table.second[inner]
     same = element_body[a] == element_body[b]
@@ -475,9 +572,17 @@ def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
     return connected_components(graph, directed=False)[1]
 
 
-def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, facet_index: np.ndarray,
-               facet_names: Sequence[str], body_index: np.ndarray, body_names: Sequence[str]) -> MeshArrays:
-    """Make MeshArrays of tables as files hold them: orientations set right, facets inside and unused nodes dropped."""
+def normalised(
+    points: np.ndarray,
+    elements: np.ndarray,
+    facets: np.ndarray,
+    facet_index: np.ndarray,
+    facet_names: Sequence[str],
+    body_index: np.ndarray,
+    body_names: Sequence[str],
+) -> MeshArrays:
+    """Make MeshArrays of tables as files hold them: orientations set right, facets inside and
+    unused nodes dropped."""
     facets = np.reshape(facets, (-1, points.shape[1]))
     _check_numbers(points, elements, facets)
     elements = positive(points, elements)
@@ -493,7 +598,9 @@ def normalised(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, fac
     outer = (row >= 0) & (table.counts[row] == 1)
     boundaries, labels = _merged(facet_index[outer], facet_names)
     bodies, element_body = _merged(np.asarray(body_index), body_names)
-    return MeshArrays(points, elements, table.facets[row[outer]], labels, boundaries, element_body, bodies)
+    return MeshArrays(
+        points, elements, table.facets[row[outer]], labels, boundaries, element_body, bodies
+    )
 
 
 def _merged(index: np.ndarray, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:

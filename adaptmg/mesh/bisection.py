@@ -1,27 +1,28 @@
 r"""bisect, refine_near, refined: nested refinement by bisection of marked elements.
 
-The edge between the first two corners of an element is halved at a new node p, the last corner of both children.
-Marked elements are bisected once, or until all their edges are halved (four triangles; at least eight tetrahedra), then
-all that have a halved edge, until none has one. That ends from any conforming mesh: triangles, because only edges of
-the mesh before are halved; tetrahedra, because a face is marked alike from both its sides. On curved boundaries new
-nodes lie on the chord; :func:`adaptmg.mesh.onto_domain` moves them onto the curve.
+The edge between the first two corners of an element is halved at a new node p, the last corner of
+both children. Marked elements are bisected once, or until all their edges are halved (four
+triangles; at least eight tetrahedra), then all that have a halved edge, until none has one. That
+ends from any conforming mesh: triangles, because only edges of the mesh before are halved;
+tetrahedra, because a face is marked alike from both its sides. On curved boundaries new nodes lie
+on the chord; :func:`adaptmg.mesh.onto_domain` moves them onto the curve.
 
 Triangles (a, b, c), newest-vertex bisection: children (c, a, p) and (b, c, p).
 
 Tetrahedra, after D. N. Arnold, A. Mukherjee, L. Pouly (SIAM J. Sci. Comput. 22, 2000,
-doi:10.1137/S1064827597323373). Of each face one edge is marked; of the two that hold the halved edge it is that edge,
-the other two are (1, 2, 3) and (0, 2, 3), whose marks are coded 0, 1, 2: to corner 2, to corner 3, the edge (2, 3).
-A child's edge to be halved next is the mark of the face it inherits; the cut faces are marked opposite p, the new face
-(p, 2, 3) too, unless all marks of the parent lie in one plane and it is flagged: then from p to the next edge. Children
-of an unflagged plane one are flagged. From any tetrahedron this makes a bounded number of similarity classes.
+doi:10.1137/S1064827597323373). Of each face one edge is marked; of the two that hold the halved
+edge it is that edge, the other two are (1, 2, 3) and (0, 2, 3), whose marks are coded 0, 1, 2: to
+corner 2, to corner 3, the edge (2, 3). A child's edge to be halved next is the mark of the face it
+inherits; the cut faces are marked opposite p, the new face (p, 2, 3) too, unless all marks of the
+parent lie in one plane and it is flagged: then from p to the next edge. Children of an unflagged
+plane one are flagged. From any tetrahedron this makes a bounded number of similarity classes.
 
-First labels: the longest edge goes first, of a face as of an element; among edges of one length that with the highest
-node numbers. This is one order of all edges of a mesh.
+First labels: the longest edge goes first, of a face as of an element; among edges of one length
+that with the highest node numbers. This is one order of all edges of a mesh.
 
-Elements are rows of 32 bit integers: corners, the boundary facet opposite each (-1: none), marks, generation, origin.
-Halved edges are found through lists, one for each node: ``nodes[i, HEAD]`` is the first node that halves an edge from i
-to a lower number, ``nodes[p, NEXT]`` the next one.
-"""
+Elements are rows of 32 bit integers: corners, the boundary facet opposite each (-1: none), marks,
+generation, origin. Halved edges are found through lists, one for each node: ``nodes[i, HEAD]`` is
+the first node that halves an edge from i to a lower number, ``nodes[p, NEXT]`` the next one."""
 
 from __future__ import annotations
 
@@ -32,7 +33,14 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.mesh.arrays import MeshArrays, Refinement, element_facets, facet_keys, sound_by_construction, trusted
+from adaptmg.mesh.arrays import (
+    MeshArrays,
+    Refinement,
+    element_facets,
+    facet_keys,
+    sound_by_construction,
+    trusted,
+)
 from adaptmg.mesh.sizes import MAX_NODES
 from adaptmg.mesh.soundness import check_mesh
 
@@ -40,21 +48,35 @@ __all__ = ["bisect", "check_marked", "refine_near"]
 
 # what a flagged element has its marks raised by
 _FLAG = 9
-# columns of the nodes: first and next of the list of edges, and both ends of the edge that a node halves
+# columns of the nodes: first and next of the list of edges, and both ends of the edge that a node
+# halves
 _HEAD, _NEXT, _LOW, _HIGH = range(4)
 #: by number of corners and of the child, and by the mark that becomes its first edge: the order of its corners; p has
 #: the place of corner 1 in the first child and of corner 0 in the second
-_ORDERS = {3: np.array([[[2, 0, 1]], [[1, 2, 0]]]), 4: np.array([[[0, 2, 3, 1], [3, 0, 2, 1], [2, 3, 0, 1]],
-                                                                 [[2, 1, 3, 0], [1, 3, 2, 0], [3, 2, 1, 0]]])}
+_ORDERS = {
+    3: np.array([[[2, 0, 1]], [[1, 2, 0]]]),
+    4: np.array(
+        [[[0, 2, 3, 1], [3, 0, 2, 1], [2, 3, 0, 1]], [[2, 1, 3, 0], [1, 3, 2, 0], [3, 2, 1, 0]]]
+    ),
+}
 #: the same for what the mark of the new face, from p to the next edge, adds to the marks
 _NEW_MARK = np.array([[3, 1, 0], [1, 3, 0]])
 #: by number of corners: pairs of them, and for each as the longest edge an even order of the corners beginning with it
-_PAIRS = {3: np.array([[0, 1], [0, 2], [1, 2]]), 4: np.array([[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]])}
-_TURNS = {3: np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]]), 4: np.array([
-    [0, 1, 2, 3], [0, 2, 3, 1], [1, 2, 0, 3], [0, 3, 1, 2], [1, 3, 2, 0], [2, 3, 0, 1]])}
+_PAIRS = {
+    3: np.array([[0, 1], [0, 2], [1, 2]]),
+    4: np.array([[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]]),
+}
+_TURNS = {
+    3: np.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]]),
+    4: np.array(
+        [[0, 1, 2, 3], [0, 2, 3, 1], [1, 2, 0, 3], [0, 3, 1, 2], [1, 3, 2, 0], [2, 3, 0, 1]]
+    ),
+}
 
 
-def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> tuple[MeshArrays, np.ndarray]:
+def bisect(
+    mesh: MeshArrays, marked: np.ndarray, passes: int | None = None
+) -> tuple[MeshArrays, np.ndarray]:
     """Refine the marked elements.
 
     Parameters
@@ -64,22 +86,23 @@ def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> t
     marked : (n_elements,) array of bool
         The elements to refine; at least one.
     passes : int, optional
-        How often the marked elements are bisected, >= 1: once gives two of each, and adds fewest nodes. By default
-        until all their edges are halved.
+        How often the marked elements are bisected, >= 1: once gives two of each, and adds fewest
+        nodes. By default until all their edges are halved.
 
     Returns
     -------
     fine : MeshArrays
-        Nested in ``mesh``; the old nodes come first and keep their numbers, names and bodies stay. It carries its
-        history (``fine.refinement``), by which further bisection goes on.
+        Nested in ``mesh``; the old nodes come first and keep their numbers, names and bodies stay.
+        It carries its history (``fine.refinement``), by which further bisection goes on.
     parents : (n_fine_nodes, 2) array of int
-        Node i of ``fine`` is the midpoint of nodes ``parents[i]``, both below i (they may be new nodes themselves);
-        of an old node both are i.
+        Node i of ``fine`` is the midpoint of nodes ``parents[i]``, both below i (they may be new
+        nodes themselves); of an old node both are i.
 
     Raises
     ------
     TypeError, ValueError
-        If ``marked`` is not a mask over the elements, or marks none; if ``passes`` is not an integer >= 1.
+        If ``marked`` is not a mask over the elements, or marks none; if ``passes`` is not an
+        integer >= 1.
 
     Examples
     --------
@@ -91,14 +114,17 @@ def bisect(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> t
     marked = check_marked(check_mesh(mesh), marked)
     if not marked.any():
         raise ValueError("marked marks no element: nothing to refine")
-    fine = refined(mesh, marked, None if passes is None else checks.integer("passes", passes, 1)).mesh
+    fine = refined(
+        mesh, marked, None if passes is None else checks.integer("passes", passes, 1)
+    ).mesh
     parents = np.array(fine.refinement.parents, dtype=np.int64)
-    parents[:mesh.n_nodes] = np.arange(mesh.n_nodes)[:, None]
+    parents[: mesh.n_nodes] = np.arange(mesh.n_nodes)[:, None]
     return fine, parents
 
 
 def check_marked(mesh: MeshArrays, marked: np.ndarray) -> np.ndarray:
-    """Return ``marked`` as an array; TypeError or ValueError unless it is a boolean mask over the elements."""
+    """Return ``marked`` as an array; TypeError or ValueError unless it is a boolean mask over the
+    elements."""
     marked = np.asarray(marked)
     if marked.dtype != bool:
         raise TypeError(f"marked must be a boolean mask over the elements, got {marked.dtype}")
@@ -107,7 +133,9 @@ def check_marked(mesh: MeshArrays, marked: np.ndarray) -> np.ndarray:
     return marked
 
 
-def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int = 1) -> list[MeshArrays]:
+def refine_near(
+    mesh: MeshArrays, boundaries: str | Sequence[str], levels: int = 1
+) -> list[MeshArrays]:
     """Refine the elements that touch some boundaries, again and again.
 
     Parameters
@@ -115,7 +143,8 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
     mesh : MeshArrays
         The coarsest mesh.
     boundaries : str or sequence of str
-        Elements with a node on one of these are marked; of several bodies the names are "body.edge".
+        Elements with a node on one of these are marked; of several bodies the names are
+        "body.edge".
     levels : int
         How many times, >= 1.
 
@@ -127,8 +156,8 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
     Raises
     ------
     ValueError
-        On an unknown boundary, ``levels`` < 1, or where more than 5 million nodes (3D: 2 million) are expected:
-        each level doubles the elements at the boundaries (3D: four times).
+        On an unknown boundary, ``levels`` < 1, or where more than 5 million nodes (3D: 2 million)
+        are expected: each level doubles the elements at the boundaries (3D: four times).
 
     Notes
     -----
@@ -141,7 +170,9 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
     3
     """
     levels = checks.integer("levels", levels, 1)
-    names = (boundaries,) if isinstance(boundaries, str) else checks.strings("boundaries", boundaries)
+    names = (
+        (boundaries,) if isinstance(boundaries, str) else checks.strings("boundaries", boundaries)
+    )
     if not names:
         raise ValueError("boundaries must name at least one boundary")
     meshes = [check_mesh(mesh, names)]
@@ -149,8 +180,10 @@ def refine_near(mesh: MeshArrays, boundaries: str | Sequence[str], levels: int =
     # each facet is cut in 2 (3D: 4) a level, and gets about as many new nodes next to it
     expected = facets * (mesh.dim - 1) * 2.0 ** min((mesh.dim - 1) * levels, 1000)
     if mesh.n_nodes + expected > MAX_NODES[mesh.dim]:
-        raise ValueError(f"levels: {levels} bisections along {facets} facets of {', '.join(names)} ask for about "
-                         f"{mesh.n_nodes + expected:.1g} nodes (at most {MAX_NODES[mesh.dim]:.0e}); take fewer levels")
+        raise ValueError(
+            f"levels: {levels} bisections along {facets} facets of {', '.join(names)} ask for about "
+            f"{mesh.n_nodes + expected:.1g} nodes (at most {MAX_NODES[mesh.dim]:.0e}); take fewer levels"
+        )
     for _ in range(levels):
         meshes.append(bisect(meshes[-1], _touching(meshes[-1], names))[0])
     return meshes
@@ -177,7 +210,11 @@ def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> 
     if passes is None:
         return _once(mesh, marked, True)
     result = _once(mesh, marked, False)
-    generation = np.zeros(len(mesh.elements), np.int16) if mesh.refinement is None else mesh.refinement.generation
+    generation = (
+        np.zeros(len(mesh.elements), np.int16)
+        if mesh.refinement is None
+        else mesh.refinement.generation
+    )
     for _ in range(passes - 1):
         late = result.mesh.refinement.generation - generation[result.origin] < passes
         rest = marked[result.origin] & late
@@ -193,18 +230,28 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     n, corners = mesh.elements.shape
     rows, sizes, n_cells = _rows(mesh), np.array([n, mesh.n_nodes]), -1
     # of uniform refinement in 2D: 4 times the elements, 4 times the nodes
-    room = min(1.0, 2.0 * np.count_nonzero(marked) / n) * (2.0 ** mesh.dim if every_edge else 2.0)
+    room = min(1.0, 2.0 * np.count_nonzero(marked) / n) * (2.0**mesh.dim if every_edge else 2.0)
     while n_cells < 0:
         spare = (room * sizes).astype(int) + 16
         cells = np.concatenate([rows, np.empty((spare[0], rows.shape[1]), dtype=np.int32)])
         nodes = np.full((mesh.n_nodes + spare[1], 4), -1, dtype=np.int32)
-        n_cells, n_nodes = _bisected(cells, n, corners, nodes, mesh.n_nodes, marked, every_edge, _ORDERS[corners],
-                                     _NEW_MARK, np.empty(rows.shape[1], dtype=np.int64))
+        n_cells, n_nodes = _bisected(
+            cells,
+            n,
+            corners,
+            nodes,
+            mesh.n_nodes,
+            marked,
+            every_edge,
+            _ORDERS[corners],
+            _NEW_MARK,
+            np.empty(rows.shape[1], dtype=np.int64),
+        )
         room = 2 * room + 0.5
     points = np.empty((n_nodes, mesh.dim))
-    points[:mesh.n_nodes] = mesh.points
+    points[: mesh.n_nodes] = mesh.points
     _halfway(points, mesh.n_nodes, nodes)
-    parents = np.concatenate([_parents(mesh), nodes[mesh.n_nodes:n_nodes, [_LOW, _HIGH]]])
+    parents = np.concatenate([_parents(mesh), nodes[mesh.n_nodes : n_nodes, [_LOW, _HIGH]]])
     # in the order of the elements they come from: neighbours stay near
     cells = cells[np.argsort(cells[:n_cells, -1], kind="stable")]
     return Refined(mesh=_mesh_of(mesh, points, parents, cells), origin=cells[:, -1].copy())
@@ -223,10 +270,15 @@ def _rows(mesh: MeshArrays) -> np.ndarray:
     cells, sides = mesh.elements, _sides(mesh)
     if mesh.refinement is None:
         turn = _TURNS[corners][_longest(mesh.points, cells)]
-        cells, sides = np.take_along_axis(cells, turn, axis=1), np.take_along_axis(sides, turn, axis=1)
+        cells, sides = (
+            np.take_along_axis(cells, turn, axis=1),
+            np.take_along_axis(sides, turn, axis=1),
+        )
         generation = marks = np.zeros(n, dtype=np.int32)
         if corners == 4:
-            marks = 3 * _longest(mesh.points, cells[:, 1:]) + _longest(mesh.points, cells[:, [0, 2, 3]])
+            marks = 3 * _longest(mesh.points, cells[:, 1:]) + _longest(
+                mesh.points, cells[:, [0, 2, 3]]
+            )
     else:
         marks, generation = mesh.refinement.marks, mesh.refinement.generation
     return np.column_stack([cells, sides, marks, generation, np.arange(n)]).astype(np.int32)
@@ -264,7 +316,9 @@ def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return longest
 
 
-def _mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray) -> MeshArrays:
+def _mesh_of(
+    before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray
+) -> MeshArrays:
     """The mesh that rows hold, with the boundaries and bodies of the mesh they come from."""
     corners = before.dim + 1
     marks = 2 * corners
@@ -274,9 +328,18 @@ def _mesh_of(before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells:
     origin = cells[row, corners + side]
     order = np.argsort(origin, kind="stable")
     facets, origin = cells[row[:, None], opposite[side]][order], origin[order]
-    mesh = MeshArrays(points, cells[:, :corners], facets, before.facet_labels[origin], before.boundaries,
-                      before.element_body[cells[:, -1]], before.bodies)
-    history = Refinement(parents, cells[:, marks].astype(np.int8), cells[:, marks + 1].astype(np.int16))
+    mesh = MeshArrays(
+        points,
+        cells[:, :corners],
+        facets,
+        before.facet_labels[origin],
+        before.boundaries,
+        before.element_body[cells[:, -1]],
+        before.bodies,
+    )
+    history = Refinement(
+        parents, cells[:, marks].astype(np.int8), cells[:, marks + 1].astype(np.int16)
+    )
     return with_refinement(sound_by_construction(mesh), history)
 
 
@@ -299,7 +362,8 @@ def _midpoint_of(nodes, a, b):
 
 @inner_kernel
 def _halve(nodes, n_nodes, a, b):
-    """The node that halves the edge (a, b), entered in the next row if it is new, and the number of nodes."""
+    """The node that halves the edge (a, b), entered in the next row if it is new, and the number of
+    nodes."""
     p = np.int64(_midpoint_of(nodes, a, b))
     if p < 0:
         p = n_nodes
@@ -341,8 +405,8 @@ def _write_children(cells, e, n, corners, p, orders, new_mark, old):
 
 @kernel
 def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, orders, new_mark, old):
-    """Bisect the marked elements and what conformity asks for; returns the numbers of elements and nodes, -1 where the
-    tables have too few rows."""
+    """Bisect the marked elements and what conformity asks for; returns the numbers of elements and
+    nodes, -1 where the tables have too few rows."""
     most = corners if every_edge else 2
     for e in range(n_cells):
         for i in range(1, most if marked[e] else 0):
@@ -351,7 +415,8 @@ def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, order
                     return -1, -1
                 _, n_nodes = _halve(nodes, n_nodes, cells[e, i], cells[e, j])
     before = 0
-    # a round in which no edge is halved is the last: closures of these bisections are finite (Maubach, 1995)
+    # a round in which no edge is halved is the last: closures of these bisections are finite
+    # (Maubach, 1995)
     while n_nodes > before:
         before, e = n_nodes, 0
         while e < n_cells:  # children come last, and their closure is finite

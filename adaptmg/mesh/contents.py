@@ -1,9 +1,10 @@
-"""Contents: what a mesh file holds, in the form that all readers hand over; made into a checked mesh here.
+"""Contents: what a mesh file holds, in the form that all readers hand over; made into a checked
+mesh here.
 
-Cells are cut into simplices (:mod:`adaptmg.mesh.shapes`). Boundaries come from sets of faces, and from sets of nodes
-that hold whole facets of the boundary. A facet has one name: sets of faces come before sets of nodes, small ones before
-large ones, unless the caller gives the order. A body is one piece, called after the smallest set of cells that holds
-all of it; pieces of one name are numbered.
+Cells are cut into simplices (:mod:`adaptmg.mesh.shapes`). Boundaries come from sets of faces, and
+from sets of nodes that hold whole facets of the boundary. A facet has one name: sets of faces come
+before sets of nodes, small ones before large ones, unless the caller gives the order. A body is one
+piece, called after the smallest set of cells that holds all of it; pieces of one name are numbered.
 """
 
 from __future__ import annotations
@@ -15,7 +16,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import FacetTable, MeshArrays, components, facet_keys, facet_table, normalised, signed_measures
+from adaptmg.mesh.arrays import (
+    FacetTable,
+    MeshArrays,
+    components,
+    facet_keys,
+    facet_table,
+    normalised,
+    signed_measures,
+)
 from adaptmg.mesh.shapes import KINDS, around_centres, cut_note, dimension, middles, simplices
 from adaptmg.mesh.soundness import check_stranger
 from adaptmg.mesh.structured import merged
@@ -29,31 +38,56 @@ class Contents:
 
     points: np.ndarray  # (n, 3): in the unit of the file
     cells: list[tuple[str, np.ndarray]]  # kind and nodes (m, k) of blocks of any dimension
-    sets: dict[str, list[tuple[int, np.ndarray]]] = field(default_factory=dict)  # blocks, and rows of them
+    sets: dict[str, list[tuple[int, np.ndarray]]] = field(
+        default_factory=dict
+    )  # blocks, and rows of them
     node_sets: dict[str, np.ndarray] = field(default_factory=dict)
     bodies: Sequence[str] | None = None  # the sets whose cells are different bodies; None: all sets
-    surfaces: set[str] = field(default_factory=set)  # those sets of nodes that come before the others
+    surfaces: set[str] = field(
+        default_factory=set
+    )  # those sets of nodes that come before the others
     notes: list[str] = field(default_factory=list)
 
 
-def mesh_of(contents: Contents, *, unit: float, unnamed: str, split_bodies: bool,
-            boundaries: Sequence[str] | None, body: str | None) -> tuple[MeshArrays, np.ndarray]:
-    """Return the checked mesh, and the midpoints (n, dim), m, of boundary facets that no name of the file holds."""
+def mesh_of(
+    contents: Contents,
+    *,
+    unit: float,
+    unnamed: str,
+    split_bodies: bool,
+    boundaries: Sequence[str] | None,
+    body: str | None,
+) -> tuple[MeshArrays, np.ndarray]:
+    """Return the checked mesh, and the midpoints (n, dim), m, of boundary facets that no name of
+    the file holds."""
     _check(contents)
     points, elements, block, cell, notes = _cut(contents)
     points, table = unit * points, facet_table(elements, len(points))
-    sets = {} if body is not None else {
-        name: np.any([(block == k) & np.isin(cell, rows) for k, rows in members], axis=0)
-        for name, members in contents.sets.items() if any(len(rows) and (block == k).any() for k, rows in members)}
+    sets = (
+        {}
+        if body is not None
+        else {
+            name: np.any([(block == k) & np.isin(cell, rows) for k, rows in members], axis=0)
+            for name, members in contents.sets.items()
+            if any(len(rows) and (block == k).any() for k, rows in members)
+        }
+    )
     parts = _pieces(len(elements), table, sets, contents.bodies)
     names, split_notes = _names(parts, sets, body or "body", split_bodies)
-    facets, label, named, overlaps = _labelled(len(points), elements, table, parts, contents, boundaries)
+    facets, label, named, overlaps = _labelled(
+        len(points), elements, table, parts, contents, boundaries
+    )
     for name in (*names, *(named[k - 1] for k in np.unique(label))):
         checks.boundary_name("the name of a boundary or body", name)
     if split_bodies:
-        made = {name: _completed(points, elements[parts == k], facets, label, [unnamed, *named], [name])
-                for k, name in enumerate(names)}
-        mesh, rest = merged({name: one for name, (one, _) in made.items()}), [rest for _, rest in made.values()]
+        made = {
+            name: _completed(points, elements[parts == k], facets, label, [unnamed, *named], [name])
+            for k, name in enumerate(names)
+        }
+        mesh, rest = (
+            merged({name: one for name, (one, _) in made.items()}),
+            [rest for _, rest in made.values()],
+        )
     else:
         mesh, *rest = _completed(points, elements, facets, label, [unnamed, *named], names, parts)
     object.__setattr__(mesh, "notes", tuple(notes + split_notes + contents.notes + overlaps))
@@ -62,21 +96,28 @@ def mesh_of(contents: Contents, *, unit: float, unnamed: str, split_bodies: bool
 
 def _check(contents: Contents) -> None:
     """ValueError unless all kinds of cells are known, and all nodes exist."""
-    if other := sorted({kind for kind, nodes in contents.cells if len(nodes) and kind not in KINDS}):
-        raise ValueError(f"it holds {', '.join(other)}; elements must be {', '.join(list(KINDS)[2:])}")
+    if other := sorted(
+        {kind for kind, nodes in contents.cells if len(nodes) and kind not in KINDS}
+    ):
+        raise ValueError(
+            f"it holds {', '.join(other)}; elements must be {', '.join(list(KINDS)[2:])}"
+        )
     for nodes in (*(nodes for _, nodes in contents.cells), *contents.node_sets.values()):
         if len(nodes) and not 0 <= nodes.min() <= nodes.max() < len(contents.points):
             raise ValueError("elements or sets name nodes that it does not hold")
 
 
 def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[str]]:
-    """Points, and the simplices of the cells of the largest dimension; block and row of each; what was cut."""
+    """Points, and the simplices of the cells of the largest dimension; block and row of each; what
+    was cut."""
     kinds = {kind for kind, nodes in contents.cells if len(nodes)}
     dim = max(map(dimension, kinds), default=0)
     if dim < 2:
-        raise ValueError(f"it holds {', '.join(sorted(kinds)) or 'no elements'}, but neither triangles and "
-                         "quadrilaterals nor tetrahedra and other solids (Gmsh saves only what is in a physical group: "
-                         "add a Physical Surface or Volume)")
+        raise ValueError(
+            f"it holds {', '.join(sorted(kinds)) or 'no elements'}, but neither triangles and "
+            "quadrilaterals nor tetrahedra and other solids (Gmsh saves only what is in a physical group: "
+            "add a Physical Surface or Volume)"
+        )
     points, counts, parts = contents.points, {}, []
     for k, (kind, nodes) in enumerate(contents.cells):
         if len(nodes) and dimension(kind) == dim:
@@ -86,14 +127,19 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
                 whole = ~np.isin(owner, bad)
                 again, whose = around_centres(kind, nodes[bad], len(points))
                 points = np.concatenate([points, points[nodes[bad]].mean(axis=1)])
-                cells, owner = np.concatenate([cells[whole], again]), np.concatenate([owner[whole], bad[whose]])
+                cells, owner = (
+                    np.concatenate([cells[whole], again]),
+                    np.concatenate([owner[whole], bad[whose]]),
+                )
             parts.append((cells, np.full(len(cells), k), owner))
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
     elements, block, cell = map(np.concatenate, zip(*parts, strict=True))
     used = points[np.unique(elements)]
     if dim == 2 and np.ptp(used[:, 2]) > _FLAT * np.ptp(used[:, :2], axis=0).max():
-        raise ValueError("it holds plane elements only, but they are not in a plane z = constant: z runs from "
-                         f"{used[:, 2].min():.6g} to {used[:, 2].max():.6g}; a body in space needs solid elements")
+        raise ValueError(
+            "it holds plane elements only, but they are not in a plane z = constant: z runs from "
+            f"{used[:, 2].min():.6g} to {used[:, 2].max():.6g}; a body in space needs solid elements"
+        )
     notes = [cut_note(kind, np.concatenate(own)) for kind, own in counts.items()]
     return points[:, :dim], elements, block, cell, list(filter(None, notes))
 
@@ -105,7 +151,9 @@ def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: in
     return np.unique(owner[sizes * np.sign(whole[owner]) <= 1e-9 * np.abs(whole[owner])])
 
 
-def _pieces(n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequence[str] | None) -> np.ndarray:
+def _pieces(
+    n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequence[str] | None
+) -> np.ndarray:
     """The number of the piece of each element, in the order of their first elements."""
     own = np.zeros(n, dtype=np.int64)
     for k, name in enumerate(name for name in sets if bodies is None or name in bodies):
@@ -115,21 +163,31 @@ def _pieces(n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequ
     return np.argsort(np.argsort(first))[part]
 
 
-def _names(parts: np.ndarray, sets: dict[str, np.ndarray], unnamed: str, split: bool) -> tuple[list[str], list[str]]:
+def _names(
+    parts: np.ndarray, sets: dict[str, np.ndarray], unnamed: str, split: bool
+) -> tuple[list[str], list[str]]:
     """The name of each piece, and what is to be said of them."""
     sizes = np.bincount(parts)
     called, least = [unnamed] * len(sizes), np.full(len(sizes), len(parts) + 1)
     for name, inside in sets.items():
         count = np.count_nonzero(inside)
-        for k in np.flatnonzero((np.bincount(parts[inside], minlength=len(sizes)) == sizes) & (count < least)):
+        for k in np.flatnonzero(
+            (np.bincount(parts[inside], minlength=len(sizes)) == sizes) & (count < least)
+        ):
             called[k], least[k] = name.replace(".", "_") if split else name, count
     names, count = [], Counter()
     for name in called:
         count[name] += 1
         names.append(f"{name}_{count[name]}" if count[name] > 1 else name)
     if len(set(names)) < len(names):
-        raise ValueError(f"bodies are called {_some(called)}, and their pieces alike; give the bodies other names")
-    return names, [f"body {name!r} has {n} pieces, called {name}, {name}_2, ..." for name, n in count.items() if n > 1]
+        raise ValueError(
+            f"bodies are called {_some(called)}, and their pieces alike; give the bodies other names"
+        )
+    return names, [
+        f"body {name!r} has {n} pieces, called {name}, {name}_2, ..."
+        for name, n in count.items()
+        if n > 1
+    ]
 
 
 def _some(names: Sequence[str]) -> str:
@@ -137,17 +195,27 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (f", ... ({len(names)})" if len(names) > 6 else "")
 
 
-def _labelled(n: int, elements: np.ndarray, table: FacetTable, parts: np.ndarray, contents: Contents,
-              boundaries: Sequence[str] | None) -> tuple[np.ndarray, np.ndarray, list[str], list[str]]:
-    """The facets that have names, of the boundary and between bodies; their labels from 1 on; names, and notes."""
+def _labelled(
+    n: int,
+    elements: np.ndarray,
+    table: FacetTable,
+    parts: np.ndarray,
+    contents: Contents,
+    boundaries: Sequence[str] | None,
+) -> tuple[np.ndarray, np.ndarray, list[str], list[str]]:
+    """The facets that have names, of the boundary and between bodies; their labels from 1 on;
+    names, and notes."""
     dim = table.facets.shape[1]
     rim = (table.counts == 1) | (parts[table.first] != parts[table.second])
     keys, facets = table.keys[rim], table.facets[rim]
     facets_of: dict[str, np.ndarray] = {}
     notes: list[str] = []
     for name, members in contents.sets.items():
-        faces = [(kind, nodes[rows]) for (kind, nodes), rows in ((contents.cells[k], rows) for k, rows in members)
-                 if dimension(kind) == dim - 1 and len(rows)]
+        faces = [
+            (kind, nodes[rows])
+            for (kind, nodes), rows in ((contents.cells[k], rows) for k, rows in members)
+            if dimension(kind) == dim - 1 and len(rows)
+        ]
         if faces:
             own = np.concatenate([simplices(kind, nodes)[0] for kind, nodes in faces])
             facets_of[name] = np.flatnonzero(np.isin(keys, facet_keys(own, n)))
@@ -163,21 +231,30 @@ def _labelled(n: int, elements: np.ndarray, table: FacetTable, parts: np.ndarray
             notes.append(f"set of all nodes, which is not taken for a boundary: {name!r}")
         else:
             facets_of.setdefault(name, np.flatnonzero(inside[facets].all(axis=1)))
-    order = list(boundaries) if boundaries is not None else sorted(
-        facets_of, key=lambda name: (name not in first, len(facets_of[name])))
+    order = (
+        list(boundaries)
+        if boundaries is not None
+        else sorted(facets_of, key=lambda name: (name not in first, len(facets_of[name])))
+    )
     if unknown := [name for name in order if name not in facets_of]:
-        raise ValueError(f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds "
-                         f"{_some(list(facets_of))}")
+        raise ValueError(
+            f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds "
+            f"{_some(list(facets_of))}"
+        )
     names, label = list(facets_of), np.zeros(len(keys), dtype=np.int64)
     for name in order:
         free = label[facets_of[name]] == 0
         label[facets_of[name][free]] = names.index(name) + 1
         if len(free) and not free.all() and (boundaries is not None or free.any()):
-            notes.append(f"{name!r}: {np.count_nonzero(~free)} of {len(free)} facets belong to another name before it; "
-                         "boundaries= sets the order")
+            notes.append(
+                f"{name!r}: {np.count_nonzero(~free)} of {len(free)} facets belong to another name before it; "
+                "boundaries= sets the order"
+            )
     used = set(label.tolist())
     if empty := [name for name in order if names.index(name) + 1 not in used]:
-        notes.append(f"sets that name no facet of the boundary, or only facets of other names: {_some(empty)}")
+        notes.append(
+            f"sets that name no facet of the boundary, or only facets of other names: {_some(empty)}"
+        )
     return facets[label > 0], label[label > 0], names, notes
 
 
@@ -190,12 +267,27 @@ def _between(contents: Contents) -> list[np.ndarray]:
     return [np.unique(np.concatenate(parts), axis=0) for parts in rows.values()]
 
 
-def _completed(points: np.ndarray, elements: np.ndarray, facets: np.ndarray, label: np.ndarray, boundaries: list[str],
-               bodies: list[str], parts: np.ndarray | None = None) -> tuple[MeshArrays, np.ndarray]:
+def _completed(
+    points: np.ndarray,
+    elements: np.ndarray,
+    facets: np.ndarray,
+    label: np.ndarray,
+    boundaries: list[str],
+    bodies: list[str],
+    parts: np.ndarray | None = None,
+) -> tuple[MeshArrays, np.ndarray]:
     """The checked mesh, with the first name for facets that have none, and midpoints of these."""
     table = facet_table(elements, len(points))
     rest = table.facets[(table.counts == 1) & ~np.isin(table.keys, facet_keys(facets, len(points)))]
-    mesh = check_stranger(normalised(points, elements, np.concatenate([facets, rest]),
-                                     np.concatenate([label, np.zeros(len(rest), dtype=np.int64)]), boundaries,
-                                     np.zeros(len(elements), dtype=np.int64) if parts is None else parts, bodies))
+    mesh = check_stranger(
+        normalised(
+            points,
+            elements,
+            np.concatenate([facets, rest]),
+            np.concatenate([label, np.zeros(len(rest), dtype=np.int64)]),
+            boundaries,
+            np.zeros(len(elements), dtype=np.int64) if parts is None else parts,
+            bodies,
+        )
+    )
     return mesh, points[rest].mean(axis=1)

@@ -1,10 +1,11 @@
-"""Input decks of Abaqus and CalculiX (.inp): meshes with their sets and surfaces, as the Contents of a mesh.
+"""Input decks of Abaqus and CalculiX (.inp): meshes with their sets and surfaces, as the Contents
+of a mesh.
 
-A deck is blocks of a keyword line ``*KEYWORD, PARAMETER=VALUE`` and data lines; ``**`` begins a comment, capitals do
-not matter. Boundaries are surfaces, sets of nodes that hold whole facets, and sets of elements one dimension below the
-others (shells around solids). Bodies are pieces that hang together and have one section. Elastic constants, friction
-and contact pairs become notes; loads, supports and steps are not read, nor are parts and instances.
-"""
+A deck is blocks of a keyword line ``*KEYWORD, PARAMETER=VALUE`` and data lines; ``**`` begins a
+comment, capitals do not matter. Boundaries are surfaces, sets of nodes that hold whole facets, and
+sets of elements one dimension below the others (shells around solids). Bodies are pieces that hang
+together and have one section. Elastic constants, friction and contact pairs become notes; loads,
+supports and steps are not read, nor are parts and instances."""
 
 from __future__ import annotations
 
@@ -21,20 +22,53 @@ from adaptmg.mesh.shapes import KINDS, dimension, facets_of, kind_of
 
 #: beginnings of the names of element types, and shapes by the number of nodes that follows
 _TYPES = (
-    (re.compile(r"(?:D|AC|Q)?C3D(\d+)"), {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra",
-                                          13: "pyramid", 15: "wedge", 20: "hexahedron", 27: "hexahedron"}),
-    (re.compile(r"(?:CPE|CPS|CPEG|CAX|CGAX|DC2D|DCAX|AC2D|ACAX|S|STRI|DS|M3D|SFM3D|R3D)(\d+)"),
-     {3: "triangle", 4: "quad", 6: "triangle", 65: "triangle", 8: "quad", 9: "quad"}),
+    (
+        re.compile(r"(?:D|AC|Q)?C3D(\d+)"),
+        {
+            4: "tetra",
+            5: "pyramid",
+            6: "wedge",
+            8: "hexahedron",
+            10: "tetra",
+            13: "pyramid",
+            15: "wedge",
+            20: "hexahedron",
+            27: "hexahedron",
+        },
+    ),
+    (
+        re.compile(r"(?:CPE|CPS|CPEG|CAX|CGAX|DC2D|DCAX|AC2D|ACAX|S|STRI|DS|M3D|SFM3D|R3D)(\d+)"),
+        {3: "triangle", 4: "quad", 6: "triangle", 65: "triangle", 8: "quad", 9: "quad"},
+    ),
     (re.compile(r"(?:T2D|T3D|R2D|RAX)(\d)"), {2: "line", 3: "line"}),
 )
 #: Abaqus' 27-node brick has its centre before the centres of its faces, these in their own order
 _BRICK_27 = (*range(20), 26, 24, 25, 22, 21, 23, 20)
-_REFUSED = dict.fromkeys(("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"),
-                         "nodes and elements that the solver generates or moves are not read; write them out")
-_REFUSED |= dict.fromkeys(("PART", "INSTANCE", "ASSEMBLY"), "a deck of parts is not read; write it without parts and "
-                          "instances (Abaqus/CAE: attributes of the model, 'Do not use parts and assemblies')")
-_NOT_READ = ("BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TIE", "EQUATION", "MPC", "RIGID BODY", "COUPLING", "TRANSFORM",
-             "PRE-TENSION SECTION", "TEMPERATURE", "CLEARANCE", "CONTACT INTERFERENCE")
+_REFUSED = dict.fromkeys(
+    ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"),
+    "nodes and elements that the solver generates or moves are not read; write them out",
+)
+_REFUSED |= dict.fromkeys(
+    ("PART", "INSTANCE", "ASSEMBLY"),
+    "a deck of parts is not read; write it without parts and "
+    "instances (Abaqus/CAE: attributes of the model, 'Do not use parts and assemblies')",
+)
+_NOT_READ = (
+    "BOUNDARY",
+    "CLOAD",
+    "DLOAD",
+    "DSLOAD",
+    "TIE",
+    "EQUATION",
+    "MPC",
+    "RIGID BODY",
+    "COUPLING",
+    "TRANSFORM",
+    "PRE-TENSION SECTION",
+    "TEMPERATURE",
+    "CLEARANCE",
+    "CONTACT INTERFERENCE",
+)
 _MOST_FILES, _MOST_NUMBER, _MOST_GENERATED = 100, 10**12, 10**7
 
 
@@ -57,9 +91,13 @@ class _Deck:
 
     def __init__(self) -> None:
         self.numbers, self.points = [np.empty(0, dtype=np.int64)], [np.empty((0, 3))]
-        self.elements: list[tuple[str, np.ndarray, np.ndarray, str]] = []  # type, numbers, nodes, set
+        self.elements: list[
+            tuple[str, np.ndarray, np.ndarray, str]
+        ] = []  # type, numbers, nodes, set
         self.sets: dict[str, dict[str, list[np.ndarray]]] = {"NSET": {}, "ELSET": {}}
-        self.surfaces: dict[str, list[tuple[np.ndarray, int]]] = {}  # elements, and their facet (0: all)
+        self.surfaces: dict[
+            str, list[tuple[np.ndarray, int]]
+        ] = {}  # elements, and their facet (0: all)
         self.sections: list[str] = []
         self.nodal: set[str] = set()
         self.notes: list[str] = []
@@ -84,7 +122,9 @@ class _Deck:
                 self._parameters(block, line.split(",")[1:])
                 unfinished = line.endswith(",")
             elif block is None:
-                raise ValueError(f"line {number}: data before the first keyword; a deck begins with a line *KEYWORD")
+                raise ValueError(
+                    f"line {number}: data before the first keyword; a deck begins with a line *KEYWORD"
+                )
             elif unfinished and "=" in line and not block.data:
                 self._parameters(block, line.split(","))
                 unfinished = line.endswith(",")
@@ -103,8 +143,11 @@ class _Deck:
         if block is None:
             return
         try:
-            if refusal := _REFUSED.get("SYSTEM" if block.keyword == "NODE" and "SYSTEM" in block.parameters
-                                       else block.keyword):
+            if refusal := _REFUSED.get(
+                "SYSTEM"
+                if block.keyword == "NODE" and "SYSTEM" in block.parameters
+                else block.keyword
+            ):
                 raise ValueError(refusal)
             if block.keyword == "INCLUDE":
                 self.read_file(path.parent / block.parameters.get("INPUT", ""))
@@ -127,7 +170,9 @@ class _Deck:
         return np.concatenate(self.sets[kind][name])
 
     def _nodes(self, block: _Block) -> None:
-        table = np.array([([_number(word) for word in row[:4]] + [0.0] * 3)[:4] for row in block.rows()]).reshape(-1, 4)
+        table = np.array(
+            [([_number(word) for word in row[:4]] + [0.0] * 3)[:4] for row in block.rows()]
+        ).reshape(-1, 4)
         self.numbers.append(_counted(table[:, 0]))
         self.points.append(table[:, 1:])
         if name := block.parameters.get("NSET"):
@@ -144,19 +189,25 @@ class _Deck:
             else:
                 rows.append(words)
         if rows and len(rows[-1]) < width:
-            raise ValueError(f"an element of type {kind} has a number and {width - 1} nodes, element {rows[-1][:1]} "
-                             f"has {len(rows[-1]) - 1}")
+            raise ValueError(
+                f"an element of type {kind} has a number and {width - 1} nodes, element {rows[-1][:1]} "
+                f"has {len(rows[-1]) - 1}"
+            )
         table = _counted(np.array([row[:width] for row in rows], dtype=np.int64).reshape(-1, width))
         self.elements.append((kind, table[:, 0], table[:, 1:], name))
         if name:
             self.sets["ELSET"].setdefault(name, []).append(table[:, 0])
 
     def _set(self, block: _Block) -> None:
-        members = self.sets[block.keyword].setdefault(block.parameters.get(block.keyword, ""), [_counted(np.empty(0))])
+        members = self.sets[block.keyword].setdefault(
+            block.parameters.get(block.keyword, ""), [_counted(np.empty(0))]
+        )
         for row in block.rows():
             words = [word for word in row if word]
             if "GENERATE" in block.parameters and words:
-                first, last, step = _counted(np.array([int(word) for word in [*words, "1"][:3]])).tolist()
+                first, last, step = _counted(
+                    np.array([int(word) for word in [*words, "1"][:3]])
+                ).tolist()
                 if step < 1 or last - first > step * _MOST_GENERATED:
                     raise ValueError(f"numbers {first} to {last} by {step} cannot be generated")
                 members.append(np.arange(first, last + 1, step))
@@ -164,7 +215,10 @@ class _Deck:
                 members += [self._members(block.keyword, word) for word in words]
 
     def _surface(self, block: _Block) -> None:
-        name, nodal = block.parameters.get("NAME", ""), block.parameters.get("TYPE", "ELEMENT") == "NODE"
+        name, nodal = (
+            block.parameters.get("NAME", ""),
+            block.parameters.get("TYPE", "ELEMENT") == "NODE",
+        )
         for word, *rest in block.rows():
             facet = re.fullmatch(r"[SE](\d)|SPOS|SNEG|", "" if nodal else "".join(rest[:1]).upper())
             if facet is None:
@@ -173,28 +227,39 @@ class _Deck:
                 self.nodal.add(self._spelt(name))
                 self.sets["NSET"].setdefault(name, []).append(self._members("NSET", word))
             else:
-                self.surfaces.setdefault(name, []).append((self._members("ELSET", word), int(facet[1] or 0)))
+                self.surfaces.setdefault(name, []).append(
+                    (self._members("ELSET", word), int(facet[1] or 0))
+                )
 
     def _section(self, block: _Block) -> None:
         self.sections.append(block.parameters.get("ELSET", ""))
-        self.notes.append(f"section {self._spelt(self.sections[-1])!r}: material "
-                          f"{self._spelt(block.parameters.get('MATERIAL', ''))!r}")
+        self.notes.append(
+            f"section {self._spelt(self.sections[-1])!r}: material "
+            f"{self._spelt(block.parameters.get('MATERIAL', ''))!r}"
+        )
 
     def _named(self, block: _Block) -> None:
-        setattr(self, "material" if block.keyword == "MATERIAL" else "interaction",
-                self._spelt(block.parameters.get("NAME", "")))
+        setattr(
+            self,
+            "material" if block.keyword == "MATERIAL" else "interaction",
+            self._spelt(block.parameters.get("NAME", "")),
+        )
 
     def _constants(self, block: _Block) -> None:
         words = [word for word in next(block.rows(), []) if word]
         if block.keyword == "FRICTION":
             self.notes.append(f"friction {', '.join(words[:1])} of {self.interaction!r}")
         else:
-            self.notes.append(f"material {self.material!r}: elastic constants {', '.join(words)} in the units of the "
-                              "file")
+            self.notes.append(
+                f"material {self.material!r}: elastic constants {', '.join(words)} in the units of the "
+                "file"
+            )
 
     def _pair(self, block: _Block) -> None:
         for row in block.rows():
-            self.notes.append(f"contact pair: {', '.join(map(self._spelt, map(str.upper, row[:2])))}")
+            self.notes.append(
+                f"contact pair: {', '.join(map(self._spelt, map(str.upper, row[:2])))}"
+            )
 
     def _spelt(self, name: str) -> str:
         return self.spelling.get(name, name)
@@ -204,10 +269,21 @@ class _Deck:
         # a node that comes again is moved
         numbers, last = np.unique(np.concatenate(self.numbers)[::-1], return_index=True)
         points = np.concatenate(self.points)[::-1][last]
-        blocks = [(_kind(kind), elements, _rows(nodes, numbers)) for kind, elements, nodes, _ in self.elements
-                  if _kind(kind)]
-        used, left = (sorted({kind or "without a type" for kind, *_ in self.elements if (_kind(kind) is None) == other})
-                      for other in (False, True))
+        blocks = [
+            (_kind(kind), elements, _rows(nodes, numbers))
+            for kind, elements, nodes, _ in self.elements
+            if _kind(kind)
+        ]
+        used, left = (
+            sorted(
+                {
+                    kind or "without a type"
+                    for kind, *_ in self.elements
+                    if (_kind(kind) is None) == other
+                }
+            )
+            for other in (False, True)
+        )
         notes = [f"elements of the types {', '.join(used)}", *self.notes]
         if left:
             notes.append(f"left out: elements of the types {', '.join(left)}")
@@ -215,28 +291,53 @@ class _Deck:
             notes.append(f"not read: {', '.join(self.not_read)}")
         dim = max((dimension(kind) for kind, *_ in blocks), default=0)
         if dim < 2:
-            raise ValueError(f"it holds elements of the types {', '.join(used + left) or 'none'}; solid or plane ones "
-                             "are needed (C3D8, C3D10, CPE4, CPS6, CAX8, ...)")
-        contents = Contents(points, [(kind, nodes) for kind, _, nodes in blocks], notes=notes, surfaces=self.nodal,
-                            bodies=[self._spelt(name) for name in self.sections or [own for *_, own in self.elements]])
+            raise ValueError(
+                f"it holds elements of the types {', '.join(used + left) or 'none'}; solid or plane ones "
+                "are needed (C3D8, C3D10, CPE4, CPS6, CAX8, ...)"
+            )
+        contents = Contents(
+            points,
+            [(kind, nodes) for kind, _, nodes in blocks],
+            notes=notes,
+            surfaces=self.nodal,
+            bodies=[
+                self._spelt(name) for name in self.sections or [own for *_, own in self.elements]
+            ],
+        )
         for name, members in self.sets["ELSET"].items():
-            contents.sets[self._spelt(name)] = [(k, np.flatnonzero(np.isin(elements, np.concatenate(members))))
-                                                for k, (_, elements, _) in enumerate(blocks)]
+            contents.sets[self._spelt(name)] = [
+                (k, np.flatnonzero(np.isin(elements, np.concatenate(members))))
+                for k, (_, elements, _) in enumerate(blocks)
+            ]
         for name, members in self.sets["NSET"].items():
-            contents.node_sets[self._spelt(name)] = np.flatnonzero(np.isin(numbers, np.concatenate(members)))
+            contents.node_sets[self._spelt(name)] = np.flatnonzero(
+                np.isin(numbers, np.concatenate(members))
+            )
         solid = [block for block in blocks if dimension(block[0]) == dim]
         for name, members in self.surfaces.items():
             faces = [face for own, facet in members for face in _faces(solid, own, facet)]
             rows = contents.sets.setdefault(self._spelt(name), [])
-            rows += [(len(contents.cells) + k, np.arange(len(nodes))) for k, (_, nodes) in enumerate(faces)]
+            rows += [
+                (len(contents.cells) + k, np.arange(len(nodes)))
+                for k, (_, nodes) in enumerate(faces)
+            ]
             contents.cells += faces
         return contents
 
 
-_READERS = {"NODE": _Deck._nodes, "ELEMENT": _Deck._elements, "NSET": _Deck._set, "ELSET": _Deck._set,
-            "SURFACE": _Deck._surface, "SOLID SECTION": _Deck._section, "MATERIAL": _Deck._named,
-            "SURFACE INTERACTION": _Deck._named, "ELASTIC": _Deck._constants, "FRICTION": _Deck._constants,
-            "CONTACT PAIR": _Deck._pair}
+_READERS = {
+    "NODE": _Deck._nodes,
+    "ELEMENT": _Deck._elements,
+    "NSET": _Deck._set,
+    "ELSET": _Deck._set,
+    "SURFACE": _Deck._surface,
+    "SOLID SECTION": _Deck._section,
+    "MATERIAL": _Deck._named,
+    "SURFACE INTERACTION": _Deck._named,
+    "ELASTIC": _Deck._constants,
+    "FRICTION": _Deck._constants,
+    "CONTACT PAIR": _Deck._pair,
+}
 
 
 def read_deck(path: Path) -> Contents:
@@ -275,14 +376,19 @@ def _rows(nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     return row[:, _BRICK_27] if row.shape[1] == 27 else row
 
 
-def _faces(solid: list[tuple[str, np.ndarray, np.ndarray]], members: np.ndarray, facet: int
-           ) -> Iterator[tuple[str, np.ndarray]]:
+def _faces(
+    solid: list[tuple[str, np.ndarray, np.ndarray]], members: np.ndarray, facet: int
+) -> Iterator[tuple[str, np.ndarray]]:
     """Kinds and nodes of a facet of some elements, of all their facets where it is 0."""
     for kind, elements, nodes in solid:
         rows = nodes[np.isin(elements, members)]
         facets = facets_of(kind)
         if len(rows) and facet > len(facets):
-            raise ValueError(f"a surface names the face S{facet} of {KINDS[kind][1]}-node elements, which have "
-                             f"{len(facets)}")
-        for one, local in (facets if facet == 0 else facets[facet - 1:facet]) if len(rows) else ():
+            raise ValueError(
+                f"a surface names the face S{facet} of {KINDS[kind][1]}-node elements, which have "
+                f"{len(facets)}"
+            )
+        for one, local in (
+            (facets if facet == 0 else facets[facet - 1 : facet]) if len(rows) else ()
+        ):
             yield one, rows[:, local]

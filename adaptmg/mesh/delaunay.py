@@ -1,12 +1,13 @@
-r"""of_boundary: the Delaunay triangulation of a closed boundary and of slits; nodes put into triangles.
+r"""of_boundary: the Delaunay triangulation of a closed boundary and of slits; nodes put into
+triangles.
 
-Put one by one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson, 1977), nodes give a
-Delaunay triangulation. Where it lacks an edge of the boundary, the edges that this one crosses are swapped (S. W.
-Sloan, 1993); triangles outside are dropped. An edge of a slit is given in both directions: triangles on its two sides
-are no neighbours.
+Put one by one into the two triangles of a box around the domain, with swaps of edges (C. L. Lawson,
+1977), nodes give a Delaunay triangulation. Where it lacks an edge of the boundary, the edges that
+this one crosses are swapped (S. W. Sloan, 1993); triangles outside are dropped. An edge of a slit
+is given in both directions: triangles on its two sides are no neighbours.
 
-Triangles and their neighbours are a closed table from the first to the last step, and no step turns a triangle over.
-"""
+Triangles and their neighbours are a closed table from the first to the last step, and no step turns
+a triangle over."""
 
 from __future__ import annotations
 
@@ -25,15 +26,21 @@ class Untriangulated(ValueError):
     """A domain whose boundary the triangulation does not hold."""
 
 
-def of_boundary(places: np.ndarray, edges: np.ndarray, spread: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the triangles inside a boundary of directed edges (n, 2), their neighbours, and which edges are among
-    theirs. If ``spread``, every second node comes last, and so on: one after the other around a thin ring each would
-    swap all the edges across it."""
+def of_boundary(
+    places: np.ndarray, edges: np.ndarray, spread: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the triangles inside a boundary of directed edges (n, 2), their neighbours, and which
+    edges are among theirs. If ``spread``, every second node comes last, and so on: one after the
+    other around a thin ring each would swap all the edges across it."""
     n = len(places)
     low, high = places.min(axis=0), places.max(axis=0)
-    corners = 0.5 * (low + high) + 5 * (high - low).max() * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0],
-                                                                      [-1.0, 1.0]])
-    elements, across = np.empty((2 * n + 2, 3), dtype=np.int32), np.full((2 * n + 2, 3), -1, dtype=np.int32)
+    corners = 0.5 * (low + high) + 5 * (high - low).max() * np.array(
+        [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+    )
+    elements, across = (
+        np.empty((2 * n + 2, 3), dtype=np.int32),
+        np.full((2 * n + 2, 3), -1, dtype=np.int32),
+    )
     elements[:2] = [[n, n + 1, n + 2], [n, n + 2, n + 3]]
     across[0, 1], across[1, 2] = 1, 0
     present = np.zeros(len(edges), dtype=bool)
@@ -42,30 +49,47 @@ def of_boundary(places: np.ndarray, edges: np.ndarray, spread: bool) -> tuple[np
     if spread:
         order = order[np.argsort(-(order & -order), kind="stable")]
     for begin in range(0, n, BATCH):
-        count, e = _put(points, elements, across, order[begin:begin + BATCH], count, e)
+        count, e = _put(points, elements, across, order[begin : begin + BATCH], count, e)
         if e < 0:
-            raise Untriangulated(f"nodes at {places[begin:begin + 1]}")
+            raise Untriangulated(f"nodes at {places[begin : begin + 1]}")
     rows = np.argsort(edges[:, 0], kind="stable")
     tails, heads = np.ascontiguousarray(edges[rows].T)
     start = np.searchsorted(tails, np.arange(n + 1))
     at, missing = np.empty(n + 4, dtype=np.int64), np.zeros(len(edges), dtype=bool)
     at[elements[:count]] = np.arange(count)[:, None]
     for begin in range(0, len(edges), BATCH):
-        _force(points, elements, across, start, tails, heads, begin, min(len(edges), begin + BATCH), at, missing)
+        _force(
+            points,
+            elements,
+            across,
+            start,
+            tails,
+            heads,
+            begin,
+            min(len(edges), begin + BATCH),
+            at,
+            missing,
+        )
     if missing.any():
         present[rows] = ~missing
         return elements, across, present
     elements, across, present[rows] = _inside(elements[:count], across[:count], n + 4, tails, heads)
-    while swap_all(points, elements, across):  # as long as any edge that was swapped for others is not Delaunay
+    while swap_all(
+        points, elements, across
+    ):  # as long as any edge that was swapped for others is not Delaunay
         pass
     return elements, across, present
 
 
-def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.ndarray, heads: np.ndarray
-            ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _inside(
+    elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.ndarray, heads: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The triangles inside the boundary, their neighbours, and which edges are there."""
     begins, ends = (np.roll(elements, -k, axis=1).astype(np.int64) for k in (1, 2))
-    keys, edges = np.stack([begins * n_nodes + ends, ends * n_nodes + begins]), tails * n_nodes + heads
+    keys, edges = (
+        np.stack([begins * n_nodes + ends, ends * n_nodes + begins]),
+        tails * n_nodes + heads,
+    )
     order = np.argsort(edges)
     row = order[np.minimum(np.searchsorted(edges, keys, sorter=order), len(edges) - 1)]
     along, against = edges[row] == keys
@@ -74,7 +98,9 @@ def _inside(elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.nd
     across = np.where(along | against, -1, across)
     joined = across >= 0
     starts = np.append(0, np.cumsum(joined.sum(axis=1)))
-    graph = sparse.csr_array((np.ones(starts[-1]), across[joined], starts), shape=(len(elements),) * 2)
+    graph = sparse.csr_array(
+        (np.ones(starts[-1]), across[joined], starts), shape=(len(elements),) * 2
+    )
     n_parts, part = connected_components(graph, directed=False)
     inside = np.zeros(n_parts, dtype=bool)
     inside[part[along.any(axis=1)]] = True
@@ -104,10 +130,10 @@ def _opposite(elements, e, a, b):
 
 @inner_kernel
 def _swap_edge(points, elements, across, e, k):
-    """Swap the edge opposite corner k of an element, which has a neighbour there, unless it is Delaunay; returns
-    whether. An edge that is not Delaunay is the diagonal of a convex quadrilateral: no element is turned over. On fixed
-    points swaps end (C. L. Lawson, 1977): the test is exact, and each swap lowers the surface of triangles with the
-    heights x^2 + y^2."""
+    """Swap the edge opposite corner k of an element, which has a neighbour there, unless it is
+    Delaunay; returns whether. An edge that is not Delaunay is the diagonal of a convex
+    quadrilateral: no element is turned over. On fixed points swaps end (C. L. Lawson, 1977): the
+    test is exact, and each swap lowers the surface of triangles with the heights x^2 + y^2."""
     a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
     d = elements[across[e, k], _opposite(elements, across[e, k], b, c)]
     if not in_circle(points, np.int64(a), np.int64(b), np.int64(c), np.int64(d)) > 0.0:
@@ -118,8 +144,8 @@ def _swap_edge(points, elements, across, e, k):
 
 @inner_kernel
 def _swap(elements, across, e, k):
-    """Swap the edge opposite corner k of an element, the diagonal of a convex quadrilateral. The corner k then comes
-    first in both elements."""
+    """Swap the edge opposite corner k of an element, the diagonal of a convex quadrilateral. The
+    corner k then comes first in both elements."""
     f = np.int64(across[e, k])
     a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
     m = _opposite(elements, f, b, c)
@@ -150,12 +176,15 @@ def swap_all(points, elements, across):
 
 @inner_kernel
 def walk(points, elements, across, e, p):
-    """Return the triangle that holds node p, on the straight way from triangle e; -1 if that leaves the mesh. In a
-    Delaunay triangulation no triangle comes twice: the power of p with respect to their circles falls."""
+    """Return the triangle that holds node p, on the straight way from triangle e; -1 if that leaves
+    the mesh. In a Delaunay triangulation no triangle comes twice: the power of p with respect to
+    their circles falls."""
     for _ in range(len(elements)):
         worst, side = 0.0, -1
         for k in range(3):
-            away = turn(points, np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3]), p)
+            away = turn(
+                points, np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3]), p
+            )
             if away < worst:
                 worst, side = away, k
         if side < 0:
@@ -175,11 +204,15 @@ def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
 
 @inner_kernel
 def insert(points, elements, across, n, e, p, settled):
-    """Cut triangle e at the node p in it, or at an edge both triangles there, and swap edges; returns the number of
-    triangles. Nothing happens at a node or an edge of the boundary. Triangles that change are no longer ``settled``."""
+    """Cut triangle e at the node p in it, or at an edge both triangles there, and swap edges;
+    returns the number of triangles. Nothing happens at a node or an edge of the boundary. Triangles
+    that change are no longer ``settled``."""
     k, on = 0, 0
     for j in range(3):
-        if turn(points, np.int64(elements[e, (j + 1) % 3]), np.int64(elements[e, (j + 2) % 3]), p) == 0.0:
+        if (
+            turn(points, np.int64(elements[e, (j + 1) % 3]), np.int64(elements[e, (j + 2) % 3]), p)
+            == 0.0
+        ):
             k, on = j, on + 1
     a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
     over_a, over_b, over_c = across[e, k], across[e, (k + 1) % 3], across[e, (k + 2) % 3]
@@ -214,8 +247,8 @@ def insert(points, elements, across, n, e, p, settled):
 
 @kernel
 def _put(points, elements, across, nodes, count, e):
-    """Put nodes into the triangles, the way to the first from triangle e. Returns the number of triangles and the last
-    one; -1 where a node lies on another one."""
+    """Put nodes into the triangles, the way to the first from triangle e. Returns the number of
+    triangles and the last one; -1 where a node lies on another one."""
     settled = np.empty(len(elements), dtype=np.bool_)
     for p in nodes:
         e, before = walk(points, elements, across, e, p), count
@@ -238,8 +271,8 @@ def _edge(start, heads, a, b):
 
 @inner_kernel
 def _towards(points, elements, across, e, a, b):
-    """Look from node a, a corner of triangle e, to node b. Returns the triangle in between and its corner a; -1 and b
-    where the edge is there, -1 and another node that is in the way."""
+    """Look from node a, a corner of triangle e, to node b. Returns the triangle in between and its
+    corner a; -1 and b where the edge is there, -1 and another node that is in the way."""
     first = e
     while True:  # once around a
         k = np.int64(0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2)
@@ -247,8 +280,9 @@ def _towards(points, elements, across, e, a, b):
         if u == b or v == b:
             return np.int64(-1), b
         right, left = turn(points, a, u, b), turn(points, a, v, b)
-        ahead = ((points[u, 0] - points[a, 0]) * (points[b, 0] - points[a, 0])
-                 + (points[u, 1] - points[a, 1]) * (points[b, 1] - points[a, 1]))
+        ahead = (points[u, 0] - points[a, 0]) * (points[b, 0] - points[a, 0]) + (
+            points[u, 1] - points[a, 1]
+        ) * (points[b, 1] - points[a, 1])
         if right == 0.0 and ahead > 0.0:
             return np.int64(-1), u
         if right > 0.0 and left < 0.0:
@@ -260,12 +294,17 @@ def _towards(points, elements, across, e, a, b):
 
 @inner_kernel
 def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
-    """Go from node a, corner k of triangle e, to node b, and swap the first edge on the way that ends to the left in
-    node ``far`` and is the diagonal of a strictly convex quadrilateral. Returns whether, and the farthest node to the
-    left before; -1 and the first node of what is in the way where that is an edge of the boundary, or a node."""
+    """Go from node a, corner k of triangle e, to node b, and swap the first edge on the way that
+    ends to the left in node ``far`` and is the diagonal of a strictly convex quadrilateral. Returns
+    whether, and the farthest node to the left before; -1 and the first node of what is in the way
+    where that is an edge of the boundary, or a node."""
     farthest, most = np.int64(-1), 0.0
     while True:  # no triangle comes twice
-        behind, u, v = np.int64(elements[e, k]), np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3])
+        behind, u, v = (
+            np.int64(elements[e, k]),
+            np.int64(elements[e, (k + 1) % 3]),
+            np.int64(elements[e, (k + 2) % 3]),
+        )
         if max(_edge(start, heads, u, v), _edge(start, heads, v, u)) >= 0:
             return -1, u if _edge(start, heads, u, v) >= 0 else v
         f = np.int64(across[e, k])
@@ -287,9 +326,10 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
 
 @kernel
 def _force(points, elements, across, start, tails, heads, begin, end, at, missing):
-    """Make edges from ``tails`` to ``heads`` by swaps; ``at``: a triangle of each node. ``missing`` becomes True for
-    those that cross others, and for these. At the farthest of the nodes to the left of an edge some edge that it
-    crosses can be swapped, until none ends there: no more swaps than the square of the edges that are crossed."""
+    """Make edges from ``tails`` to ``heads`` by swaps; ``at``: a triangle of each node. ``missing``
+    becomes True for those that cross others, and for these. At the farthest of the nodes to the
+    left of an edge some edge that it crosses can be swapped, until none ends there: no more swaps
+    than the square of the edges that are crossed."""
     for edge in range(begin, end):
         a, b = tails[edge], heads[edge]
         for _ in range(len(elements)):
@@ -297,9 +337,13 @@ def _force(points, elements, across, start, tails, heads, begin, end, at, missin
             if e < 0:
                 break
             k = node
-            swapped, node = _swap_towards(points, elements, across, start, heads, e, k, a, b, np.int64(-1), at)
+            swapped, node = _swap_towards(
+                points, elements, across, start, heads, e, k, a, b, np.int64(-1), at
+            )
             if swapped == 0:
-                swapped, node = _swap_towards(points, elements, across, start, heads, e, k, a, b, node, at)
+                swapped, node = _swap_towards(
+                    points, elements, across, start, heads, e, k, a, b, node, at
+                )
             if swapped < 1:
                 break
         if node != b:

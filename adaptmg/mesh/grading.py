@@ -1,14 +1,16 @@
-r"""graded and sized: independent meshes that are finer where contact is expected, or where a size field says.
+r"""graded and sized: independent meshes that are finer where contact is expected, or where a size
+field says.
 
 The size field of :func:`graded`, for a bulk size H, a contact ratio q and a grading g, is
 
 .. math:: h(x) = \min\bigl(H,\; H/q + g \,\mathrm{dist}(x, \text{contact boundaries})\bigr).
 
-Plane domains are triangulated here (:mod:`adaptmg.mesh.triangulate`). A box is cut into cells of the largest size of
-the field, which are refined to it and improved (:mod:`adaptmg.mesh.improve`). Netgen meshes the others, and these if it
-is asked to or triangulation fails (:mod:`adaptmg.mesh.netgen_meshes`). It fails itself, or takes minutes, where sizes
-differ by more than about 16 in a coarse mesh: the rest is bisected, until no element and no boundary facet is larger
-than sqrt(2) times the field. Meshes of different sizes are not nested. The bodies of an
+Plane domains are triangulated here (:mod:`adaptmg.mesh.triangulate`). A box is cut into cells of
+the largest size of the field, which are refined to it and improved (:mod:`adaptmg.mesh.improve`).
+Netgen meshes the others, and these if it is asked to or triangulation fails
+(:mod:`adaptmg.mesh.netgen_meshes`). It fails itself, or takes minutes, where sizes differ by more
+than about 16 in a coarse mesh: the rest is bisected, until no element and no boundary facet is
+larger than sqrt(2) times the field. Meshes of different sizes are not nested. The bodies of an
 :class:`~adaptmg.problem.Assembly` or a STEP file are meshed apart.
 """
 
@@ -60,35 +62,45 @@ _ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, 64
 MESHERS = ("own", "netgen")
 
 
-def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries: str | Sequence[str] = (),
-           contact_ratio: float | Mapping[str, float] = 1.0, grading: float | Mapping[str, float] = 0.3, *,
-           mesher: str = "own") -> MeshArrays:
+def graded(
+    domain: Domain,
+    size: float | Mapping[str, float],
+    contact_boundaries: str | Sequence[str] = (),
+    contact_ratio: float | Mapping[str, float] = 1.0,
+    grading: float | Mapping[str, float] = 0.3,
+    *,
+    mesher: str = "own",
+) -> MeshArrays:
     """Mesh a domain, finer near some boundaries.
 
     Parameters
     ----------
-    domain : Rectangle, Polygon, Outline, Circle, Box, Cylinder, Cut, ..., Assembly of these, or StepFile
+    domain : Rectangle, Polygon, Outline, Circle, Box, Cylinder, Cut, ..., Assembly of these, or
+    StepFile
         What to mesh. A StepFile is treated like an assembly of its solids.
     size : float; of an assembly also a mapping of str to float
         Edge length far from contact, m; a mapping names each body.
     contact_boundaries : str or sequence of str
-        Where the edges have the length ``size / contact_ratio``; in an assembly the names are "body.edge".
+        Where the edges have the length ``size / contact_ratio``; in an assembly the names are
+        "body.edge".
     contact_ratio : float; of an assembly also a mapping of str to float
-        >= 1. A few hundred are fine in 2D; in 3D the number of nodes grows with its square. A single number does not
-        concern bodies without contact boundaries.
+        >= 1. A few hundred are fine in 2D; in 3D the number of nodes grows with its square. A
+        single number does not concern bodies without contact boundaries.
     grading : float; of an assembly also a mapping of str to float
         Growth of the edge length per distance from contact, above 0 and at most 1.
     mesher : {"own", "netgen"}
-        What makes small elements. "own": in the plane a Delaunay triangulation of this package, which takes a fiftieth
-        of Netgen's time; in space bisection of a coarse mesh (of Netgen, of boxes our own) and improvement of shapes,
-        a tenth to a twentieth. "netgen": Netgen alone, which also meshes where "own" fails. Solids with faces other
-        than planes, cylinders, cones, spheres and tori are left to Netgen.
+        What makes small elements. "own": in the plane a Delaunay triangulation of this package,
+        which takes a fiftieth of Netgen's time; in space bisection of a coarse mesh (of Netgen, of
+        boxes our own) and improvement of shapes, a tenth to a twentieth. "netgen": Netgen alone,
+        which also meshes where "own" fails. Solids with faces other than planes, cylinders, cones,
+        spheres and tori are left to Netgen.
 
     Returns
     -------
     MeshArrays
-        With its source; the same arrays for the same arguments. Nodes lie on arcs, edges are their chords (of at most
-        about 35 degrees). The bodies of an assembly share no nodes, see :func:`adaptmg.mesh.merged`.
+        With its source; the same arrays for the same arguments. Nodes lie on arcs, edges are their
+        chords (of at most about 35 degrees). The bodies of an assembly share no nodes, see
+        :func:`adaptmg.mesh.merged`.
 
     Raises
     ------
@@ -105,50 +117,89 @@ def graded(domain: Domain, size: float | Mapping[str, float], contact_boundaries
     domain = in_edges(domain)
     names = checks.items("contact_boundaries", contact_boundaries, str, "names of boundaries")
     parts = parts_of(domain)
-    choices = [f"{body}.{name}" for body, part in parts.items() for name in part.boundaries] or domain.boundaries
+    choices = [
+        f"{body}.{name}" for body, part in parts.items() for name in part.boundaries
+    ] or domain.boundaries
     for name in names:
         if name not in choices:
-            raise ValueError(f"contact_boundaries: boundary {name!r} does not exist; "
-                             f"the boundaries are {', '.join(dict.fromkeys(choices))}")
+            raise ValueError(
+                f"contact_boundaries: boundary {name!r} does not exist; "
+                f"the boundaries are {', '.join(dict.fromkeys(choices))}"
+            )
     if parts:
-        sizes, ratios, gradings = (per_body(what, value, list(parts)) for what, value in (
-            ("size", size), ("contact_ratio", contact_ratio), ("grading", grading)))
+        sizes, ratios, gradings = (
+            per_body(what, value, list(parts))
+            for what, value in (
+                ("size", size),
+                ("contact_ratio", contact_ratio),
+                ("grading", grading),
+            )
+        )
         mine = {body: boundaries_of(body, names) for body in parts}
         if names and not isinstance(contact_ratio, Mapping):
             ratios = {body: ratio if mine[body] else 1.0 for body, ratio in ratios.items()}
-        return swept(merged({body: graded(part, sizes[body], mine[body], ratios[body], gradings[body], mesher=mesher)
-                             for body, part in parts.items()}))
+        return swept(
+            merged(
+                {
+                    body: graded(
+                        part, sizes[body], mine[body], ratios[body], gradings[body], mesher=mesher
+                    )
+                    for body, part in parts.items()
+                }
+            )
+        )
     size, ratio = checks.positive("size", size), _ratio(contact_ratio)
     if ratio > 1 and not names:
         raise ValueError(f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty")
-    return _graded_body(domain, size, names if ratio > 1 else (), size / ratio, growth(grading),
-                        checks.choice("mesher", mesher, MESHERS))
+    return _graded_body(
+        domain,
+        size,
+        names if ratio > 1 else (),
+        size / ratio,
+        growth(grading),
+        checks.choice("mesher", mesher, MESHERS),
+    )
 
 
 def parts_of(domain: Domain) -> Mapping[str, Domain]:
     """Return the bodies of an assembly or of a STEP file by their names, none of another domain."""
-    return domain.parts if isinstance(domain, Assembly) else step_solids(domain) if isinstance(domain, StepFile) else {}
+    return (
+        domain.parts
+        if isinstance(domain, Assembly)
+        else step_solids(domain)
+        if isinstance(domain, StepFile)
+        else {}
+    )
 
 
 def _ratio(value: float) -> float:
     ratio = checks.number("contact_ratio", value)
     if not ratio >= 1:
-        raise ValueError(f"contact_ratio must be >= 1 (contact is never coarser than the bulk), got {value!r}")
+        raise ValueError(
+            f"contact_ratio must be >= 1 (contact is never coarser than the bulk), got {value!r}"
+        )
     return ratio
 
 
-def _graded_body(domain: Domain, size: float, names: tuple[str, ...], near: float, grading: float, mesher: str
-                 ) -> MeshArrays:
+def _graded_body(
+    domain: Domain, size: float, names: tuple[str, ...], near: float, grading: float, mesher: str
+) -> MeshArrays:
     """See :func:`graded`; one body, checked arguments, and the size along the boundaries."""
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
         return solid_mesh(domain, SolidSizes(size, names, near, grading), mesher)
     volume, areas = boundary_measures(domain)
     # before Netgen works for minutes on a mesh that bisection would then find too large
-    refuse_too_many(guessed_nodes(domain.dim, volume, size, sum(areas[name] for name in names), near, grading), domain)
+    refuse_too_many(
+        guessed_nodes(domain.dim, volume, size, sum(areas[name] for name in names), near, grading),
+        domain,
+    )
 
     def field(x: np.ndarray) -> np.ndarray:
-        return (np.minimum(size, near + grading * distance_to_boundaries(domain, names, x)) if names else
-                np.full(len(x), size))
+        return (
+            np.minimum(size, near + grading * distance_to_boundaries(domain, names, x))
+            if names
+            else np.full(len(x), size)
+        )
 
     if mesher == "own" and (mesh := _own(domain, field)) is not None:
         return mesh
@@ -175,19 +226,28 @@ def _cells(domain: Box, field: SizeField) -> MeshArrays:
     # near the largest size, and the least one times a power of two
     size = float(sizes.min()) * 2.0 ** np.rint(np.log2(sizes.max() / sizes.min()))
     refuse_too_many(guessed_nodes(3, float(np.prod(sides)), size), domain)
-    # an equilateral tetrahedron has the volume of a twelfth of a cell; odd, so that no level is nested in the next
+    # an equilateral tetrahedron has the volume of a twelfth of a cell; odd, so that no level is
+    # nested in the next
     counts = np.ceil(np.maximum(1, sides / (2 ** (1 / 6) * size) - 0.25)).astype(int)
     longest = np.argmax(sides)
     counts[longest] += counts[longest] > 3 and counts[longest] % 2 == 0
     cell = sides / counts
     if cell.max() > _FLAT * cell.min():
-        raise ValueError(f"size {size:g} m is more than {_FLAT:g} times as long as {domain!r} is thick; take smaller "
-                         "sizes (they are in m)")
+        raise ValueError(
+            f"size {size:g} m is more than {_FLAT:g} times as long as {domain!r} is thick; take smaller "
+            "sizes (they are in m)"
+        )
     return body_centred(domain, counts)
 
 
-def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunction],
-          max_size: float | Mapping[str, float], *, grading: float = 0.3, mesher: str = "own") -> MeshArrays:
+def sized(
+    domain: Domain,
+    size_function: SizeFunction | Mapping[str, SizeFunction],
+    max_size: float | Mapping[str, float],
+    *,
+    grading: float = 0.3,
+    mesher: str = "own",
+) -> MeshArrays:
     """Mesh a domain by a size field.
 
     Parameters
@@ -195,8 +255,9 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     domain, grading, mesher
         As of :func:`graded`.
     size_function : callable or float; of an assembly also a mapping of str to these
-        Points (n, dim) in m -> edge length (n,) in m, for instance an :class:`adaptmg.mesh.SizeNear`. It is read at
-        centroids of elements: a dip much narrower than the elements around it can be missed.
+        Points (n, dim) in m -> edge length (n,) in m, for instance an
+        :class:`adaptmg.mesh.SizeNear`. It is read at centroids of elements: a dip much narrower
+        than the elements around it can be missed.
     max_size : float; of an assembly also a mapping of str to float
         Largest edge length, m.
 
@@ -218,14 +279,27 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     """
     domain = in_edges(domain)
     if parts := parts_of(domain):
-        fields, limits = (per_body(what, value, list(parts))
-                          for what, value in (("size_function", size_function), ("max_size", max_size)))
-        return swept(merged({body: sized(part, fields[body], limits[body], grading=grading, mesher=mesher)
-                             for body, part in parts.items()}))
-    max_size, mesher = checks.positive("max_size", max_size), checks.choice("mesher", mesher, MESHERS)
+        fields, limits = (
+            per_body(what, value, list(parts))
+            for what, value in (("size_function", size_function), ("max_size", max_size))
+        )
+        return swept(
+            merged(
+                {
+                    body: sized(part, fields[body], limits[body], grading=grading, mesher=mesher)
+                    for body, part in parts.items()
+                }
+            )
+        )
+    max_size, mesher = (
+        checks.positive("max_size", max_size),
+        checks.choice("mesher", mesher, MESHERS),
+    )
     grading = growth(grading)
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
-        return solid_mesh(domain, SolidSizes(max_size, grading=grading, function=size_function), mesher)
+        return solid_mesh(
+            domain, SolidSizes(max_size, grading=grading, function=size_function), mesher
+        )
 
     def limited(x: np.ndarray) -> np.ndarray:
         return np.minimum(sizes_at(size_function, x), max_size)
@@ -242,8 +316,12 @@ def sized(domain: Domain, size_function: SizeFunction | Mapping[str, SizeFunctio
     return plane_mesh(domain, limited, max_size, None, (), grading, 2)
 
 
-def gradings_of(sizes: Sequence[float | Mapping[str, float]], coarsest: float) -> list[float | dict[str, float]]:
-    """Return the gradings of levels, coarse to fine, which make their size fields multiples of the first."""
+def gradings_of(
+    sizes: Sequence[float | Mapping[str, float]], coarsest: float
+) -> list[float | dict[str, float]]:
+    """Return the gradings of levels, coarse to fine, which make their size fields multiples of the
+    first."""
+
     def of(size: float, first: float) -> float:
         # levels whose sizes rise are refused once they are meshed
         return coarsest * min(checks.positive("size", size) / checks.positive("size", first), 1.0)
@@ -256,21 +334,29 @@ def gradings_of(sizes: Sequence[float | Mapping[str, float]], coarsest: float) -
 
 
 def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[float, ...], float]:
-    """Return sizes, coarse to fine, m, that follow bodies, and a contact ratio by the shortest of some boundaries."""
+    """Return sizes, coarse to fine, m, that follow bodies, and a contact ratio by the shortest of
+    some boundaries."""
     volumes, lengths = measures(domain)
-    across = (sum(volumes) / len(volumes))**(1 / domain.dim)
+    across = (sum(volumes) / len(volumes)) ** (1 / domain.dim)
     sizes = tuple(float(f"{across / count:.2g}") for count in _ACROSS[domain.dim])
     shortest = min((lengths[name] for name in boundaries if name in lengths), default=math.inf)
     return sizes, max(1.0, float(math.ceil(_ALONG * sizes[-1] / shortest)))
 
 
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
-    """Return the area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of each boundary."""
+    """Return the area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of
+    each boundary."""
     domain = in_edges(domain)
     if parts := parts_of(domain):
         apart = {body: measures(part) for body, part in parts.items()}
-        return ([volume for volumes, _ in apart.values() for volume in volumes],
-                {f"{body}.{name}": length for body, (_, lengths) in apart.items() for name, length in lengths.items()})
+        return (
+            [volume for volumes, _ in apart.values() for volume in volumes],
+            {
+                f"{body}.{name}": length
+                for body, (_, lengths) in apart.items()
+                for name, length in lengths.items()
+            },
+        )
     if domain.dim == 2:
         area, lengths = boundary_measures(domain)
         return [area], lengths

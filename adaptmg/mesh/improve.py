@@ -1,31 +1,33 @@
-r"""Meshes refined and improved in arrays: ``drafted`` solids by a size field, and better shapes of any elements.
+r"""Meshes refined and improved in arrays: ``drafted`` solids by a size field, and better shapes of
+any elements.
 
-drafted: tetrahedra made of a coarse draft. Of a box the draft is cells as large as the field anywhere, of other solids
-Netgen's mesh with edges of k (near 2, 4 or 7) times the field f, which may then grow k times as fast. It takes
+drafted: tetrahedra made of a coarse draft. Of a box the draft is cells as large as the field
+anywhere, of other solids Netgen's mesh with edges of k (near 2, 4 or 7) times the field f, which
+may then grow k times as fast. It takes
 :math:`k^{-3}` of the time that Netgen would take for the whole, and is the only part that is not nested in other
 meshes.
 
-With the size e of an element (the edge of the equilateral one of the same volume) and the mean w of f at its corners,
-it is refined until no element has :math:`e > \sqrt 2 w` and almost no boundary facet is longer than 1.4 f (also where
-no element is too large: one facet of twice the length next to a re-entrant corner doubles the rate of multigrid). All
-elements are cut where half of them are far too large, else those that are too large are bisected once. In the end, and
-after passes that change much, moves make better shapes. New nodes on round faces are put onto them after each pass.
+With the size e of an element (the edge of the equilateral one of the same volume) and the mean w of
+f at its corners, it is refined until no element has :math:`e > \sqrt 2 w` and almost no boundary
+facet is longer than 1.4 f (also where no element is too large: one facet of twice the length next
+to a re-entrant corner doubles the rate of multigrid). All elements are cut where half of them are
+far too large, else those that are too large are bisected once. In the end, and after passes that
+change much, moves make better shapes. New nodes on round faces are put onto them after each pass.
 
-None of these steps can make a hole or a fold out of a sound mesh as long as all measures stay positive: the draft alone
-is checked.
+None of these steps can make a hole or a fold out of a sound mesh as long as all measures stay
+positive: the draft alone is checked.
 
-To cut all elements, the middles of their edges become nodes. A tetrahedron without its corners is an octahedron, which
-is cut in four along the shortest of its three diagonals: on Netgen's meshes the children are then better shaped than
-along a fixed one.
+To cut all elements, the middles of their edges become nodes. A tetrahedron without its corners is
+an octahedron, which is cut in four along the shortest of its three diagonals: on Netgen's meshes
+the children are then better shaped than along a fixed one.
 
 Shapes: an inner node p goes to the minimum of the sum over its elements of
 
 .. math:: \frac{\sum_{edges} l^2}{4\sqrt3\,A} \quad\text{or}\quad \frac{\sum_{edges} l^2}{12\,(3 V)^{2/3}} ,
 
-which is 1 for an equilateral element of any size, so that grading stays. Squares over a power of at most 1 of a linear
-function are convex where measures are positive: one Newton step is taken, halved until the sum falls. Edges between
-triangles are swapped before (:mod:`adaptmg.mesh.delaunay`).
-"""
+which is 1 for an equilateral element of any size, so that grading stays. Squares over a power of at
+most 1 of a linear function are convex where measures are positive: one Newton step is taken, halved
+until the sum falls. Edges between triangles are swapped before (:mod:`adaptmg.mesh.delaunay`)."""
 
 from __future__ import annotations
 
@@ -49,7 +51,8 @@ from adaptmg.mesh.sizes import (
 )
 from adaptmg.problem.plane_domains import Domain
 
-# elements and facets that are too large for the field, over it; by how much more most are before all are cut
+# elements and facets that are too large for the field, over it; by how much more most are before
+# all are cut
 _LARGE, _LONG, _FAR = 2**0.5, 1.4, 1.3
 # share of the elements (of the facets) that may stay too large, though by less than this
 _LEFT, _NEVER = 0.01, 2**0.5
@@ -57,15 +60,19 @@ _LEFT, _NEVER = 0.01, 2**0.5
 _MANY, _ROUNDS = 0.02, 3
 # volume of the equilateral element of size 1
 _EQUILATERAL = 2**0.5 / 12
-# measure that a move leaves, of that before, at least; nodes after which kernels come back, so that Ctrl-C ends them;
-# passes of swaps in a round at most
+# measure that a move leaves, of that before, at least; nodes after which kernels come back, so that
+# Ctrl-C ends them; passes of swaps in a round at most
 _KEPT, _BATCH, _SWAPS = 0.1, 100_000, 8
 
 
-def drafted(domain: Domain, draft: MeshArrays, field: Callable[[MeshArrays], np.ndarray],
-            onto: Callable[[MeshArrays, int], MeshArrays] | None = None) -> MeshArrays:
-    """Refine a sound draft to the sizes at the nodes of a mesh. ``onto`` puts nodes from a number on onto the boundary;
-    this is called by the names that it has in the draft."""
+def drafted(
+    domain: Domain,
+    draft: MeshArrays,
+    field: Callable[[MeshArrays], np.ndarray],
+    onto: Callable[[MeshArrays, int], MeshArrays] | None = None,
+) -> MeshArrays:
+    """Refine a sound draft to the sizes at the nodes of a mesh. ``onto`` puts nodes from a number
+    on onto the boundary; this is called by the names that it has in the draft."""
     mesh = draft
     for _ in range(3 * MAX_BISECTIONS):
         at, n_old = field(mesh), mesh.n_nodes
@@ -92,8 +99,12 @@ def drafted(domain: Domain, draft: MeshArrays, field: Callable[[MeshArrays], np.
     return improved(mesh, _ROUNDS)
 
 
-# edges by their corners, of tetrahedra and of faces: the middle of edge k is number k of those below
-_EDGES, _SIDES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]), np.array([[1, 2], [0, 2], [0, 1]])
+# edges by their corners, of tetrahedra and of faces: the middle of edge k is number k of those
+# below
+_EDGES, _SIDES = (
+    np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]),
+    np.array([[1, 2], [0, 2], [0, 1]]),
+)
 # children by corners (0 ..) and middles of edges (4 .., of faces 3 ..)
 _CORNERS = np.array([[0, 4, 5, 6], [4, 1, 7, 8], [5, 7, 2, 9], [6, 8, 9, 3]])
 _FACES = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]])
@@ -103,7 +114,8 @@ _AROUND = _OCTAHEDRA[:, [[0, 1, 2 + k, 2 + (k + 1) % 4] for k in range(4)]]
 
 
 def _inside(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Four children (n, 4, 4) of each octahedron; ``nodes`` (n, 10): corners and middles of each element."""
+    """Four children (n, 4, 4) of each octahedron; ``nodes`` (n, 10): corners and middles of each
+    element."""
     ends = points[nodes[:, _OCTAHEDRA[:, :2]]]
     lengths = np.square(ends[:, :, 0] - ends[:, :, 1]).sum(axis=2)
     best, shortest = np.zeros(len(nodes), dtype=np.int64), lengths[:, 0]
@@ -124,11 +136,23 @@ def halved(mesh: MeshArrays) -> MeshArrays:
     points = np.concatenate([mesh.points, 0.5 * (mesh.points[low] + mesh.points[high])])
     nodes = np.concatenate([mesh.elements, middles[number].reshape(-1, 6)], axis=1)
     elements = np.concatenate([nodes[:, _CORNERS], _inside(points, nodes)], axis=1)
-    on = middles[np.searchsorted(keys, facet_keys(mesh.facets[:, _SIDES].reshape(-1, 2), n))].reshape(-1, 3)
+    on = middles[
+        np.searchsorted(keys, facet_keys(mesh.facets[:, _SIDES].reshape(-1, 2), n))
+    ].reshape(-1, 3)
     facets = np.concatenate([mesh.facets, on], axis=1)[:, _FACES]
-    return trusted(replace(mesh, points=points, elements=elements.reshape(-1, 4), facets=facets.reshape(-1, 3),
-                           facet_labels=np.repeat(mesh.facet_labels, 4),
-                           element_body=np.repeat(mesh.element_body, 8), source=None), None, mesh.sound)
+    return trusted(
+        replace(
+            mesh,
+            points=points,
+            elements=elements.reshape(-1, 4),
+            facets=facets.reshape(-1, 3),
+            facet_labels=np.repeat(mesh.facet_labels, 4),
+            element_body=np.repeat(mesh.element_body, 8),
+            source=None,
+        ),
+        None,
+        mesh.sound,
+    )
 
 
 def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
@@ -142,9 +166,11 @@ def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
     return trusted(replace(mesh, points=points, source=None), None, mesh.sound)
 
 
-def improve_triangles(points: np.ndarray, elements: np.ndarray, across: np.ndarray, held: np.ndarray, rounds: int
-                      ) -> None:
-    """Swap edges of triangles with the neighbours ``across`` and move the nodes that are not held, in place."""
+def improve_triangles(
+    points: np.ndarray, elements: np.ndarray, across: np.ndarray, held: np.ndarray, rounds: int
+) -> None:
+    """Swap edges of triangles with the neighbours ``across`` and move the nodes that are not held,
+    in place."""
     around = None
     for _ in range(rounds):
         swaps = 0
@@ -158,21 +184,36 @@ def improve_triangles(points: np.ndarray, elements: np.ndarray, across: np.ndarr
 def _corners_at(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
     """Compressed rows of the corners at each node, by their places in ``elements``."""
     size = elements.size
-    rows = sparse.csc_array((np.ones(size, dtype=bool), elements.ravel(), np.arange(size + 1)),
-                            shape=(n_nodes, size)).tocsr()
+    rows = sparse.csc_array(
+        (np.ones(size, dtype=bool), elements.ravel(), np.arange(size + 1)), shape=(n_nodes, size)
+    ).tocsr()
     return rows.indptr, rows.indices
 
 
-def _move(points: np.ndarray, elements: np.ndarray, around: tuple[np.ndarray, np.ndarray], held: np.ndarray) -> None:
+def _move(
+    points: np.ndarray,
+    elements: np.ndarray,
+    around: tuple[np.ndarray, np.ndarray],
+    held: np.ndarray,
+) -> None:
     """Move the nodes that are not held once, in place."""
     for begin in range(0, len(points), _BATCH):
-        _move_nodes((0.0,) * points.shape[1], points, elements, *around, held, begin, min(begin + _BATCH, len(points)))
+        _move_nodes(
+            (0.0,) * points.shape[1],
+            points,
+            elements,
+            *around,
+            held,
+            begin,
+            min(begin + _BATCH, len(points)),
+        )
 
 
 @inner_kernel
 def _spokes(zero, points, cells, item, x, spokes):
-    """Write the edges from x, in place of a corner, to the other corners; returns the determinant: dim! times the
-    measure. With ``zero`` (dim numbers) kernels know the dimension when they are compiled."""
+    """Write the edges from x, in place of a corner, to the other corners; returns the determinant:
+    dim! times the measure. With ``zero`` (dim numbers) kernels know the dimension when they are
+    compiled."""
     k = len(zero) + 1
     e, corner = item // k, item % k
     for j in range(k - 1):
@@ -182,51 +223,58 @@ def _spokes(zero, points, cells, item, x, spokes):
             spokes[j, c] = points[other, c] - x[c]
     if k == 3:
         return spokes[0, 0] * spokes[1, 1] - spokes[0, 1] * spokes[1, 0]
-    return (spokes[0, 0] * (spokes[1, 1] * spokes[2, 2] - spokes[1, 2] * spokes[2, 1])
-            + spokes[0, 1] * (spokes[1, 2] * spokes[2, 0] - spokes[1, 0] * spokes[2, 2])
-            + spokes[0, 2] * (spokes[1, 0] * spokes[2, 1] - spokes[1, 1] * spokes[2, 0]))
+    return (
+        spokes[0, 0] * (spokes[1, 1] * spokes[2, 2] - spokes[1, 2] * spokes[2, 1])
+        + spokes[0, 1] * (spokes[1, 2] * spokes[2, 0] - spokes[1, 0] * spokes[2, 2])
+        + spokes[0, 2] * (spokes[1, 0] * spokes[2, 1] - spokes[1, 1] * spokes[2, 0])
+    )
 
 
 @inner_kernel
 def _shape(zero, spokes, measure, total):
-    """Return the shape of an element; ``total`` (dim,) becomes the sum of its edges at one corner."""
+    """Return the shape of an element; ``total`` (dim,) becomes the sum of its edges at one
+    corner."""
     dim, squares, both = len(zero), 0.0, 0.0
     for c in range(dim):
         total[c] = 0.0
         for j in range(dim):
             total[c] += spokes[j, c]
-            squares += spokes[j, c]**2
-        both += total[c]**2
+            squares += spokes[j, c] ** 2
+        both += total[c] ** 2
     # the sum of the squares of all edges
     squares = (dim + 1) * squares - both
-    return squares / measure if dim == 2 else squares * measure**(-2.0 / 3.0)
+    return squares / measure if dim == 2 else squares * measure ** (-2.0 / 3.0)
 
 
 @inner_kernel
 def _add_derivatives(zero, spokes, measure, shape, total, normal, gradient, hessian):
-    """Add those of the shape of an element with respect to its corner; ``normal`` is overwritten by those of minus the
-    measure."""
+    """Add those of the shape of an element with respect to its corner; ``normal`` is overwritten by
+    those of minus the measure."""
     dim = len(zero)
     for c in range(dim):
         if dim == 2:
             normal[c] = (1 - 2 * c) * (spokes[1, 1 - c] - spokes[0, 1 - c]) / measure
         else:
             a, b = (c + 1) % 3, (c + 2) % 3
-            normal[c] = ((spokes[1, a] - spokes[0, a]) * (spokes[2, b] - spokes[0, b])
-                         - (spokes[1, b] - spokes[0, b]) * (spokes[2, a] - spokes[0, a])) / measure
+            normal[c] = (
+                (spokes[1, a] - spokes[0, a]) * (spokes[2, b] - spokes[0, b])
+                - (spokes[1, b] - spokes[0, b]) * (spokes[2, a] - spokes[0, a])
+            ) / measure
     share = 2.0 / dim
-    power = 1.0 / measure if dim == 2 else measure**(-2.0 / 3.0)
+    power = 1.0 / measure if dim == 2 else measure ** (-2.0 / 3.0)
     for c in range(dim):
         gradient[c] += share * shape * normal[c] - 2.0 * power * total[c]
         hessian[c, c] += 2.0 * dim * power
         for d in range(c + 1):
-            hessian[c, d] += (share * (share + 1.0) * shape * normal[c] * normal[d]
-                              - 2.0 * share * power * (total[c] * normal[d] + total[d] * normal[c]))
+            hessian[c, d] += share * (share + 1.0) * shape * normal[c] * normal[
+                d
+            ] - 2.0 * share * power * (total[c] * normal[d] + total[d] * normal[c])
 
 
 @inner_kernel
 def _solve(zero, hessian, step):
-    """Solve a system of which the lower half is given, in place; returns False unless it is positive definite."""
+    """Solve a system of which the lower half is given, in place; returns False unless it is
+    positive definite."""
     dim = len(zero)
     for k in range(dim):
         if not hessian[k, k] > 0.0:
@@ -245,9 +293,16 @@ def _solve(zero, hessian, step):
 
 @kernel
 def _move_nodes(zero, points, cells, start, items, held, begin, end):
-    """Move each node that is not ``held`` once, in place; ``start``, ``items`` as :func:`_corners_at` has them."""
+    """Move each node that is not ``held`` once, in place; ``start``, ``items`` as
+    :func:`_corners_at` has them."""
     dim = len(zero)
-    x, y, step, total, normal = np.empty(dim), np.empty(dim), np.empty(dim), np.empty(dim), np.empty(dim)
+    x, y, step, total, normal = (
+        np.empty(dim),
+        np.empty(dim),
+        np.empty(dim),
+        np.empty(dim),
+        np.empty(dim),
+    )
     hessian, spokes = np.empty((dim, dim)), np.empty((dim, dim))
     for i in range(begin, end):
         if held[i]:

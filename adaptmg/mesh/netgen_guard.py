@@ -1,10 +1,10 @@
 """Netgen, OCC and readers of files in a process of their own, with limits of time and memory.
 
-Netgen fails, or does not finish, where a wall, slot or needle is much thinner than the edges around it; OCC ends its
-process on some damaged files. Both then end the other process only, which is started again when it is next needed.
-Ctrl-C ends it too. One process serves all calls one after the other: it starts in 0.4 s, which loading NGSolve here
-would take as well, and stays; a call costs 0.3 ms.
-"""
+Netgen fails, or does not finish, where a wall, slot or needle is much thinner than the edges around
+it; OCC ends its process on some damaged files. Both then end the other process only, which is
+started again when it is next needed. Ctrl-C ends it too. One process serves all calls one after the
+other: it starts in 0.4 s, which loading NGSolve here would take as well, and stays; a call costs
+0.3 ms."""
 
 from __future__ import annotations
 
@@ -52,8 +52,13 @@ class Netgen:
 
     def __init__(self) -> None:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        self.process = subprocess.Popen([sys.executable, "-P", str(_WORKER)], stdin=subprocess.PIPE,
-                                        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment)
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", str(_WORKER)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
 
     @property
     def alive(self) -> bool:
@@ -61,7 +66,8 @@ class Netgen:
         return self.process.poll() is None
 
     def __call__(self, function: str, *arguments: Any, seconds: float) -> Any:
-        """Call a function of the worker; NetgenFails with its message, NetgenUnfinished after ``seconds``."""
+        """Call a function of the worker; NetgenFails with its message, NetgenUnfinished after
+        ``seconds``."""
         late = threading.Event()
 
         def stop() -> None:
@@ -100,7 +106,8 @@ class Netgen:
 
 @contextmanager
 def netgen() -> Iterator[Netgen]:
-    """Yield a process that nobody else uses meanwhile: what a call leaves in it is there for the next."""
+    """Yield a process that nobody else uses meanwhile: what a call leaves in it is there for the
+    next."""
     idle = _idle.setdefault(os.getpid(), [])
     worker = idle.pop() if idle else None
     if worker is None or not worker.alive:

@@ -1,22 +1,22 @@
 r"""plane_mesh, solid_mesh: domains meshed by Netgen along a size field, finer near some boundaries.
 
-The edge length asked for, with a bulk size H, a size function s, a size :math:`h_c` along some boundaries and a grading
-g, is
+The edge length asked for, with a bulk size H, a size function s, a size :math:`h_c` along some
+boundaries and a grading g, is
 
 .. math:: h(x) = \min\bigl(H,\; s(x),\; h_c + g\,\mathrm{dist}(x, \text{boundaries})\bigr).
 
-Netgen is given sizes along boundaries and, in later rounds, at the centroids of the mesh before (its own interpolation
-between boundaries misses the field by up to 4), down to H/16; what is finer is bisected. Where all faces of a solid lie
-on planes, cylinders, cones, spheres and tori, Netgen makes a draft of larger sizes, which is refined
-(:mod:`adaptmg.mesh.improve`). New nodes are put onto curves and faces. Domains are scaled to unit extent before, as
-Netgen and OCC compare lengths with absolute tolerances; boundaries are called by the numbers of edges and faces, of
-which several may share a name.
+Netgen is given sizes along boundaries and, in later rounds, at the centroids of the mesh before
+(its own interpolation between boundaries misses the field by up to 4), down to H/16; what is finer
+is bisected. Where all faces of a solid lie on planes, cylinders, cones, spheres and tori, Netgen
+makes a draft of larger sizes, which is refined (:mod:`adaptmg.mesh.improve`). New nodes are put
+onto curves and faces. Domains are scaled to unit extent before, as Netgen and OCC compare lengths
+with absolute tolerances; boundaries are called by the numbers of edges and faces, of which several
+may share a name.
 
-Elements are straight: all nodes of curved faces lie on them, chords do not. The volume of the mesh therefore differs
-from OCC's by :math:`O(h^2)`; it is compared with the bound :math:`\sum_F \tfrac12 A_F h_F \theta_F` over the boundary
-triangles F, :math:`\theta` being the largest angle to a neighbour on the same face (on a sphere the error is a third to
-a half of it).
-"""
+Elements are straight: all nodes of curved faces lie on them, chords do not. The volume of the mesh
+therefore differs from OCC's by :math:`O(h^2)`; it is compared with the bound :math:`\sum_F \tfrac12
+A_F h_F \theta_F` over the boundary triangles F, :math:`\theta` being the largest angle to a
+neighbour on the same face (on a sphere the error is a third to a half of it)."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ SizesAt = list[tuple[np.ndarray, np.ndarray]]
 _NETGEN_RATIO = 16.0
 # on curved faces edges are at most their radius of curvature over this, about
 _CURVATURE = 2.0
-# Netgen fails on curved faces, or makes slivers, where sizes grow faster; where it fails all the same, slower growth
-# (which only makes the mesh finer) often helps
+# Netgen fails on curved faces, or makes slivers, where sizes grow faster; where it fails all the
+# same, slower growth (which only makes the mesh finer) often helps
 _MAX_GRADING = 0.6
 _ATTEMPTS = (1.0, 0.7, 0.5)
 #: how many times larger than wanted the elements of a draft may be (not two powers of two, which would refine levels
@@ -89,12 +89,29 @@ def _raised(size: float, largest: float) -> float:
     return size * 2 ** max(0, math.ceil(math.log2(largest / _NETGEN_RATIO / size)))
 
 
-def plane_mesh(domain: Outline, field: SizeField, size: float, near: float | None, names: Sequence[str],
-               grading: float, rounds: int) -> MeshArrays:
-    """Mesh a plane domain by a size field, which is at most ``size``, and ``near`` along some boundaries."""
+def plane_mesh(
+    domain: Outline,
+    field: SizeField,
+    size: float,
+    near: float | None,
+    names: Sequence[str],
+    grading: float,
+    rounds: int,
+) -> MeshArrays:
+    """Mesh a plane domain by a size field, which is at most ``size``, and ``near`` along some
+    boundaries."""
     start = size / _NETGEN_RATIO if near is None else _raised(near, size)
-    mesh = finished(domain, _plane_draft(domain, lambda x: np.maximum(field(x), start), size,
-                                         dict.fromkeys(names, start), grading, rounds))
+    mesh = finished(
+        domain,
+        _plane_draft(
+            domain,
+            lambda x: np.maximum(field(x), start),
+            size,
+            dict.fromkeys(names, start),
+            grading,
+            rounds,
+        ),
+    )
     for _ in range(MAX_BISECTIONS):
         large, sizes = too_large(mesh, field)
         if not large.any():
@@ -104,33 +121,65 @@ def plane_mesh(domain: Outline, field: SizeField, size: float, near: float | Non
     raise unreachable(domain, large)
 
 
-def _plane_draft(domain: Outline, sizes: SizeField, size: float, sides: Mapping[str, float], grading: float,
-                 rounds: int) -> MeshArrays:
+def _plane_draft(
+    domain: Outline,
+    sizes: SizeField,
+    size: float,
+    sides: Mapping[str, float],
+    grading: float,
+    rounds: int,
+) -> MeshArrays:
     """Netgen's mesh, again by the sizes on the mesh before, not checked."""
     lower, scale = extent(domain)
     volume, lengths = boundary_measures(domain)
-    nodes = refuse_too_many(guessed_nodes(2, volume, size, sum(lengths[name] for name in sides),
-                                          min(sides.values(), default=1.0), grading), domain)
+    nodes = refuse_too_many(
+        guessed_nodes(
+            2,
+            volume,
+            size,
+            sum(lengths[name] for name in sides),
+            min(sides.values(), default=1.0),
+            grading,
+        ),
+        domain,
+    )
     at: SizesAt = []
     options = {"maxh": size / scale, "grading": grading}
     sides = {name: h / scale for name, h in sides.items()}
     for left in range(rounds, -1, -1):
-        # the steps that improve shapes take most of the time: here only nodes and centroids are used
+        # the steps that improve shapes take most of the time: here only nodes and centroids are
+        # used
         fast = {"optsteps2d": 0} if left else {}
         try:
             with netgen() as worker:
-                tables = worker("mesh_plane", domain, lower, scale, sides, options | fast, at,
-                                seconds=limit_s(nodes, 2))
+                tables = worker(
+                    "mesh_plane",
+                    domain,
+                    lower,
+                    scale,
+                    sides,
+                    options | fast,
+                    at,
+                    seconds=limit_s(nodes, 2),
+                )
             if domain.twins:
                 # edges turned by -90 degrees
-                normals = (np.array(domain.vertices)[domain.following] - domain.vertices) @ [[0, -1], [1, 0]]
+                normals = (np.array(domain.vertices)[domain.following] - domain.vertices) @ [
+                    [0, -1],
+                    [1, 0],
+                ]
                 edges = {i: k for k, i in enumerate(map(int, tables[4]))}
-                tables = opened_tables({edges[left]: str(right) for right, left in domain.twins.items()},
-                                       {k: normals[i] for i, k in edges.items()}, *tables)
+                tables = opened_tables(
+                    {edges[left]: str(right) for right, left in domain.twins.items()},
+                    {k: normals[i] for i, k in edges.items()},
+                    *tables,
+                )
             unit = normalised(*tables)
         except ValueError as error:
             raise netgen_error(domain, error) from error
-        mesh = _onto_outline(domain, replace(unit, points=lower + scale * unit.points, bodies=("body",)))
+        mesh = _onto_outline(
+            domain, replace(unit, points=lower + scale * unit.points, bodies=("body",))
+        )
         if left:
             places = mesh.points[mesh.elements].mean(axis=1)
             target = sizes(places)
@@ -142,9 +191,13 @@ def _plane_draft(domain: Outline, sizes: SizeField, size: float, sides: Mapping[
 def netgen_error(domain: Domain, why: Exception) -> ValueError:
     """Return the error that names the domain and the remedy."""
     if isinstance(why, NetgenUnfinished):
-        return NetgenUnfinished(f"Netgen could not mesh {domain!r}: {why}: take smaller sizes where a part is thin, or "
-                                "make it thicker")
-    return ValueError(f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller grading")
+        return NetgenUnfinished(
+            f"Netgen could not mesh {domain!r}: {why}: take smaller sizes where a part is thin, or "
+            "make it thicker"
+        )
+    return ValueError(
+        f"Netgen could not mesh {domain!r} ({why}); change the sizes a little or take a smaller grading"
+    )
 
 
 def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
@@ -156,7 +209,10 @@ def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
         arc = domain.arc(i)
         if arc is not None:
             offset = points[nodes] - np.array(arc.center)
-            points[nodes] = np.array(arc.center) + offset * (arc.radius / np.linalg.norm(offset, axis=1))[:, None]
+            points[nodes] = (
+                np.array(arc.center)
+                + offset * (arc.radius / np.linalg.norm(offset, axis=1))[:, None]
+            )
             continue
         first, last = vertices[i], vertices[domain.following[i]]
         points[nodes[:, None], np.flatnonzero(first == last)] = first[first == last]
@@ -167,14 +223,21 @@ def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
 
 
 def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """Return the mesh with the names of the domain's boundaries in place of edge numbers, checked, with source."""
+    """Return the mesh with the names of the domain's boundaries in place of edge numbers, checked,
+    with source."""
     mesh, names = swept(check_mesh(mesh)), tuple(dict.fromkeys(domain.boundaries))
     if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
-        warnings.warn(f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "
-                      "corner; take smaller sizes (they are in m) there", UserWarning, stacklevel=2)
+        warnings.warn(
+            f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "
+            "corner; take smaller sizes (they are in m) there",
+            UserWarning,
+            stacklevel=2,
+        )
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
     # other names leave a mesh sound
-    return sound_by_construction(replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None))
+    return sound_by_construction(
+        replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None)
+    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -207,12 +270,19 @@ class SolidSizes:
     def drafts(self, factor: float, slower: float) -> SolidSizes:
         """Return the sizes of a draft, ``factor`` times as large."""
         function = self.function
-        return replace(self, size=factor * self.size, grading=slower * min(factor * self.grading, _MAX_GRADING),
-                       near=factor * self.near,
-                       function=None if function is None else lambda x: factor * sizes_at(function, x))
+        return replace(
+            self,
+            size=factor * self.size,
+            grading=slower * min(factor * self.grading, _MAX_GRADING),
+            near=factor * self.near,
+            function=None if function is None else lambda x: factor * sizes_at(function, x),
+        )
 
-    def field(self, points: np.ndarray, mesh: MeshArrays, faces: Sequence[str], floor: float = 0.0) -> np.ndarray:
-        """Return the edge lengths (n,) at points (n, 3); some faces of the mesh are the boundaries."""
+    def field(
+        self, points: np.ndarray, mesh: MeshArrays, faces: Sequence[str], floor: float = 0.0
+    ) -> np.ndarray:
+        """Return the edge lengths (n,) at points (n, 3); some faces of the mesh are the
+        boundaries."""
         from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
         result = np.full(len(points), self.size)
@@ -220,7 +290,9 @@ class SolidSizes:
             result = np.minimum(result, np.maximum(sizes_at(self.function, points), floor))
         if faces:
             facets = np.concatenate([mesh.boundary_facets(face) for face in faces])
-            places = np.concatenate([mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)])
+            places = np.concatenate(
+                [mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)]
+            )
             near = _raised(self.near, self.size) if floor else self.near
             reach = max(self.size - near, 0.0) / self.grading
             away = cKDTree(places).query(points, distance_upper_bound=reach)[0]
@@ -236,7 +308,9 @@ class Shape:
     areas: list[float]
     volume: float
     corners: np.ndarray  # (2, 3): of its bounding box
-    samples: Sequence[np.ndarray]  # of each face: patches of points and normals on its surface (2, n, 6)
+    samples: Sequence[
+        np.ndarray
+    ]  # of each face: patches of points and normals on its surface (2, n, 6)
     centres: np.ndarray  # (n, 3): of its faces
     lower: np.ndarray  # m: where its origin lies
     scale: float  # m: its unit of length
@@ -250,15 +324,21 @@ def built_shape(worker: Netgen, domain: SolidDomain | Box | StepSolid) -> Shape:
     if isinstance(domain, StepSolid):
         path, unit = domain.file.path, domain.file.unit
         try:
-            (_, *tables), lower, scale = worker("step_shape", str(path.absolute()), domain.number, seconds=read_s(path))
+            (_, *tables), lower, scale = worker(
+                "step_shape", str(path.absolute()), domain.number, seconds=read_s(path)
+            )
         except NetgenFails as error:
             raise ValueError(f"{str(path)!r} cannot be read as a STEP file: {error}") from error
         return Shape(list(domain.faces), *tables, unit * lower, unit * scale)
     lower, scale = extent(domain)
     try:
-        shape = Shape(*worker("build_shape", domain, lower, scale, seconds=limit_s(0, 3)), lower, scale)
+        shape = Shape(
+            *worker("build_shape", domain, lower, scale, seconds=limit_s(0, 3)), lower, scale
+        )
     except NetgenFails as error:
-        raise ValueError(f"OCC could not build {domain!r} ({error}); change its lengths a little") from error
+        raise ValueError(
+            f"OCC could not build {domain!r} ({error}); change its lengths a little"
+        ) from error
     if not isinstance(domain, Cracked):
         return shape
     # a right face, after all others, for each left one of a crack
@@ -266,16 +346,22 @@ def built_shape(worker: Netgen, domain: SolidDomain | Box | StepSolid) -> Shape:
     if missing := sorted(set(normals) - set(shape.names)):
         raise ValueError(f"cracks[{missing[0].removesuffix('.left')!r}] lies outside the body")
     left = [i for i, name in enumerate(shape.names) if name in normals]
-    return replace(shape, names=[*shape.names, *(shape.names[i].removesuffix("left") + "right" for i in left)],
-                   areas=[*shape.areas, *(shape.areas[i] for i in left)],
-                   samples=[*shape.samples, *(shape.samples[i] for i in left)],
-                   cracks={str(i): normals[shape.names[i]] for i in left})
+    return replace(
+        shape,
+        names=[*shape.names, *(shape.names[i].removesuffix("left") + "right" for i in left)],
+        areas=[*shape.areas, *(shape.areas[i] for i in left)],
+        samples=[*shape.samples, *(shape.samples[i] for i in left)],
+        cracks={str(i): normals[shape.names[i]] for i in left},
+    )
 
 
-def solid_mesh(domain: SolidDomain | Box | StepSolid, sizes: SolidSizes, mesher: str = "own") -> MeshArrays:
-    """Mesh a solid with straight tetrahedra: one body, with the boundaries of the domain of which a face is left. Plane
-    faces normal to an axis have all nodes at the same coordinate, which is exact up to 14 digits; nodes of curved faces
-    lie on them within 1e-7 of the extent (on the intersection of two; elsewhere to rounding)."""
+def solid_mesh(
+    domain: SolidDomain | Box | StepSolid, sizes: SolidSizes, mesher: str = "own"
+) -> MeshArrays:
+    """Mesh a solid with straight tetrahedra: one body, with the boundaries of the domain of which a
+    face is left. Plane faces normal to an axis have all nodes at the same coordinate, which is
+    exact up to 14 digits; nodes of curved faces lie on them within 1e-7 of the extent (on the
+    intersection of two; elsewhere to rounding)."""
     with netgen() as worker:
         shape = built_shape(worker, domain)
         mesh = _in_metres(_unit_mesh(worker, shape, sizes, domain, mesher), shape)
@@ -285,33 +371,59 @@ def solid_mesh(domain: SolidDomain | Box | StepSolid, sizes: SolidSizes, mesher:
     return swept(trusted(replace(mesh, facet_labels=labels, boundaries=order), None, mesh.sound))
 
 
-def _unit_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, mesher: str) -> MeshArrays:
+def _unit_mesh(
+    worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, mesher: str
+) -> MeshArrays:
     """The mesh at unit size of the solid that a process holds."""
     faces = [str(i) for i, name in enumerate(shape.names) if name in sizes.names]
     if missing := sorted(set(sizes.names).difference(shape.names)):
         raise ValueError(f"of boundary {missing[0]!r} no face is left on {domain!r}")
-    nodes = guessed_nodes(3, shape.volume, sizes.size / shape.scale, sum(shape.areas[int(face)] for face in faces),
-                          sizes.near / shape.scale, sizes.grading)
+    nodes = guessed_nodes(
+        3,
+        shape.volume,
+        sizes.size / shape.scale,
+        sum(shape.areas[int(face)] for face in faces),
+        sizes.near / shape.scale,
+        sizes.grading,
+    )
     on_round = _round_nodes(shape, sizes.size / shape.scale)
     refuse_too_many(nodes + on_round, domain)
     surfaces = candidates(shape.samples) if mesher == "own" else None
     if mesher == "own" and surfaces is None:
-        _LOG.info("Netgen makes all elements of %r, which has faces other than planes, cylinders, cones, spheres and "
-                  "tori", domain)
-    drafts = [(factor, 1.0) for factor in _FACTORS if surfaces is not None and nodes > _LEAST * factor**3]
+        _LOG.info(
+            "Netgen makes all elements of %r, which has faces other than planes, cylinders, cones, spheres and "
+            "tori",
+            domain,
+        )
+    drafts = [
+        (factor, 1.0) for factor in _FACTORS if surfaces is not None and nodes > _LEAST * factor**3
+    ]
     why: Exception | None = None
     for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
         try:
             coarse = sizes.drafts(factor, slower)
-            rounds = 0 if coarse.function is None and not faces else 2 if factor == 1 and coarse.function else 1
-            unit = _solid_draft(worker, shape, coarse, faces, domain, nodes / factor**3 + on_round, rounds)
+            rounds = (
+                0
+                if coarse.function is None and not faces
+                else 2
+                if factor == 1 and coarse.function
+                else 1
+            )
+            unit = _solid_draft(
+                worker, shape, coarse, faces, domain, nodes / factor**3 + on_round, rounds
+            )
             try:
                 if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < _MIN_ANGLE:
                     raise Misplaced(f"it has angles of {angle:.1f} degrees")
-                unit = (_bisected(worker, unit, shape, sizes, faces, domain) if surfaces is None else
-                        _refined(unit, shape, sizes, faces, domain, surfaces))
+                unit = (
+                    _bisected(worker, unit, shape, sizes, faces, domain)
+                    if surfaces is None
+                    else _refined(unit, shape, sizes, faces, domain, surfaces)
+                )
             except Misplaced as error:
-                _LOG.info("a draft of %r with sizes times %g is not refined: %s", domain, factor, error)
+                _LOG.info(
+                    "a draft of %r with sizes times %g is not refined: %s", domain, factor, error
+                )
                 why = error
                 if factor > 1:
                     continue
@@ -326,8 +438,8 @@ def _unit_mesh(worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, 
 
 
 def _round_nodes(shape: Shape, size: float) -> float:
-    """The number of nodes that cylinders and spheres ask for where their radius over _CURVATURE is below a size; half
-    of the whole surfaces."""
+    """The number of nodes that cylinders and spheres ask for where their radius over _CURVATURE is
+    below a size; half of the whole surfaces."""
     nodes = 0.0
     for area, samples in zip(shape.areas, shape.samples, strict=True):
         for surface in (candidates([samples]) or [[]])[0][:1]:
@@ -343,36 +455,61 @@ def _sound(shape: Shape, tables: Sequence) -> MeshArrays:
         if shape.cracks:
             label = {name: k for k, name in enumerate(tables[4])}
             first = len(shape.names) - len(shape.cracks)
-            tables = opened_tables({label[name]: str(first + k) for k, name in enumerate(shape.cracks)},
-                                   {label[name]: normal for name, normal in shape.cracks.items()}, *tables)
+            tables = opened_tables(
+                {label[name]: str(first + k) for k, name in enumerate(shape.cracks)},
+                {label[name]: normal for name, normal in shape.cracks.items()},
+                *tables,
+            )
         return check_mesh(normalised(*tables))
     except ValueError as error:
         raise NetgenFails(str(error)) from error
 
 
-def _solid_draft(worker: Netgen, shape: Shape, sizes: SolidSizes, faces: Sequence[str], domain: Domain, nodes: float,
-                 rounds: int) -> MeshArrays:
+def _solid_draft(
+    worker: Netgen,
+    shape: Shape,
+    sizes: SolidSizes,
+    faces: Sequence[str],
+    domain: Domain,
+    nodes: float,
+    rounds: int,
+) -> MeshArrays:
     """Netgen's mesh at unit size; again by the sizes on the mesh before where these vary."""
     face_sizes = {int(face): _raised(sizes.near, sizes.size) / shape.scale for face in faces}
-    options = {"maxh": sizes.size / shape.scale, "grading": sizes.grading, "curvaturesafety": _CURVATURE}
+    options = {
+        "maxh": sizes.size / shape.scale,
+        "grading": sizes.grading,
+        "curvaturesafety": _CURVATURE,
+    }
     at: SizesAt = []
     for left in range(rounds, -1, -1):
         # of a draft only its sizes matter: optimising takes most of the time
         fast = {"optsteps3d": 0} if left else {}
-        unit = _sound(shape, worker("mesh_shape", face_sizes, options | fast, at, seconds=limit_s(nodes, 3)))
+        unit = _sound(
+            shape, worker("mesh_shape", face_sizes, options | fast, at, seconds=limit_s(nodes, 3))
+        )
         if left:
             mesh = _placed(unit, shape)
             centroids = mesh.points[mesh.elements].mean(axis=1)
             # before Netgen works for minutes on a mesh that bisection would then find too large
-            nodes = max(nodes, refuse_too_many(expected_nodes(mesh, sizes.field(centroids, mesh, faces)), domain))
+            nodes = max(
+                nodes,
+                refuse_too_many(expected_nodes(mesh, sizes.field(centroids, mesh, faces)), domain),
+            )
             target = sizes.field(centroids, mesh, faces, sizes.size / _NETGEN_RATIO)
             small = target < sizes.size
             at = [((centroids - shape.lower)[small] / shape.scale, target[small] / shape.scale)]
     return unit
 
 
-def _refined(draft: MeshArrays, shape: Shape, sizes: SolidSizes, faces: Sequence[str], domain: Domain,
-             possible: list[list[Revolved]]) -> MeshArrays:
+def _refined(
+    draft: MeshArrays,
+    shape: Shape,
+    sizes: SolidSizes,
+    faces: Sequence[str],
+    domain: Domain,
+    possible: list[list[Revolved]],
+) -> MeshArrays:
     """The draft at unit size, refined to the sizes."""
     surfaces = surfaces_of(possible, draft)
 
@@ -383,8 +520,14 @@ def _refined(draft: MeshArrays, shape: Shape, sizes: SolidSizes, faces: Sequence
     return drafted(domain, draft, field, lambda mesh, n_old: onto_surfaces(surfaces, mesh, n_old))
 
 
-def _bisected(worker: Netgen, unit: MeshArrays, shape: Shape, sizes: SolidSizes, faces: Sequence[str], domain: Domain
-              ) -> MeshArrays:
+def _bisected(
+    worker: Netgen,
+    unit: MeshArrays,
+    shape: Shape,
+    sizes: SolidSizes,
+    faces: Sequence[str],
+    domain: Domain,
+) -> MeshArrays:
     """The mesh at unit size after bisection until no element is too large."""
     if sizes.function is None and not faces:
         return unit
@@ -405,37 +548,57 @@ def _bisected(worker: Netgen, unit: MeshArrays, shape: Shape, sizes: SolidSizes,
 
 def _placed(unit: MeshArrays, shape: Shape) -> MeshArrays:
     """The mesh in m, without source."""
-    return trusted(replace(unit, points=shape.lower + shape.scale * unit.points, source=None), None, unit.sound)
+    return trusted(
+        replace(unit, points=shape.lower + shape.scale * unit.points, source=None), None, unit.sound
+    )
 
 
 def _in_metres(unit: MeshArrays, shape: Shape) -> MeshArrays:
-    """The mesh in m, its faces (called by their numbers so far) with their names; nodes of plane faces normal to an
-    axis at one coordinate, free of the rounding of scaling."""
+    """The mesh in m, its faces (called by their numbers so far) with their names; nodes of plane
+    faces normal to an axis at one coordinate, free of the rounding of scaling."""
     points = shape.lower + shape.scale * unit.points
     reach = float(np.abs(points).max())
     for face in unit.boundaries:
         nodes = unit.boundary_nodes(face)
         for axis in np.flatnonzero(np.ptp(points[nodes], axis=0) < _ROUNDED * reach):
-            points[nodes, axis] = round(float(np.median(points[nodes, axis])),
-                                        _DIGITS - math.ceil(math.log10(reach))) + 0.0
+            points[nodes, axis] = (
+                round(float(np.median(points[nodes, axis])), _DIGITS - math.ceil(math.log10(reach)))
+                + 0.0
+            )
     order = tuple(dict.fromkeys(shape.names))
     labels = np.array([order.index(shape.names[int(face)]) for face in unit.boundaries])
-    return trusted(replace(unit, points=points, facet_labels=labels[unit.facet_labels], boundaries=order,
-                           bodies=("body",), source=None), None, unit.sound)
+    return trusted(
+        replace(
+            unit,
+            points=points,
+            facet_labels=labels[unit.facet_labels],
+            boundaries=order,
+            bodies=("body",),
+            source=None,
+        ),
+        None,
+        unit.sound,
+    )
 
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:
     """Raise NetgenFails unless the volume is right but for the chords of curved faces."""
     bound, meshed = _left_by_chords(mesh) + 1e-5 * volume, float(mesh.volumes.sum())
     if not abs(meshed - volume) <= bound:
-        raise NetgenFails(f"the mesh fills {meshed / volume:.6g} of the volume, chords explain a deviation of "
-                          f"{bound / volume:.2g}")
+        raise NetgenFails(
+            f"the mesh fills {meshed / volume:.6g} of the volume, chords explain a deviation of "
+            f"{bound / volume:.2g}"
+        )
 
 
 def _left_by_chords(mesh: MeshArrays) -> float:
     """Bound of the volume between curved faces and the mesh (module docstring)."""
     surface = Surface(mesh.points, mesh.facets)
-    normals, areas, longest = surface.normals, surface.measures, longest_edges(mesh.points[mesh.facets])
+    normals, areas, longest = (
+        surface.normals,
+        surface.measures,
+        longest_edges(mesh.points[mesh.facets]),
+    )
     edges = facet_table(mesh.facets, mesh.n_nodes)
     first, second = edges.first, edges.second
     angles = np.arccos(np.clip(np.sum(normals[first] * normals[second], axis=1), -1.0, 1.0))

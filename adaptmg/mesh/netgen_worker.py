@@ -1,8 +1,8 @@
 """The process that Netgen and OCC work in: domains and files in, plain arrays out.
 
 :mod:`adaptmg.mesh.netgen_guard` runs this file as a script, without the package ``adaptmg.mesh``, so that neither numba
-nor scipy is loaded. A request is the name of a function and its arguments; a shape or mesh stays for the next request.
-"""
+nor scipy is loaded. A request is the name of a function and its arguments; a shape or mesh stays
+for the next request."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revo
 if TYPE_CHECKING:
     import meshio
 
-Tables = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]]
+Tables = tuple[
+    np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]
+]
 Sizes = Sequence[tuple[np.ndarray, np.ndarray]]
 
 # Netgen's element types of first and second order
@@ -48,8 +50,10 @@ _VOLUME_TOLERANCE = 1e-6
 # parameters of samples of surfaces: angles of those that are turned
 _ACROSS, _ALONG = (0.1, 0.5, 0.9, 1.3, 1.7), (0.01, 0.04, 0.07, 0.1, 0.13)
 # where Gmsh puts the nodes that VTK counts in order, of kinds that meshio leaves alone
-_ORDER = {"wedge18": (*range(7), 9, 7, 12, 14, 13, 8, 10, 11, 15, 17, 16),
-          "pyramid14": (*range(6), 8, 10, 6, 7, 9, 11, 12, 13)}
+_ORDER = {
+    "wedge18": (*range(7), 9, 7, 12, 14, 13, 8, 10, 11, 15, 17, 16),
+    "pyramid14": (*range(6), 8, 10, 6, 7, 9, 11, 12, 13),
+}
 _SIDES = ("left", "right", "front", "back", "bottom", "top")
 
 
@@ -62,23 +66,38 @@ class _Held:
     step: tuple[OCCGeometry, Sequence[Solid]]
 
 
-def tables(mesh: netgen.meshing.Mesh, boundaries: Sequence[str] | None = None, bodies: Sequence[str] | None = None
-           ) -> Tables:
-    """Copy the tables of a mesh: points, elements, facets, labels, their names, body of each element, names."""
+def tables(
+    mesh: netgen.meshing.Mesh,
+    boundaries: Sequence[str] | None = None,
+    bodies: Sequence[str] | None = None,
+) -> Tables:
+    """Copy the tables of a mesh: points, elements, facets, labels, their names, body of each
+    element, names."""
     dim = mesh.dim
     if dim not in (2, 3):
         raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
-    volume, surface = (mesh.Elements2D(), mesh.Elements1D()) if dim == 2 else (mesh.Elements3D(), mesh.Elements2D())
+    volume, surface = (
+        (mesh.Elements2D(), mesh.Elements1D())
+        if dim == 2
+        else (mesh.Elements3D(), mesh.Elements2D())
+    )
     if len(volume) == 0 or len(surface) == 0:
-        raise ValueError("the mesh has no elements or no boundary facets; generate the volume mesh first")
+        raise ValueError(
+            "the mesh has no elements or no boundary facets; generate the volume mesh first"
+        )
     points = np.array(mesh.Coordinates(), dtype=np.float64)[:, :dim]
     volume, surface = volume.NumPy(), surface.NumPy()
     bad = ~np.isin(volume["type"], _SIMPLICES[dim])
     if bad.any():
-        raise ValueError(f"the mesh must consist of {'triangles' if dim == 2 else 'tetrahedra'}, but "
-                         f"{np.count_nonzero(bad)} of {len(bad)} elements are others (quadrilaterals, hexahedra, ...), "
-                         f"first element {int(np.argmax(bad))}; generate the mesh without quads")
-    elements, facets = (table["nodes"][:, :k].astype(np.int64) - 1 for table, k in ((volume, dim + 1), (surface, dim)))
+        raise ValueError(
+            f"the mesh must consist of {'triangles' if dim == 2 else 'tetrahedra'}, but "
+            f"{np.count_nonzero(bad)} of {len(bad)} elements are others (quadrilaterals, hexahedra, ...), "
+            f"first element {int(np.argmax(bad))}; generate the mesh without quads"
+        )
+    elements, facets = (
+        table["nodes"][:, :k].astype(np.int64) - 1
+        for table, k in ((volume, dim + 1), (surface, dim))
+    )
     label, body = (table["index"].astype(np.int64) - 1 for table in (surface, volume))
     if dim == 3:
         faces = np.array([face.bc for face in mesh.FaceDescriptors()], dtype=np.int64) - 1
@@ -94,18 +113,28 @@ def tables(mesh: netgen.meshing.Mesh, boundaries: Sequence[str] | None = None, b
 
 def _indices(what: str, index: np.ndarray, size: int) -> np.ndarray:
     if index.min() < 0 or index.max() >= size:
-        raise ValueError(f"mesh: {what} of an element must be from 1 to {size}, got {index.min() + 1} to "
-                         f"{index.max() + 1}")
+        raise ValueError(
+            f"mesh: {what} of an element must be from 1 to {size}, got {index.min() + 1} to "
+            f"{index.max() + 1}"
+        )
     return index
 
 
-def mesh_plane(domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float],
-               options: Mapping[str, float], sizes: Sizes) -> Tables:
+def mesh_plane(
+    domain: Outline,
+    lower: np.ndarray,
+    scale: float,
+    sides: Mapping[str, float],
+    options: Mapping[str, float],
+    sizes: Sizes,
+) -> Tables:
     """Mesh a domain moved by ``-lower`` and divided by ``scale``; see :func:`_generated`."""
     return _generated(_spline_geometry(domain, lower, scale, sides), options, sizes)
 
 
-def mesh_shape(face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: Sizes) -> Tables:
+def mesh_shape(
+    face_sizes: Mapping[int, float], options: Mapping[str, float], sizes: Sizes
+) -> Tables:
     """Mesh the shape of the last request; its faces are called by their numbers."""
     for i, face in enumerate(_Held.shape.faces):
         face.name = str(i)
@@ -114,7 +143,9 @@ def mesh_shape(face_sizes: Mapping[int, float], options: Mapping[str, float], si
     return _generated(OCCGeometry(_Held.shape), options, sizes)
 
 
-def _generated(geometry: SplineGeometry | OCCGeometry, options: Mapping[str, float], sizes: Sizes) -> Tables:
+def _generated(
+    geometry: SplineGeometry | OCCGeometry, options: Mapping[str, float], sizes: Sizes
+) -> Tables:
     """Netgen's mesh by sizes at points."""
     # Netgen's threads spend more time waiting than the work takes: 3 to 30 times slower
     parameters = netgen.meshing.MeshingParameters(**options, parallel_meshing=False)
@@ -139,19 +170,28 @@ def bisect(marked: np.ndarray) -> Tables:
     return tables(_Held.mesh.ngmesh)
 
 
-def _spline_geometry(domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float]) -> SplineGeometry:
-    r"""Netgen's geometry of a plane domain; its edges are called by their numbers. An arc becomes rational quadratic
-    splines, which are exact circles: the middle control point is the meeting point of the tangents, at the distance
+def _spline_geometry(
+    domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float]
+) -> SplineGeometry:
+    r"""Netgen's geometry of a plane domain; its edges are called by their numbers. An arc becomes
+    rational quadratic splines, which are exact circles: the middle control point is the meeting
+    point of the tangents, at the distance
     :math:`r / \cos(\theta / 2)` from the centre."""
     geometry = SplineGeometry()
-    number = {vertex: geometry.AppendPoint(*(np.array(vertex) - lower) / scale)
-              for vertex in dict.fromkeys(domain.vertices)}
+    number = {
+        vertex: geometry.AppendPoint(*(np.array(vertex) - lower) / scale)
+        for vertex in dict.fromkeys(domain.vertices)
+    }
     corners = [number[vertex] for vertex in domain.vertices]
     for i, name in enumerate(domain.boundaries):
         if i in domain.twins:
             continue
-        options = {"leftdomain": 1, "rightdomain": int(i in domain.twins.values()), "bc": str(i),
-                   "maxh": sides.get(name, _NO_LIMIT)}
+        options = {
+            "leftdomain": 1,
+            "rightdomain": int(i in domain.twins.values()),
+            "bc": str(i),
+            "maxh": sides.get(name, _NO_LIMIT),
+        }
         first, last = corners[i], corners[domain.following[i]]
         arc = domain.arc(i)
         if arc is None:
@@ -165,7 +205,9 @@ def _spline_geometry(domain: Outline, lower: np.ndarray, scale: float, sides: Ma
         middles = center + stretch * (arc.at((np.arange(pieces) + 0.5) / pieces) - center)
         numbers = [first, *(geometry.AppendPoint(*place) for place in (ends - lower) / scale), last]
         for k, middle in enumerate((middles - lower) / scale):
-            geometry.Append(["spline3", numbers[k], geometry.AppendPoint(*middle), numbers[k + 1]], **options)
+            geometry.Append(
+                ["spline3", numbers[k], geometry.AppendPoint(*middle), numbers[k + 1]], **options
+            )
     geometry.SetMaterial(1, "body")
     return geometry
 
@@ -174,8 +216,9 @@ ShapeTables = tuple[list[str], list[float], float, np.ndarray, list[np.ndarray],
 
 
 def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> ShapeTables:
-    """Return OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces, volume, bounding
-    box, samples of its surfaces. OCC compares lengths with absolute tolerances of 1e-7: all is built near unit size."""
+    """Return OCC's shape of a solid in lengths (x - origin) / scale: names and areas of its faces,
+    volume, bounding box, samples of its surfaces. OCC compares lengths with absolute tolerances of
+    1e-7: all is built near unit size."""
     shape = _shape(domain, origin, scale)
     if len(shape.solids) != 1:
         what = "nothing" if len(shape.solids) == 0 else f"{len(shape.solids)} pieces"
@@ -183,8 +226,10 @@ def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> 
     solid = shape.solids[0]
     for face in solid.faces:
         if face.name not in domain.boundaries:
-            raise ValueError(f"a face of {domain!r} at {_place(face.center)} got no name from OCC; "
-                             "move its parts a little against each other")
+            raise ValueError(
+                f"a face of {domain!r} at {_place(face.center)} got no name from OCC; "
+                "move its parts a little against each other"
+            )
     return _hold(solid)
 
 
@@ -198,19 +243,27 @@ def _step(path: str) -> tuple[OCCGeometry, Sequence[Solid]]:
 
 
 def read_step(path: str) -> list[tuple[str, str, list[str]]]:
-    """Return of each solid of a STEP file the name of its product, its own name and those of its faces, "" where there
-    is none. A product of several solids names none of them."""
+    """Return of each solid of a STEP file the name of its product, its own name and those of its
+    faces, "" where there is none. A product of several solids names none of them."""
     geometry, solids = _step(path)
     products: dict[Solid, str] = {}
     tree = geometry.GetAssemblyTree()
     if tree is not None:
         _name_products(tree, "", _uses(Path(path).read_text("latin-1")), products)
-    return [(products.get(solid, ""), solid.name or "", [face.name or "" for face in solid.faces]) for solid in solids]
+    return [
+        (products.get(solid, ""), solid.name or "", [face.name or "" for face in solid.faces])
+        for solid in solids
+    ]
 
 
-def _name_products(node: occ.OCCAssemblyNode, label: str, uses: dict[str, list[tuple[str, str]]],
-                   products: dict[Solid, str]) -> None:
-    """Names of the products of the leaves below a node. Netgen says the names of instances, the file of what."""
+def _name_products(
+    node: occ.OCCAssemblyNode,
+    label: str,
+    uses: dict[str, list[tuple[str, str]]],
+    products: dict[Solid, str],
+) -> None:
+    """Names of the products of the leaves below a node. Netgen says the names of instances, the
+    file of what."""
     below = list(uses.get(label, ())) if label else [(name, name) for name in uses]
     for child in node.children:
         entry = next((pair for pair in below if pair[0] == child.name), (child.name, child.name))
@@ -222,7 +275,8 @@ def _name_products(node: occ.OCCAssemblyNode, label: str, uses: dict[str, list[t
 
 
 def _uses(text: str) -> dict[str, list[tuple[str, str]]]:
-    """For each product of a STEP file that has parts, the names of their instances and of their products."""
+    """For each product of a STEP file that has parts, the names of their instances and of their
+    products."""
     string = r"'((?:[^']|'')*)'"
     described = rf"\s*\(\s*{string}\s*,\s*(?:{string}|\$)\s*,\s*"
 
@@ -230,21 +284,34 @@ def _uses(text: str) -> dict[str, list[tuple[str, str]]]:
         return re.findall(rf"#(\d+)\s*=\s*{pattern}", text)
 
     name = {row[0]: row[2] or row[1] for row in rows(rf"PRODUCT{described}")}
-    version = {row[0]: name.get(row[-1], "") for row in rows(rf"PRODUCT_DEFINITION_FORMATION\w*{described}#(\d+)")}
-    part = {row[0]: version.get(row[-1], "") for row in rows(rf"PRODUCT_DEFINITION(?:_WITH_\w+)?{described}#(\d+)")}
+    version = {
+        row[0]: name.get(row[-1], "")
+        for row in rows(rf"PRODUCT_DEFINITION_FORMATION\w*{described}#(\d+)")
+    }
+    part = {
+        row[0]: version.get(row[-1], "")
+        for row in rows(rf"PRODUCT_DEFINITION(?:_WITH_\w+)?{described}#(\d+)")
+    }
     result: dict[str, list[tuple[str, str]]] = {one: [] for one in part.values() if one}
     for _, number, instance, _, whole, used in rows(
-            rf"NEXT_ASSEMBLY_USAGE_OCCURRENCE{described}(?:{string}|\$)\s*,\s*#(\d+)\s*,\s*#(\d+)"):
+        rf"NEXT_ASSEMBLY_USAGE_OCCURRENCE{described}(?:{string}|\$)\s*,\s*#(\d+)\s*,\s*#(\d+)"
+    ):
         result.setdefault(part.get(whole, ""), []).append((instance or number, part.get(used, "")))
     return result
 
 
 def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return points, outward triangles and the face of each, of a surface mesh of the shape of the last request."""
-    mesh = OCCGeometry(_Held.shape).GenerateMesh(maxh=size, perfstepsend=netgen.meshing.MeshingStep.MESHSURFACE)
+    """Return points, outward triangles and the face of each, of a surface mesh of the shape of the
+    last request."""
+    mesh = OCCGeometry(_Held.shape).GenerateMesh(
+        maxh=size, perfstepsend=netgen.meshing.MeshingStep.MESHSURFACE
+    )
     found = mesh.Elements2D().NumPy()
-    return (np.array(mesh.Coordinates()), found["nodes"][:, :3].astype(np.int64) - 1,
-            found["index"].astype(np.int64) - 1)
+    return (
+        np.array(mesh.Coordinates()),
+        found["nodes"][:, :3].astype(np.int64) - 1,
+        found["index"].astype(np.int64) - 1,
+    )
 
 
 def face_distances(path: str, number: int, face: int, points: np.ndarray) -> np.ndarray:
@@ -254,11 +321,17 @@ def face_distances(path: str, number: int, face: int, points: np.ndarray) -> np.
 
 
 def step_shape(path: str, number: int) -> tuple[ShapeTables, np.ndarray, float]:
-    """Return the tables of a solid of a STEP file at unit size, and its origin and its unit in the file."""
+    """Return the tables of a solid of a STEP file at unit size, and its origin and its unit in the
+    file."""
     solid = _step(path)[1][number]
     lower, upper = (np.array(_place(p)) for p in solid.bounding_box)
     scale = float((upper - lower).max())
-    if not (np.isfinite([*lower, *upper]).all() and scale > 0 and math.isfinite(solid.mass) and solid.mass > 0):
+    if not (
+        np.isfinite([*lower, *upper]).all()
+        and scale > 0
+        and math.isfinite(solid.mass)
+        and solid.mass > 0
+    ):
         raise ValueError(f"solid {number + 1} has no finite size or volume")
     shape = solid.Move(Vec(*(-lower))).Scale(Pnt(0, 0, 0), 1 / scale).solids[0]
     return _hold(shape), lower, scale
@@ -267,15 +340,25 @@ def step_shape(path: str, number: int) -> tuple[ShapeTables, np.ndarray, float]:
 def _hold(solid: Solid) -> ShapeTables:
     _Held.shape = solid
     faces = list(solid.faces)
-    return ([face.name for face in faces], [face.mass for face in faces], solid.mass,
-            np.array([_place(p) for p in solid.bounding_box]), [_samples(face) for face in faces],
-            np.array([_place(face.center) for face in faces]))
+    return (
+        [face.name for face in faces],
+        [face.mass for face in faces],
+        solid.mass,
+        np.array([_place(p) for p in solid.bounding_box]),
+        [_samples(face) for face in faces],
+        np.array([_place(face.center) for face in faces]),
+    )
 
 
 def _samples(face: Face) -> np.ndarray:
-    """Points and normals (2, n, 6) on two patches of the surface of a face, one on either side of an apex."""
-    found = np.array([[[_place(x) for x in face.surf.D1(u, sign * v)] for u in _ACROSS for v in _ALONG]
-                      for sign in (1.0, -1.0)])
+    """Points and normals (2, n, 6) on two patches of the surface of a face, one on either side of
+    an apex."""
+    found = np.array(
+        [
+            [[_place(x) for x in face.surf.D1(u, sign * v)] for u in _ACROSS for v in _ALONG]
+            for sign in (1.0, -1.0)
+        ]
+    )
     normals = np.cross(found[:, :, 1], found[:, :, 2])
     with np.errstate(invalid="ignore"):
         # nan where there is none
@@ -307,8 +390,15 @@ def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoD
         shape.faces.name = "surface"
         return shape
     if isinstance(domain, Cylinder):
-        return occ.Cylinder(place(domain.point), Dir(*domain.axis), domain.radius / scale, domain.height / scale,
-                            bottom="bottom", top="top", mantle="side")
+        return occ.Cylinder(
+            place(domain.point),
+            Dir(*domain.axis),
+            domain.radius / scale,
+            domain.height / scale,
+            bottom="bottom",
+            top="top",
+            mantle="side",
+        )
     if isinstance(domain, Box):
         solid = occ.Box(place(domain.lower), place(domain.upper))
         for k, name in enumerate(_SIDES):
@@ -317,17 +407,28 @@ def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoD
     if isinstance(domain, Revolution):
         # the profile may touch the axis up to rounding: put those vertices onto it
         r_min = 1e-11 * float(domain.polygon.upper[0])
-        face = _profile_face(domain.polygon, lambda p: place((p[0] if p[0] > r_min else 0.0, 0.0, p[1])))
-        shape, start = face.Revolve(occ.Axis(place(np.zeros(3)), Z), domain.angle), np.array(_place(face.center))
+        face = _profile_face(
+            domain.polygon, lambda p: place((p[0] if p[0] > r_min else 0.0, 0.0, p[1]))
+        )
+        shape, start = (
+            face.Revolve(occ.Axis(place(np.zeros(3)), Z), domain.angle),
+            np.array(_place(face.center)),
+        )
         if domain.angle < 360:
-            _name_ends(shape, ("start", "end"), lambda f: float(np.linalg.norm(np.array(_place(f.center)) - start)))
+            _name_ends(
+                shape,
+                ("start", "end"),
+                lambda f: float(np.linalg.norm(np.array(_place(f.center)) - start)),
+            )
         return shape
     if isinstance(domain, Extrusion):
         face = _profile_face(domain.polygon, lambda p: place((p[0], p[1], domain.base)))
         shape = face.Extrude(Vec(0, 0, domain.height / scale))
         _name_ends(shape, ("bottom", "top"), lambda f: f.center.z)
         return shape
-    raise TypeError(f"domain must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), got {domain!r}")
+    raise TypeError(
+        f"domain must be a Box or another solid (Cylinder, Ball, Revolution, Cut, ...), got {domain!r}"
+    )
 
 
 def _place(p: Pnt | Vec) -> tuple[float, float, float]:
@@ -336,7 +437,9 @@ def _place(p: Pnt | Vec) -> tuple[float, float, float]:
 
 def _name_ends(shape: TopoDS_Shape, names: tuple[str, str], key: Callable[[Face], float]) -> None:
     """Name the two faces that no edge of the profile gave a name."""
-    for face, name in zip(sorted((f for f in shape.faces if not f.name), key=key), names, strict=True):
+    for face, name in zip(
+        sorted((f for f in shape.faces if not f.name), key=key), names, strict=True
+    ):
         face.name = name
 
 
@@ -347,19 +450,25 @@ def _profile_face(outline: Outline, place: Callable[[np.ndarray], Pnt]) -> Face:
     for i, (a, b) in enumerate(zip(vertices, vertices[1:] + vertices[:1], strict=True)):
         arc = outline.arc(i)
         middle = 0.5 * (a + b) if arc is None else arc.at(np.array([0.5]))[0]
-        edges.append(occ.Segment(place(a), place(b)) if arc is None
-                     else occ.ArcOfCircle(place(a), place(middle), place(b)))
+        edges.append(
+            occ.Segment(place(a), place(b))
+            if arc is None
+            else occ.ArcOfCircle(place(a), place(middle), place(b))
+        )
         middles.append(_place(place(middle)))
     face = Face(occ.Wire(edges))
     # the wire makes new edges: find each by its middle
     for edge in face.edges:
         middle = _place(edge.Value(0.5 * sum(edge.parameter_interval)))
-        edge.name = outline.boundaries[int(np.argmin(np.linalg.norm(np.array(middles) - middle, axis=1)))]
+        edge.name = outline.boundaries[
+            int(np.argmin(np.linalg.norm(np.array(middles) - middle, axis=1)))
+        ]
     return face
 
 
 def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoDS_Shape:
-    r"""A boolean operation, which OCC may get wrong without an error: volumes are compared with the complementary ones,
+    r"""A boolean operation, which OCC may get wrong without an error: volumes are compared with the
+    complementary ones,
     :math:`|a \setminus b| + |a \cap b| = |a|` and :math:`|a \cup b| + |a \cap b| = |a| + |b|`."""
     a, b = (_shape(part, origin, scale) for part in (domain.a, domain.b))
     for part, shape in (("a", a), ("b", b)):
@@ -373,10 +482,15 @@ def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoD
     else:
         # not a + b, which also joins coplanar faces and so loses names
         shape, check = occ.Fuse([a, b]), a.mass + b.mass - common.mass
-    if not (math.isfinite(shape.mass) and abs(shape.mass - check) <= _VOLUME_TOLERANCE * (a.mass + b.mass)):
-        raise ValueError(f"OCC could not combine the parts of {domain!r}: the volumes do not add up "
-                         f"({shape.mass:.9g} instead of {check:.9g}); move or resize one of them a little, so that "
-                         "faces cross or coincide clearly")
+    if not (
+        math.isfinite(shape.mass)
+        and abs(shape.mass - check) <= _VOLUME_TOLERANCE * (a.mass + b.mass)
+    ):
+        raise ValueError(
+            f"OCC could not combine the parts of {domain!r}: the volumes do not add up "
+            f"({shape.mass:.9g} instead of {check:.9g}); move or resize one of them a little, so that "
+            "faces cross or coincide clearly"
+        )
     return shape
 
 
@@ -394,9 +508,9 @@ MeshioTables = tuple[np.ndarray, list, dict, dict]
 
 
 def read_meshio(path: str) -> MeshioTables:
-    """Return points, cells (kind, nodes), sets of cells (block, rows) and sets of nodes of a file that meshio reads. Of
-    Gmsh it reads no 13-node pyramids and 15-node wedges, of groups without names that share a curve the first, and of a
-    name for groups of two dimensions the last."""
+    """Return points, cells (kind, nodes), sets of cells (block, rows) and sets of nodes of a file
+    that meshio reads. Of Gmsh it reads no 13-node pyramids and 15-node wedges, of groups without
+    names that share a curve the first, and of a name for groups of two dimensions the last."""
     import meshio
 
     try:
@@ -405,27 +519,41 @@ def read_meshio(path: str) -> MeshioTables:
         # meshio ends the process where readers fail; a key is a kind of cell
         raise ValueError(f"meshio does not read it ({error})") from None
     of_gmsh = "gmsh:geometrical" in raw.cell_data
-    sets = {name: [(k, rows) for k, rows in enumerate(members) if rows is not None and len(rows)]
-            for name, members in raw.cell_sets.items() if not name.startswith("gmsh:")}
+    sets = {
+        name: [(k, rows) for k, rows in enumerate(members) if rows is not None and len(rows)]
+        for name, members in raw.cell_sets.items()
+        if not name.startswith("gmsh:")
+    }
     if of_gmsh or not sets:
         # groups whose numbers are negative, of curves that run the other way, are not in the sets
         numbered = _numbered(raw)
         sets = {name: numbered.get(name, []) + sets.get(name, []) for name in numbered | sets}
     points = np.zeros((len(raw.points), 3))
-    points[:, :raw.points.shape[1]] = raw.points
+    points[:, : raw.points.shape[1]] = raw.points
     cells = [(block.type, np.asarray(block.data)) for block in raw.cells]
     if of_gmsh:
-        cells = [(kind, nodes[:, _ORDER[kind]] if kind in _ORDER else nodes) for kind, nodes in cells]
+        cells = [
+            (kind, nodes[:, _ORDER[kind]] if kind in _ORDER else nodes) for kind, nodes in cells
+        ]
     return points, cells, sets, {name: np.asarray(rows) for name, rows in raw.point_sets.items()}
 
 
 def _numbered(raw: meshio.Mesh) -> dict[str, list[tuple[int, np.ndarray]]]:
-    """Sets of cells by the numbers of the first data that are whole numbers; of Gmsh by those of physical groups, which
-    have names for some, and 0 for none."""
+    """Sets of cells by the numbers of the first data that are whole numbers; of Gmsh by those of
+    physical groups, which have names for some, and 0 for none."""
     sets: dict[str, list[tuple[int, np.ndarray]]] = {}
-    key, numbers = next(((key, parts) for key, parts in raw.cell_data.items() if key != "gmsh:geometrical"
-                         and all(part.dtype.kind in "iu" and part.ndim == 1 for part in parts)), ("", []))
-    names = {tuple(map(int, pair)): name for name, pair in raw.field_data.items() if np.size(pair) == 2}
+    key, numbers = next(
+        (
+            (key, parts)
+            for key, parts in raw.cell_data.items()
+            if key != "gmsh:geometrical"
+            and all(part.dtype.kind in "iu" and part.ndim == 1 for part in parts)
+        ),
+        ("", []),
+    )
+    names = {
+        tuple(map(int, pair)): name for name, pair in raw.field_data.items() if np.size(pair) == 2
+    }
     for k, (block, part) in enumerate(zip(raw.cells, numbers, strict=False)):
         for value in np.unique(part).tolist():
             number = abs(value) if key == "gmsh:physical" else value

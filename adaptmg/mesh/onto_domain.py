@@ -1,14 +1,15 @@
 r"""onto_domain: nodes that bisection put on the chords of a curved boundary, moved onto the curve.
 
-A node goes as long as every element around it keeps a quarter of its volume; otherwise it stays on the chord. Nodes
-that halve edges of moved nodes follow. The moved mesh is not nested in the mesh before.
+A node goes as long as every element around it keeps a quarter of its volume; otherwise it stays on
+the chord. Nodes that halve edges of moved nodes follow. The moved mesh is not nested in the mesh
+before.
 
-An arc moves the midpoint of two nodes along its radius, as cylinders and balls do. In a turned profile the midpoint
-keeps its angle about the axis and gets the radius and height of the profile, in an extruded one it keeps its height. Of
-several edges of one name that is taken which both nodes lie on and which faces as the boundary does there. Plane
-domains combined are outlines; combined solids (:class:`~adaptmg.problem.Cut`, ``Fuse``, ``Common``) and
-STEP files do not say which surface a face lies on: their midpoints stay on the chord.
-"""
+An arc moves the midpoint of two nodes along its radius, as cylinders and balls do. In a turned
+profile the midpoint keeps its angle about the axis and gets the radius and height of the profile,
+in an extruded one it keeps its height. Of several edges of one name that is taken which both nodes
+lie on and which faces as the boundary does there. Plane domains combined are outlines; combined
+solids (:class:`~adaptmg.problem.Cut`, ``Fuse``, ``Common``) and STEP files do not say which surface
+a face lies on: their midpoints stay on the chord."""
 
 from __future__ import annotations
 
@@ -37,10 +38,11 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     Parameters
     ----------
     domain : Domain or None
-        What the mesh is a mesh of. Known are the arcs of an Outline (also as an axisymmetric profile), a Circle and
-        plane domains combined, the round faces of Cylinder, Ball, Revolution, Extrusion, these Moved, and assemblies
-        of them. Nodes of combined solids (Cut,
-        Fuse, Common) and of STEP files stay where they are, on the chord of their parents; so do all if it is None.
+        What the mesh is a mesh of. Known are the arcs of an Outline (also as an axisymmetric
+        profile), a Circle and plane domains combined, the round faces of Cylinder, Ball,
+        Revolution, Extrusion, these Moved, and assemblies of them. Nodes of combined solids (Cut,
+        Fuse, Common) and of STEP files stay where they are, on the chord of their parents; so do
+        all if it is None.
     mesh : MeshArrays
         From :func:`adaptmg.mesh.bisect`; not changed.
     n_old : int
@@ -59,8 +61,14 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     check_mesh(mesh)
     n_old = checks.integer("n_old", n_old, 0, mesh.n_nodes)
     if mesh.refinement is None:
-        raise ValueError("mesh has no history: onto_domain moves the nodes that adaptmg.mesh.bisect made")
-    names = {name: curves for name, curves in _curved_boundaries(domain).items() if name in mesh.boundaries}
+        raise ValueError(
+            "mesh has no history: onto_domain moves the nodes that adaptmg.mesh.bisect made"
+        )
+    names = {
+        name: curves
+        for name, curves in _curved_boundaries(domain).items()
+        if name in mesh.boundaries
+    }
     sides = [(*curves, *_new_nodes(mesh, name, n_old)) for name, curves in names.items()]
     if not any(len(nodes) for _, _, nodes, _ in sides):
         return mesh
@@ -72,7 +80,9 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
         moved = (points != mesh.points).any(axis=1)
         if near is None:
             near = np.flatnonzero(moved[mesh.elements].any(axis=1))
-        spoilt = near[signed_measures(points, mesh.elements[near]) < _KEPT_VOLUME * mesh.volumes[near]]
+        spoilt = near[
+            signed_measures(points, mesh.elements[near]) < _KEPT_VOLUME * mesh.volumes[near]
+        ]
         if not len(spoilt):
             break
         stays[mesh.elements[spoilt]] = True
@@ -80,7 +90,9 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
         return mesh
     if not moved.any():
         return mesh
-    return with_refinement(sound_by_construction(replace(mesh, points=points, source=None)), mesh.refinement)
+    return with_refinement(
+        sound_by_construction(replace(mesh, points=points, source=None)), mesh.refinement
+    )
 
 
 def _new_nodes(mesh: MeshArrays, name: str, n_old: int) -> tuple[np.ndarray, np.ndarray]:
@@ -105,7 +117,9 @@ def _depth(parents: np.ndarray, n_old: int) -> np.ndarray:
         depth[new] = following
 
 
-def _moved(mesh: MeshArrays, sides: list, depth: np.ndarray, stays: np.ndarray, n_old: int) -> np.ndarray:
+def _moved(
+    mesh: MeshArrays, sides: list, depth: np.ndarray, stays: np.ndarray, n_old: int
+) -> np.ndarray:
     """The points, each new node after its parents."""
     points, parents = mesh.points.copy(), mesh.refinement.parents
     for level in range(1, int(depth.max()) + 1):
@@ -116,14 +130,17 @@ def _moved(mesh: MeshArrays, sides: list, depth: np.ndarray, stays: np.ndarray, 
             a, b = (points[parents[nodes[mine], k]] for k in (0, 1))
             places = _on_surface(domain, name, a, b, normals[mine])
             # a node of two boundaries is moved by the curved one of them
-            goes = np.linalg.norm(places - 0.5 * (a + b), axis=1) > 1e-14 * np.linalg.norm(b - a, axis=1)
+            goes = np.linalg.norm(places - 0.5 * (a + b), axis=1) > 1e-14 * np.linalg.norm(
+                b - a, axis=1
+            )
             points[nodes[mine][goes]] = places[goes]
     return points
 
 
 # nodes further from an arc than this part of the edge between them do not lie on it
 _NEAR = 0.25
-# what an edge that faces the other way is further away for, in lengths of the edge between the nodes
+# what an edge that faces the other way is further away for, in lengths of the edge between the
+# nodes
 _AVERTED = 10.0
 # profiles: radii below this part of the largest lie on the axis
 _ON_AXIS = 1e-12
@@ -134,8 +151,11 @@ _PLANE = 1e-9
 def _curved_boundaries(domain: Domain | None) -> dict[str, tuple[Domain, str]]:
     """The boundaries that may be curved: their part of the domain, and its own name."""
     if isinstance(domain, Assembly):
-        return {f"{body}.{name}": curves for body, part in domain.parts.items()
-                for name, curves in _curved_boundaries(part).items()}
+        return {
+            f"{body}.{name}": curves
+            for body, part in domain.parts.items()
+            for name, curves in _curved_boundaries(part).items()
+        }
     if domain is None:
         return {}
     domain = in_edges(domain)
@@ -158,14 +178,18 @@ def _curved(domain: Domain) -> tuple[str, ...]:
     return ()
 
 
-def _on_surface(domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _on_surface(
+    domain: Domain, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
     """Places on a boundary for the midpoints of some of its edges."""
     middle = 0.5 * (a + b)
     if isinstance(domain, Outline):
         return _on_outline(domain, name, a, b, normals)
     if isinstance(domain, Moved):
         turn, offset = domain.rotation, np.array(domain.offset)
-        own = _on_surface(domain.solid, name, (a - offset) @ turn, (b - offset) @ turn, normals @ turn)
+        own = _on_surface(
+            domain.solid, name, (a - offset) @ turn, (b - offset) @ turn, normals @ turn
+        )
         return own @ turn.T + offset
     if isinstance(domain, Ball):
         centre = np.array(domain.centre)
@@ -186,7 +210,9 @@ def _stretched(vectors: np.ndarray, length: float) -> np.ndarray:
     return vectors * np.where(own > 0, length / np.where(own > 0, own, 1.0), 1.0)[:, None]
 
 
-def _on_revolution(domain: Revolution, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _on_revolution(
+    domain: Revolution, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
     """Radius and height of the profile, at the angle of the midpoint."""
     middle = 0.5 * (a + b)
     profile = domain.polygon
@@ -202,7 +228,9 @@ def _on_revolution(domain: Revolution, name: str, a: np.ndarray, b: np.ndarray, 
     return np.where((off_axis & turned)[:, None], result, middle)
 
 
-def _on_outline(outline: Outline, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _on_outline(
+    outline: Outline, name: str, a: np.ndarray, b: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
     """Midpoints on the edges of an outline that have one name."""
     middle = 0.5 * (a + b)
     length = np.linalg.norm(b - a, axis=1)
@@ -215,7 +243,9 @@ def _on_outline(outline: Outline, name: str, a: np.ndarray, b: np.ndarray, norma
         else:
             along, place = edge.end - edge.start, middle
             facing = normals @ np.array([along[1], -along[0]])
-        away = np.maximum(edge.distance(a), edge.distance(b)) + np.where(facing > 0, 0.0, _AVERTED * length)
+        away = np.maximum(edge.distance(a), edge.distance(b)) + np.where(
+            facing > 0, 0.0, _AVERTED * length
+        )
         nearer = (away < best) & (away <= _NEAR * length)
         best = np.where(nearer, away, best)
         result = np.where(nearer[:, None], place, result)

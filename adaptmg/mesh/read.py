@@ -1,9 +1,9 @@
 """Meshes from files and from NGSolve: ``from_file``, ``from_ngsolve``, ``as_mesh``.
 
-Decks of Abaqus and CalculiX are read by :mod:`adaptmg.mesh.deck`, as meshio loses their surfaces and sections. Netgen
-reads its own files (.vol, .vol.gz), and meshio all others, both in the process of :mod:`adaptmg.mesh.netgen_guard` with
-limits of time and memory: damaged numbers may lead a reader anywhere. What comes back is checked like every other mesh.
-"""
+Decks of Abaqus and CalculiX are read by :mod:`adaptmg.mesh.deck`, as meshio loses their surfaces
+and sections. Netgen reads its own files (.vol, .vol.gz), and meshio all others, both in the process
+of :mod:`adaptmg.mesh.netgen_guard` with limits of time and memory: damaged numbers may lead a
+reader anywhere. What comes back is checked like every other mesh."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     Raises
     ------
     TypeError, FileNotFoundError, ValueError
-        If it is none of these, there is no such file, it cannot be read, or it is not sound (:func:`check_mesh`).
+        If it is none of these, there is no such file, it cannot be read, or it is not sound
+        (:func:`check_mesh`).
 
     Examples
     --------
@@ -62,8 +63,10 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     if _is_ngsolve(mesh):
         return from_ngsolve(mesh)
     if not isinstance(mesh, str | Path):
-        raise TypeError("mesh must be MeshArrays, an ngsolve.Mesh or the path of a mesh file, got "
-                        f"{type(mesh).__name__}")
+        raise TypeError(
+            "mesh must be MeshArrays, an ngsolve.Mesh or the path of a mesh file, got "
+            f"{type(mesh).__name__}"
+        )
     return from_file(_file("mesh", mesh))
 
 
@@ -79,20 +82,22 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        Straight triangles or tetrahedra. Materials become bodies, those with the same name one body; boundaries inside
-        the mesh (interfaces of glued materials) are left out.
+        Straight triangles or tetrahedra. Materials become bodies, those with the same name one
+        body; boundaries inside the mesh (interfaces of glued materials) are left out.
 
     Returns
     -------
     MeshArrays
-        Copies: refining ``mesh`` later changes nothing here. The nodes keep their numbers unless some belong to no
-        element (these are dropped). ``source`` is another, straight mesh with the same node numbers.
+        Copies: refining ``mesh`` later changes nothing here. The nodes keep their numbers unless
+        some belong to no element (these are dropped). ``source`` is another, straight mesh with the
+        same node numbers.
 
     Raises
     ------
     TypeError, ValueError
-        If it is not an NGSolve mesh; on other elements, curved or of second order, a deformation, periodic boundaries,
-        dimensions other than 2 and 3, or a mesh that is not sound (:func:`adaptmg.mesh.check_mesh`).
+        If it is not an NGSolve mesh; on other elements, curved or of second order, a deformation,
+        periodic boundaries, dimensions other than 2 and 3, or a mesh that is not sound
+        (:func:`adaptmg.mesh.check_mesh`).
 
     Examples
     --------
@@ -106,18 +111,28 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
 
     if not isinstance(mesh, ngsolve.Mesh):
         raise TypeError(f"mesh must be an ngsolve.Mesh, got {type(mesh).__name__}")
-    types = np.concatenate([table.NumPy()["type"] for table in (mesh.ngmesh.Elements2D(), mesh.ngmesh.Elements3D())])
+    types = np.concatenate(
+        [table.NumPy()["type"] for table in (mesh.ngmesh.Elements2D(), mesh.ngmesh.Elements3D())]
+    )
     order = 2 if np.isin(types, _CURVED).any() else mesh.GetCurveOrder()
     if order > 1:
-        raise ValueError(f"mesh has curved elements (order {order}), bodies are made of straight ones: give the mesh "
-                         "before SecondOrder() and Curve(), finer where its boundary is curved")
+        raise ValueError(
+            f"mesh has curved elements (order {order}), bodies are made of straight ones: give the mesh "
+            "before SecondOrder() and Curve(), finer where its boundary is curved"
+        )
     if mesh.deformation is not None:
-        raise ValueError("mesh has a deformation, which would be left out: call mesh.UnsetDeformation(), or move the "
-                         "nodes")
+        raise ValueError(
+            "mesh has a deformation, which would be left out: call mesh.UnsetDeformation(), or move the "
+            "nodes"
+        )
     if mesh.ngmesh.GetIdentifications():
-        raise ValueError("mesh has identified nodes (periodic boundaries), which a contact problem does not know: make "
-                         "it without them")
-    return check_stranger(normalised(*tables(mesh.ngmesh, mesh.GetBoundaries(), mesh.GetMaterials())))
+        raise ValueError(
+            "mesh has identified nodes (periodic boundaries), which a contact problem does not know: make "
+            "it without them"
+        )
+    return check_stranger(
+        normalised(*tables(mesh.ngmesh, mesh.GetBoundaries(), mesh.GetMaterials()))
+    )
 
 
 def _file(name: str, path: str | Path) -> Path:
@@ -132,49 +147,62 @@ def _read(function: str, path: Path) -> Any:
         return worker(function, str(path.absolute()), seconds=read_s(path))
 
 
-def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None, split_bodies: bool = False,
-              boundaries: Sequence[str] | None = None, body: str | None = None) -> MeshArrays:
+def from_file(
+    path: str | Path,
+    *,
+    unit: float = 1.0,
+    unnamed: str | None = None,
+    split_bodies: bool = False,
+    boundaries: Sequence[str] | None = None,
+    body: str | None = None,
+) -> MeshArrays:
     """Read a mesh file.
 
     Parameters
     ----------
     path : str or Path
-        ``.msh`` of Gmsh (MSH 2 and 4.1), ``.inp`` of Abaqus or CalculiX, ``.vol`` or ``.vol.gz`` of Netgen, or another
-        file that meshio reads (``.vtk``, ``.vtu``, ``.bdf``, ``.mdpa``, ...; of these, sets of cells and nodes).
+        ``.msh`` of Gmsh (MSH 2 and 4.1), ``.inp`` of Abaqus or CalculiX, ``.vol`` or ``.vol.gz`` of
+        Netgen, or another file that meshio reads (``.vtk``, ``.vtu``, ``.bdf``, ``.mdpa``, ...; of
+        these, sets of cells and nodes).
     unit : float
         Length in m of one unit of the coordinates: 1e-3 for mm.
     unnamed : str, optional
         Name for the boundary facets that the file gives none; default "free", which a warning says.
     split_bodies : bool
-        Give each body separate nodes, so that bodies touch only through contact. Boundaries are then called
-        "body.boundary" (a "." in the name of a body becomes "_"); a named curve or surface between two bodies is a
-        boundary of both. By default bodies stay glued where they share nodes, and boundaries keep their names.
+        Give each body separate nodes, so that bodies touch only through contact. Boundaries are
+        then called "body.boundary" (a "." in the name of a body becomes "_"); a named curve or
+        surface between two bodies is a boundary of both. By default bodies stay glued where they
+        share nodes, and boundaries keep their names.
     boundaries : sequence of str, optional
-        Which names of the file become boundaries: a facet in several gets the first. Default: all, named faces
-        (physical groups, ``*SURFACE``) before sets of nodes, small ones before large ones.
+        Which names of the file become boundaries: a facet in several gets the first. Default: all,
+        named faces (physical groups, ``*SURFACE``) before sets of nodes, small ones before large
+        ones.
     body : str, optional
         Make one body with this name of all elements; default: the bodies of the file.
 
     Returns
     -------
     MeshArrays
-        With its source, and with ``notes``: how elements were cut, names that overlap, materials and friction that the
-        file lists (they are not applied), and what was not read. Quadrilaterals are cut along the shorter diagonal,
-        bricks, wedges and pyramids into tetrahedra, elements of second order through their middle nodes; no node of an
-        element is dropped (but of second order in files of Netgen). A body is one piece: pieces of one name are called
-        "name", "name_2", ...
+        With its source, and with ``notes``: how elements were cut, names that overlap, materials
+        and friction that the file lists (they are not applied), and what was not read.
+        Quadrilaterals are cut along the shorter diagonal, bricks, wedges and pyramids into
+        tetrahedra, elements of second order through their middle nodes; no node of an element is
+        dropped (but of second order in files of Netgen). A body is one piece: pieces of one name
+        are called "name", "name_2", ...
 
     Raises
     ------
     FileNotFoundError, ValueError
-        If there is no such file; if it cannot be read, has other elements, is not plane, or is not sound
-        (:func:`adaptmg.mesh.check_mesh`). The message says what the file holds and what is expected.
+        If there is no such file; if it cannot be read, has other elements, is not plane, or is not
+        sound (:func:`adaptmg.mesh.check_mesh`). The message says what the file holds and what is
+        expected.
 
     Notes
     -----
-    Physical groups of Gmsh name boundaries and bodies, by their numbers where they have no name. In a deck, boundaries
-    are surfaces, sets of nodes that hold whole facets of the boundary, and sets of surface elements; bodies are pieces
-    that hang together and have one section, called after the smallest set of elements that holds all of it.
+    Physical groups of Gmsh name boundaries and bodies, by their numbers where they have no name. In
+    a deck, boundaries are surfaces, sets of nodes that hold whole facets of the boundary, and sets
+    of surface elements; bodies are pieces that hang together and have one section, called after the
+    smallest set of elements that holds all of it.
 
     Examples
     --------
@@ -192,7 +220,9 @@ def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None
     order = None if boundaries is None else checks.strings("boundaries", boundaries)
     suffix = path.suffix.lower()
     if suffix in (".step", ".stp"):
-        raise ValueError(f"{str(path)!r} is a geometry, not a mesh: am.mesh.graded(am.StepFile(path), size) meshes it")
+        raise ValueError(
+            f"{str(path)!r} is a geometry, not a mesh: am.mesh.graded(am.StepFile(path), size) meshes it"
+        )
     try:
         if path.name.lower().endswith((".vol", ".vol.gz")):
             if split_bodies or order is not None or body is not None:
@@ -200,15 +230,28 @@ def from_file(path: str | Path, *, unit: float = 1.0, unnamed: str | None = None
             points, elements, facets, label, names, material, bodies = _read("read_vol", path)
             for name in (*names, *bodies):
                 checks.boundary_name("the name of a boundary or body", name)
-            return check_stranger(normalised(unit * points, elements, facets, label, names, material, bodies))
+            return check_stranger(
+                normalised(unit * points, elements, facets, label, names, material, bodies)
+            )
         contents = read_deck(path) if suffix == ".inp" else Contents(*_read("read_meshio", path))
-        mesh, rest = mesh_of(contents, unit=unit, unnamed=unnamed or "free",
-                             split_bodies=checks.flag("split_bodies", split_bodies), boundaries=order, body=body)
+        mesh, rest = mesh_of(
+            contents,
+            unit=unit,
+            unnamed=unnamed or "free",
+            split_bodies=checks.flag("split_bodies", split_bodies),
+            boundaries=order,
+            body=body,
+        )
     except (ValueError, OverflowError) as error:
-        remedy = "; write it as MSH 2.2 (gmsh -format msh22)" * (suffix == ".msh" and isinstance(error, NetgenFails))
+        remedy = "; write it as MSH 2.2 (gmsh -format msh22)" * (
+            suffix == ".msh" and isinstance(error, NetgenFails)
+        )
         raise ValueError(f"{str(path)!r}: {shortened(printable(str(error)))}{remedy}") from error
     if len(rest) and unnamed is None:
         place = ", ".join(f"{c:.6g}" for c in rest[0])
-        warnings.warn(f"{str(path)!r}: {len(rest)} facets of the boundary, one of them at ({place}), have no name in "
-                      'the file and are called "free"; unnamed= gives them another name', stacklevel=2)
+        warnings.warn(
+            f"{str(path)!r}: {len(rest)} facets of the boundary, one of them at ({place}), have no name in "
+            'the file and are called "free"; unnamed= gives them another name',
+            stacklevel=2,
+        )
     return mesh

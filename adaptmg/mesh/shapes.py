@@ -1,11 +1,13 @@
-"""Elements of any shape cut into triangles and tetrahedra that fit across faces; no node is dropped.
+"""Elements of any shape cut into triangles and tetrahedra that fit across faces; no node is
+dropped.
 
-Shapes are called and numbered as in meshio (VTK). An element of second order is cut at its middle nodes into linear
-cells. A cell of several sides is a pyramid over each face that its smallest node is not on; a quadrilateral face is cut
-through its own smallest node. Both neighbours of a face see the same numbers, so that their cuts agree, whatever their
-shapes. Where no neighbour looks, the shorter diagonal is taken: of quadrilaterals in the plane, and of the octahedron
-inside a tetrahedron of second order. A twisted cell of which a part would be turned over gets a node at its centre.
-"""
+Shapes are called and numbered as in meshio (VTK). An element of second order is cut at its middle
+nodes into linear cells. A cell of several sides is a pyramid over each face that its smallest node
+is not on; a quadrilateral face is cut through its own smallest node. Both neighbours of a face see
+the same numbers, so that their cuts agree, whatever their shapes. Where no neighbour looks, the
+shorter diagonal is taken: of quadrilaterals in the plane, and of the octahedron inside a
+tetrahedron of second order. A twisted cell of which a part would be turned over gets a node at its
+centre."""
 
 from __future__ import annotations
 
@@ -21,7 +23,14 @@ FACETS: dict[str, tuple[Corners, ...]] = {
     "tetra": ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)),
     "pyramid": ((0, 1, 2, 3), (0, 4, 1), (1, 4, 2), (2, 4, 3), (3, 4, 0)),
     "wedge": ((0, 1, 2), (3, 5, 4), (0, 3, 4, 1), (1, 4, 5, 2), (2, 5, 3, 0)),
-    "hexahedron": ((0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)),
+    "hexahedron": (
+        (0, 1, 2, 3),
+        (4, 7, 6, 5),
+        (0, 4, 5, 1),
+        (1, 5, 6, 2),
+        (2, 6, 7, 3),
+        (3, 7, 4, 0),
+    ),
 }
 #: ends of the edges of a shape, in the order of the middle nodes of the second order
 _EDGES: dict[str, tuple[tuple[int, int], ...]] = {
@@ -31,26 +40,83 @@ _EDGES: dict[str, tuple[tuple[int, int], ...]] = {
     "tetra": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
     "pyramid": ((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)),
     "wedge": ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)),
-    "hexahedron": ((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)),
+    "hexahedron": (
+        (0, 1),
+        (1, 2),
+        (2, 3),
+        (3, 0),
+        (4, 5),
+        (5, 6),
+        (6, 7),
+        (7, 4),
+        (0, 4),
+        (1, 5),
+        (2, 6),
+        (3, 7),
+    ),
 }
 #: corners of which the nodes behind those of the edges are the centres
 _CENTRES: dict[str, tuple[Corners, ...]] = {
     "quad9": ((0, 1, 2, 3),),
     "pyramid14": ((0, 1, 2, 3),),
     "wedge18": ((0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
-    "hexahedron27": ((0, 3, 4, 7), (1, 2, 5, 6), (0, 1, 4, 5), (2, 3, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7),
-                     tuple(range(8))),
+    "hexahedron27": (
+        (0, 3, 4, 7),
+        (1, 2, 5, 6),
+        (0, 1, 4, 5),
+        (2, 3, 6, 7),
+        (0, 1, 2, 3),
+        (4, 5, 6, 7),
+        tuple(range(8)),
+    ),
 }
-_CORNERS = {"vertex": 1, "line": 2, "triangle": 3, "quad": 4, "tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
+_CORNERS = {
+    "vertex": 1,
+    "line": 2,
+    "triangle": 3,
+    "quad": 4,
+    "tetra": 4,
+    "pyramid": 5,
+    "wedge": 6,
+    "hexahedron": 8,
+}
 #: dimension of each shape
-DIMENSIONS = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2, "tetra": 3, "pyramid": 3, "wedge": 3, "hexahedron": 3}
-_WORDS = {"triangle": "triangles", "quad": "quadrilaterals", "tetra": "tetrahedra", "pyramid": "pyramids",
-          "wedge": "wedges", "hexahedron": "bricks"}
+DIMENSIONS = {
+    "vertex": 0,
+    "line": 1,
+    "triangle": 2,
+    "quad": 2,
+    "tetra": 3,
+    "pyramid": 3,
+    "wedge": 3,
+    "hexahedron": 3,
+}
+_WORDS = {
+    "triangle": "triangles",
+    "quad": "quadrilaterals",
+    "tetra": "tetrahedra",
+    "pyramid": "pyramids",
+    "wedge": "wedges",
+    "hexahedron": "bricks",
+}
 #: shape and number of nodes of every kind of cell
 KINDS = {shape: (shape, n) for shape, n in _CORNERS.items()}
-KINDS |= {f"{shape}{n}": (shape, n) for shape, n in (
-    ("line", 3), ("triangle", 6), ("quad", 8), ("quad", 9), ("tetra", 10), ("pyramid", 13), ("pyramid", 14),
-    ("wedge", 15), ("wedge", 18), ("hexahedron", 20), ("hexahedron", 27))}
+KINDS |= {
+    f"{shape}{n}": (shape, n)
+    for shape, n in (
+        ("line", 3),
+        ("triangle", 6),
+        ("quad", 8),
+        ("quad", 9),
+        ("tetra", 10),
+        ("pyramid", 13),
+        ("pyramid", 14),
+        ("wedge", 15),
+        ("wedge", 18),
+        ("hexahedron", 20),
+        ("hexahedron", 27),
+    )
+}
 
 
 def dimension(kind: str) -> int:
@@ -75,7 +141,7 @@ def facets_of(kind: str) -> tuple[tuple[str, Corners], ...]:
     result = []
     for corners in FACETS[KINDS[kind][0]]:
         k = len(corners)
-        ring = list(zip(corners, corners[1:] + corners[:1], strict=True))[:1 if k == 2 else k]
+        ring = list(zip(corners, corners[1:] + corners[:1], strict=True))[: 1 if k == 2 else k]
         between = [_middle(kind, *edge) for edge in ring] + [_middle(kind, *corners)] * (k == 4)
         local = (*corners, *(node for node in between if node is not None))
         result.append((kind_of({2: "line", 3: "triangle", 4: "quad"}[k], len(local)), local))
@@ -84,7 +150,11 @@ def facets_of(kind: str) -> tuple[tuple[str, Corners], ...]:
 
 def _middle(kind: str, *corners: int) -> int | None:
     """The node halfway between corners of an edge, a diagonal, or a face; None if there is none."""
-    found = [_CORNERS[KINDS[kind][0]] + i for i, ends in enumerate(middles(kind)) if set(corners) <= set(ends)]
+    found = [
+        _CORNERS[KINDS[kind][0]] + i
+        for i, ends in enumerate(middles(kind))
+        if set(corners) <= set(ends)
+    ]
     return corners[0] if len(set(corners)) == 1 else found[0] if found else None
 
 
@@ -93,7 +163,8 @@ Parts = list[tuple[tuple[Corners, ...], Corners]]
 
 @cache
 def _parts(kind: str) -> Parts:
-    """The linear cells that a kind is cut into: the facets of each by its own numbers, and its nodes in the kind."""
+    """The linear cells that a kind is cut into: the facets of each by its own numbers, and its
+    nodes in the kind."""
     shape, n = KINDS[kind]
     corners = range(_CORNERS[shape])
     facets = FACETS.get(shape, ())
@@ -101,9 +172,14 @@ def _parts(kind: str) -> Parts:
         return [(facets, tuple(corners))]
     if shape == "line" or kind in _CENTRES:
         # the same shape at each corner, half as large
-        result = [(facets, tuple(_middle(kind, a, b) for b in corners)) for a in corners[:4 if n == 14 else None]]
+        result = [
+            (facets, tuple(_middle(kind, a, b) for b in corners))
+            for a in corners[: 4 if n == 14 else None]
+        ]
         if kind == "wedge18":
-            result += [(facets, nodes) for nodes in ((6, 7, 8, 15, 16, 17), (15, 16, 17, 9, 10, 11))]
+            result += [
+                (facets, nodes) for nodes in ((6, 7, 8, 15, 16, 17), (15, 16, 17, 9, 10, 11))
+            ]
         if kind == "pyramid14":
             result += [(facets, nodes) for nodes in ((9, 10, 11, 12, 4), (12, 11, 10, 9, 13))]
             result += [(FACETS["tetra"], (5 + i, 13, 9 + i, 9 + (i + 1) % 4)) for i in range(4)]
@@ -116,7 +192,9 @@ def _parts(kind: str) -> Parts:
             faces.append(ring)
         cell = {2: "triangle", 3: "tetra", 4: "pyramid"}[len(ring)]
         result.append((FACETS[cell], (a, *ring) if len(ring) < 4 else (*ring[::-1], a)))
-    faces += [local[len(local) // 2:] for _, local in facets_of(kind)] if DIMENSIONS[shape] == 3 else []
+    faces += (
+        [local[len(local) // 2 :] for _, local in facets_of(kind)] if DIMENSIONS[shape] == 3 else []
+    )
     inner = tuple(range(_CORNERS[shape], n))
     number = {node: i for i, node in enumerate(inner)}
     core = tuple(tuple(number[node] for node in face) for face in faces)
@@ -124,28 +202,37 @@ def _parts(kind: str) -> Parts:
 
 
 def _around(kind: str, corner: int) -> Corners:
-    """The middle nodes of the edges at a corner, seen from there one after the other with the clock."""
+    """The middle nodes of the edges at a corner, seen from there one after the other with the
+    clock."""
     shape = KINDS[kind][0]
     steps = {}
     for face in FACETS[shape] if DIMENSIONS[shape] == 3 else (tuple(range(_CORNERS[shape])),):
         if corner in face:
             at = face.index(corner)
-            steps[_middle(kind, corner, face[(at + 1) % len(face)])] = _middle(kind, corner, face[at - 1])
+            steps[_middle(kind, corner, face[(at + 1) % len(face)])] = _middle(
+                kind, corner, face[at - 1]
+            )
     ring = [min(steps)]
     while steps.get(ring[-1], ring[0]) != ring[0]:
         ring.append(steps[ring[-1]])
     return tuple(ring)
 
 
-def simplices(kind: str, nodes: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return triangles, tetrahedra or lines of some cells of a kind, oriented as these, and the cell that each comes
-    from; those that collapsed cells leave flat are dropped. Of elements, whose ``points`` choose the shorter diagonals,
-    or of boundary facets, which are cut by numbers alone."""
+def simplices(
+    kind: str, nodes: np.ndarray, points: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return triangles, tetrahedra or lines of some cells of a kind, oriented as these, and the
+    cell that each comes from; those that collapsed cells leave flat are dropped. Of elements, whose
+    ``points`` choose the shorter diagonals, or of boundary facets, which are cut by numbers
+    alone."""
     cells, owners = [], []
     for facets, local in _parts(kind):
         part = nodes[:, local]
         if len(local) == 4 and len(facets) == 4 and len(facets[0]) == 2:
-            turned = _first(part, part.argmin(axis=1) if points is None else _shorter(part, points, ((0, 2), (1, 3))))
+            turned = _first(
+                part,
+                part.argmin(axis=1) if points is None else _shorter(part, points, ((0, 2), (1, 3))),
+            )
             found, rows = [turned[:, :3], turned[:, [0, 2, 3]]], [np.arange(len(part))] * 2
         elif len(local) <= 4:
             found, rows = [part], [np.arange(len(part))]
@@ -160,7 +247,8 @@ def simplices(kind: str, nodes: np.ndarray, points: np.ndarray | None = None) ->
 
 
 def around_centres(kind: str, nodes: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return tetrahedra between facets of cells and new nodes ``first``, ... at their centres, and the cell of each."""
+    """Return tetrahedra between facets of cells and new nodes ``first``, ... at their centres, and
+    the cell of each."""
     parts = [simplices(one, nodes[:, local]) for one, local in facets_of(kind)]
     owner = np.concatenate([own for _, own in parts])
     return np.column_stack([np.concatenate([found for found, _ in parts]), first + owner]), owner
@@ -173,7 +261,9 @@ def _apex(kind: str, part: np.ndarray, points: np.ndarray | None) -> np.ndarray:
     return part.argmin(axis=1)
 
 
-def _shorter(part: np.ndarray, points: np.ndarray, pairs: tuple[tuple[int, int], ...]) -> np.ndarray:
+def _shorter(
+    part: np.ndarray, points: np.ndarray, pairs: tuple[tuple[int, int], ...]
+) -> np.ndarray:
     """The first end of the shortest of some diagonals of each cell."""
     lengths = [np.square(points[part[:, a]] - points[part[:, b]]).sum(axis=1) for a, b in pairs]
     return np.array([a for a, _ in pairs])[np.argmin(lengths, axis=0)]
@@ -181,7 +271,9 @@ def _shorter(part: np.ndarray, points: np.ndarray, pairs: tuple[tuple[int, int],
 
 def _first(ring: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Rings of nodes turned so that they begin at a place each."""
-    return np.take_along_axis(ring, (start[:, None] + np.arange(ring.shape[1])) % ring.shape[1], axis=1)
+    return np.take_along_axis(
+        ring, (start[:, None] + np.arange(ring.shape[1])) % ring.shape[1], axis=1
+    )
 
 
 def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> tuple[list, list]:
@@ -204,7 +296,8 @@ def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> t
 
 
 def cut_note(kind: str, counts: np.ndarray) -> str:
-    """Return what became of the cells of a kind: '12 8-node bricks: each split into 6 tetrahedra'; "" of simplices."""
+    """Return what became of the cells of a kind: '12 8-node bricks: each split into 6 tetrahedra';
+    "" of simplices."""
     shape, n = KINDS[kind]
     if kind in ("triangle", "tetra"):
         return ""

@@ -1,9 +1,9 @@
-r"""Sizes of elements: what domains are like before they are meshed, size fields, and how many nodes they ask for.
+r"""Sizes of elements: what domains are like before they are meshed, size fields, and how many nodes
+they ask for.
 
-About :math:`\int c\, h^{-d} dx` nodes are expected, c = 1.15 in 2D and 1.4 in 3D; too many are refused before a mesher
-starts. The size of an element is the edge of the equilateral simplex of the same measure: refinement halves it, unlike
-the longest edge.
-"""
+About :math:`\int c\, h^{-d} dx` nodes are expected, c = 1.15 in 2D and 1.4 in 3D; too many are
+refused before a mesher starts. The size of an element is the edge of the equilateral simplex of the
+same measure: refinement halves it, unlike the longest edge."""
 
 from __future__ import annotations
 
@@ -28,31 +28,50 @@ MAX_NODES = {2: 5_000_000, 3: 2_000_000}
 NODES_PER_CELL = {2: 1.15, 3: 1.4}
 #: bisections at most: sizes down to 1e-9 of the domain; far below, neighbouring nodes would round to the same point
 MAX_BISECTIONS = 30
-# an element is bisected when its size is this many times the field: halving then leaves it no smaller than 1 / sqrt(2)
+# an element is bisected when its size is this many times the field: halving then leaves it no
+# smaller than 1 / sqrt(2)
 _TOO_LARGE = math.sqrt(2)
-# by number of corners: the edge of an equilateral simplex to the power of its dimension, over its measure
+# by number of corners: the edge of an equilateral simplex to the power of its dimension, over its
+# measure
 _EDGE = {2: 1.0, 3: 4 / math.sqrt(3), 4: 6 * math.sqrt(2)}
 #: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
-BOX_SIDES = {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}
+BOX_SIDES = {
+    "left": (0, 0),
+    "right": (0, 1),
+    "front": (1, 0),
+    "back": (1, 1),
+    "bottom": (2, 0),
+    "top": (2, 1),
+}
 
 
 def in_edges(domain: Domain) -> Domain:
-    """Return a plane domain as the outline that is meshed; every other domain itself; TypeError for what is none."""
-    if isinstance(domain, Box | StepFile | Assembly) or (isinstance(domain, SolidDomain) and domain.dim == 3):
+    """Return a plane domain as the outline that is meshed; every other domain itself; TypeError for
+    what is none."""
+    if isinstance(domain, Box | StepFile | Assembly) or (
+        isinstance(domain, SolidDomain) and domain.dim == 3
+    ):
         return domain
     if not isinstance(domain, Domain):
-        raise TypeError("domain must be a Rectangle, a Polygon, an Outline, a Circle, a Box or another solid, a Cut or "
-                        f"Fuse, an Assembly of these, or a StepFile, got {domain!r}")
+        raise TypeError(
+            "domain must be a Rectangle, a Polygon, an Outline, a Circle, a Box or another solid, a Cut or "
+            f"Fuse, an Assembly of these, or a StepFile, got {domain!r}"
+        )
     return domain.outline
 
 
-def distance_to_boundaries(domain: Domain, boundaries: Sequence[str], points: np.ndarray) -> np.ndarray:
-    """Return the distance of points to the nearest of some boundaries of a plane domain or a box."""
+def distance_to_boundaries(
+    domain: Domain, boundaries: Sequence[str], points: np.ndarray
+) -> np.ndarray:
+    """Return the distance of points to the nearest of some boundaries of a plane domain or a
+    box."""
     domain, distance = in_edges(domain), np.full(len(points), np.inf)
     for i, name in enumerate(domain.boundaries):
         if name in boundaries and isinstance(domain, Box):
             axis, end = BOX_SIDES[name]
-            distance = np.minimum(distance, np.abs(points[:, axis] - (domain.lower, domain.upper)[end][axis]))
+            distance = np.minimum(
+                distance, np.abs(points[:, axis] - (domain.lower, domain.upper)[end][axis])
+            )
         elif name in boundaries:
             distance = np.minimum(distance, domain.edge(i).distance(points))
     return distance
@@ -64,7 +83,8 @@ def extent(domain: Domain) -> tuple[np.ndarray, float]:
 
 
 def boundary_measures(domain: Outline | Box) -> tuple[float, dict[str, float]]:
-    """Return the exact area or volume of a domain, and the lengths or areas of its boundaries by name."""
+    """Return the exact area or volume of a domain, and the lengths or areas of its boundaries by
+    name."""
     if isinstance(domain, Box):
         lengths = domain.upper - domain.lower
         volume = float(np.prod(lengths))
@@ -88,13 +108,16 @@ def sizes_at(function: float | SizeField, points: np.ndarray) -> np.ndarray:
     values = checks.field("size_function", function, points)
     if not (values > 0).all():
         i = int(np.argmin(values))
-        raise ValueError(f"size_function must be > 0, got {values[i]} at {tuple(points[i].tolist())}")
+        raise ValueError(
+            f"size_function must be > 0, got {values[i]} at {tuple(points[i].tolist())}"
+        )
     return values
 
 
 @dataclass(frozen=True)
 class SizeNear:
-    """A size function for :func:`adaptmg.mesh.sized`: small near some points, such as where balls first touch.
+    """A size function for :func:`adaptmg.mesh.sized`: small near some points, such as where balls
+    first touch.
 
     Parameters
     ----------
@@ -103,10 +126,11 @@ class SizeNear:
     size : float
         Edge length there, m, > 0.
     radius : float
-        Up to this distance from a point the size stays the same, m; twice the expected half-width of contact, say.
+        Up to this distance from a point the size stays the same, m; twice the expected half-width
+        of contact, say.
     grading : float
-        Growth of the edge length per distance beyond, above 0 and at most 1 (the smaller, the surer a single point
-        is found in a coarse mesh: take 0.5 at most).
+        Growth of the edge length per distance beyond, above 0 and at most 1 (the smaller, the surer
+        a single point is found in a coarse mesh: take 0.5 at most).
 
     Examples
     --------
@@ -127,8 +151,10 @@ class SizeNear:
         given = checks.listed("points", self.points, "points")
         points = tuple(tuple(checks.vector("points", p).tolist()) for p in given)
         if not points or len({len(p) for p in points}) > 1:
-            raise ValueError(f"points must be at least one point, all of the same dimension, "
-                             f"got {checks.shown(given)}")
+            raise ValueError(
+                f"points must be at least one point, all of the same dimension, "
+                f"got {checks.shown(given)}"
+            )
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "size", checks.quantity("size", self.size, positive=True))
         object.__setattr__(self, "radius", checks.nonnegative("radius", self.radius))
@@ -137,32 +163,45 @@ class SizeNear:
             raise ValueError(f"grading must be at most 1, got {self.grading!r}")
 
     def scaled(self, factor: float) -> SizeNear:
-        """Return the size function times a factor everywhere, for another level of a family whose errors fall evenly.
+        """Return the size function times a factor everywhere, for another level of a family whose
+        errors fall evenly.
 
         Where ``sized`` limits sizes, its ``max_size`` and ``grading`` take the same factor.
         """
         factor = checks.positive("factor", factor)
         if not factor * self.grading <= 1:
-            raise ValueError(f"factor must be at most {1 / self.grading:.6g}, where the grading is 1, got {factor!r}")
+            raise ValueError(
+                f"factor must be at most {1 / self.grading:.6g}, where the grading is 1, got {factor!r}"
+            )
         return replace(self, size=factor * self.size, grading=factor * self.grading)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Sizes (n,) at points (n, dim), m."""
         if x.shape[1] != len(self.points[0]):
-            raise ValueError(f"points of SizeNear are {len(self.points[0])}D, the mesh is {x.shape[1]}D")
+            raise ValueError(
+                f"points of SizeNear are {len(self.points[0])}D, the mesh is {x.shape[1]}D"
+            )
         distance = np.min([np.linalg.norm(x - np.array(p), axis=1) for p in self.points], axis=0)
         return self.size + self.grading * np.maximum(0.0, distance - self.radius)
 
 
 def expected_nodes(mesh: MeshArrays, sizes: np.ndarray) -> float:
-    """Return about how many nodes a mesh with ``sizes`` (n_elements,) on the elements of ``mesh`` has."""
+    """Return about how many nodes a mesh with ``sizes`` (n_elements,) on the elements of ``mesh``
+    has."""
     with np.errstate(divide="ignore"):
         return NODES_PER_CELL[mesh.dim] * float(np.sum(mesh.volumes / sizes**mesh.dim))
 
 
-def guessed_nodes(dim: int, volume: float, size: float, areas: float = 0.0, near: float = 1.0, grading: float = 1.0
-                  ) -> float:
-    """Return the number of nodes by a size along areas alone: the integral of (near + grading x)^-dim over x > 0."""
+def guessed_nodes(
+    dim: int,
+    volume: float,
+    size: float,
+    areas: float = 0.0,
+    near: float = 1.0,
+    grading: float = 1.0,
+) -> float:
+    """Return the number of nodes by a size along areas alone: the integral of (near + grading
+    x)^-dim over x > 0."""
     with np.errstate(over="ignore", divide="ignore"):
         cells = volume * np.float64(1 / size) ** dim
         cells += areas / ((dim - 1) * grading) * np.float64(1 / near) ** (dim - 1)
@@ -170,21 +209,25 @@ def guessed_nodes(dim: int, volume: float, size: float, areas: float = 0.0, near
 
 
 def refuse_too_many(nodes: float, domain: Domain) -> float:
-    """Return the number of nodes expected; ValueError if it is more than Netgen makes in reasonable time and memory."""
+    """Return the number of nodes expected; ValueError if it is more than Netgen makes in reasonable
+    time and memory."""
     limit = MAX_NODES[domain.dim]
     if not nodes <= limit:
-        raise ValueError(f"the sizes ask for about {nodes:.1g} nodes (at most {limit:.0e}) on {domain!r}; "
-                         "take larger sizes (they are in m) or refine a smaller part")
+        raise ValueError(
+            f"the sizes ask for about {nodes:.1g} nodes (at most {limit:.0e}) on {domain!r}; "
+            "take larger sizes (they are in m) or refine a smaller part"
+        )
     return nodes
 
 
 def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mask of the elements to bisect, by their own size or that of a boundary facet (centroids lie off the
-    boundary); the field at their centroids."""
+    """Return the mask of the elements to bisect, by their own size or that of a boundary facet
+    (centroids lie off the boundary); the field at their centroids."""
     sizes = field(mesh.points[mesh.elements].mean(axis=1))
     large = equilateral_sizes(mesh.points, mesh.elements) > _TOO_LARGE * sizes
-    facets_large = (equilateral_sizes(mesh.points, mesh.facets)
-                    > _TOO_LARGE * field(mesh.points[mesh.facets].mean(axis=1)))
+    facets_large = equilateral_sizes(mesh.points, mesh.facets) > _TOO_LARGE * field(
+        mesh.points[mesh.facets].mean(axis=1)
+    )
     large[facet_elements(mesh, mesh.facets[facets_large])] = True
     return large, sizes
 
@@ -201,14 +244,20 @@ def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
 
 
 def equilateral_sizes(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return the edge length (n,) of equilateral simplices with the same measures as those with corners ``cells``."""
+    """Return the edge length (n,) of equilateral simplices with the same measures as those with
+    corners ``cells``."""
     corners = cells.shape[1]
-    measures = (np.abs(signed_measures(points, cells)) if corners > points.shape[1] else
-                Surface(points, cells).measures)
+    measures = (
+        np.abs(signed_measures(points, cells))
+        if corners > points.shape[1]
+        else Surface(points, cells).measures
+    )
     return (_EDGE[corners] * measures) ** (1 / (corners - 1))
 
 
 def unreachable(domain: Domain, large: np.ndarray) -> ValueError:
     """Return the error where bisection does not reach a size field."""
-    return ValueError(f"the size field cannot be reached: after {MAX_BISECTIONS} bisections {large.sum()} elements of "
-                      f"{domain!r} are still too large; does it tend to zero at a point?")
+    return ValueError(
+        f"the size field cannot be reached: after {MAX_BISECTIONS} bisections {large.sum()} elements of "
+        f"{domain!r} are still too large; does it tend to zero at a point?"
+    )

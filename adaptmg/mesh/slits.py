@@ -1,10 +1,10 @@
 r"""split and opened: meshes cut open along facets inside them, the two faces of a crack.
 
-A facet of a slit stands twice among the facets of the boundary, once in each orientation. The corners that elements
-have at a node of the slit hang together through all other facets there; each connected set of them gets a node: a node
-between k facets of slits in the plane becomes k nodes, one at a tip stays one. No geometry is needed, so that kinks and
-branches need no care. A facet with all its nodes at tips stays closed.
-"""
+A facet of a slit stands twice among the facets of the boundary, once in each orientation. The
+corners that elements have at a node of the slit hang together through all other facets there; each
+connected set of them gets a node: a node between k facets of slits in the plane becomes k nodes,
+one at a tip stays one. No geometry is needed, so that kinks and branches need no care. A facet with
+all its nodes at tips stays closed."""
 
 from __future__ import annotations
 
@@ -17,14 +17,23 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, Surface, facet_keys, facet_table, positive, same_orientation
+from adaptmg.mesh.arrays import (
+    MeshArrays,
+    Surface,
+    facet_keys,
+    facet_table,
+    positive,
+    same_orientation,
+)
 from adaptmg.mesh.soundness import check_mesh, with_source
 
 
-def opened(elements: np.ndarray, facets: np.ndarray, n_nodes: int
-           ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the elements and facets whose nodes are doubled along facets that stand twice; which of the facets are
-    open; and the old node that each new one comes from. ValueError where such a facet is not inside the mesh."""
+def opened(
+    elements: np.ndarray, facets: np.ndarray, n_nodes: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the elements and facets whose nodes are doubled along facets that stand twice; which
+    of the facets are open; and the old node that each new one comes from. ValueError where such a
+    facet is not inside the mesh."""
     keys = facet_keys(facets, n_nodes)
     slit, counts = np.unique(keys, return_counts=True)
     slit = slit[counts > 1]
@@ -41,11 +50,17 @@ def opened(elements: np.ndarray, facets: np.ndarray, n_nodes: int
         return k * cell + np.argmax(cells[cell] == nodes[:, None], axis=1)
 
     joined = np.flatnonzero((table.second >= 0) & ~np.isin(table.keys, slit))
-    a, b = (np.concatenate([corners(cell[joined], nodes) for nodes in table.facets[joined].T])
-            for cell in (table.first, table.second))
-    part = connected_components(sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(cells.size,) * 2))[1]
+    a, b = (
+        np.concatenate([corners(cell[joined], nodes) for nodes in table.facets[joined].T])
+        for cell in (table.first, table.second)
+    )
+    part = connected_components(
+        sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(cells.size,) * 2)
+    )[1]
     node = cells.astype(np.int64).ravel()
-    pairs, number = np.unique(np.where(at_slit[node], part, cells.size) * n_nodes + node, return_inverse=True)
+    pairs, number = np.unique(
+        np.where(at_slit[node], part, cells.size) * n_nodes + node, return_inverse=True
+    )
     origin = pairs % n_nodes
     again = np.ones(len(pairs), dtype=bool)
     again[np.unique(origin, return_index=True)[1]] = False
@@ -54,23 +69,38 @@ def opened(elements: np.ndarray, facets: np.ndarray, n_nodes: int
     result[near] = new
     touched = np.flatnonzero(at_slit[facets].any(axis=1))
     row = table.find(keys[touched])
-    own = np.where(same_orientation(facets[touched], table.facets[row]), table.first[row], table.second[row])
-    sides[touched] = np.stack([new.ravel()[corners(own, nodes)] for nodes in facets[touched].T], axis=1)
+    own = np.where(
+        same_orientation(facets[touched], table.facets[row]), table.first[row], table.second[row]
+    )
+    sides[touched] = np.stack(
+        [new.ravel()[corners(own, nodes)] for nodes in facets[touched].T], axis=1
+    )
     origin = np.concatenate([np.arange(n_nodes), origin[again]])
     closed, counts = np.unique(facet_keys(sides, len(origin)), return_counts=True)
     return result, sides, ~np.isin(facet_keys(sides, len(origin)), closed[counts > 1]), origin
 
 
-def opened_tables(right: Mapping[int, str], normals: Mapping[int, np.ndarray], points: np.ndarray, elements: np.ndarray,
-                  facets: np.ndarray, labels: np.ndarray, names: Sequence[str], body: np.ndarray, bodies: Sequence[str]
-                  ) -> tuple:
-    """Return Netgen's tables with cracks opened: ``right`` names the right face of each label of a left one, whose
-    outward normals point along ``normals``. Facets that would stay closed are cut at their middles first."""
+def opened_tables(
+    right: Mapping[int, str],
+    normals: Mapping[int, np.ndarray],
+    points: np.ndarray,
+    elements: np.ndarray,
+    facets: np.ndarray,
+    labels: np.ndarray,
+    names: Sequence[str],
+    body: np.ndarray,
+    bodies: Sequence[str],
+) -> tuple:
+    """Return Netgen's tables with cracks opened: ``right`` names the right face of each label of a
+    left one, whose outward normals point along ``normals``. Facets that would stay closed are cut
+    at their middles first."""
     elements = positive(points, elements)
     crack = np.isin(labels, list(right))
     at = np.flatnonzero(crack)
     at = at[np.unique(facet_keys(facets[at], len(points)), return_index=True)[1]]
-    along = np.einsum("nd,nd->n", Surface(points, facets[at]).vectors, np.array([normals[k] for k in labels[at]]))
+    along = np.einsum(
+        "nd,nd->n", Surface(points, facets[at]).vectors, np.array([normals[k] for k in labels[at]])
+    )
     faces, left = np.where(along[:, None] > 0, facets[at], facets[at, ::-1]), labels[at]
     facets, labels = facets[~crack], labels[~crack]
     while True:
@@ -78,32 +108,53 @@ def opened_tables(right: Mapping[int, str], normals: Mapping[int, np.ndarray], p
         opened_elements, sides, is_open, origin = opened(elements, every, len(points))
         if is_open.all():
             break
-        closed = np.flatnonzero(~is_open[len(facets):len(facets) + len(faces)])
+        closed = np.flatnonzero(~is_open[len(facets) : len(facets) + len(faces)])
         # one facet more is cut each time, and opens
-        points, elements, faces, left, body = _cut_middles(points, elements, faces, left, body, closed)
+        points, elements, faces, left, body = _cut_middles(
+            points, elements, faces, left, body, closed
+        )
     number = {label: len(names) + k for k, label in enumerate(right)}
     labels = np.concatenate([labels, left, [number[k] for k in left]]).astype(np.int64)
     return points[origin], opened_elements, sides, labels, [*names, *right.values()], body, bodies
 
 
-def _cut_middles(points: np.ndarray, elements: np.ndarray, faces: np.ndarray, labels: np.ndarray, body: np.ndarray,
-                 closed: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The tables with a node in the middle of closed facets, of those that share an element of one."""
+def _cut_middles(
+    points: np.ndarray,
+    elements: np.ndarray,
+    faces: np.ndarray,
+    labels: np.ndarray,
+    body: np.ndarray,
+    closed: np.ndarray,
+) -> tuple[np.ndarray, ...]:
+    """The tables with a node in the middle of closed facets, of those that share an element of
+    one."""
     table = facet_table(elements, len(points))
     row = table.find(facet_keys(faces[closed], len(points)))
     cells = np.stack([table.first[row], table.second[row]], axis=1)
-    alone = np.isin(np.arange(cells.size), np.unique(cells, return_index=True)[1]).reshape(cells.shape).all(axis=1)
+    alone = (
+        np.isin(np.arange(cells.size), np.unique(cells, return_index=True)[1])
+        .reshape(cells.shape)
+        .all(axis=1)
+    )
     closed, cells = closed[alone], cells[alone]
     corners, middle = faces[closed], len(points) + np.arange(len(closed))[:, None]
-    parts = [np.where(elements[cells] == corners[:, k, None, None], middle[:, None], elements[cells])
-             for k in range(corners.shape[1])]
-    pieces = [np.where(corners == corners[:, k, None], middle, corners) for k in range(corners.shape[1])]
+    parts = [
+        np.where(elements[cells] == corners[:, k, None, None], middle[:, None], elements[cells])
+        for k in range(corners.shape[1])
+    ]
+    pieces = [
+        np.where(corners == corners[:, k, None], middle, corners) for k in range(corners.shape[1])
+    ]
     old = cells.ravel()
-    return (np.concatenate([points, points[corners].mean(axis=1)]),
-            np.concatenate([np.delete(elements, old, axis=0), *(part.reshape(len(old), -1) for part in parts)]),
-            np.concatenate([np.delete(faces, closed, axis=0), *pieces]),
-            np.concatenate([np.delete(labels, closed), *[labels[closed]] * len(pieces)]),
-            np.concatenate([np.delete(body, old), *[body[old]] * len(parts)]))
+    return (
+        np.concatenate([points, points[corners].mean(axis=1)]),
+        np.concatenate(
+            [np.delete(elements, old, axis=0), *(part.reshape(len(old), -1) for part in parts)]
+        ),
+        np.concatenate([np.delete(faces, closed, axis=0), *pieces]),
+        np.concatenate([np.delete(labels, closed), *[labels[closed]] * len(pieces)]),
+        np.concatenate([np.delete(body, old), *[body[old]] * len(parts)]),
+    )
 
 
 def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArrays:
@@ -113,16 +164,17 @@ def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArray
     ----------
     mesh : MeshArrays
     facets : (n, dim) array of int
-        Nodes of facets between two elements, also of two bodies that share nodes, oriented as outward facets of the
-        left face: in 2D along the path, in 3D counter-clockwise as seen from the right.
+        Nodes of facets between two elements, also of two bodies that share nodes, oriented as
+        outward facets of the left face: in 2D along the path, in 3D counter-clockwise as seen from
+        the right.
     name : str
         The new boundaries are called "name.left" and "name.right".
 
     Returns
     -------
     MeshArrays
-        With its old nodes first, then one more for each node that the slit doubles; nodes at its tips (in 3D along its
-        front) stay single, and so does a facet that has all its nodes there.
+        With its old nodes first, then one more for each node that the slit doubles; nodes at its
+        tips (in 3D along its front) stay single, and so does a facet that has all its nodes there.
 
     Raises
     ------
@@ -139,8 +191,10 @@ def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArray
     check_mesh(mesh)
     along = checks.array("facets", facets, (None, mesh.dim), integer=True)
     if not len(along) or along.min() < 0 or along.max() >= mesh.n_nodes:
-        raise ValueError(f"facets must hold nodes from 0 to {mesh.n_nodes - 1}, a row a facet, got "
-                         f"{checks.shown(facets)}")
+        raise ValueError(
+            f"facets must hold nodes from 0 to {mesh.n_nodes - 1}, a row a facet, got "
+            f"{checks.shown(facets)}"
+        )
     names = tuple(f"{checks.boundary_name('name', name)}.{side}" for side in ("left", "right"))
     if taken := sorted(set(names) & set(mesh.boundaries)):
         raise ValueError(f"name: the mesh has a boundary {taken[0]!r} already")
@@ -148,7 +202,18 @@ def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArray
     first = len(mesh.boundaries)
     labels = np.concatenate([mesh.facet_labels, np.repeat([first, first + 1], len(along))])
     elements, sides, is_open, origin = opened(mesh.elements, every, mesh.n_nodes)
-    if not is_open[len(mesh.facets):].any():
-        raise ValueError("facets: nothing opens, as all their nodes are at tips; a crack needs two edges at least")
-    return with_source(replace(mesh, points=mesh.points[origin], elements=elements, facets=sides[is_open],
-                               facet_labels=labels[is_open], boundaries=(*mesh.boundaries, *names), source=None))
+    if not is_open[len(mesh.facets) :].any():
+        raise ValueError(
+            "facets: nothing opens, as all their nodes are at tips; a crack needs two edges at least"
+        )
+    return with_source(
+        replace(
+            mesh,
+            points=mesh.points[origin],
+            elements=elements,
+            facets=sides[is_open],
+            facet_labels=labels[is_open],
+            boundaries=(*mesh.boundaries, *names),
+            source=None,
+        )
+    )

@@ -1,11 +1,12 @@
-"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every mesh passes here once.
+"""check_mesh: is a mesh closed, positively oriented, of one piece a body? Every mesh passes here
+once.
 
-Netgen does not raise when a face fails, it returns a mesh with holes; a misspelt boundary name gives an empty integral
-without an error. Both are found here: every facet belongs to two elements, or to one element and one named boundary
-facet. Where every two neighbours lie on opposite sides of their facet, a mesh can still wind twice around a node, or
-run into another part of itself; then its boundary lies inside it. This is asked of meshes that were not made here
-(``check_stranger``), and of pairs of bodies.
-"""
+Netgen does not raise when a face fails, it returns a mesh with holes; a misspelt boundary name
+gives an empty integral without an error. Both are found here: every facet belongs to two elements,
+or to one element and one named boundary facet. Where every two neighbours lie on opposite sides of
+their facet, a mesh can still wind twice around a node, or run into another part of itself; then its
+boundary lies inside it. This is asked of meshes that were not made here (``check_stranger``), and
+of pairs of bodies."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ from adaptmg.mesh.arrays import (
     sound_by_construction,
 )
 
-# volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an element is degenerate
+# volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an
+# element is degenerate
 _FLAT = 1e-10
 
 
@@ -44,9 +46,9 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
     Raises
     ------
     TypeError, ValueError
-        If it is not MeshArrays. An inverted or degenerate element; an unused node; a fold (two neighbours on the same
-        side of their facet); a hole; a boundary facet inside the mesh, given twice, or oriented inwards; a missing
-        boundary; a body of several pieces.
+        If it is not MeshArrays. An inverted or degenerate element; an unused node; a fold (two
+        neighbours on the same side of their facet); a hole; a boundary facet inside the mesh, given
+        twice, or oriented inwards; a missing boundary; a body of several pieces.
 
     Examples
     --------
@@ -69,7 +71,8 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
 
 
 def with_source(mesh: MeshArrays) -> MeshArrays:
-    """Return the checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its ``source``.
+    """Return the checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its
+    ``source``.
 
     The source is built when it is first read; one that is there is replaced.
     """
@@ -77,7 +80,8 @@ def with_source(mesh: MeshArrays) -> MeshArrays:
 
 
 def check_stranger(mesh: MeshArrays) -> MeshArrays:
-    """Return the same for a mesh that was not made here: none of its bodies lies over itself either."""
+    """Return the same for a mesh that was not made here: none of its bodies lies over itself
+    either."""
     return check_overlap(with_source(mesh))
 
 
@@ -93,15 +97,19 @@ def _check_elements(mesh: MeshArrays) -> None:
     for bad, what in ((flat, "degenerate"), (inverted, "inverted")):
         if len(bad):
             e = int(bad[0])
-            raise ValueError(f"{len(bad)} of {len(mesh.elements)} elements are {what}; element {e} at "
-                             f"{_at(mesh.points[mesh.elements[e]])} has volume {mesh.volumes[e]:.4g} {unit}, "
-                             f"nodes {mesh.elements[e].tolist()}")
+            raise ValueError(
+                f"{len(bad)} of {len(mesh.elements)} elements are {what}; element {e} at "
+                f"{_at(mesh.points[mesh.elements[e]])} has volume {mesh.volumes[e]:.4g} {unit}, "
+                f"nodes {mesh.elements[e].tolist()}"
+            )
     used = np.zeros(mesh.n_nodes, dtype=bool)
     used[mesh.elements] = True
     if not used.all():
         i = int(np.argmin(used))
-        raise ValueError(f"{np.count_nonzero(~used)} of {mesh.n_nodes} nodes belong to no element; node {i} at "
-                         f"{_at(mesh.points[i:i + 1])}; leave them out and renumber")
+        raise ValueError(
+            f"{np.count_nonzero(~used)} of {mesh.n_nodes} nodes belong to no element; node {i} at "
+            f"{_at(mesh.points[i : i + 1])}; leave them out and renumber"
+        )
 
 
 def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
@@ -110,20 +118,38 @@ def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
     def fail(bad: np.ndarray, what: str, facets: np.ndarray) -> None:
         if bad.any():
             facet = facets[int(np.argmax(bad))]
-            raise ValueError(f"{np.count_nonzero(bad)} {what}; one with nodes {facet.tolist()} at "
-                             f"{_at(mesh.points[facet])}")
+            raise ValueError(
+                f"{np.count_nonzero(bad)} {what}; one with nodes {facet.tolist()} at "
+                f"{_at(mesh.points[facet])}"
+            )
 
-    fail(table.counts > 2, f"{kind}s belong to more than two elements (overlapping elements)", table.facets)
-    fail(table.folded, f"{kind}s have both their elements on the same side: the mesh is folded over (tangled) there, "
-         "or holds an element twice", table.facets)
+    fail(
+        table.counts > 2,
+        f"{kind}s belong to more than two elements (overlapping elements)",
+        table.facets,
+    )
+    fail(
+        table.folded,
+        f"{kind}s have both their elements on the same side: the mesh is folded over (tangled) there, "
+        "or holds an element twice",
+        table.facets,
+    )
     row = table.find(facet_keys(mesh.facets, mesh.n_nodes))
     fail(row < 0, f"boundary facets are no {kind} of any element", mesh.facets)
     fail(table.counts[row] == 2, "boundary facets lie inside the mesh", mesh.facets)
     named = np.bincount(row, minlength=len(table.keys))
     fail(named > 1, "boundary facets are given twice", table.facets)
-    fail((table.counts == 1) & (named == 0), f"{kind}s belong to one element and to no boundary (the mesh has a hole, "
-         "or part of its boundary has no name)", table.facets)
-    fail(~same_orientation(mesh.facets, table.facets[row]), "boundary facets have their normal inwards", mesh.facets)
+    fail(
+        (table.counts == 1) & (named == 0),
+        f"{kind}s belong to one element and to no boundary (the mesh has a hole, "
+        "or part of its boundary has no name)",
+        table.facets,
+    )
+    fail(
+        ~same_orientation(mesh.facets, table.facets[row]),
+        "boundary facets have their normal inwards",
+        mesh.facets,
+    )
 
 
 def _check_bodies(mesh: MeshArrays, table: FacetTable) -> None:
@@ -138,8 +164,10 @@ def _check_bodies(mesh: MeshArrays, table: FacetTable) -> None:
             raise ValueError(f"body {name!r} has no elements")
         sizes = np.sort(elements_of[body_of == body])[::-1]
         shown = ", ".join(map(str, sizes[:8])) + (", ..." if len(sizes) > 8 else "")
-        raise ValueError(f"body {name!r} consists of {len(sizes)} pieces, of {shown} elements; "
-                         "give each piece another body (material) name, or join them")
+        raise ValueError(
+            f"body {name!r} consists of {len(sizes)} pieces, of {shown} elements; "
+            "give each piece another body (material) name, or join them"
+        )
 
 
 def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
@@ -147,7 +175,9 @@ def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
     known = [name for name, there in zip(mesh.boundaries, present, strict=True) if there]
     for name in boundaries:
         if name not in known:
-            raise ValueError(f"boundary {name!r} does not exist; the boundaries are {', '.join(known)}")
+            raise ValueError(
+                f"boundary {name!r} does not exist; the boundaries are {', '.join(known)}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,7 +195,9 @@ class MeshQuality:
     max_angle: float
     h_min: float  # m: shortest edge
     h_max: float
-    aspect_ratio: float  # longest edge over the inradius, of the worst element; 1 if it is equilateral
+    aspect_ratio: (
+        float  # longest edge over the inradius, of the worst element; 1 if it is equilateral
+    )
 
 
 def quality(mesh: MeshArrays) -> MeshQuality:
@@ -178,16 +210,28 @@ def quality(mesh: MeshArrays) -> MeshQuality:
     """
     dim = mesh.dim
     corners = mesh.points[mesh.elements]
-    edges = np.stack([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(dim + 1) for j in range(i)])
+    edges = np.stack(
+        [
+            np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
+            for i in range(dim + 1)
+            for j in range(i)
+        ]
+    )
     angles, measures = _angles(mesh.points, mesh.elements)
     inradius = dim * mesh.volumes / measures.sum(axis=1)
     equilateral = 2 * np.sqrt(3.0) if dim == 2 else 2 * np.sqrt(6.0)
-    return MeshQuality(min_angle=float(angles.min()), max_angle=float(angles.max()), h_min=float(edges.min()),
-                       h_max=float(edges.max()), aspect_ratio=float((edges.max(axis=0) / inradius).max() / equilateral))
+    return MeshQuality(
+        min_angle=float(angles.min()),
+        max_angle=float(angles.max()),
+        h_min=float(edges.min()),
+        h_max=float(edges.max()),
+        aspect_ratio=float((edges.max(axis=0) / inradius).max() / equilateral),
+    )
 
 
 def _angles(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n_pairs, n) between the facets of elements, degrees, and the measures (n, dim + 1) of the facets."""
+    """Angles (n_pairs, n) between the facets of elements, degrees, and the measures (n, dim + 1) of
+    the facets."""
     sides = points[element_facets(elements)]
     first = sides[:, :, 1] - sides[:, :, 0]
     if points.shape[1] == 2:
@@ -198,19 +242,29 @@ def _angles(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.nd
         measures = 0.5 * np.linalg.norm(normals, axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     # between two facets the angle inside is pi minus the one between the outward normals
-    cosines = np.stack([-(normals[:, i] * normals[:, j]).sum(axis=1) for i in range(sides.shape[1]) for j in range(i)])
+    cosines = np.stack(
+        [
+            -(normals[:, i] * normals[:, j]).sum(axis=1)
+            for i in range(sides.shape[1])
+            for j in range(i)
+        ]
+    )
     return np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))), measures
 
 
 def least_angle(points: np.ndarray, elements: np.ndarray) -> float:
-    """Return the smallest angle between facets of some elements, degrees; 0 where one is turned over."""
-    if not (signed_measures(points, elements) > _FLAT * longest_edges(points[elements])**points.shape[1]).all():
+    """Return the smallest angle between facets of some elements, degrees; 0 where one is turned
+    over."""
+    if not (
+        signed_measures(points, elements)
+        > _FLAT * longest_edges(points[elements]) ** points.shape[1]
+    ).all():
         return 0.0
     return float(_angles(points, elements)[0].min(initial=180.0))
 
 
-# the boundary this deep inside an element, in barycentric coordinates: the two sides of a curved slit, cut into
-# chords apart, may cross by less
+# the boundary this deep inside an element, in barycentric coordinates: the two sides of a curved
+# slit, cut into chords apart, may cross by less
 _DEEP = 0.05
 
 
@@ -219,13 +273,18 @@ def check_overlap(mesh: MeshArrays) -> MeshArrays:
     for number, name in enumerate(mesh.bodies):
         inside = _buried(mesh, number, number)
         if len(inside):
-            raise ValueError(f"the boundary of body {name!r} lies inside other elements of it at {len(inside)} places, "
-                             f"one of them {_at(inside[:1])}: the body lies over itself (overlapping elements)")
+            raise ValueError(
+                f"the boundary of body {name!r} lies inside other elements of it at {len(inside)} places, "
+                f"one of them {_at(inside[:1])}: the body lies over itself (overlapping elements)"
+            )
     return mesh
 
 
-def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Return the pairs of bodies of which one lies deep inside elements of the other, and such a place (dim,)."""
+def overlapping_bodies(
+    mesh: MeshArrays, apart: Iterable[tuple[int, int]]
+) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Return the pairs of bodies of which one lies deep inside elements of the other, and such a
+    place (dim,)."""
     box = {}
     for k in np.unique(mesh.element_body).tolist():
         points = mesh.points[mesh.elements[mesh.element_body == k]].reshape(-1, mesh.dim)
@@ -238,8 +297,9 @@ def overlapping_bodies(mesh: MeshArrays, apart: Iterable[tuple[int, int]]) -> It
 
 
 def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
-    """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of itself: nodes, and a
-    point of each facet off its centroid, as in regular meshes both may lie in planes that no element crosses."""
+    """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of
+    itself: nodes, and a point of each facet off its centroid, as in regular meshes both may lie in
+    planes that no element crosses."""
     own = np.zeros(mesh.n_nodes, dtype=bool)
     own[mesh.elements[mesh.element_body == body]] = True
     elements = mesh.elements[mesh.element_body == other]
@@ -247,7 +307,9 @@ def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     if len(facets) == 0:
         return np.empty((0, mesh.dim))
     shares = np.arange(mesh.dim, 2.0 * mesh.dim)
-    places = np.concatenate([mesh.points[np.unique(facets)], shares @ mesh.points[facets] / shares.sum()])
+    places = np.concatenate(
+        [mesh.points[np.unique(facets)], shares @ mesh.points[facets] / shares.sum()]
+    )
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     tree = cKDTree(places)

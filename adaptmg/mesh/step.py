@@ -1,10 +1,10 @@
-"""STEP files: their solids as bodies with the names of the file; step_table, touching: what they are like, and touch.
+"""STEP files: their solids as bodies with the names of the file; step_table, touching: what they
+are like, and touch.
 
-The solids share no nodes, even where their faces coincide: contact pairs join them. OCC turns every unit of length a
-file may use into millimetres. Names of faces in a file from a CAD program say little; their places, sizes and radii
-find them. The outward normal of a plane face comes from a surface mesh of Netgen; OCC gives areas and centres, and the
-distance of a point from a face.
-"""
+The solids share no nodes, even where their faces coincide: contact pairs join them. OCC turns every
+unit of length a file may use into millimetres. Names of faces in a file from a CAD program say
+little; their places, sizes and radii find them. The outward normal of a plane face comes from a
+surface mesh of Netgen; OCC gives areas and centres, and the distance of a point from a face."""
 
 from __future__ import annotations
 
@@ -53,10 +53,14 @@ def step_solids(domain: StepFile) -> dict[str, StepSolid]:
     except NetgenFails as error:
         raise ValueError(f"{str(path)!r} cannot be read as a STEP file: {error}") from error
     if not solids:
-        raise ValueError(f"{str(path)!r} holds no solids; surfaces must be closed and sewn into solids before they are "
-                         "written")
-    named = [_plain((product if not product.startswith(_NO_PRODUCT) else "") or own or f"solid{i + 1}")
-             for i, (product, own, _) in enumerate(solids)]
+        raise ValueError(
+            f"{str(path)!r} holds no solids; surfaces must be closed and sewn into solids before they are "
+            "written"
+        )
+    named = [
+        _plain((product if not product.startswith(_NO_PRODUCT) else "") or own or f"solid{i + 1}")
+        for i, (product, own, _) in enumerate(solids)
+    ]
     faces = [[_plain(name or f"face{j + 1}") for j, name in enumerate(own)] for *_, own in solids]
     for name in (*named, *(name for own in faces for name in own)):
         checks.boundary_name(f"a name in {str(path)!r}", name)
@@ -71,7 +75,8 @@ def _plain(name: str) -> str:
 
 
 def _chosen(domain: StepFile, named: Sequence[str], bodies: Sequence[str]) -> list[int]:
-    """The numbers of the solids that a domain chooses, by their names in the file or those of its bodies."""
+    """The numbers of the solids that a domain chooses, by their names in the file or those of its
+    bodies."""
     chosen: list[int] = []
     for entry in domain.solids:
         same = [k for k, name in enumerate(named) if name == _plain(entry)]
@@ -79,10 +84,12 @@ def _chosen(domain: StepFile, named: Sequence[str], bodies: Sequence[str]) -> li
         base, _, number = entry.rpartition(".")
         if not same and number.isdecimal():
             instances = [k for k, name in enumerate(named) if name == _plain(base)]
-            same = instances[int(number) - 1:int(number)] if int(number) else []
+            same = instances[int(number) - 1 : int(number)] if int(number) else []
         if not same:
-            raise ValueError(f"solids: there is no solid {entry!r}{checks.suggestion(entry, bodies)}; "
-                             f"{str(domain.path)!r} holds {', '.join(bodies)}")
+            raise ValueError(
+                f"solids: there is no solid {entry!r}{checks.suggestion(entry, bodies)}; "
+                f"{str(domain.path)!r} holds {', '.join(bodies)}"
+            )
         chosen += [k for k in same if k not in chosen]
     return chosen
 
@@ -96,7 +103,9 @@ def _distinct(names: list[str]) -> list[str]:
     return result
 
 
-def _renamed(domain: StepFile, bodies: list[str], faces: list[list[str]]) -> dict[str, tuple[str, ...]]:
+def _renamed(
+    domain: StepFile, bodies: list[str], faces: list[list[str]]
+) -> dict[str, tuple[str, ...]]:
     """Names after the mapping of the domain; every key of it must be used."""
     unused, result = set(domain.names), {}
 
@@ -111,19 +120,29 @@ def _renamed(domain: StepFile, bodies: list[str], faces: list[list[str]]) -> dic
         solid = (body, f"solid{i + 1}")
         name = new(list(solid), body)
         if name in result:
-            raise ValueError(f"names: two solids are called {name!r}; each is a body and needs another name")
-        result[name] = tuple(new([f"{s}.{f}" for s in solid for f in (face, f"face{j + 1}")], face)
-                             for j, face in enumerate(own))
+            raise ValueError(
+                f"names: two solids are called {name!r}; each is a body and needs another name"
+            )
+        result[name] = tuple(
+            new([f"{s}.{f}" for s in solid for f in (face, f"face{j + 1}")], face)
+            for j, face in enumerate(own)
+        )
     if unused:
-        listed = "; ".join(f"{body}: {', '.join(dict.fromkeys(own))}" for body, own in zip(bodies, faces, strict=True))
-        raise ValueError(f"names: {', '.join(map(repr, sorted(unused)))} is neither a solid nor a 'solid.face' of "
-                         f"{str(domain.path)!r}; it holds {listed}")
+        listed = "; ".join(
+            f"{body}: {', '.join(dict.fromkeys(own))}"
+            for body, own in zip(bodies, faces, strict=True)
+        )
+        raise ValueError(
+            f"names: {', '.join(map(repr, sorted(unused)))} is neither a solid nor a 'solid.face' of "
+            f"{str(domain.path)!r}; it holds {listed}"
+        )
     return result
 
 
 @dataclass(frozen=True, eq=False)
 class _Face:
-    """A face, m: triangles (n, 3, 3) that are oriented outwards, none where Netgen cannot mesh it."""
+    """A face, m: triangles (n, 3, 3) that are oriented outwards, none where Netgen cannot mesh
+    it."""
 
     number: int
     name: str
@@ -156,10 +175,11 @@ def step_table(path: str | Path | StepFile) -> pandas.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        One row a solid (its ``face`` is "") and one a face: ``solid``, ``face``, ``kind`` ("solid", "plane",
-        "cylinder", "sphere", "cone or torus", "other"), centre ``x, y, z``, size of the bounding box ``dx, dy, dz`` (of
-        chords on round faces), ``area``, ``volume``, outward normal ``nx, ny, nz`` of plane faces, ``radius`` of
-        cylinders and spheres; m, m^2, m^3. What a row does not have is NaN.
+        One row a solid (its ``face`` is "") and one a face: ``solid``, ``face``, ``kind`` ("solid",
+        "plane", "cylinder", "sphere", "cone or torus", "other"), centre ``x, y, z``, size of the
+        bounding box ``dx, dy, dz`` (of chords on round faces), ``area``, ``volume``, outward normal
+        ``nx, ny, nz`` of plane faces, ``radius`` of cylinders and spheres; m, m^2, m^3. What a row
+        does not have is NaN.
 
     Raises
     ------
@@ -178,20 +198,60 @@ def step_table(path: str | Path | StepFile) -> pandas.DataFrame:
     with netgen() as worker:
         for body, shape, faces in _faces_of(worker, solids):
             box = shape.lower + shape.scale * shape.corners
-            rows.append([body, "", "solid", *box.mean(axis=0), *np.ptp(box, axis=0), sum(face.area for face in faces),
-                         shape.volume * shape.scale**3, *[np.nan] * 4])
+            rows.append(
+                [
+                    body,
+                    "",
+                    "solid",
+                    *box.mean(axis=0),
+                    *np.ptp(box, axis=0),
+                    sum(face.area for face in faces),
+                    shape.volume * shape.scale**3,
+                    *[np.nan] * 4,
+                ]
+            )
             for face in faces:
                 places = face.triangles.reshape(-1, 3)
                 total = face.normals.sum(axis=0)
                 plane = face.kind == "plane" and len(places)
-                rows.append([body, face.name, face.kind, *face.centre,
-                             *(np.ptp(places, axis=0) if len(places) else [np.nan] * 3), face.area, np.nan,
-                             *(total / np.linalg.norm(total) + 0.0 if plane else [np.nan] * 3), face.radius])
-    return pandas.DataFrame(rows, columns=["solid", "face", "kind", "x", "y", "z", "dx", "dy", "dz", "area", "volume",
-                                           "nx", "ny", "nz", "radius"])
+                rows.append(
+                    [
+                        body,
+                        face.name,
+                        face.kind,
+                        *face.centre,
+                        *(np.ptp(places, axis=0) if len(places) else [np.nan] * 3),
+                        face.area,
+                        np.nan,
+                        *(total / np.linalg.norm(total) + 0.0 if plane else [np.nan] * 3),
+                        face.radius,
+                    ]
+                )
+    return pandas.DataFrame(
+        rows,
+        columns=[
+            "solid",
+            "face",
+            "kind",
+            "x",
+            "y",
+            "z",
+            "dx",
+            "dy",
+            "dz",
+            "area",
+            "volume",
+            "nx",
+            "ny",
+            "nz",
+            "radius",
+        ],
+    )
 
 
-def touching(path: str | Path | StepFile, tolerance: float | None = None) -> tuple[ContactPair, ...]:
+def touching(
+    path: str | Path | StepFile, tolerance: float | None = None
+) -> tuple[ContactPair, ...]:
     """Find the faces of different solids that lie on each other.
 
     Parameters
@@ -199,18 +259,20 @@ def touching(path: str | Path | StepFile, tolerance: float | None = None) -> tup
     path : str, Path or StepFile
         A StepFile may rename solids and faces and choose solids.
     tolerance : float, optional
-        Largest distance, m; default 1e-5 of the extent of all solids. Clearances need the size of the clearance.
+        Largest distance, m; default 1e-5 of the extent of all solids. Clearances need the size of
+        the clearance.
 
     Returns
     -------
     tuple of ContactPair
-        One for each pair of names "solid.face"; the smaller face is the slave. A part where faces overlap that is much
-        smaller than an eighth of both solids may be missed.
+        One for each pair of names "solid.face"; the smaller face is the slave. A part where faces
+        overlap that is much smaller than an eighth of both solids may be missed.
 
     Raises
     ------
     FileNotFoundError, TypeError, ValueError
-        As :class:`adaptmg.StepFile`; if the file cannot be read, or Netgen cannot mesh the surface of a solid.
+        As :class:`adaptmg.StepFile`; if the file cannot be read, or Netgen cannot mesh the surface
+        of a solid.
 
     Examples
     --------
@@ -224,7 +286,9 @@ def touching(path: str | Path | StepFile, tolerance: float | None = None) -> tup
         faces_of = {body: faces for body, _, faces in _faces_of(worker, solids)}
         for body, faces in faces_of.items():
             if not all(len(face.triangles) for face in faces):
-                raise ValueError(f"Netgen cannot mesh the surface of solid {body!r} of {str(domain.path)!r}")
+                raise ValueError(
+                    f"Netgen cannot mesh the surface of solid {body!r} of {str(domain.path)!r}"
+                )
         corners = np.array([face.box for faces in faces_of.values() for face in faces])
         reach = tolerance or _TOLERANCE * float(np.ptp(corners, axis=(0, 1)).max())
         pairs: dict[tuple[str, str], ContactPair] = {}
@@ -245,25 +309,36 @@ def _domain(path: str | Path | StepFile) -> StepFile:
     return path if isinstance(path, StepFile) else StepFile(path)
 
 
-def _faces_of(worker: Netgen, solids: Mapping[str, StepSolid]) -> Iterator[tuple[str, Shape, list[_Face]]]:
+def _faces_of(
+    worker: Netgen, solids: Mapping[str, StepSolid]
+) -> Iterator[tuple[str, Shape, list[_Face]]]:
     """The name of each solid in turn, its shape and faces."""
     for body, solid in solids.items():
         shape = built_shape(worker, solid)
         size = _EDGE * float(np.ptp(shape.corners, axis=0).max())
-        points, triangles, owner = np.empty((0, 3)), np.empty((0, 3), dtype=int), np.empty(0, dtype=int)
+        points, triangles, owner = (
+            np.empty((0, 3)),
+            np.empty((0, 3), dtype=int),
+            np.empty(0, dtype=int),
+        )
         try:
             points, triangles, owner = worker("step_surface", size, seconds=_LIMIT_S)
         except NetgenFails as error:
             if not worker.alive:
-                raise ValueError(f"{str(solid.file.path)!r}: the surface of {body!r} cannot be meshed: {error}"
-                                 ) from error
+                raise ValueError(
+                    f"{str(solid.file.path)!r}: the surface of {body!r} cannot be meshed: {error}"
+                ) from error
         places = shape.lower + shape.scale * points[triangles].reshape(-1, 3, 3)
-        yield body, shape, [_face(shape, k, name, places[owner == k]) for k, name in enumerate(solid.faces)]
+        yield (
+            body,
+            shape,
+            [_face(shape, k, name, places[owner == k]) for k, name in enumerate(solid.faces)],
+        )
 
 
 def _face(shape: Shape, number: int, name: str, triangles: np.ndarray) -> _Face:
     kind, radius = "other", np.nan
-    if surfaces := candidates(shape.samples[number:number + 1]):
+    if surfaces := candidates(shape.samples[number : number + 1]):
         surface = surfaces[0][0]
         kind = "cone or torus"
         if surface.straight and not surface.profile[0]:
@@ -272,22 +347,39 @@ def _face(shape: Shape, number: int, name: str, triangles: np.ndarray) -> _Face:
             kind, radius = "cylinder", surface.extent * shape.scale
         elif not surface.straight and not surface.profile.any():
             kind, radius = "sphere", surface.extent * shape.scale
-    return _Face(number, name, kind, shape.areas[number] * shape.scale**2,
-                 shape.lower + shape.scale * shape.centres[number], radius, triangles)
+    return _Face(
+        number,
+        name,
+        kind,
+        shape.areas[number] * shape.scale**2,
+        shape.lower + shape.scale * shape.centres[number],
+        radius,
+        triangles,
+    )
 
 
 def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: float) -> bool:
-    """Whether a triangle of a face lies on another face, of a solid, which looks the other way there."""
+    """Whether a triangle of a face lies on another face, of a solid, which looks the other way
+    there."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
-    # corners lie on round faces, centroids of their triangles do not; plane faces may have all corners on their rims
+    # corners lie on round faces, centroids of their triangles do not; plane faces may have all
+    # corners on their rims
     places = face.triangles.mean(axis=1)[:, None] if face.kind == "plane" else face.triangles
     path, unit = solid.file.path, solid.file.unit
     try:
-        near = worker("face_distances", str(path.absolute()), solid.number, other.number, places.reshape(-1, 3) / unit,
-                      seconds=_LIMIT_S)
+        near = worker(
+            "face_distances",
+            str(path.absolute()),
+            solid.number,
+            other.number,
+            places.reshape(-1, 3) / unit,
+            seconds=_LIMIT_S,
+        )
     except NetgenFails as error:
-        raise ValueError(f"{str(path)!r}: OCC cannot tell how far {other.name!r} is: {error}") from error
+        raise ValueError(
+            f"{str(path)!r}: OCC cannot tell how far {other.name!r} is: {error}"
+        ) from error
     close = np.flatnonzero((near.reshape(len(places), -1) * unit <= reach).all(axis=1))
     if not len(close):
         return False

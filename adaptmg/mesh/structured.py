@@ -1,16 +1,18 @@
-r"""structured: regular triangulations of rectangles and boxes, also several, nested when the divisions are multiples.
+r"""structured: regular triangulations of rectangles and boxes, also several, nested when the
+divisions are multiples.
 
-Node :math:`(i_1, \dots)` lies at exactly lower :math:`+ (i_k / n_k)` (upper - lower), x running fastest, so that the
-nodes of nested grids coincide to the last bit. Each cell is cut into two triangles or six tetrahedra, one for each
-permutation :math:`\pi` of the axes, :math:`x_0, x_0 + e_{\pi(1)}, x_0 + e_{\pi(1)} + e_{\pi(2)}, \dots`
-(H. Freudenthal, Annals of Mathematics 43, 1942, doi:10.2307/1968813); halving the cells gives a nested refinement.
+Node :math:`(i_1, \dots)` lies at exactly lower :math:`+ (i_k / n_k)` (upper - lower), x running
+fastest, so that the nodes of nested grids coincide to the last bit. Each cell is cut into two
+triangles or six tetrahedra, one for each permutation :math:`\pi` of the axes, :math:`x_0, x_0 +
+e_{\pi(1)}, x_0 + e_{\pi(1)} + e_{\pi(2)}, \dots` (H. Freudenthal, Annals of Mathematics 43, 1942,
+doi:10.2307/1968813); halving the cells gives a nested refinement.
 
-body_centred: a box of cells with eight corners and a centre. Two neighbouring centres and an edge of the face between
-them make a tetrahedron, a centre and half a side of the box another: all have a twelfth of the volume of a cell and, in
-cubes, angles between faces of at least 45 degrees.
+body_centred: a box of cells with eight corners and a centre. Two neighbouring centres and an edge
+of the face between them make a tetrahedron, a centre and half a side of the box another: all have a
+twelfth of the volume of a cell and, in cubes, angles between faces of at least 45 degrees.
 
-merged: meshes of several bodies as one mesh. The bodies share no nodes; arrays are concatenated body by body.
-"""
+merged: meshes of several bodies as one mesh. The bodies share no nodes; arrays are concatenated
+body by body."""
 
 from __future__ import annotations
 
@@ -23,7 +25,13 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._text import warn_user
-from adaptmg.mesh.arrays import MOST_NODES, MeshArrays, element_facets, normalised, sound_by_construction
+from adaptmg.mesh.arrays import (
+    MOST_NODES,
+    MeshArrays,
+    element_facets,
+    normalised,
+    sound_by_construction,
+)
 from adaptmg.mesh.sizes import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.combined_domains import Assembly
@@ -48,8 +56,9 @@ def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -
     Returns
     -------
     MeshArrays
-        Nested in the mesh of n times the divisions; in 2D the diagonals of the cells run from lower left to upper
-        right. The bodies of an assembly share no nodes, see :func:`adaptmg.mesh.merged`.
+        Nested in the mesh of n times the divisions; in 2D the diagonals of the cells run from lower
+        left to upper right. The bodies of an assembly share no nodes, see
+        :func:`adaptmg.mesh.merged`.
 
     Raises
     ------
@@ -68,19 +77,24 @@ def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -
 
 def lattices(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -> MeshArrays:
     """Return what :func:`structured` does, without a warning."""
-    meshes = {body: _lattice(part, counts) for body, (part, counts) in _parts(domain, divisions).items()}
+    meshes = {
+        body: _lattice(part, counts) for body, (part, counts) in _parts(domain, divisions).items()
+    }
     return merged(meshes) if isinstance(domain, Assembly) else meshes[""]
 
 
-def _parts(domain: Domain, divisions: Divisions | Mapping[str, Divisions]
-           ) -> dict[str, tuple[Rectangle | Box, tuple[int, ...]]]:
+def _parts(
+    domain: Domain, divisions: Divisions | Mapping[str, Divisions]
+) -> dict[str, tuple[Rectangle | Box, tuple[int, ...]]]:
     """Each body, called "" where it is alone, and its cells along each axis."""
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
         return {body: _parts(part, apart[body])[""] for body, part in domain.parts.items()}
     if not isinstance(domain, Rectangle | Box):
-        raise TypeError("structured grids are made of a Rectangle or a Box, or an Assembly of them, got "
-                        f"{checks.described(domain)}; graded meshes other domains (Hierarchy.graded)")
+        raise TypeError(
+            "structured grids are made of a Rectangle or a Box, or an Assembly of them, got "
+            f"{checks.described(domain)}; graded meshes other domains (Hierarchy.graded)"
+        )
     if isinstance(divisions, Mapping):
         raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
     return {"": (domain, _divisions(divisions, domain.dim))}
@@ -100,15 +114,19 @@ def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisi
         if ratio > _STRETCHED * (1 + 1e-9):
             size = min(float(np.prod(cells)) ** (1 / len(cells)), sides.min())
             square = tuple(int(n) for n in np.maximum(np.rint(sides / size), 1))
-            warn_user(f"divisions {counts}: the cells are {ratio:.3g} times as long as wide, which takes multigrid "
-                      f"many cycles and makes elements inaccurate; divisions {square} make them about square")
+            warn_user(
+                f"divisions {counts}: the cells are {ratio:.3g} times as long as wide, which takes multigrid "
+                f"many cycles and makes elements inaccurate; divisions {square} make them about square"
+            )
 
 
 def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     """See :func:`structured`; one body."""
     dim = domain.dim
-    sides = [lower + np.arange(n + 1) / n * (upper - lower)
-             for lower, upper, n in zip(domain.lower, domain.upper, counts, strict=True)]
+    sides = [
+        lower + np.arange(n + 1) / n * (upper - lower)
+        for lower, upper, n in zip(domain.lower, domain.upper, counts, strict=True)
+    ]
     cells = _cells(counts, np.arange(counts[-1]))
     elements = _moved(_simplices(counts), cells)
     facets, labels = _boundary(domain.boundaries, counts)
@@ -118,31 +136,48 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
         points.reshape(*(n + 1 for n in counts[::-1]), dim)[..., k] = side.reshape(-1, *[1] * k)
     for array in (points, elements):
         array.flags.writeable = False
-    return sound_by_construction(MeshArrays(points, elements, facets, labels, domain.boundaries), (counts,))
+    return sound_by_construction(
+        MeshArrays(points, elements, facets, labels, domain.boundaries), (counts,)
+    )
 
 
 def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
-    """Return tetrahedra by the corners and centres of cells; ``counts`` are the cells along each axis."""
+    """Return tetrahedra by the corners and centres of cells; ``counts`` are the cells along each
+    axis."""
     shape = np.array(counts)
     corners = np.arange(np.prod(shape + 1)).reshape(shape + 1)
     centres = corners.size + np.arange(np.prod(shape)).reshape(shape)
-    places = np.concatenate([np.indices(shape + 1).reshape(3, -1).T, np.indices(shape).reshape(3, -1).T + 0.5])
+    places = np.concatenate(
+        [np.indices(shape + 1).reshape(3, -1).T, np.indices(shape).reshape(3, -1).T + 0.5]
+    )
     elements, facets = [], {}
     for axis in range(3):
         # the last axis runs across faces
         corner, centre = np.moveaxis(corners, axis, -1), np.moveaxis(centres, axis, -1)
         around = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]])
         below, above = centre[..., :-1], centre[..., 1:]
-        elements += [np.stack([below, above, around[k, ..., 1:-1], around[k - 1, ..., 1:-1]], axis=-1).reshape(-1, 4)
-                     for k in range(4)]
+        elements += [
+            np.stack(
+                [below, above, around[k, ..., 1:-1], around[k - 1, ..., 1:-1]], axis=-1
+            ).reshape(-1, 4)
+            for k in range(4)
+        ]
         for end in (0, -1):
-            halves = [np.stack(around[[0, k, k + 1], ..., end], axis=-1).reshape(-1, 3) for k in (1, 2)]
+            halves = [
+                np.stack(around[[0, k, k + 1], ..., end], axis=-1).reshape(-1, 3) for k in (1, 2)
+            ]
             elements += [np.column_stack([half, centre[..., end].ravel()]) for half in halves]
             facets[axis, -end] = np.concatenate(halves)
     sides = [facets[BOX_SIDES[name]] for name in domain.boundaries]
-    return normalised(domain.lower + places / shape * (domain.upper - domain.lower), np.concatenate(elements),
-                      np.concatenate(sides), np.repeat(np.arange(6), [len(side) for side in sides]), domain.boundaries,
-                      np.zeros(12 * centres.size, dtype=int), ("body",))
+    return normalised(
+        domain.lower + places / shape * (domain.upper - domain.lower),
+        np.concatenate(elements),
+        np.concatenate(sides),
+        np.repeat(np.arange(6), [len(side) for side in sides]),
+        domain.boundaries,
+        np.zeros(12 * centres.size, dtype=int),
+        ("body",),
+    )
 
 
 def _cells(counts: tuple[int, ...], last: np.ndarray, *, axis: int = -1) -> np.ndarray:
@@ -162,36 +197,51 @@ def _strides(counts: tuple[int, ...]) -> np.ndarray:
 
 
 def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Outward facets and their labels: side by side, along each in the order of the nodes. Those of one cell are moved
-    along the side."""
+    """Outward facets and their labels: side by side, along each in the order of the nodes. Those of
+    one cell are moved along the side."""
     dim, strides, facets = len(counts), _strides(counts), []
     every = element_facets(_simplices(counts)).reshape(-1, dim)
     for name in names:
         axis, end = BOX_SIDES[name]
         axis = min(axis, dim - 1)
         cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
-        here = _moved(every[(every // strides[axis] % (counts[axis] + 1) == end).all(axis=1)], cells)
+        here = _moved(
+            every[(every // strides[axis] % (counts[axis] + 1) == end).all(axis=1)], cells
+        )
         facets.append(here[np.lexsort(np.sort(here, axis=1).T[::-1])])
     return np.concatenate(facets), np.repeat(np.arange(len(facets)), [len(here) for here in facets])
 
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     """One number of cells for each axis."""
-    if isinstance(divisions, str) or not hasattr(divisions, "__len__") or getattr(divisions, "shape", None) == ():
+    if (
+        isinstance(divisions, str)
+        or not hasattr(divisions, "__len__")
+        or getattr(divisions, "shape", None) == ()
+    ):
         divisions = (divisions,) * dim
     if len(divisions) != dim:
-        raise ValueError(f"divisions must be one integer or {dim} of them, got {checks.shown(divisions)}")
+        raise ValueError(
+            f"divisions must be one integer or {dim} of them, got {checks.shown(divisions)}"
+        )
     counts = tuple(checks.integer("divisions", n, 1, 2**31) for n in divisions)
     nodes = math.prod(n + 1 for n in counts)
     if nodes > MOST_NODES[dim]:
-        raise ValueError(f"divisions: {counts} make {nodes:.3g} nodes, a {dim}D mesh may have at most "
-                         f"{MOST_NODES[dim]:.3g}")
-    checks.fits("divisions", _BYTES_PER_NODE[dim] * nodes, f"{counts} make {nodes:.3g} nodes, whose mesh alone")
+        raise ValueError(
+            f"divisions: {counts} make {nodes:.3g} nodes, a {dim}D mesh may have at most "
+            f"{MOST_NODES[dim]:.3g}"
+        )
+    checks.fits(
+        "divisions",
+        _BYTES_PER_NODE[dim] * nodes,
+        f"{counts} make {nodes:.3g} nodes, whose mesh alone",
+    )
     return counts
 
 
 def _simplices(counts: tuple[int, ...]) -> np.ndarray:
-    """The two triangles or six tetrahedra of the cell whose lowest node is 0, positively oriented."""
+    """The two triangles or six tetrahedra of the cell whose lowest node is 0, positively
+    oriented."""
     dim, strides, simplices = len(counts), _strides(counts), []
     for path in permutations(range(dim)):
         offsets = np.cumsum(np.r_[0, strides[list(path)]])
@@ -216,14 +266,14 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
     Returns
     -------
     MeshArrays
-        Nodes, elements and facets of the first body come first, then those of the next; boundaries are called
-        "body.boundary". Nodes at the same place stay apart. With its source.
+        Nodes, elements and facets of the first body come first, then those of the next; boundaries
+        are called "body.boundary". Nodes at the same place stay apart. With its source.
 
     Raises
     ------
     TypeError, ValueError
-        If ``meshes`` is empty or no mapping, on names with ".", meshes of several bodies, of different dimensions, or
-        that are not sound (:func:`adaptmg.mesh.check_mesh`).
+        If ``meshes`` is empty or no mapping, on names with ".", meshes of several bodies, of
+        different dimensions, or that are not sound (:func:`adaptmg.mesh.check_mesh`).
 
     Examples
     --------
@@ -239,12 +289,18 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
     for name, mesh in meshes.items():
         checks.boundary_name("the name of a body in meshes", name)
         if "." in name:
-            raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
+            raise ValueError(
+                f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'"
+            )
         if not isinstance(mesh, MeshArrays):
-            raise TypeError(f"meshes[{name!r}] must be MeshArrays, got {type(mesh).__name__}; as_mesh converts")
+            raise TypeError(
+                f"meshes[{name!r}] must be MeshArrays, got {type(mesh).__name__}; as_mesh converts"
+            )
         if len(mesh.bodies) != 1:
-            raise ValueError(f"meshes[{name!r}] has {len(mesh.bodies)} bodies ({', '.join(mesh.bodies)}); give the "
-                             "mesh of each body apart")
+            raise ValueError(
+                f"meshes[{name!r}] has {len(mesh.bodies)} bodies ({', '.join(mesh.bodies)}); give the "
+                "mesh of each body apart"
+            )
     dims = {name: mesh.dim for name, mesh in meshes.items()}
     if len(set(dims.values())) > 1:
         raise ValueError(f"all meshes must have the same dimension, got {dims}")
@@ -253,14 +309,26 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
     labels = _starts(len(mesh.boundaries) for mesh in parts)
     for mesh in parts:
         check_mesh(mesh)
-    return sound_by_construction(MeshArrays(
-        points=np.concatenate([mesh.points for mesh in parts]),
-        elements=np.concatenate([mesh.elements + start for mesh, start in zip(parts, nodes, strict=True)]),
-        facets=np.concatenate([mesh.facets + start for mesh, start in zip(parts, nodes, strict=True)]),
-        facet_labels=np.concatenate([mesh.facet_labels + start for mesh, start in zip(parts, labels, strict=True)]),
-        boundaries=tuple(f"{body}.{name}" for body, mesh in meshes.items() for name in mesh.boundaries),
-        element_body=np.repeat(np.arange(len(parts)), [len(mesh.elements) for mesh in parts]), bodies=tuple(meshes)),
-        sum((mesh.lattices for mesh in parts), ()) if all(mesh.lattices for mesh in parts) else ())
+    return sound_by_construction(
+        MeshArrays(
+            points=np.concatenate([mesh.points for mesh in parts]),
+            elements=np.concatenate(
+                [mesh.elements + start for mesh, start in zip(parts, nodes, strict=True)]
+            ),
+            facets=np.concatenate(
+                [mesh.facets + start for mesh, start in zip(parts, nodes, strict=True)]
+            ),
+            facet_labels=np.concatenate(
+                [mesh.facet_labels + start for mesh, start in zip(parts, labels, strict=True)]
+            ),
+            boundaries=tuple(
+                f"{body}.{name}" for body, mesh in meshes.items() for name in mesh.boundaries
+            ),
+            element_body=np.repeat(np.arange(len(parts)), [len(mesh.elements) for mesh in parts]),
+            bodies=tuple(meshes),
+        ),
+        sum((mesh.lattices for mesh in parts), ()) if all(mesh.lattices for mesh in parts) else (),
+    )
 
 
 def _starts(counts: Iterable[int]) -> np.ndarray:
@@ -268,13 +336,17 @@ def _starts(counts: Iterable[int]) -> np.ndarray:
     return np.cumsum([0, *counts])[:-1]
 
 
-def per_body(name: str, value: Value | Mapping[str, Value], bodies: Sequence[str]) -> dict[str, Value]:
+def per_body(
+    name: str, value: Value | Mapping[str, Value], bodies: Sequence[str]
+) -> dict[str, Value]:
     """Return an argument for each body."""
     if not isinstance(value, Mapping):
         return dict.fromkeys(bodies, value)
     if set(value) != set(bodies):
-        raise ValueError(f"{name} must name each body once: the bodies are {', '.join(map(repr, bodies))}, "
-                         f"{name} names {', '.join(map(repr, value))}")
+        raise ValueError(
+            f"{name} must name each body once: the bodies are {', '.join(map(repr, bodies))}, "
+            f"{name} names {', '.join(map(repr, value))}"
+        )
     return {body: value[body] for body in bodies}
 
 

@@ -1,15 +1,16 @@
 r"""The surfaces of revolution that faces of solids lie on, and new nodes put onto them.
 
-A plane, cylinder, cone, sphere or torus is a straight line or a circle of a half plane (r, z), turned about an axis. It
-is found from points and normals that OCC gives. All normals of such a surface meet its axis: with the moment
+A plane, cylinder, cone, sphere or torus is a straight line or a circle of a half plane (r, z),
+turned about an axis. It is found from points and normals that OCC gives. All normals of such a
+surface meet its axis: with the moment
 :math:`p \times n` of a normal n at p, the direction a of the axis and :math:`m = o \times a` of a point o on it,
 
 .. math:: (p \times n) \cdot a + n \cdot m = 0 .
 
-A node halfway along an edge of the mesh lies on one face or on two. From the gaps f to their surfaces and the gradients
-J of these it moves by :math:`-J^+ f`, again and again: on one surface that is exact, on a crossing it is Newton's
-method, and where two surfaces touch each step still halves the distance.
-"""
+A node halfway along an edge of the mesh lies on one face or on two. From the gaps f to their
+surfaces and the gradients J of these it moves by :math:`-J^+ f`, again and again: on one surface
+that is exact, on a crossing it is Newton's method, and where two surfaces touch each step still
+halves the distance."""
 
 from __future__ import annotations
 
@@ -21,9 +22,11 @@ import numpy as np
 from adaptmg.mesh.arrays import MeshArrays, trusted
 from adaptmg.mesh.soundness import least_angle
 
-# of solids of unit size: by how much points may miss the surface through them; nodes of a draft theirs
+# of solids of unit size: by how much points may miss the surface through them; nodes of a draft
+# theirs
 _EXACT, _NEAR = 1e-9, 1e-6
-# nodes end this near to their surfaces; steps at most; angle between normals below which two surfaces are one
+# nodes end this near to their surfaces; steps at most; angle between normals below which two
+# surfaces are one
 _ON, _STEPS, _SAME = 1e-13, 60, 1e-8
 #: smallest angle that a refined element must have where nodes moved, degrees
 _FLAT = 10.0
@@ -44,7 +47,8 @@ class Revolved:
     straight: bool
 
     def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the signed distances (n,) of points from the surface, and their gradients (n, 3)."""
+        """Return the signed distances (n,) of points from the surface, and their gradients (n,
+        3)."""
         offset = points - self.origin
         z = offset @ self.axis
         away = offset - z[:, None] * self.axis
@@ -61,7 +65,8 @@ class Revolved:
 
 
 def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
-    """Return the surface with some points (n, 3) and unit normals there, None if it is of none of the five kinds."""
+    """Return the surface with some points (n, 3) and unit normals there, None if it is of none of
+    the five kinds."""
     if not (np.isfinite(points).all() and np.isfinite(normals).all()):
         return None
     centre = points.mean(axis=0)
@@ -78,9 +83,12 @@ def _plane(_points: np.ndarray, normals: np.ndarray) -> Revolved:
 
 
 def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre and signed radius of the circle or sphere with the normals: points = centre + radius * normals."""
+    """Centre and signed radius of the circle or sphere with the normals: points = centre + radius *
+    normals."""
     spread = normals - normals.mean(axis=0)
-    radius = float((spread * (points - points.mean(axis=0))).sum() / max(np.square(spread).sum(), 1e-300))
+    radius = float(
+        (spread * (points - points.mean(axis=0))).sum() / max(np.square(spread).sum(), 1e-300)
+    )
     return (points - radius * normals).mean(axis=0), radius
 
 
@@ -109,7 +117,9 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     away = points - origin - np.outer(z, axis)
     r = np.linalg.norm(away, axis=1)
     plane = np.column_stack([r, z])
-    slopes = np.column_stack([(normals * away).sum(axis=1) / np.where(r > 0, r, 1.0), normals @ axis])
+    slopes = np.column_stack(
+        [(normals * away).sum(axis=1) / np.where(r > 0, r, 1.0), normals @ axis]
+    )
     if np.ptp(slopes, axis=0).max() <= _EXACT:
         return Revolved(origin, axis, slopes[0], float((plane @ slopes[0]).mean()), True)
     centre, radius = _round(plane, slopes)
@@ -117,18 +127,24 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
 
 
 def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
-    """Return the surfaces that each face may lie on, by patches of points and normals (n, 6); None without patches."""
-    found = [[s for patch in patches if (s := surface_through(patch[:, :3], patch[:, 3:])) is not None]
-             for patches in samples]
+    """Return the surfaces that each face may lie on, by patches of points and normals (n, 6); None
+    without patches."""
+    found = [
+        [s for patch in patches if (s := surface_through(patch[:, :3], patch[:, 3:])) is not None]
+        for patches in samples
+    ]
     return found if all(found) else None
 
 
 def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> list[Revolved]:
-    """Return the surface of each boundary of a mesh (called by the numbers of faces) that all its nodes lie on."""
+    """Return the surface of each boundary of a mesh (called by the numbers of faces) that all its
+    nodes lie on."""
     result = []
     for label, face in enumerate(mesh.boundaries):
         nodes = mesh.points[np.unique(mesh.facets[mesh.facet_labels == label])]
-        fitting = [s for s in candidates[int(face)] if np.abs(s.gaps(nodes)[0]).max(initial=0.0) <= _NEAR]
+        fitting = [
+            s for s in candidates[int(face)] if np.abs(s.gaps(nodes)[0]).max(initial=0.0) <= _NEAR
+        ]
         if not fitting:
             raise Misplaced(f"nodes of face {face} do not lie on its surface")
         result.append(fitting[0])
@@ -136,12 +152,15 @@ def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> l
 
 
 def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) -> MeshArrays:
-    """Return a sound refined mesh with its boundary nodes from ``n_old`` on put onto the surfaces of their boundaries;
-    sound if none of its elements became flat. Misplaced otherwise, or where nodes do not reach their surfaces."""
+    """Return a sound refined mesh with its boundary nodes from ``n_old`` on put onto the surfaces
+    of their boundaries; sound if none of its elements became flat. Misplaced otherwise, or where
+    nodes do not reach their surfaces."""
     row, corner = np.nonzero(mesh.facets >= n_old)
     if not len(row):
         return mesh
-    pairs = np.unique(mesh.facets[row, corner].astype(np.int64) * len(surfaces) + mesh.facet_labels[row])
+    pairs = np.unique(
+        mesh.facets[row, corner].astype(np.int64) * len(surfaces) + mesh.facet_labels[row]
+    )
     nodes, first, count = np.unique(pairs // len(surfaces), return_index=True, return_counts=True)
     labels = (pairs % len(surfaces))[np.stack([first, first + count - 1], axis=1)]
     places = mesh.points[nodes]
@@ -155,7 +174,9 @@ def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) ->
         if not far.any():
             break
         rest = rest[far]
-        places[rest] -= np.einsum("nij,nj->ni", np.linalg.pinv(gradients[far], rcond=_SAME), gaps[far])
+        places[rest] -= np.einsum(
+            "nij,nj->ni", np.linalg.pinv(gradients[far], rcond=_SAME), gaps[far]
+        )
     else:
         raise Misplaced(f"{len(rest)} nodes do not reach the surfaces of their faces")
     points = mesh.points.copy()

@@ -1,16 +1,15 @@
 r"""triangulated: plane domains meshed by a size field, without Netgen.
 
-Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around short edges, and where
-the domain is thinner than edges are long: one good element fits across down to h / 64. They are triangulated
-(:mod:`adaptmg.mesh.delaunay`) and opened along cracks (:mod:`adaptmg.mesh.slits`); chords of arcs that cross other
-edges are halved, and all is done again. Inside, nodes
-follow as long as a triangle's circumcircle is too large for the field: at its centre, or nearer to the triangle's
-shortest side, where they make an equilateral triangle with it, so that good triangles grow from the boundary. Swaps and
-moves end it.
+Nodes are laid along the edges, the same part of :math:`\int ds / h` apart; h is lowered around
+short edges, and where the domain is thinner than edges are long: one good element fits across down
+to h / 64. They are triangulated (:mod:`adaptmg.mesh.delaunay`) and opened along cracks
+(:mod:`adaptmg.mesh.slits`); chords of arcs that cross other edges are halved, and all is done
+again. Inside, nodes follow as long as a triangle's circumcircle is too large for the field: at its
+centre, or nearer to the triangle's shortest side, where they make an equilateral triangle with it,
+so that good triangles grow from the boundary. Swaps and moves end it.
 
-No step turns a triangle over. With the boundary among their edges they cover the domain once: positive areas with the
-right sum are all there is to check.
-"""
+No step turns a triangle over. With the boundary among their edges they cover the domain once:
+positive areas with the right sum are all there is to check."""
 
 from __future__ import annotations
 
@@ -33,7 +32,8 @@ from adaptmg.problem.plane_edges import Arc
 _INTERVALS, _CUTS = 8, 20
 # longest edge on an arc, of its radius
 _MAX_EDGE = 0.4
-# circumradius above which a triangle gets a node, over the size; least distance from that node to others
+# circumradius above which a triangle gets a node, over the size; least distance from that node to
+# others
 _RADIUS, _APART = 0.8, 0.6
 # no node comes nearer to an edge of the boundary, over its length
 _BESIDE = 0.01
@@ -43,8 +43,8 @@ _DIP = 0.6
 _COARSE = 1.4
 # an edge is short below this part of the size there; growth of sizes around it
 _SHORT, _GROWTH = 0.7, 0.5
-# a part is thin where its height is below this part of an edge; the size there over the height; the size over it at
-# most; how often nodes are laid
+# a part is thin where its height is below this part of an edge; the size there over the height; the
+# size over it at most; how often nodes are laid
 _THIN, _ACROSS, _DEEPEST, _PASSES = 0.35, 1.4, 64.0, 8
 # digits of coordinates that the shortest edge of the boundary must leave
 _RESOLVED = 1e-4
@@ -52,33 +52,54 @@ _RESOLVED = 1e-4
 _ROUNDS = 3
 
 
-def triangulated(domain: Outline, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None) -> MeshArrays:
-    """Return a sound mesh of a plane domain whose edges are about as long as the field (n, 2) -> (n,) says. With
-    ``growth`` sizes grow by at most so much per distance, and dips between nodes are looked for. The boundaries are
-    called by the numbers of the edges. ValueError for too many nodes."""
+def triangulated(
+    domain: Outline, field: Callable[[np.ndarray], np.ndarray], growth: float | None = None
+) -> MeshArrays:
+    """Return a sound mesh of a plane domain whose edges are about as long as the field (n, 2) ->
+    (n,) says. With ``growth`` sizes grow by at most so much per distance, and dips between nodes
+    are looked for. The boundaries are called by the numbers of the edges. ValueError for too many
+    nodes."""
     edges = [domain.edge(i) for i in range(len(domain.vertices))]
     field = _beside_short_edges(edges, domain.lengths, field)
-    middle, scale = 0.5 * (domain.lower + domain.upper), 2.0**math.frexp((domain.upper - domain.lower).max())[1]
+    middle, scale = (
+        0.5 * (domain.lower + domain.upper),
+        2.0 ** math.frexp((domain.upper - domain.lower).max())[1],
+    )
     least = field
     for k in range(_PASSES):
-        places, facets, labels, elements, across = _laid(domain, edges, field, growth, middle, scale,
-                                                         spread=k > 0 or len(domain.holes) > 0)
+        places, facets, labels, elements, across = _laid(
+            domain, edges, field, growth, middle, scale, spread=k > 0 or len(domain.holes) > 0
+        )
         feet, sizes = _thin_parts(places, elements, across)
         thin = sizes > least(feet) / _DEEPEST
         if not thin.any():
             break
         field = _beside_thin_parts(field, feet[thin], sizes[thin])
-    points, elements, across = _filled(domain, (places - middle) / scale, elements, across,
-                               lambda x: field(middle + scale * x) / scale, growth)
+    points, elements, across = _filled(
+        domain,
+        (places - middle) / scale,
+        elements,
+        across,
+        lambda x: field(middle + scale * x) / scale,
+        growth,
+    )
     improve_triangles(points, elements, across, np.arange(len(points)) < len(places), _ROUNDS)
     # the boundary bit for bit
-    points = np.concatenate([places, middle + scale * points[len(places):]])
+    points = np.concatenate([places, middle + scale * points[len(places) :]])
     return _mesh(domain, points, elements, facets, labels)
 
 
-def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray], growth: float | None,
-          middle: np.ndarray, scale: float, spread: bool) -> tuple[np.ndarray, ...]:
-    """Nodes along the edges, facets between them and their edges; triangles between nodes, and their neighbours."""
+def _laid(
+    domain: Outline,
+    edges: list,
+    field: Callable[[np.ndarray], np.ndarray],
+    growth: float | None,
+    middle: np.ndarray,
+    scale: float,
+    spread: bool,
+) -> tuple[np.ndarray, ...]:
+    """Nodes along the edges, facets between them and their edges; triangles between nodes, and
+    their neighbours."""
     fractions = _spaced(domain, edges, domain.lengths, field, growth)
     for _ in range(_CUTS):
         laid = [edge.at(t) for edge, t in zip(edges, fractions, strict=True)]
@@ -90,11 +111,19 @@ def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray
         following = np.arange(1, len(places) + 1)
         following[first + counts - 1] = first[domain.following]
         refuse_too_many(len(places), domain)
-        shortest, step = np.linalg.norm(places[following] - places, axis=1).min(), np.spacing(np.abs(places).max())
+        shortest, step = (
+            np.linalg.norm(places[following] - places, axis=1).min(),
+            np.spacing(np.abs(places).max()),
+        )
         if not step < _RESOLVED * shortest:
-            raise ValueError(f"coordinates of {domain!r} differ by {step:.1g} m at least, edges of the mesh are "
-                             f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes")
-        facets, labels = np.column_stack([np.arange(len(places)), following]), np.repeat(np.arange(len(edges)), counts)
+            raise ValueError(
+                f"coordinates of {domain!r} differ by {step:.1g} m at least, edges of the mesh are "
+                f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes"
+            )
+        facets, labels = (
+            np.column_stack([np.arange(len(places)), following]),
+            np.repeat(np.arange(len(edges)), counts),
+        )
         if domain.twins:
             places, facets = _joined(places, facets)
         elements, across, found = of_boundary((places - middle) / scale, facets, spread)
@@ -105,19 +134,25 @@ def _laid(domain: Outline, edges: list, field: Callable[[np.ndarray], np.ndarray
             return places, facets, labels, elements, across
         for i, (begin, n) in enumerate(zip(first, counts, strict=True)):
             t = fractions[i]
-            fractions[i] = np.sort(np.append(t, 0.5 * (t + np.append(t[1:], 1.0))[~found[begin:begin + n]]))
+            fractions[i] = np.sort(
+                np.append(t, 0.5 * (t + np.append(t[1:], 1.0))[~found[begin : begin + n]])
+            )
     raise Untriangulated(f"edges of {domain!r} are missing")
 
 
 def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The places without those that come again, as on the faces of cracks, in their order, and facets between them."""
+    """The places without those that come again, as on the faces of cracks, in their order, and
+    facets between them."""
     first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)[1:]
     rank = np.argsort(np.argsort(first))
     return places[np.sort(first)], rank[number.reshape(-1)[facets]]
 
 
-def _thin_parts(places: np.ndarray, elements: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where nodes lie across the domain from edges far longer than it is thick: their feet there, and fitting sizes."""
+def _thin_parts(
+    places: np.ndarray, elements: np.ndarray, across: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where nodes lie across the domain from edges far longer than it is thick: their feet there,
+    and fitting sizes."""
     e, k = np.nonzero(across < 0)
     a, b, c = (places[elements[e, (k + i) % 3]] for i in (1, 2, 0))
     along, up = b - a, c - a
@@ -128,8 +163,9 @@ def _thin_parts(places: np.ndarray, elements: np.ndarray, across: np.ndarray) ->
     return (a + part[:, None] * along)[thin], _ACROSS * height[thin]
 
 
-def _beside_thin_parts(field: Callable[[np.ndarray], np.ndarray], feet: np.ndarray, sizes: np.ndarray
-                       ) -> Callable[[np.ndarray], np.ndarray]:
+def _beside_thin_parts(
+    field: Callable[[np.ndarray], np.ndarray], feet: np.ndarray, sizes: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
     """The field, lowered around places to the sizes there."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
@@ -142,33 +178,50 @@ def _beside_thin_parts(field: Callable[[np.ndarray], np.ndarray], feet: np.ndarr
     return lowered
 
 
-def _beside_short_edges(edges: list, lengths: tuple[float, ...], field: Callable[[np.ndarray], np.ndarray]
-                        ) -> Callable[[np.ndarray], np.ndarray]:
-    """The field, lowered around edges that are much shorter than it: triangles at both their ends would be flat."""
+def _beside_short_edges(
+    edges: list, lengths: tuple[float, ...], field: Callable[[np.ndarray], np.ndarray]
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The field, lowered around edges that are much shorter than it: triangles at both their ends
+    would be flat."""
     sizes = field(np.concatenate([edge.at(np.array([0.5])) for edge in edges]))
-    short = [(edge, length) for edge, length, size in zip(edges, lengths, sizes, strict=True) if length < _SHORT * size]
+    short = [
+        (edge, length)
+        for edge, length, size in zip(edges, lengths, sizes, strict=True)
+        if length < _SHORT * size
+    ]
 
     def lowered(x: np.ndarray) -> np.ndarray:
-        return np.min([field(x), *(length + _GROWTH * edge.distance(x) for edge, length in short)], axis=0)
+        return np.min(
+            [field(x), *(length + _GROWTH * edge.distance(x) for edge, length in short)], axis=0
+        )
 
     return lowered if short else field
 
 
-def _spaced(domain: Domain, edges: list, lengths: tuple[float, ...], field: Callable[[np.ndarray], np.ndarray],
-            growth: float | None) -> list[np.ndarray]:
+def _spaced(
+    domain: Domain,
+    edges: list,
+    lengths: tuple[float, ...],
+    field: Callable[[np.ndarray], np.ndarray],
+    growth: float | None,
+) -> list[np.ndarray]:
     """Fractions of each edge at which its nodes lie, its first end included."""
     at = [np.linspace(0.0, 1.0, _INTERVALS + 1)] * len(edges)
     for _ in range(MAX_BISECTIONS):
-        sizes = np.split(field(np.concatenate([edge.at(t) for edge, t in zip(edges, at, strict=True)])),
-                         np.cumsum([len(t) for t in at])[:-1])
+        sizes = np.split(
+            field(np.concatenate([edge.at(t) for edge, t in zip(edges, at, strict=True)])),
+            np.cumsum([len(t) for t in at])[:-1],
+        )
         finer, longs = [], []
         for i, (edge, t, length) in enumerate(zip(edges, at, lengths, strict=True)):
             if isinstance(edge, Arc):
                 sizes[i] = np.minimum(sizes[i], _MAX_EDGE * edge.radius)
             if growth is not None:
                 slope = growth * length * t
-                sizes[i] = np.minimum(np.minimum.accumulate(sizes[i] - slope) + slope,
-                                      np.minimum.accumulate((sizes[i] + slope)[::-1])[::-1] - slope)
+                sizes[i] = np.minimum(
+                    np.minimum.accumulate(sizes[i] - slope) + slope,
+                    np.minimum.accumulate((sizes[i] + slope)[::-1])[::-1] - slope,
+                )
             long = length * np.diff(t) > np.minimum(sizes[i][1:], sizes[i][:-1])
             longs.append(long)
             finer.append(np.sort(np.append(t, 0.5 * (t[1:] + t[:-1])[long])))
@@ -186,8 +239,14 @@ def _spaced(domain: Domain, edges: list, lengths: tuple[float, ...], field: Call
     return fractions
 
 
-def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np.ndarray,
-            field: Callable[[np.ndarray], np.ndarray], growth: float | None) -> tuple[np.ndarray, ...]:
+def _filled(
+    domain: Domain,
+    places: np.ndarray,
+    elements: np.ndarray,
+    across: np.ndarray,
+    field: Callable[[np.ndarray], np.ndarray],
+    growth: float | None,
+) -> tuple[np.ndarray, ...]:
     """Nodes put into the triangles of a boundary, and the neighbours of these."""
     points, n, n_elements, n_read = places, len(places), len(elements), 0
     sizes, settled = np.empty(0), np.empty(0, dtype=bool)
@@ -196,7 +255,9 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
         room = 4 * n
         if len(points) < room:
             points, sizes = (_longer(table, 2 * room) for table in (points, sizes))
-            elements, across, settled = (_longer(table, n_elements + 4 * room) for table in (elements, across, settled))
+            elements, across, settled = (
+                _longer(table, n_elements + 4 * room) for table in (elements, across, settled)
+            )
         sizes[n_read:n] = field(points[n_read:n])
         dips = np.empty(0)
         if growth is not None:
@@ -213,7 +274,9 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
         n_read = n
         for most in range(n_read + BATCH, room + BATCH, BATCH):
             most = min(most, room)
-            n, n_elements = _fill(points, sizes, elements, across, n, n_elements, most, n_read, settled, dips)
+            n, n_elements = _fill(
+                points, sizes, elements, across, n, n_elements, most, n_read, settled, dips
+            )
             if n < most:
                 break
         if n == n_read:
@@ -223,14 +286,17 @@ def _filled(domain: Domain, places: np.ndarray, elements: np.ndarray, across: np
 def _longer(table: np.ndarray, rows: int) -> np.ndarray:
     """The table with room; what is not used takes no memory yet."""
     result = np.zeros((rows, *table.shape[1:]), table.dtype)
-    result[:len(table)] = table
+    result[: len(table)] = table
     return result
 
 
-def _mesh(domain: Outline, points: np.ndarray, elements: np.ndarray, facets: np.ndarray, edge: np.ndarray
-          ) -> MeshArrays:
+def _mesh(
+    domain: Outline, points: np.ndarray, elements: np.ndarray, facets: np.ndarray, edge: np.ndarray
+) -> MeshArrays:
     """The mesh, with what has been checked of its boundary."""
-    mesh = MeshArrays(points, elements, facets, edge, tuple(map(str, range(len(domain.boundaries)))))
+    mesh = MeshArrays(
+        points, elements, facets, edge, tuple(map(str, range(len(domain.boundaries))))
+    )
     (x, y), (u, v) = ((points[nodes] - points[0]).T for nodes in facets.T)
     area = 0.5 * float(np.sum(x * v - y * u))
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):
@@ -240,14 +306,17 @@ def _mesh(domain: Outline, points: np.ndarray, elements: np.ndarray, facets: np.
 
 @kernel
 def _limit(points, elements, sizes, growth):
-    """Lower sizes that grow by more than so much per distance along edges, once; returns whether there are any."""
+    """Lower sizes that grow by more than so much per distance along edges, once; returns whether
+    there are any."""
     falls = False
     for e in range(len(elements)):
         for k in range(3):
             a, b = elements[e, k], elements[e, (k + 1) % 3]
             if sizes[a] > sizes[b]:
                 a, b = b, a
-            length = np.sqrt((points[a, 0] - points[b, 0])**2 + (points[a, 1] - points[b, 1])**2)
+            length = np.sqrt(
+                (points[a, 0] - points[b, 0]) ** 2 + (points[a, 1] - points[b, 1]) ** 2
+            )
             if sizes[b] > (1.0 + 1e-9) * (sizes[a] + growth * length):
                 sizes[b] = sizes[a] + growth * length
                 falls = True
@@ -258,9 +327,9 @@ def _limit(points, elements, sizes, growth):
 def _next_place(points, elements, e, sizes, place):
     """Write where a triangle gets a node; returns its circumradius."""
     a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
-    ab = (points[b, 0] - points[a, 0])**2 + (points[b, 1] - points[a, 1])**2
-    bc = (points[c, 0] - points[b, 0])**2 + (points[c, 1] - points[b, 1])**2
-    ca = (points[a, 0] - points[c, 0])**2 + (points[a, 1] - points[c, 1])**2
+    ab = (points[b, 0] - points[a, 0]) ** 2 + (points[b, 1] - points[a, 1]) ** 2
+    bc = (points[c, 0] - points[b, 0]) ** 2 + (points[c, 1] - points[b, 1]) ** 2
+    ca = (points[a, 0] - points[c, 0]) ** 2 + (points[a, 1] - points[c, 1]) ** 2
     if bc < ab and bc <= ca:
         a, b, c, ab = b, c, a, bc
     elif ca < ab:
@@ -284,10 +353,10 @@ def _is_free(points, elements, across, t, p, apart):
     x, y = points[p, 0], points[p, 1]
     for k in range(3):
         a, b, c = elements[t, k], elements[t, (k + 1) % 3], elements[t, (k + 2) % 3]
-        if (points[a, 0] - x)**2 + (points[a, 1] - y)**2 < apart * apart:
+        if (points[a, 0] - x) ** 2 + (points[a, 1] - y) ** 2 < apart * apart:
             return False
         if across[t, k] < 0:
-            square = (points[b, 0] - points[c, 0])**2 + (points[b, 1] - points[c, 1])**2
+            square = (points[b, 0] - points[c, 0]) ** 2 + (points[b, 1] - points[c, 1]) ** 2
             if turn(points, np.int64(b), np.int64(c), p) < _BESIDE * square:
                 return False
     return True
@@ -307,14 +376,20 @@ def _interpolated(points, elements, t, p, sizes):
 
 @kernel
 def _look(points, sizes, elements, n_read, settled):
-    """Triangles with nodes from ``n_read`` on, whose sizes are new, are not ``settled``. Returns the integral of the
-    power -2 of the size."""
+    """Triangles with nodes from ``n_read`` on, whose sizes are new, are not ``settled``. Returns
+    the integral of the power -2 of the size."""
     cells = 0.0
     for e in range(len(elements)):
         a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
         h = (sizes[a] + sizes[b] + sizes[c]) / 3.0
-        cells += 0.5 * ((points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
-                        - (points[b, 1] - points[a, 1]) * (points[c, 0] - points[a, 0])) / (h * h)
+        cells += (
+            0.5
+            * (
+                (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
+                - (points[b, 1] - points[a, 1]) * (points[c, 0] - points[a, 0])
+            )
+            / (h * h)
+        )
         if max(a, b, c) >= n_read:
             settled[e] = False
     return cells
@@ -322,9 +397,9 @@ def _look(points, sizes, elements, n_read, settled):
 
 @kernel
 def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips):
-    """Put nodes into triangles that are not ``settled`` and too large until there are none, or ``most`` nodes. Sizes
-    at nodes from ``n_read`` on are interpolated; ``dips`` are sizes at centroids. Returns the numbers of nodes and
-    triangles."""
+    """Put nodes into triangles that are not ``settled`` and too large until there are none, or
+    ``most`` nodes. Sizes at nodes from ``n_read`` on are interpolated; ``dips`` are sizes at
+    centroids. Returns the numbers of nodes and triangles."""
     place, before = np.empty(2), np.int64(-1)
     # each pass but the last adds nodes, and there are ``most``
     while before < n < most:
@@ -347,7 +422,9 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
                 continue
             t = e
             for k in range(2):
-                points[n, k] = (points[a, k] + points[b, k] + points[c, k]) / 3.0 if dip else place[k]
+                points[n, k] = (
+                    (points[a, k] + points[b, k] + points[c, k]) / 3.0 if dip else place[k]
+                )
             if dip:
                 dips[e] = np.inf
             else:

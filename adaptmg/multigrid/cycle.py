@@ -1,20 +1,25 @@
-r"""The multigrid cycle of the monotone and the paper's correction, its coarse problems, and its nested start.
+r"""The multigrid cycle of the monotone and the paper's correction, its coarse problems, and its
+nested start.
 
-At a fine iterate w with residual :math:`r = b - A w` (contact forces kept in it) the coarse unknown E solves
+At a fine iterate w with residual :math:`r = b - A w` (contact forces kept in it) the coarse unknown
+E solves
 
 .. math:: \min_E\ \tfrac12 E^T A_c E - (\hat P^T r)^T E + \sum_k G_k\,|U_k + E_{t,k}|,\qquad E_{n,k} \le D_k,
 
-steps d-g of the paper. The corrections differ in how they choose D (gap), U (slip) and G (sliding limit).
+steps d-g of the paper. The corrections differ in how they choose D (gap), U (slip) and G (sliding
+limit).
 
-With the nodal prolongation P the one in local components is :math:`\hat P = F_f\,(P \otimes I)\,F_c^T`, F the contact
-frames, rows and columns of fixed dofs zeroed. Between a fine and a coarse contact node the block is :math:`P_{ik}`
-times the identity (3D: times the rotation nearest to :math:`t_f \cdot t_c` in the tangential part), so that normal goes
-to normal and slip to slip on curved boundaries too.
+With the nodal prolongation P the one in local components is :math:`\hat P = F_f\,(P \otimes
+I)\,F_c^T`, F the contact frames, rows and columns of fixed dofs zeroed. Between a fine and a coarse
+contact node the block is :math:`P_{ik}` times the identity (3D: times the rotation nearest to
+:math:`t_f \cdot t_c` in the tangential part), so that normal goes to normal and slip to slip on
+curved boundaries too.
 
-Fig. 1 of the paper shows the shapes of the cycle. The coarsest problem is condensed to its contact dofs first, as the
-paper does ('a condensation of the problem to the contact variables alone'): one factorisation in the set-up, far fewer
-sweeps, on a small dense matrix. Sweeps go in batches; with :math:`\delta_m` the change over batch m in the norm of the
-diagonal blocks and :math:`\rho = \delta_m/\delta_{m-1}` the remaining error is estimated as
+Fig. 1 of the paper shows the shapes of the cycle. The coarsest problem is condensed to its contact
+dofs first, as the paper does ('a condensation of the problem to the contact variables alone'): one
+factorisation in the set-up, far fewer sweeps, on a small dense matrix. Sweeps go in batches; with
+:math:`\delta_m` the change over batch m in the norm of the diagonal blocks and :math:`\rho =
+\delta_m/\delta_{m-1}` the remaining error is estimated as
 :math:`\delta_m\,\rho/(1-\rho)`, without a matrix pass. The paper's test is on the change of one sweep alone.
 """
 
@@ -61,8 +66,14 @@ class Correction(Protocol):
     def needs_initial(self) -> bool:
         """Whether :meth:`transport` gets the first solution on the coarse level."""
 
-    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
-                  initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def transport(
+        self,
+        reach: Supports,
+        opening: np.ndarray,
+        slip: np.ndarray,
+        limit: np.ndarray,
+        initial: InitialContact | None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the coarse gap D, slip U and limit G."""
 
 
@@ -82,21 +93,39 @@ def sliding_limit(system: LocalSystem, contact: NodalContact, residual: np.ndarr
     return contact.limit + contact.friction * normal_force
 
 
-def correction_contact(correction: Correction, reach: Supports, system: LocalSystem, coarse: LocalSystem,
-                       contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray,
-                       initial: InitialContact | None) -> NodalContact:
+def correction_contact(
+    correction: Correction,
+    reach: Supports,
+    system: LocalSystem,
+    coarse: LocalSystem,
+    contact: NodalContact,
+    unknowns: np.ndarray,
+    residual: np.ndarray,
+    initial: InitialContact | None,
+) -> NodalContact:
     """Return the contact data of the coarse correction problem at a fine iterate."""
     values = unknowns.reshape(-1, system.dim)[system.nodes]
     fine_slip = values[:, 1:] - contact.slip_reference
     # |E| is a bound of what a correction changes in a slip that is held along one tangent
     fine_slip[contact.driven] = 0.0
-    gap, slip, limit = _transported(correction, coarse, correction.transport(
-        reach, contact.gap - values[:, 0], fine_slip, sliding_limit(system, contact, residual), initial))
+    gap, slip, limit = _transported(
+        correction,
+        coarse,
+        correction.transport(
+            reach,
+            contact.gap - values[:, 0],
+            fine_slip,
+            sliding_limit(system, contact, residual),
+            initial,
+        ),
+    )
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     return NodalContact(gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit))
 
 
-def _transported(correction: Correction, coarse: LocalSystem, returned: object) -> tuple[np.ndarray, ...]:
+def _transported(
+    correction: Correction, coarse: LocalSystem, returned: object
+) -> tuple[np.ndarray, ...]:
     """The coarse contact data of a correction, types and shapes checked: it may be user-defined."""
     n, name = len(coarse.nodes), f"correction: transport of {checks.shown(correction)}"
     if not isinstance(returned, (tuple, list)) or len(returned) != 3:
@@ -104,8 +133,14 @@ def _transported(correction: Correction, coarse: LocalSystem, returned: object) 
     shapes = {"gap": (n,), "slip": (n, coarse.dim - 1), "limit": (n,)}
     for (what, shape), array in zip(shapes.items(), returned, strict=True):
         if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.shape != shape:
-            actual = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else checks.shown(array)
-            raise TypeError(f"{name} must return a {what} of float64 {shape}, coarse contact nodes first, got {actual}")
+            actual = (
+                f"{array.dtype} {array.shape}"
+                if isinstance(array, np.ndarray)
+                else checks.shown(array)
+            )
+            raise TypeError(
+                f"{name} must return a {what} of float64 {shape}, coarse contact nodes first, got {actual}"
+            )
     return tuple(returned)
 
 
@@ -120,12 +155,17 @@ class CorrectionLevel:
 
     @cached_property
     def supports(self) -> Supports:
-        """The fine contact nodes that each coarse one reaches; ValueError if a weight is negative."""
+        """The fine contact nodes that each coarse one reaches; ValueError if a weight is
+        negative."""
         return supports(self.contact_prolongation)
 
 
-def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest: int,
-                      coarse_matrices: str = "galerkin") -> list[CorrectionLevel]:
+def correction_levels(
+    hierarchy: Hierarchy,
+    problems: list[LocalProblem],
+    finest: int,
+    coarse_matrices: str = "galerkin",
+) -> list[CorrectionLevel]:
     """Return the level ``finest`` of a hierarchy and those below it, coarsest first."""
     levels = [CorrectionLevel(problems[finest].system)]
     for k in range(finest, 0, -1):
@@ -135,21 +175,31 @@ def correction_levels(hierarchy: Hierarchy, problems: list[LocalProblem], finest
         levels[0].restriction = sparse.bsr_array(levels[0].prolongation.T)
         levels[0].contact_prolongation = contact_weights(nodal, upper.discrete, lower.discrete)
         finer = levels[1] if len(levels) > 1 else None
-        system = local_galerkin(levels[0], lower.system, finer) if coarse_matrices == "galerkin" else lower.system
+        system = (
+            local_galerkin(levels[0], lower.system, finer)
+            if coarse_matrices == "galerkin"
+            else lower.system
+        )
         levels.insert(0, CorrectionLevel(system))
     return levels
 
 
-def contact_weights(nodal: sparse.csr_array, fine: DiscreteProblem, coarse: DiscreteProblem) -> sparse.csr_array:
-    """Return the part of a nodal prolongation between contact nodes (n_contact fine, n_contact coarse)."""
+def contact_weights(
+    nodal: sparse.csr_array, fine: DiscreteProblem, coarse: DiscreteProblem
+) -> sparse.csr_array:
+    """Return the part of a nodal prolongation between contact nodes (n_contact fine, n_contact
+    coarse)."""
     weights = sparse.csr_array(nodal[fine.contact.nodes][:, coarse.contact.nodes])
     weights.eliminate_zeros()
     weights.sort_indices()
     return weights
 
 
-def local_prolongation(nodal: sparse.csr_array, fine: LocalProblem, coarse: LocalProblem) -> sparse.bsr_array:
-    """Return a nodal prolongation in local components (n_dofs fine, n_dofs coarse), zero at fixed dofs."""
+def local_prolongation(
+    nodal: sparse.csr_array, fine: LocalProblem, coarse: LocalProblem
+) -> sparse.bsr_array:
+    """Return a nodal prolongation in local components (n_dofs fine, n_dofs coarse), zero at fixed
+    dofs."""
     dim = fine.system.dim
     nodal = sparse.csr_array(nodal)
     rows = np.repeat(np.arange(nodal.shape[0]), np.diff(nodal.indptr))
@@ -186,19 +236,26 @@ def _tangential_part(rotation: np.ndarray) -> np.ndarray:
     return result
 
 
-def local_galerkin(level: CorrectionLevel, coarse: LocalSystem, finer: CorrectionLevel | None = None) -> LocalSystem:
-    """Return the Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale diagonal. Dofs of ``level``
-    that ``finer``, the next level, does not see have such a diagonal, which is left out."""
+def local_galerkin(
+    level: CorrectionLevel, coarse: LocalSystem, finer: CorrectionLevel | None = None
+) -> LocalSystem:
+    """Return the Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale
+    diagonal. Dofs of ``level`` that ``finer``, the next level, does not see have such a diagonal,
+    which is left out."""
     dim = coarse.dim
     prolongation, restriction = level.prolongation, level.restriction
     if finer is not None:
-        taken = sparse.diags_array((np.asarray(abs(finer.prolongation).sum(axis=0)).ravel() > 0).astype(float))
+        taken = sparse.diags_array(
+            (np.asarray(abs(finer.prolongation).sum(axis=0)).ravel() > 0).astype(float)
+        )
         prolongation, restriction = taken @ prolongation, restriction @ taken
     product = sparse.csr_array(restriction @ level.system.matrix @ prolongation)
     diagonal = product.diagonal()
     empty = ~(diagonal > 0)
     fill = np.where(empty, diagonal[~empty].mean() if (~empty).any() else 1.0, 0.0)
-    matrix = sparse.bsr_array(product + sparse.diags_array(fill), blocksize=(dim, dim)).sorted_indices()
+    matrix = sparse.bsr_array(
+        product + sparse.diags_array(fill), blocksize=(dim, dim)
+    ).sorted_indices()
     return LocalSystem.from_matrix(matrix, coarse.fixed, coarse.nodes)
 
 
@@ -210,9 +267,10 @@ class Monotone:
 
     .. math:: D_k = \min_{S_k} (g_0 - u_n),\quad U_k = \mathrm{minmod}_{S_k}(u_t - u_t^{prev}),\quad G = P^T g .
 
-    For contact rows of P that are >= 0 with row sums 1, Galerkin coarse matrices and one normal over each S_k the
-    coarse functional majorises the fine one, so the energy with g frozen cannot rise, and E = 0 at the solution
-    (R. Kornhuber 1994, doi:10.1007/BF03325426; R. Krause 2009, doi:10.1137/070682514). Elsewhere nothing is claimed.
+    For contact rows of P that are >= 0 with row sums 1, Galerkin coarse matrices and one normal
+    over each S_k the coarse functional majorises the fine one, so the energy with g frozen cannot
+    rise, and E = 0 at the solution (R. Kornhuber 1994, doi:10.1007/BF03325426; R. Krause 2009,
+    doi:10.1137/070682514). Elsewhere nothing is claimed.
 
     Examples
     --------
@@ -226,31 +284,44 @@ class Monotone:
         """Return False."""
         return False
 
-    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
-                  initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def transport(
+        self,
+        reach: Supports,
+        opening: np.ndarray,
+        slip: np.ndarray,
+        limit: np.ndarray,
+        initial: InitialContact | None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         stick = (slip == 0.0).all(axis=1)
-        return smallest_gap(reach, opening), minmod_slip(reach, slip, stick), summed_limit(reach, limit)
+        return (
+            smallest_gap(reach, opening),
+            minmod_slip(reach, slip, stick),
+            summed_limit(reach, limit),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperCorrection:
     """The correction of the paper (steps a-g), its choices selectable.
 
-    Read literally its coarse gap (the smallest u_n, which is <= 0) is the largest opening, and stalls or cycles. A
-    limit G that is frozen cannot be exact on the fine grid: the iteration stops changing before the contact conditions
-    hold, which :class:`adaptmg.Result` reports as STALLED. On the bars of the paper it is G that matters.
+    Read literally its coarse gap (the smallest u_n, which is <= 0) is the largest opening, and
+    stalls or cycles. A limit G that is frozen cannot be exact on the fine grid: the iteration stops
+    changing before the contact conditions hold, which :class:`adaptmg.Result` reports as STALLED.
+    On the bars of the paper it is G that matters.
 
     Parameters
     ----------
     gap : {"smallest", "largest", "injected"}
-        Opening of a coarse contact node: smallest over the fine nodes it reaches (the paper's choice, read safely),
-        largest (read literally), or that of the fine node with the largest weight (nested: the coincident one).
+        Opening of a coarse contact node: smallest over the fine nodes it reaches (the paper's
+        choice, read safely), largest (read literally), or that of the fine node with the largest
+        weight (nested: the coincident one).
     slip : {"initial", "injected", "minmod"}
-        Slip offset U: of the first coarse solution (the paper's choice), of the coincident fine node, or the
-        smallest common slip.
+        Slip offset U: of the first coarse solution (the paper's choice), of the coincident fine
+        node, or the smallest common slip.
     limit : {"initial", "injected", "summed"}
-        Sliding limit G: of the first coarse solution (the paper's choice), that of the fine node with the largest
-        weight (a nodal force, hence too small on the coarse grid: for comparison), or the sum P'g.
+        Sliding limit G: of the first coarse solution (the paper's choice), that of the fine node
+        with the largest weight (a nodal force, hence too small on the coarse grid: for comparison),
+        or the sum P'g.
 
     Examples
     --------
@@ -273,13 +344,27 @@ class PaperCorrection:
     def needs_initial(self) -> bool:
         return "initial" in (self.slip, self.limit)
 
-    def transport(self, reach: Supports, opening: np.ndarray, slip: np.ndarray, limit: np.ndarray,
-                  initial: InitialContact | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        gap = {"smallest": smallest_gap, "largest": largest_gap, "injected": injected_gap}[self.gap](reach, opening)
-        slips = {"initial": lambda: initial.slip, "injected": lambda: injected_slip(reach, slip),
-                 "minmod": lambda: minmod_slip(reach, slip, (slip == 0.0).all(axis=1))}
-        limits = {"initial": lambda: initial.limit, "injected": lambda: injected_limit(reach, limit),
-                  "summed": lambda: summed_limit(reach, limit)}
+    def transport(
+        self,
+        reach: Supports,
+        opening: np.ndarray,
+        slip: np.ndarray,
+        limit: np.ndarray,
+        initial: InitialContact | None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        gap = {"smallest": smallest_gap, "largest": largest_gap, "injected": injected_gap}[
+            self.gap
+        ](reach, opening)
+        slips = {
+            "initial": lambda: initial.slip,
+            "injected": lambda: injected_slip(reach, slip),
+            "minmod": lambda: minmod_slip(reach, slip, (slip == 0.0).all(axis=1)),
+        }
+        limits = {
+            "initial": lambda: initial.limit,
+            "injected": lambda: injected_limit(reach, limit),
+            "summed": lambda: summed_limit(reach, limit),
+        }
         return gap, slips[self.slip](), limits[self.limit]()
 
 
@@ -290,8 +375,8 @@ class Cycle:
     Parameters
     ----------
     shape : {"V", "W", "F", "complete"}
-        How often a coarse problem is visited: once, twice, once fully and once as V, or until it is solved to the
-        tolerance of the coarse solve (the paper's 'complete resolution').
+        How often a coarse problem is visited: once, twice, once fully and once as V, or until it is
+        solved to the tolerance of the coarse solve (the paper's 'complete resolution').
     pre, post : int
         Smoothing sweeps before and after the coarse correction, not both 0.
 
@@ -310,7 +395,9 @@ class Cycle:
         checks.integer("pre", self.pre)
         checks.integer("post", self.post)
         if self.pre + self.post == 0:
-            raise ValueError("pre and post must not both be 0: without smoothing the cycle does not converge")
+            raise ValueError(
+                "pre and post must not both be 0: without smoothing the cycle does not converge"
+            )
 
 
 @dataclass(eq=False)
@@ -323,19 +410,25 @@ class MultigridCycle:
     correction: Correction
     coarse: CoarseSolve
     recorder: Recorder
-    initial: list[InitialContact] = field(default_factory=list)  # by level, where the correction needs it
+    initial: list[InitialContact] = field(
+        default_factory=list
+    )  # by level, where the correction needs it
     condensed: Condensed | None = None
 
     #: cycles of a 'complete' coarse solution at most
     COMPLETE_LIMIT = 60
 
-    def cycle(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str) -> None:
+    def cycle(
+        self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str
+    ) -> None:
         """Run one cycle on a level >= 1: smooth, correct from the next coarser level, smooth."""
         self.smooth(level, contact, load, unknowns, self.options.pre)
         self.correct(level, contact, unknowns, self.residual(level, load, unknowns), shape)
         self.smooth(level, contact, load, unknowns, self.options.post)
 
-    def solve(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str) -> None:
+    def solve(
+        self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, shape: str
+    ) -> None:
         """Solve the problem of a level as the shape of the cycle says."""
         if level == 0:
             self.solve_coarsest(contact, load, unknowns)
@@ -345,13 +438,27 @@ class MultigridCycle:
             for each in {"V": "V", "W": "WW", "F": "FV"}[shape]:
                 self.cycle(level, contact, load, unknowns, each)
 
-    def correct(self, level: int, contact: NodalContact, unknowns: np.ndarray, r: np.ndarray,
-                shape: str | None = None) -> None:
+    def correct(
+        self,
+        level: int,
+        contact: NodalContact,
+        unknowns: np.ndarray,
+        r: np.ndarray,
+        shape: str | None = None,
+    ) -> None:
         """Add the correction from the next coarser level; ``r`` is the residual at ``unknowns``."""
         fine, coarse = self.levels[level], self.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None
-        data = correction_contact(self.correction, fine.supports, fine.system, coarse.system, contact,
-                                  unknowns, r, initial)
+        data = correction_contact(
+            self.correction,
+            fine.supports,
+            fine.system,
+            coarse.system,
+            contact,
+            unknowns,
+            r,
+            initial,
+        )
         self.recorder.visit(level, "restrict")
         load = fine.restriction @ r
         error = np.zeros(coarse.system.n_dofs)
@@ -359,7 +466,9 @@ class MultigridCycle:
         unknowns += fine.prolongation @ error
         self.recorder.visit(level, "prolong")
 
-    def smooth(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, sweeps: int) -> None:
+    def smooth(
+        self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, sweeps: int
+    ) -> None:
         if sweeps:
             system = self.levels[level].system
             passes = self.smoother.smooth(system, contact, load, unknowns, sweeps)
@@ -374,15 +483,21 @@ class MultigridCycle:
 
     def solve_coarsest(self, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
         if self.condensed is None:
-            sweeps = self.coarse.solve(self.levels[0].system, contact, load, unknowns, self.recorder)
+            sweeps = self.coarse.solve(
+                self.levels[0].system, contact, load, unknowns, self.recorder
+            )
         else:
             particular, reduced = self.condensed.reduce(load)
             part = self.condensed.restrict(unknowns)
-            sweeps = self.coarse.solve(self.condensed.problem.system, contact, reduced, part, self.recorder)
+            sweeps = self.coarse.solve(
+                self.condensed.problem.system, contact, reduced, part, self.recorder
+            )
             unknowns[:] = self.condensed.complete(particular, part)
         self.recorder.visit(0, "solve", sweeps)
 
-    def _complete(self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
+    def _complete(
+        self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray
+    ) -> None:
         """Cycles until the estimated error meets the tolerance of the coarse solve."""
         change = np.inf
         for _ in range(self.COMPLETE_LIMIT):
@@ -400,11 +515,12 @@ class CoarseSolve:
     Parameters
     ----------
     condensed : bool
-        Sweep on the Schur complement of the contact dofs on the coarsest level, whose entries are counted as work; the
-        factorisation and its solves are reported as seconds.
+        Sweep on the Schur complement of the contact dofs on the coarsest level, whose entries are
+        counted as work; the factorisation and its solves are reported as seconds.
     rtol : float
-        Tolerance relative to the solution of the coarse problem: for ``test="error"`` of the estimated error in the
-        norm of the diagonal blocks, for ``test="change"`` of the Euclidean change in one sweep.
+        Tolerance relative to the solution of the coarse problem: for ``test="error"`` of the
+        estimated error in the norm of the diagonal blocks, for ``test="change"`` of the Euclidean
+        change in one sweep.
     atol : float
         Absolute tolerance added to it, in m, on the Euclidean norm (``test="change"`` only).
     test : {"error", "change"}
@@ -433,7 +549,9 @@ class CoarseSolve:
         object.__setattr__(self, "rtol", checks.nonnegative("rtol", self.rtol))
         object.__setattr__(self, "atol", checks.nonnegative("atol", self.atol))
         if not self.rtol < 1:
-            raise ValueError(f"rtol must be < 1, a share of the solution, got {checks.shown(self.rtol)}")
+            raise ValueError(
+                f"rtol must be < 1, a share of the solution, got {checks.shown(self.rtol)}"
+            )
         checks.flag("condensed", self.condensed)
         if self.rtol == 0 and self.atol == 0:
             raise ValueError("rtol and atol must not both be 0")
@@ -443,9 +561,16 @@ class CoarseSolve:
         ProjectedGaussSeidel(omega=self.omega)
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
-    def solve(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
-              recorder: Recorder) -> int:
-        """Sweep until the tolerance is met, changing ``unknowns`` (n_dofs,) in place; returns the number of sweeps."""
+    def solve(
+        self,
+        system: LocalSystem,
+        contact: NodalContact,
+        load: np.ndarray,
+        unknowns: np.ndarray,
+        recorder: Recorder,
+    ) -> int:
+        """Sweep until the tolerance is met, changing ``unknowns`` (n_dofs,) in place; returns the
+        number of sweeps."""
         smoother = ProjectedGaussSeidel(omega=self.omega)
         batch = self.BATCH if self.test == "error" else 1
         blocks = system.diagonal.reshape(-1, system.dim, system.dim)
@@ -468,7 +593,8 @@ class CoarseSolve:
         return sweeps
 
     def met(self, change: float, previous: float, size: float) -> bool:
-        """Return whether the tolerance is met after a change and the one before, with unknowns of a size."""
+        """Return whether the tolerance is met after a change and the one before, with unknowns of a
+        size."""
         error = change
         if self.test == "error" and change > 0.0:
             rate = change / previous if np.isfinite(previous) else np.inf
@@ -483,9 +609,9 @@ class NestedStart:
     Parameters
     ----------
     cycles : int or "complete", optional
-        Cycles on each level between the coarsest and the finest, or until ``rtol`` is met. Default: 1, and 2 where
-        bodies touch each other (interpolation carries the edges of their contact less well) on levels that the next
-        one outnumbers ``CHEAP`` times.
+        Cycles on each level between the coarsest and the finest, or until ``rtol`` is met. Default:
+        1, and 2 where bodies touch each other (interpolation carries the edges of their contact
+        less well) on levels that the next one outnumbers ``CHEAP`` times.
     rtol : float
         Tolerance on the coarsest level, and with 'complete' on all levels below the finest.
 
@@ -502,14 +628,19 @@ class NestedStart:
     rtol: float = 1e-8
 
     def __post_init__(self) -> None:
-        if self.cycles is not None and not (isinstance(self.cycles, str) and self.cycles == "complete"):
+        if self.cycles is not None and not (
+            isinstance(self.cycles, str) and self.cycles == "complete"
+        ):
             checks.integer("cycles", self.cycles, 1)
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
 
     def cycles_on(self, problem: DiscreteProblem, finer: DiscreteProblem) -> int:
-        """Return the number of cycles on a level with this problem below one with that, unless complete."""
+        """Return the number of cycles on a level with this problem below one with that, unless
+        complete."""
         if self.cycles is None:
-            return 1 if problem.coupling is None or finer.n_nodes < self.CHEAP * problem.n_nodes else 2
+            return (
+                1 if problem.coupling is None or finer.n_nodes < self.CHEAP * problem.n_nodes else 2
+            )
         return int(self.cycles)
 
 
@@ -519,15 +650,19 @@ def project(local: LocalProblem, unknowns: np.ndarray) -> None:
     unknowns[normal] = np.minimum(unknowns[normal], local.contact.gap)
 
 
-def prolonged_start(nodal: sparse.csr_array, coarse: LocalProblem, unknowns: np.ndarray,
-                    fine: LocalProblem) -> np.ndarray:
-    """Interpolate a coarse solution (primal values, all Cartesian components) to the next finer level."""
+def prolonged_start(
+    nodal: sparse.csr_array, coarse: LocalProblem, unknowns: np.ndarray, fine: LocalProblem
+) -> np.ndarray:
+    """Interpolate a coarse solution (primal values, all Cartesian components) to the next finer
+    level."""
     result = fine.to_local(nodal @ coarse.to_cartesian(unknowns))
     project(fine, result)
     return result
 
 
-def initial_contact(local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray) -> InitialContact:
+def initial_contact(
+    local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray
+) -> InitialContact:
     """Return the slip and sliding limit of a first solution (the paper's U0 and G0)."""
     system = local.system
     slip = unknowns.reshape(-1, system.dim)[system.nodes][:, 1:] - local.contact.slip_reference

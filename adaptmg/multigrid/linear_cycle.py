@@ -1,6 +1,8 @@
-"""LinearCycle: a V-cycle on the (truncated) linear coarse problems, one or two symmetric sweeps a level.
+"""LinearCycle: a V-cycle on the (truncated) linear coarse problems, one or two symmetric sweeps a
+level.
 
-The coarsest ones are solved by LU factors. A user-defined :class:`LinearSolve` may replace these, and a user-defined
+The coarsest ones are solved by LU factors. A user-defined :class:`LinearSolve` may replace these,
+and a user-defined
 :class:`LinearSmoother` the sweeps.
 """
 
@@ -18,7 +20,13 @@ from scipy.sparse.linalg import splu
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
 from adaptmg.multigrid.cycle import Recorder
-from adaptmg.multigrid.split_matrix import SplitMatrix, add_prolonged, gauss_seidel, restrict, subtract_half
+from adaptmg.multigrid.split_matrix import (
+    SplitMatrix,
+    add_prolonged,
+    gauss_seidel,
+    restrict,
+    subtract_half,
+)
 from adaptmg.smoother.blocks import ZERO
 
 
@@ -53,7 +61,9 @@ class LinearLevel:
 
     @cached_property
     def _scattering(self) -> list[list[tuple[int, int]]]:
-        return scattering(self.prolongation.indices, self.prolongation.indptr, 2 * self.matrix.n_dofs)
+        return scattering(
+            self.prolongation.indices, self.prolongation.indptr, 2 * self.matrix.n_dofs
+        )
 
     def restrict(self, residual: np.ndarray, coarse: np.ndarray) -> float:
         """Restrict a residual to the level below, into ``coarse``; returns its sum of squares."""
@@ -64,7 +74,9 @@ class LinearLevel:
 
     def prolong(self, coarse: np.ndarray, to: np.ndarray) -> None:
         """Add a prolonged vector of the level below to one of this level."""
-        in_parts(add_prolonged, self.prolongation.shape[0], 2 * len(to), *self._transfer, coarse, to)
+        in_parts(
+            add_prolonged, self.prolongation.shape[0], 2 * len(to), *self._transfer, coarse, to
+        )
 
     def presmooth(self, load: np.ndarray) -> float:
         """Smooth from zero and leave the residual; returns the passes over the matrix."""
@@ -80,7 +92,9 @@ class LinearLevel:
             rest[:] = 0.0
             matrix.sweep(subtract_half, *upper, u, rest)
             return 1.0  # L, U
-        matrix.sweep(gauss_seidel, True, *none, *upper, matrix.inverse, rest, u, rest, backward=True)
+        matrix.sweep(
+            gauss_seidel, True, *none, *upper, matrix.inverse, rest, u, rest, backward=True
+        )
         np.subtract(load, rest, out=rest)
         matrix.sweep(subtract_half, *lower, u, rest)
         return 1.5  # L, U, L
@@ -91,23 +105,43 @@ class LinearLevel:
             return self.smoother.smooth(load, u)
         lower, upper = matrix.lower_arrays, matrix.upper_arrays
         if sweeps == 1:
-            matrix.sweep(gauss_seidel, True, *upper, *lower, matrix.inverse, load, u, rest, backward=True)
+            matrix.sweep(
+                gauss_seidel, True, *upper, *lower, matrix.inverse, load, u, rest, backward=True
+            )
             return 1.0  # L, U
         matrix.sweep(gauss_seidel, False, *lower, *upper, matrix.inverse, load, u, rest)
-        matrix.sweep(gauss_seidel, True, *matrix.no_half, *upper, matrix.inverse, rest, u, rest, backward=True)
+        matrix.sweep(
+            gauss_seidel,
+            True,
+            *matrix.no_half,
+            *upper,
+            matrix.inverse,
+            rest,
+            u,
+            rest,
+            backward=True,
+        )
         return 1.5  # L, U, U
 
 
 class LinearCycle:
-    """V-cycles for the linear problem on any of the levels, coarsest first; ``recorder`` counts passes and notes the
-    path."""
+    """V-cycles for the linear problem on any of the levels, coarsest first; ``recorder`` counts
+    passes and notes the path."""
 
-    def __init__(self, matrices: list[SplitMatrix], prolongations: list[sparse.csr_array], recorder: Recorder,
-                 sweeps: Sequence[int], coarse_solve: LinearSolve | None = None,
-                 coarse_smoother: LinearSmoother | None = None) -> None:
+    def __init__(
+        self,
+        matrices: list[SplitMatrix],
+        prolongations: list[sparse.csr_array],
+        recorder: Recorder,
+        sweeps: Sequence[int],
+        coarse_solve: LinearSolve | None = None,
+        coarse_smoother: LinearSmoother | None = None,
+    ) -> None:
         self.levels: list[LinearLevel] = []
         for parts in zip(matrices, [None, *prolongations], sweeps, strict=True):
-            self.levels.append(LinearLevel(parts[0], self.levels[-1] if self.levels else None, *parts[1:]))
+            self.levels.append(
+                LinearLevel(parts[0], self.levels[-1] if self.levels else None, *parts[1:])
+            )
         self.recorder, self.coarse_smoother = recorder, coarse_smoother
         self.factors = CoarseFactors(matrices[0], coarse_solve)
 
@@ -118,8 +152,9 @@ class LinearCycle:
             level.smoother = _LevelSmoother(self.coarse_smoother, level.matrix)
 
     def solve(self, number: int, load: np.ndarray, smooth: bool = True) -> np.ndarray:
-        """Run one cycle from zero for a load (n_dofs,) of a level; return its solution. ``smooth`` False restricts the
-        load unchanged, as a load that comes from a smoothed residual may be; one symmetric sweep then comes after."""
+        """Run one cycle from zero for a load (n_dofs,) of a level; return its solution. ``smooth``
+        False restricts the load unchanged, as a load that comes from a smoothed residual may be;
+        one symmetric sweep then comes after."""
         level, recorder = self.levels[number], self.recorder
         if number == 0:
             recorder.count(self.factors.solve(load, level.solution), level.matrix.nonzeros)
@@ -143,11 +178,12 @@ class LinearCycle:
 
 
 class CoarseFactors:
-    """Solves with the coarsest matrix by dense or sparse factors; a singular one is shifted where it is singular.
+    """Solves with the coarsest matrix by dense or sparse factors; a singular one is shifted where
+    it is singular.
 
-    Truncation leaves coarse dofs near contact that no remaining fine dof tells apart, mostly the same ones each time:
-    their shift stays, so that each matrix is factorised once. Bodies held by contact alone are singular everywhere.
-    """
+    Truncation leaves coarse dofs near contact that no remaining fine dof tells apart, mostly the
+    same ones each time: their shift stays, so that each matrix is factorised once. Bodies held by
+    contact alone are singular everywhere."""
 
     #: solutions of forces of size 1 beyond 1 / SINGULAR mean singular; the shift that makes the matrix regular; both
     #: over the diagonal
@@ -159,7 +195,9 @@ class CoarseFactors:
 
     def __init__(self, level: SplitMatrix, custom: LinearSolve | None = None) -> None:
         self.level, self.custom = level, custom
-        scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
+        scale = np.abs(
+            level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
+        ).reshape(-1)
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self._shift = np.zeros(level.n_dofs)
         self._probe = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
@@ -168,9 +206,12 @@ class CoarseFactors:
 
     def renew(self) -> None:
         if self.custom is not None:
-            self._prepared = checks.offers("coarse_solve: what setup returns",
-                                           self.custom.setup(_regular_sparse(self.level, self._scale)), "solve",
-                                           "an object with solve(rhs) -> solution")
+            self._prepared = checks.offers(
+                "coarse_solve: what setup returns",
+                self.custom.setup(_regular_sparse(self.level, self._scale)),
+                "solve",
+                "an object with solve(rhs) -> solution",
+            )
             return
         self._solve = self._factors(self._shift)
         singular = ~(np.abs(self._solve(self._probe)) < 1 / self.SINGULAR)
@@ -183,7 +224,7 @@ class CoarseFactors:
     def _factors(self, shift: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         if self.level.n_dofs <= self.DENSE:
             matrix = _regular_dense(self.level, self._scale)
-            matrix.flat[::len(shift) + 1] += shift
+            matrix.flat[:: len(shift) + 1] += shift
             return _dense_factors(matrix)
         return _sparse_factors(_regular_sparse(self.level, self._scale) + sparse.diags_array(shift))
 
@@ -208,9 +249,14 @@ def _dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
 def _sparse_factors(matrix: sparse.csr_array) -> Callable[[np.ndarray], np.ndarray]:
     """As :func:`_dense_factors`, by SuperLU."""
     try:
-        # pivots off the diagonal fill more than they gain: but for the slip rows of Coulomb the matrix is symmetric
-        return splu(sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3,
-                    options={"SymmetricMode": True}).solve
+        # pivots off the diagonal fill more than they gain: but for the slip rows of Coulomb the
+        # matrix is symmetric
+        return splu(
+            sparse.csc_array(matrix),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=1e-3,
+            options={"SymmetricMode": True},
+        ).solve
     except RuntimeError:
         # an exactly vanishing pivot
         return lambda load: np.full_like(load, np.nan)
@@ -238,10 +284,11 @@ class LinearSolve(Protocol):
     """A user-defined solver of the coarsest linear problems."""
 
     def setup(self, matrix: sparse.csr_array) -> PreparedSolve:
-        """Prepare for a matrix (n_dofs, n_dofs), whenever the contact status changes it. It has a diagonal entry alone
-        where dofs are fixed or truncated; with Coulomb friction it is not symmetric; where only contact holds a body it
-        may be singular. The passes over the matrix that the object's ``passes`` names for its last solve, if it has
-        them, are counted as work."""
+        """Prepare for a matrix (n_dofs, n_dofs), whenever the contact status changes it. It has a
+        diagonal entry alone where dofs are fixed or truncated; with Coulomb friction it is not
+        symmetric; where only contact holds a body it may be singular. The passes over the matrix
+        that the object's ``passes`` names for its last solve, if it has them, are counted as
+        work."""
 
 
 class LinearSmoother(Protocol):
@@ -252,13 +299,16 @@ class LinearSmoother(Protocol):
 
 
 def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
-    """Return the matrix of a level, with ``scale`` (n_dofs,) on the diagonal where rows are empty but for rounding."""
+    """Return the matrix of a level, with ``scale`` (n_dofs,) on the diagonal where rows are empty
+    but for rounding."""
     matrix = level.matrix()
     row = np.repeat(np.arange(level.n_nodes), np.diff(matrix.indptr))
     sizes = np.zeros((level.n_nodes, level.dim))
     np.add.at(sizes, row, np.abs(matrix.data).sum(axis=2))
     node, component = np.nonzero(sizes <= EMPTY * scale.reshape(sizes.shape))
-    matrix.data[np.flatnonzero(row == matrix.indices)[node], component, component] = scale[level.dim * node + component]
+    matrix.data[np.flatnonzero(row == matrix.indices)[node], component, component] = scale[
+        level.dim * node + component
+    ]
     return matrix
 
 
@@ -279,10 +329,16 @@ class _LevelSmoother:
     """A :class:`LinearSmoother` set up for the matrix of a level."""
 
     def __init__(self, custom: LinearSmoother, level: SplitMatrix) -> None:
-        diagonal = level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2).reshape(-1)
+        diagonal = (
+            level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2).reshape(-1)
+        )
         self.matrix = _regular_sparse(level, np.full(level.n_dofs, np.abs(diagonal).max()))
-        self._smoother = checks.offers("coarse_smoother: what setup returns", custom.setup(self.matrix), "smooth",
-                                       "an object with smooth(rhs, x) -> passes")
+        self._smoother = checks.offers(
+            "coarse_smoother: what setup returns",
+            custom.setup(self.matrix),
+            "smooth",
+            "an object with smooth(rhs, x) -> passes",
+        )
 
     def smooth(self, load: np.ndarray, unknowns: np.ndarray) -> float:
         passes = self._smoother.smooth(load.copy(), unknowns)
@@ -294,12 +350,13 @@ _SHIFT = 1e-12
 
 
 def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """The alpha (k,) that minimise |now + alpha changes|, ``changes`` (k, n), weighted with ``d`` (n,)."""
+    """The alpha (k,) that minimise |now + alpha changes|, ``changes`` (k, n), weighted with ``d``
+    (n,)."""
     weighted = changes * d
     products = weighted @ changes.T
     scale = np.sqrt(products.diagonal())
     scale[scale == 0.0] = 1.0
     products /= scale[:, None] * scale
-    products.flat[::len(scale) + 1] += _SHIFT
+    products.flat[:: len(scale) + 1] += _SHIFT
     # LAPACK itself: numpy's least squares take ten times as long as all products of a small problem
     return linalg.lapack.dposv(products, -(weighted @ now) / scale)[1] / scale

@@ -1,19 +1,23 @@
-r"""The nonlinear smoothing: projected Gauss-Seidel in half passes on a symmetric matrix, and on an interface.
+r"""The nonlinear smoothing: projected Gauss-Seidel in half passes on a symmetric matrix, and on an
+interface.
 
-Unknowns are Cartesian; the exact node solve of :mod:`adaptmg.smoother.node_solve` works in the frame of the contact
-node. Both sweeps read L only, each row for two purposes, as :math:`U = L^T`. The backward sweep scatters
+Unknowns are Cartesian; the exact node solve of :mod:`adaptmg.smoother.node_solve` works in the
+frame of the contact node. Both sweeps read L only, each row for two purposes, as :math:`U = L^T`.
+The backward sweep scatters
 :math:`-L_i^T u_i` to the nodes before, so that :math:`t = f - U u` is complete when its node is reached, and keeps t.
-The forward sweep scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i: at the end t is f - A u.
+The forward sweep scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i: at the
+end t is f - A u.
 
-Where two bodies touch, most of the error that is left lies within a few elements of the interface. Local sweeps there
-cost the rows of their nodes: a change :math:`\delta_i` alters the residual by :math:`-A_{ij}^T\delta_i` at the
-neighbours j. In relative coordinates a master node carries its followers along; where the contact is open and the slave
-body much stiffer (a soft tip before a solid wall) such sweeps hardly move the master. Masters whose followers are all
-open are therefore moved alone, :math:`w_j \leftarrow w_j - W_{ji}\delta_i`, unless that would close one of them.
+Where two bodies touch, most of the error that is left lies within a few elements of the interface.
+Local sweeps there cost the rows of their nodes: a change :math:`\delta_i` alters the residual by
+:math:`-A_{ij}^T\delta_i` at the neighbours j. In relative coordinates a master node carries its
+followers along; where the contact is open and the slave body much stiffer (a soft tip before a
+solid wall) such sweeps hardly move the master. Masters whose followers are all open are therefore
+moved alone, :math:`w_j \leftarrow w_j - W_{ji}\delta_i`, unless that would close one of them.
 
-Arguments: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`); the arrays of a SplitMatrix, of a TruncatedContact
-and of an :class:`Interface`; ``values`` hold gap and reference exactly where a node touches and sticks.
-"""
+Arguments: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`); the arrays of a SplitMatrix, of
+a TruncatedContact and of an :class:`Interface`; ``values`` hold gap and reference exactly where a
+node touches and sticks."""
 
 from __future__ import annotations
 
@@ -50,15 +54,39 @@ def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
     """Solve contact node k; ``c`` is the Cartesian force without the diagonal block."""
     dim = np.uint64(len(c))
     frame = dim * dim * k
-    w = solve(read_upper(blocks, k, c), times(frames, frame, c), gap[k], read_reference(reference, k, c), limit[k],
-              friction[k])
+    w = solve(
+        read_upper(blocks, k, c),
+        times(frames, frame, c),
+        gap[k],
+        read_reference(reference, k, c),
+        limit[k],
+        friction[k],
+    )
     write(values, dim * k, w)
     return transposed_times(frames, frame, w)
 
 
 @kernel
-def backward(first, last, order, zero, l_indptr, l_indices, lower, inverse, contact_of, frames, blocks, gap, reference,
-             limit, friction, values, u, kept):
+def backward(
+    first,
+    last,
+    order,
+    zero,
+    l_indptr,
+    l_indices,
+    lower,
+    inverse,
+    contact_of,
+    frames,
+    blocks,
+    gap,
+    reference,
+    limit,
+    friction,
+    values,
+    u,
+    kept,
+):
     """Sweep backward with projections; ``kept`` comes as f and becomes f - U u."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
@@ -70,16 +98,37 @@ def backward(first, last, order, zero, l_indptr, l_indices, lower, inverse, cont
         if contact_of[i] < 0:
             new = times(inverse, dim * at, r)
         else:
-            new = solve_at(np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction, values, r)
+            new = solve_at(
+                np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction, values, r
+            )
         write(u, at, new)
         minus_transposed_row(row, -1, l_indptr, l_indices, lower, new, kept)
 
 
 @kernel(fastmath={"contract"})
-def forward(first, last, order, zero, l_indptr, l_indices, lower, inverse, diagonal, contact_of, frames, blocks, gap,
-            reference, limit, friction, values, u, kept):
-    """Sweep forward with projections after :func:`backward`; ``kept`` becomes f - A u. ``diagonal`` (n_contact *
-    dim^2,) are the Cartesian diagonal blocks of the contact nodes."""
+def forward(
+    first,
+    last,
+    order,
+    zero,
+    l_indptr,
+    l_indices,
+    lower,
+    inverse,
+    diagonal,
+    contact_of,
+    frames,
+    blocks,
+    gap,
+    reference,
+    limit,
+    friction,
+    values,
+    u,
+    kept,
+):
+    """Sweep forward with projections after :func:`backward`; ``kept`` becomes f - A u. ``diagonal``
+    (n_contact * dim^2,) are the Cartesian diagonal blocks of the contact nodes."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
         row, i = np.uint64(place), np.uint64(order[place])
@@ -116,18 +165,40 @@ def energy_product(first, last, order, zero, l_indptr, l_indices, lower, inverse
 
 @inner_kernel
 def _changed(p, i, d, indptr, indices, blocks, diagonal, residual):
-    """Take a change d of node i, at position p, out of the residual: its own and that of its neighbours."""
+    """Take a change d of node i, at position p, out of the residual: its own and that of its
+    neighbours."""
     dim = np.uint64(len(d))
     size, at = dim * dim, dim * i
     write(residual, at, subtract(read(residual, at, d), times(diagonal, size * p, d)))
     for entry in range(np.uint64(indptr[p]), np.uint64(indptr[p + ONE])):
         j = dim * np.uint64(indices[entry])
-        write(residual, j, subtract(read(residual, j, d), transposed_times(blocks, size * entry, d)))
+        write(
+            residual, j, subtract(read(residual, j, d), transposed_times(blocks, size * entry, d))
+        )
 
 
 @inner_kernel
-def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, contact_of,
-           frames, gap, limit, values, u, residual):
+def _alone(
+    zero,
+    p,
+    i,
+    nodes,
+    indptr,
+    indices,
+    blocks,
+    diagonal,
+    follow_indptr,
+    followers,
+    weights,
+    alone,
+    contact_of,
+    frames,
+    gap,
+    limit,
+    values,
+    u,
+    residual,
+):
     """Move a master without its followers, if all are open and stay so; whether it was done."""
     dim = np.uint64(len(zero))
     size = dim * dim
@@ -161,10 +232,33 @@ def _alone(zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
 
 
 @kernel
-def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone, inverse,
-          contact_of, frames, own_blocks, gap, reference, limit, friction, values, u, residual):
-    """Sweep with projections over positions ``order`` of an :class:`~adaptmg.multigrid.projected_sweeps.Interface`.
-    ``residual`` is f - A u before and after."""
+def local(
+    zero,
+    order,
+    nodes,
+    indptr,
+    indices,
+    blocks,
+    diagonal,
+    follow_indptr,
+    followers,
+    weights,
+    alone,
+    inverse,
+    contact_of,
+    frames,
+    own_blocks,
+    gap,
+    reference,
+    limit,
+    friction,
+    values,
+    u,
+    residual,
+):
+    """Sweep with projections over positions ``order`` of an
+    :class:`~adaptmg.multigrid.projected_sweeps.Interface`. ``residual`` is f - A u before and
+    after."""
     dim = np.uint64(len(zero))
     for entry in range(len(order)):
         p = np.uint64(order[entry])
@@ -173,12 +267,39 @@ def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
         now = read(u, at, zero)
         if contact_of[i] >= 0:
             force = minus_times(read(residual, at, zero), diagonal, dim * dim * p, negative(now))
-            new = solve_at(np.uint64(contact_of[i]), frames, own_blocks, gap, reference, limit, friction, values,
-                           force)
+            new = solve_at(
+                np.uint64(contact_of[i]),
+                frames,
+                own_blocks,
+                gap,
+                reference,
+                limit,
+                friction,
+                values,
+                force,
+            )
             change = subtract(new, now)
         elif follow_indptr[p + ONE] > follow_indptr[p] and _alone(
-                zero, p, i, nodes, indptr, indices, blocks, diagonal, follow_indptr, followers, weights, alone,
-                contact_of, frames, gap, limit, values, u, residual):
+            zero,
+            p,
+            i,
+            nodes,
+            indptr,
+            indices,
+            blocks,
+            diagonal,
+            follow_indptr,
+            followers,
+            weights,
+            alone,
+            contact_of,
+            frames,
+            gap,
+            limit,
+            values,
+            u,
+            residual,
+        ):
             continue
         else:
             change = times(inverse, dim * at, read(residual, at, zero))
@@ -188,7 +309,8 @@ def local(zero, order, nodes, indptr, indices, blocks, diagonal, follow_indptr, 
 
 
 class Interface:
-    """Nodes near contact between bodies and their rows: within ``LAYERS`` edges of the matrix from the slave nodes."""
+    """Nodes near contact between bodies and their rows: within ``LAYERS`` edges of the matrix from
+    the slave nodes."""
 
     #: one layer does nearly as well, more than two gain nothing
     LAYERS = 2
@@ -198,8 +320,10 @@ class Interface:
         self.dim = dim
         ones = np.ones(len(level.lower_indices))
         # row by row of the nodes
-        half = sparse.csr_array((np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
-                                shape=(n, n))[level.strips.rank]
+        half = sparse.csr_array(
+            (np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
+            shape=(n, n),
+        )[level.strips.rank]
         entries, half = half, sparse.csr_array((ones, half.indices, half.indptr), shape=(n, n))
         reached = (np.diff(coupling.weights.indptr) > 0).astype(float)
         for _ in range(self.LAYERS):
@@ -212,7 +336,9 @@ class Interface:
         rows.sort_indices()
         self.indptr, self.indices = rows.indptr.astype(np.int64), rows.indices.astype(np.uint32)
         blocks = level.lower.reshape(-1, dim, dim)[np.abs(rows.data) - 1]
-        self.blocks = np.where((rows.data < 0)[:, None, None], blocks.transpose(0, 2, 1), blocks).reshape(-1)
+        self.blocks = np.where(
+            (rows.data < 0)[:, None, None], blocks.transpose(0, 2, 1), blocks
+        ).reshape(-1)
         self.diagonal = level.diagonal.reshape(-1, dim * dim)[self.nodes].reshape(-1)
         self._follow(coupling, place, fixed)
         # fixed components stay where they are, though followers pull at them
@@ -224,29 +350,45 @@ class Interface:
         self.nonzeros = len(self.blocks) + len(self.diagonal)
 
     def _follow(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
-        """The followers of each node that can stay where they are; nodes that follow others have none."""
+        """The followers of each node that can stay where they are; nodes that follow others have
+        none."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         itself = np.diff(coupling.weights.indptr)[self.nodes] > 0
         kept = ~np.repeat(itself, np.diff(by_master.indptr))
-        self.follow_indptr = np.concatenate([[0], np.cumsum(kept)])[by_master.indptr].astype(np.int32)
+        self.follow_indptr = np.concatenate([[0], np.cumsum(kept)])[by_master.indptr].astype(
+            np.int32
+        )
         slaves = by_master.indices[kept]
         self.followers = place[slaves]
         free = ~fixed.reshape(-1, coupling.dim)[slaves]
         self.follow_weights = (by_master.data[kept, None] * free).reshape(-1)
 
     def _alone_blocks(self, place: np.ndarray) -> np.ndarray:
-        """Blocks D'AD (n, dim, dim) of the motion D of each node that leaves its followers where they are."""
+        """Blocks D'AD (n, dim, dim) of the motion D of each node that leaves its followers where
+        they are."""
         n, dim = len(self.nodes), self.dim
         columns = place[self.indices]
         inside = columns >= 0
         indptr = np.append(0, np.cumsum(inside))[self.indptr]
-        rows = sparse.bsr_array((self.blocks.reshape(-1, dim, dim)[inside], columns[inside], indptr),
-                                shape=(dim * n, dim * n))
-        rows = sparse.csr_array(rows + sparse.bsr_array(
-            (self.diagonal.reshape(-1, dim, dim), np.arange(n), np.arange(n + 1)), shape=rows.shape))
+        rows = sparse.bsr_array(
+            (self.blocks.reshape(-1, dim, dim)[inside], columns[inside], indptr),
+            shape=(dim * n, dim * n),
+        )
+        rows = sparse.csr_array(
+            rows
+            + sparse.bsr_array(
+                (self.diagonal.reshape(-1, dim, dim), np.arange(n), np.arange(n + 1)),
+                shape=rows.shape,
+            )
+        )
         masters = np.repeat(np.arange(n), np.diff(self.follow_indptr))
-        ends = ((dim * nodes[:, None] + np.arange(dim)).reshape(-1) for nodes in (self.followers, masters))
-        motion = sparse.eye_array(dim * n) - sparse.csr_array((self.follow_weights, tuple(ends)), shape=rows.shape)
+        ends = (
+            (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
+            for nodes in (self.followers, masters)
+        )
+        motion = sparse.eye_array(dim * n) - sparse.csr_array(
+            (self.follow_weights, tuple(ends)), shape=rows.shape
+        )
         motion, forces = sparse.csc_array(motion), sparse.csc_array(rows @ motion)
         result = np.empty((n, dim, dim))
         for a, b in np.ndindex(dim, dim):
@@ -256,5 +398,14 @@ class Interface:
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
         """The arrays that the local sweeps read."""
-        return (self.nodes, self.indptr, self.indices, self.blocks, self.diagonal, self.follow_indptr, self.followers,
-                self.follow_weights, self.alone)
+        return (
+            self.nodes,
+            self.indptr,
+            self.indices,
+            self.blocks,
+            self.diagonal,
+            self.follow_indptr,
+            self.followers,
+            self.follow_weights,
+            self.alone,
+        )

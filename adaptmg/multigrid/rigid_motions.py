@@ -1,16 +1,17 @@
 r"""RigidMotions: motions of a body that only contact holds, taken to the least energy.
 
-A combination M of rigid motions that vanishes at the fixed dofs has A M = 0: the
-step M c changes no residual, only the slips :math:`\tau_i` and gaps. With the load f, g = s + mu p frozen and the local
-values :math:`N_i, T_i` of M at the contact nodes the energy changes by
+A combination M of rigid motions that vanishes at the fixed dofs has A M = 0: the step M c changes
+no residual, only the slips :math:`\tau_i` and gaps. With the load f, g = s + mu p frozen and the
+local values :math:`N_i, T_i` of M at the contact nodes the energy changes by
 
 .. math:: \phi(c) = -(M^T f)\cdot c + \sum_i g_i\,(|\tau_i + T_i c| - |\tau_i|),\qquad N_i c \le g_{0,i} - w_{n,i},
 
-where c moves neither closed nodes along their normals nor sticking nodes at all. While such a c is left, truncated
-coarse matrices are singular (2D) or nearly so (3D). The minimum ends that: in 2D it lies where an open node closes or a
-slip vanishes (the median of the slips, weighted with g); in 3D slips that are not parallel hold the body too. A step
-goes along :math:`-H^{-1} s` with gradient s and (3D) Hessian H of :math:`\phi`, or -s where H is singular, to the first
-node that closes, or to the root of the slope
+where c moves neither closed nodes along their normals nor sticking nodes at all. While such a c is
+left, truncated coarse matrices are singular (2D) or nearly so (3D). The minimum ends that: in 2D it
+lies where an open node closes or a slip vanishes (the median of the slips, weighted with g); in 3D
+slips that are not parallel hold the body too. A step goes along :math:`-H^{-1} s` with gradient s
+and (3D) Hessian H of :math:`\phi`, or -s where H is singular, to the first node that closes, or to
+the root of the slope
 
 .. math:: -F\cdot d + \sum_i g_i\,\frac{(\tau_i + \alpha T_i d)\cdot T_i d}{|\tau_i + \alpha T_i d|} .
 """
@@ -34,21 +35,25 @@ _CLEAR = 1e-6
 
 
 def null_combinations(rows: np.ndarray) -> np.ndarray:
-    """Return independent columns (k, m) that ``rows`` (n, k) map to zero; entries of a row may differ in units."""
+    """Return independent columns (k, m) that ``rows`` (n, k) map to zero; entries of a row may
+    differ in units."""
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
     squares = np.linalg.eigvalsh((rows / size).T @ (rows / size)) if rows.size else np.zeros(1)
     if squares[0] > _CLEAR * squares[-1]:
         return np.empty((rows.shape[1], 0))
     # by the triangular factor, which has the same singular values and at most k rows
-    _, singular, combinations = np.linalg.svd(np.linalg.qr(rows / size, mode="r"), full_matrices=True)
+    _, singular, combinations = np.linalg.svd(
+        np.linalg.qr(rows / size, mode="r"), full_matrices=True
+    )
     singular = np.pad(singular, (0, len(combinations) - len(singular)))
     return (combinations[singular <= _ZERO] / size).T
 
 
 @remembered_of_structure
 def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (k, m) of the motions that supports leave free, and those (n_contact, dim, m) of contact nodes."""
+    """Coefficients (k, m) of the motions that supports leave free, and those (n_contact, dim, m) of
+    contact nodes."""
     nodes, fixed = problem.contact.nodes, problem.fixed.reshape(-1, problem.dim)
     held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
     if problem.near_nullspace is None or not len(nodes):
@@ -71,22 +76,36 @@ class RigidMotions:
     load: np.ndarray  # (n_dofs,): f
     coefficients: np.ndarray  # (k, m): of the motions, in the columns of problem.near_nullspace
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
-    _last: tuple[bytes, np.ndarray] = (b"", np.empty(0))  # the last status and the combinations free in it
+    _last: tuple[bytes, np.ndarray] = (
+        b"",
+        np.empty(0),
+    )  # the last status and the combinations free in it
 
     #: steps at most
     STEPS: ClassVar[int] = 30
 
     @classmethod
-    def of(cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray) -> RigidMotions | None:
-        """Return the free motions of a problem, None if it has none or its near_nullspace is unknown."""
+    def of(
+        cls, problem: DiscreteProblem, contact: TruncatedContact, load: np.ndarray
+    ) -> RigidMotions | None:
+        """Return the free motions of a problem, None if it has none or its near_nullspace is
+        unknown."""
         coefficients, cartesian = _free_motions(problem)
         if not coefficients.shape[1]:
             return None
-        return cls(problem, contact, load, coefficients, np.einsum(
-            "nij,njk->nik", contact.frames.reshape(-1, problem.dim, problem.dim), cartesian))
+        return cls(
+            problem,
+            contact,
+            load,
+            coefficients,
+            np.einsum(
+                "nij,njk->nik", contact.frames.reshape(-1, problem.dim, problem.dim), cartesian
+            ),
+        )
 
     def settle(self, unknowns: np.ndarray, past: list[np.ndarray], residual: np.ndarray) -> int:
-        """Move to the least energy, in place, and the ``past`` iterates along; returns the number of steps."""
+        """Move to the least energy, in place, and the ``past`` iterates along; returns the number
+        of steps."""
         descent = _Descent(self, residual)
         total, steps = np.zeros(self.at_contact.shape[2]), 0
         while steps < self.STEPS and (change := descent.step()) is not None:
@@ -96,10 +115,14 @@ class RigidMotions:
         return steps
 
     def free(self, closed: np.ndarray, held: np.ndarray) -> np.ndarray:
-        """Return the combinations (m, j) that move closed nodes along the obstacle only, and held ones not at all."""
+        """Return the combinations (m, j) that move closed nodes along the obstacle only, and held
+        ones not at all."""
         key = closed.tobytes() + held.tobytes()
         if key != self._last[0]:
-            rows = [self.at_contact[closed, 0], self.at_contact[held, 1:].reshape(-1, self.at_contact.shape[2])]
+            rows = [
+                self.at_contact[closed, 0],
+                self.at_contact[held, 1:].reshape(-1, self.at_contact.shape[2]),
+            ]
             self._last = key, null_combinations(np.concatenate(rows))
         return self._last[1]
 
@@ -121,13 +144,16 @@ class RigidMotions:
         for vector in (unknowns, *past):
             vector += step
         # equal but for rounding; gaps and slips that vanish must do so to the bit
-        values = np.einsum("nji,nj->ni", o.frames.reshape(-1, o.dim, o.dim), o.values.reshape(-1, o.dim))
+        values = np.einsum(
+            "nji,nj->ni", o.frames.reshape(-1, o.dim, o.dim), o.values.reshape(-1, o.dim)
+        )
         at = unknowns.reshape(-1, o.dim)
         at[o.nodes] = np.where(self.problem.fixed.reshape(-1, o.dim)[o.nodes], 0.0, values)
 
 
 class _Descent:
-    """Steps of the motions towards the least energy, which change the values of the contact nodes."""
+    """Steps of the motions towards the least energy, which change the values of the contact
+    nodes."""
 
     #: share of F to which a minimum balances the forces; in 2D only a node that holds the body will do
     BALANCED: ClassVar[dict[int, float]] = {2: 1e-12, 3: 1e-2}
@@ -141,9 +167,14 @@ class _Descent:
     def __init__(self, motions: RigidMotions, residual: np.ndarray) -> None:
         contact, dim = motions.contact, motions.contact.dim
         self.contact, self.motions, self.factor = contact, motions, 1.0
-        self.values, self.reference = contact.values.reshape(-1, dim), contact.reference.reshape(-1, dim - 1)
+        self.values, self.reference = (
+            contact.values.reshape(-1, dim),
+            contact.reference.reshape(-1, dim - 1),
+        )
         normals = contact.frames.reshape(-1, dim, dim)[:, 0]
-        self.pressure = np.maximum(np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[contact.nodes]), 0.0)
+        self.pressure = np.maximum(
+            np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[contact.nodes]), 0.0
+        )
 
     def step(self) -> np.ndarray | None:
         """Take a step; returns its combination of motions (m,), None at a minimum."""
@@ -163,7 +194,9 @@ class _Descent:
         speed = np.linalg.norm(along, axis=1)
         small = _ZERO * max(speed.max(), np.abs(across).max())
         closing = ~closed & (across > small) & np.isfinite(o.gap)
-        stops = np.divide(o.gap - self.values[:, 0], across, out=np.full(len(across), np.inf), where=closing)
+        stops = np.divide(
+            o.gap - self.values[:, 0], across, out=np.full(len(across), np.inf), where=closing
+        )
         work, bound = float(force @ direction), np.where(speed > small, self.factor * bound, 0.0)
         resistance = float(bound @ speed)
         if not (np.isfinite(stops.min()) or resistance > work):
@@ -194,8 +227,9 @@ class _Descent:
         self.values[:, 1:] = np.where(held[:, None], self.reference, self.values[:, 1:])
         return change
 
-    def _direction(self, bound: np.ndarray, slip: np.ndarray, tangents: np.ndarray, force: np.ndarray
-                   ) -> np.ndarray | None:
+    def _direction(
+        self, bound: np.ndarray, slip: np.ndarray, tangents: np.ndarray, force: np.ndarray
+    ) -> np.ndarray | None:
         """The direction (j,) of a step, None at a minimum."""
         size = np.linalg.norm(slip, axis=1, keepdims=True)
         along = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0)

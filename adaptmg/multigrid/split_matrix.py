@@ -1,13 +1,16 @@
-r"""SplitMatrix: a block matrix stored as strict lower part L, strict upper part U and inverse diagonal blocks.
+r"""SplitMatrix: a block matrix stored as strict lower part L, strict upper part U and inverse
+diagonal blocks.
 
-Gauss-Seidel sweeps in turn, backward after forward, need the half that has changed only: with :math:`s = f - L u` kept
-from the forward sweep, the backward one is :math:`D u_i = s_i - U_i u`, and leaves the residual :math:`f - s - L u`. A
-half is streamed by itself and counts as half a pass: a symmetric sweep from zero and its residual take three. L couples
-a node with those before it in the order of the sweeps, :class:`~adaptmg.smoother.strips.Strips`. Of a symmetric matrix
-L alone is stored where the sweeps scatter :math:`L^T`. Rows and columns of fixed dofs are zero.
+Gauss-Seidel sweeps in turn, backward after forward, need the half that has changed only: with
+:math:`s = f - L u` kept from the forward sweep, the backward one is :math:`D u_i = s_i - U_i u`,
+and leaves the residual :math:`f - s - L u`. A half is streamed by itself and counts as half a pass:
+a symmetric sweep from zero and its residual take three. L couples a node with those before it in
+the order of the sweeps, :class:`~adaptmg.smoother.strips.Strips`. Of a symmetric matrix L alone is
+stored where the sweeps scatter :math:`L^T`. Rows and columns of fixed dofs are zero.
 :func:`galerkin_levels` splits the matrices of all levels of a hierarchy.
 
-A nodal prolongation P acts on every component, one of dofs as of nodes with one component: the length of ``zero`` (see
+A nodal prolongation P acts on every component, one of dofs as of nodes with one component: the
+length of ``zero`` (see
 :mod:`adaptmg.smoother.blocks`) says which. Restriction scatters.
 """
 
@@ -70,8 +73,11 @@ class SplitMatrix:
     def upper_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.upper_indptr, self.upper_indices, self.upper
 
-    def sweep(self, kernel: Callable[..., None], *arguments: object, backward: bool = False) -> None:
-        """Run a kernel over all nodes in the order of the sweeps, ``zero`` before its ``arguments``."""
+    def sweep(
+        self, kernel: Callable[..., None], *arguments: object, backward: bool = False
+    ) -> None:
+        """Run a kernel over all nodes in the order of the sweeps, ``zero`` before its
+        ``arguments``."""
         self.strips.sweep(kernel, ZERO[self.dim], *arguments, backward=backward)
 
     @cached_property
@@ -84,10 +90,15 @@ class SplitMatrix:
         self.diagonal = np.empty(0)
 
     def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> bool:
-        """Free L and the inverse blocks of a large symmetric matrix, until they are made again; whether it is large."""
+        """Free L and the inverse blocks of a large symmetric matrix, until they are made again;
+        whether it is large."""
         if not self.symmetric or len(self.lower) < LARGE:
             return False
-        self.lower_indices, self.lower, self.inverse = np.empty(0, dtype=np.uint32), np.empty(0), np.empty(0)
+        self.lower_indices, self.lower, self.inverse = (
+            np.empty(0, dtype=np.uint32),
+            np.empty(0),
+            np.empty(0),
+        )
         self.aside = matrix, fixed
         return True
 
@@ -95,26 +106,42 @@ class SplitMatrix:
         """Make again what was set aside."""
         if self.aside is not None:
             again, self.aside = split(*self.aside, symmetric=True), None
-            self.lower_indices, self.lower, self.inverse = again.lower_indices, again.lower, again.inverse
+            self.lower_indices, self.lower, self.inverse = (
+                again.lower_indices,
+                again.lower,
+                again.inverse,
+            )
 
     def at_slots(self, slots: np.ndarray) -> np.ndarray:
         """Return the blocks at slots (L first, then the diagonal, then U), flat."""
-        return np.concatenate([self.lower, self.diagonal, self.upper]).reshape(-1, self.dim**2)[slots].reshape(-1)
+        return (
+            np.concatenate([self.lower, self.diagonal, self.upper])
+            .reshape(-1, self.dim**2)[slots]
+            .reshape(-1)
+        )
 
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Block rows and columns of L, D and U."""
-        own, order, lower = np.arange(self.n_nodes), self.strips.order, self.lower_indices.astype(np.int64)
+        own, order, lower = (
+            np.arange(self.n_nodes),
+            self.strips.order,
+            self.lower_indices.astype(np.int64),
+        )
         row = np.repeat(order, np.diff(self.lower_indptr))
-        upper = (lower, row) if self.symmetric else (np.repeat(order, np.diff(self.upper_indptr)),
-                                                     self.upper_indices.astype(np.int64))
+        upper = (
+            (lower, row)
+            if self.symmetric
+            else (np.repeat(order, np.diff(self.upper_indptr)), self.upper_indices.astype(np.int64))
+        )
         return [(row, lower), (own, own), upper]
 
     @property
     def _blocks(self) -> list[np.ndarray]:
         """The blocks at these places."""
-        lower, diagonal, upper = (part.reshape(-1, self.dim, self.dim)
-                                  for part in (self.lower, self.diagonal, self.upper))
+        lower, diagonal, upper = (
+            part.reshape(-1, self.dim, self.dim) for part in (self.lower, self.diagonal, self.upper)
+        )
         return [lower, diagonal, lower.transpose(0, 2, 1) if self.symmetric else upper]
 
     @cached_property
@@ -122,7 +149,11 @@ class SplitMatrix:
         """The order of all blocks in the whole matrix, and its indptr and indices."""
         row, column = (np.concatenate(part) for part in zip(*self._places, strict=True))
         order = np.lexsort((column, row))
-        return order, np.append(0, np.cumsum(np.bincount(row, minlength=self.n_nodes))), column[order]
+        return (
+            order,
+            np.append(0, np.cumsum(np.bincount(row, minlength=self.n_nodes))),
+            column[order],
+        )
 
     def dense(self) -> np.ndarray:
         """Return the whole matrix (n_dofs, n_dofs) as an array; needs ``diagonal``."""
@@ -134,14 +165,20 @@ class SplitMatrix:
     def matrix(self) -> sparse.bsr_array:
         """Return the whole matrix (n_dofs, n_dofs), sorted; needs ``diagonal``."""
         order, indptr, indices = self._order
-        return sparse.bsr_array((np.concatenate(self._blocks)[order], indices, indptr), shape=(self.n_dofs,) * 2)
+        return sparse.bsr_array(
+            (np.concatenate(self._blocks)[order], indices, indptr), shape=(self.n_dofs,) * 2
+        )
 
 
 def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) -> SplitMatrix:
     """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed."""
     dim = matrix.blocksize[0]
     n = matrix.shape[0] // dim
-    indptr, indices, data = read_only(matrix.indptr), read_only(matrix.indices), matrix.data.reshape(-1)
+    indptr, indices, data = (
+        read_only(matrix.indptr),
+        read_only(matrix.indices),
+        matrix.data.reshape(-1),
+    )
     strips, size = Strips.of(indptr, indices, dim * dim), len(data)
     lower_indptr, upper_indptr = np.zeros(n + 1, dtype=np.int32), np.zeros(n + 1, dtype=np.int32)
     in_parts(count, n, size, strips.order, indptr, indices, strips.rank, lower_indptr, upper_indptr)
@@ -151,35 +188,80 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     nonzeros = (below + above + n) * dim * dim
     if symmetric:
         upper_indptr, above = upper_indptr[:0].copy(), 0
-    lower_indices, upper_indices = np.empty(below, dtype=np.uint32), np.empty(above, dtype=np.uint32)
+    lower_indices, upper_indices = (
+        np.empty(below, dtype=np.uint32),
+        np.empty(above, dtype=np.uint32),
+    )
     lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
     diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
     dofs, held = np.flatnonzero(fixed), np.zeros(n, dtype=bool)
     held[dofs // dim] = True
-    in_parts(distribute, n, size, strips.order, ZERO[dim], indptr, indices, data, strips.rank, ~fixed, held,
-             lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse)
-    return SplitMatrix(dim, lower_indptr, lower_indices, lower, upper_indptr, upper_indices, upper, diagonal, inverse,
-                       dofs, nonzeros, strips)
+    in_parts(
+        distribute,
+        n,
+        size,
+        strips.order,
+        ZERO[dim],
+        indptr,
+        indices,
+        data,
+        strips.rank,
+        ~fixed,
+        held,
+        lower_indptr,
+        lower_indices,
+        lower,
+        upper_indptr,
+        upper_indices,
+        upper,
+        diagonal,
+        inverse,
+    )
+    return SplitMatrix(
+        dim,
+        lower_indptr,
+        lower_indices,
+        lower,
+        upper_indptr,
+        upper_indices,
+        upper,
+        diagonal,
+        inverse,
+        dofs,
+        nonzeros,
+        strips,
+    )
 
 
 def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
     """Return the prolongations between neighbours, coarsest first, columns sorted."""
     # a copy where they are not: the hierarchy's own stays
-    return [P if P.has_sorted_indices else indices_frozen(P.sorted_indices())
-            for P in (level.prolongation for level in hierarchy.levels[1:])]
+    return [
+        P if P.has_sorted_indices else indices_frozen(P.sorted_indices())
+        for P in (level.prolongation for level in hierarchy.levels[1:])
+    ]
 
 
-def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
-    """Return the Galerkin matrices of all levels, coarsest first. Where the discretised matrix is the Galerkin one
-    (nested meshes) it is taken over; not with coupled bodies, whose truncated matrices need more entries near contact.
-    The finest matrix, which no truncation changes, is symmetric."""
+def galerkin_levels(
+    hierarchy: Hierarchy, prolongations: list[sparse.csr_array]
+) -> list[SplitMatrix]:
+    """Return the Galerkin matrices of all levels, coarsest first. Where the discretised matrix is
+    the Galerkin one (nested meshes) it is taken over; not with coupled bodies, whose truncated
+    matrices need more entries near contact. The finest matrix, which no truncation changes, is
+    symmetric."""
     matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
     result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
-    for above, level, nodal in zip(reversed(hierarchy.levels[1:]), reversed(hierarchy.levels[:-1]),
-                                   reversed(prolongations), strict=True):
+    for above, level, nodal in zip(
+        reversed(hierarchy.levels[1:]),
+        reversed(hierarchy.levels[:-1]),
+        reversed(prolongations),
+        strict=True,
+    ):
         if level.discrete_or_none is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
-        elif level.discrete.coupling is None and _nested(above, matrix, nodal, level.discrete.matrix):
+        elif level.discrete.coupling is None and _nested(
+            above, matrix, nodal, level.discrete.matrix
+        ):
             matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
         else:
             finer = seen(nodal, finer)
@@ -190,8 +272,11 @@ def galerkin_levels(hierarchy: Hierarchy, prolongations: list[sparse.csr_array])
     return result
 
 
-def _nested(above: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array) -> bool:
-    """Whether ``coarse`` is the Galerkin matrix; the level above remembers, as growing hierarchies ask each time."""
+def _nested(
+    above: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array
+) -> bool:
+    """Whether ``coarse`` is the Galerkin matrix; the level above remembers, as growing hierarchies
+    ask each time."""
     asked = above.__dict__.get("_galerkin_of")
     if asked is None or asked[0] is not matrix or asked[1] is not coarse:
         asked = matrix, coarse, is_galerkin(matrix, nodal, coarse)
@@ -199,10 +284,14 @@ def _nested(above: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array, coa
     return asked[2]
 
 
-def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array,
-                tolerance: float = 1e-9) -> bool:
-    """Return whether ``coarse`` is P'AP, seen on one pseudo-random vector, row by row relative to the sizes of what it
-    sums: next to a stiff body a soft one would go unseen."""
+def is_galerkin(
+    matrix: sparse.bsr_array,
+    nodal: sparse.csr_array,
+    coarse: sparse.bsr_array,
+    tolerance: float = 1e-9,
+) -> bool:
+    """Return whether ``coarse`` is P'AP, seen on one pseudo-random vector, row by row relative to
+    the sizes of what it sums: next to a stiff body a soft one would go unseen."""
     transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data
     probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
     fine, image = np.zeros(matrix.shape[0]), np.zeros(len(probe))
@@ -213,12 +302,18 @@ def is_galerkin(matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: spars
     return bool((np.abs(image - product(coarse, probe)) <= tolerance * sizes).all())
 
 
-def _supported(matrix: sparse.bsr_array, fine: DiscreteProblem, nodal: sparse.csr_array,
-               coarse: DiscreteProblem) -> sparse.bsr_array:
+def _supported(
+    matrix: sparse.bsr_array,
+    fine: DiscreteProblem,
+    nodal: sparse.csr_array,
+    coarse: DiscreteProblem,
+) -> sparse.bsr_array:
     """The matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
     dim = fine.dim
     fixed, free = fine.fixed.reshape(-1, dim), ~coarse.fixed.reshape(-1, dim)
-    reached = any((nodal[np.flatnonzero(fixed[:, c])] @ free[:, c].astype(float)).any() for c in range(dim))
+    reached = any(
+        (nodal[np.flatnonzero(fixed[:, c])] @ free[:, c].astype(float)).any() for c in range(dim)
+    )
     if not reached:
         return matrix
     return without_fixed(matrix, fine.fixed)
@@ -228,9 +323,25 @@ ONE = np.uint64(1)
 
 
 @kernel
-def gauss_seidel(first, last, order, zero, backward, a_indptr, a_indices, a, b_indptr, b_indices, b, inverse, load, u,
-                 kept):
-    """Sweep over places of ``order``, forward or backward: D u_i = (f - A u - B u)_i with halves A and B, kept = f - A
+def gauss_seidel(
+    first,
+    last,
+    order,
+    zero,
+    backward,
+    a_indptr,
+    a_indices,
+    a,
+    b_indptr,
+    b_indices,
+    b,
+    inverse,
+    load,
+    u,
+    kept,
+):
+    """Sweep over places of ``order``, forward or backward: D u_i = (f - A u - B u)_i with halves A
+    and B, kept = f - A
     u. ``load`` may be ``kept``, which then stays if A has no entries."""
     dim, step = np.uint64(len(zero)), -1 if backward else 1
     for k in range(last - first):
@@ -281,12 +392,17 @@ def add_prolonged(first, last, zero, indptr, indices, weights, coarse, u):
     for node in range(first, last):
         i = np.uint64(node)
         at = np.uint64(len(zero)) * i
-        write(u, at, add(read(u, at, zero), _plus_prolonged(i, indptr, indices, weights, coarse, zero)))
+        write(
+            u,
+            at,
+            add(read(u, at, zero), _plus_prolonged(i, indptr, indices, weights, coarse, zero)),
+        )
 
 
 @kernel
 def count(first, last, order, indptr, indices, rank, lower_counts, upper_counts):
-    """Count the blocks of the rows in both halves, one place further: what row pointers are summed from."""
+    """Count the blocks of the rows in both halves, one place further: what row pointers are summed
+    from."""
     for place in range(first, last):
         i = order[place]
         below = 0
@@ -321,12 +437,30 @@ def _mask(dim, i, first, last, indices, data, free):
 
 
 @kernel
-def distribute(first, last, order, zero, indptr, indices, data, rank, free, held, lower_indptr, lower_indices, lower,
-               upper_indptr, upper_indices, upper, diagonal, inverse):
-    """Distribute blocks into L, U (unless it is empty), D and its inverse (see :func:`invert_block`), without the
-    couplings of fixed dofs; blocks of a duplicate or missing diagonal are summed or zero. ``held`` tells the nodes with
-    fixed dofs."""
-    dim, own = len(zero), np.int64(len(zero)**2)
+def distribute(
+    first,
+    last,
+    order,
+    zero,
+    indptr,
+    indices,
+    data,
+    rank,
+    free,
+    held,
+    lower_indptr,
+    lower_indices,
+    lower,
+    upper_indptr,
+    upper_indices,
+    upper,
+    diagonal,
+    inverse,
+):
+    """Distribute blocks into L, U (unless it is empty), D and its inverse (see
+    :func:`invert_block`), without the couplings of fixed dofs; blocks of a duplicate or missing
+    diagonal are summed or zero. ``held`` tells the nodes with fixed dofs."""
+    dim, own = len(zero), np.int64(len(zero) ** 2)
     size, both = np.uint64(own), len(upper_indptr) > 0
     block, scale = np.empty(own), np.empty(dim)
     for place in range(first, last):
@@ -334,7 +468,10 @@ def distribute(first, last, order, zero, indptr, indices, data, rank, free, held
         at, near = own * i, held[i]
         for c in range(own):
             diagonal[at + c] = 0.0
-        below, above = np.uint64(lower_indptr[place]), np.uint64(upper_indptr[place]) if both else np.uint64(0)
+        below, above = (
+            np.uint64(lower_indptr[place]),
+            np.uint64(upper_indptr[place]) if both else np.uint64(0),
+        )
         for entry in range(indptr[i], indptr[i + 1]):
             k = np.uint64(entry)
             j = np.uint64(indices[k])
@@ -349,9 +486,19 @@ def distribute(first, last, order, zero, indptr, indices, data, rank, free, held
                 _copy(zero, k, above, indices, data, upper_indices, upper)
                 above += ONE
         if near:
-            _mask(dim, i, np.int64(lower_indptr[place]), np.int64(below), lower_indices, lower, free)
+            _mask(
+                dim, i, np.int64(lower_indptr[place]), np.int64(below), lower_indices, lower, free
+            )
             if both:
-                _mask(dim, i, np.int64(upper_indptr[place]), np.int64(above), upper_indices, upper, free)
+                _mask(
+                    dim,
+                    i,
+                    np.int64(upper_indptr[place]),
+                    np.int64(above),
+                    upper_indices,
+                    upper,
+                    free,
+                )
             for a in range(dim):
                 for b in range(dim):
                     if a != b and not (free[dim * i + a] and free[dim * i + b]):
@@ -360,14 +507,17 @@ def distribute(first, last, order, zero, indptr, indices, data, rank, free, held
             block[c] = diagonal[at + c]
         for a in range(dim):
             scale[a] = abs(block[a * dim + a])
-        invert_block(np.int64(dim), block, scale, inverse, at)  # the length of a tuple would be compiled apart
+        invert_block(
+            np.int64(dim), block, scale, inverse, at
+        )  # the length of a tuple would be compiled apart
 
 
 @inner_kernel
 def invert_block(dim, block, scale, result, at):
-    """Compute the inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of vanishing diagonal
-    entries. ``scale`` (dim,) is what the entry was before truncation; Gauss-Jordan elimination on the rest. Written to
-    ``result`` from position ``at``; ``block`` is destroyed."""
+    """Compute the inverse of a block (dim * dim,) with diagonal scale, zero in rows and columns of
+    vanishing diagonal entries. ``scale`` (dim,) is what the entry was before truncation;
+    Gauss-Jordan elimination on the rest. Written to ``result`` from position ``at``; ``block`` is
+    destroyed."""
     for c in range(dim * dim):
         result[at + c] = 0.0
     for a in range(dim):

@@ -1,4 +1,5 @@
-r"""TruncatedContact: the contact nodes of one level: status, truncation, projection, admissibility, in 2D and 3D.
+r"""TruncatedContact: the contact nodes of one level: status, truncation, projection, admissibility,
+in 2D and 3D.
 
 In the local frame of a node, with r = f - A u, :math:`p = \max(0, r_n)`, slip :math:`\tau` and
 :math:`g = s + \mu p` (an open node: g = s), the truncated residual is
@@ -23,7 +24,16 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import ZERO, in_loop, inner, read, read_upper, times
 from adaptmg.smoother.node_solve import natural_at, read_reference
-from adaptmg.smoother.system import BACKWARDS, CLOSED, HELD, SLIPS, TANGENTIAL, NodalContact, local_contact, turn_held
+from adaptmg.smoother.system import (
+    BACKWARDS,
+    CLOSED,
+    HELD,
+    SLIPS,
+    TANGENTIAL,
+    NodalContact,
+    local_contact,
+    turn_held,
+)
 
 
 @dataclass(eq=False)
@@ -62,28 +72,55 @@ class TruncatedContact:
         turn_held(local, np.arange(len(nodes)), contact)
         row, column = np.triu_indices(dim)
         n = len(nodes)
-        return cls(dim, nodes, contact_of, np.ascontiguousarray(frames).reshape(-1), diagonal.reshape(-1),
-                   np.ascontiguousarray(local[:, row, column]).reshape(-1), contact.gap,
-                   contact.slip_reference.reshape(-1), contact.limit, contact.friction, np.zeros(n * dim),
-                   np.full(n, -1, dtype=np.int8), np.zeros(n), np.zeros(n * (dim - 1)), np.zeros(n * (dim - 1) ** 2),
-                   contact.driven)
+        return cls(
+            dim,
+            nodes,
+            contact_of,
+            np.ascontiguousarray(frames).reshape(-1),
+            diagonal.reshape(-1),
+            np.ascontiguousarray(local[:, row, column]).reshape(-1),
+            contact.gap,
+            contact.slip_reference.reshape(-1),
+            contact.limit,
+            contact.friction,
+            np.zeros(n * dim),
+            np.full(n, -1, dtype=np.int8),
+            np.zeros(n),
+            np.zeros(n * (dim - 1)),
+            np.zeros(n * (dim - 1) ** 2),
+            contact.driven,
+        )
 
     def renew(self, contact: NodalContact) -> None:
         """Take over gaps and slips of another load step."""
-        self.gap, self.reference, self.driven = contact.gap, contact.slip_reference.reshape(-1), contact.driven
+        self.gap, self.reference, self.driven = (
+            contact.gap,
+            contact.slip_reference.reshape(-1),
+            contact.driven,
+        )
 
     @property
     def node_data(self) -> tuple[np.ndarray, ...]:
-        return self.frames, self.blocks, self.gap, self.reference, self.limit, self.friction, self.values
+        return (
+            self.frames,
+            self.blocks,
+            self.gap,
+            self.reference,
+            self.limit,
+            self.friction,
+            self.values,
+        )
 
     def start(self, unknowns: np.ndarray) -> None:
-        """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible ones, in place."""
+        """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible
+        ones, in place."""
         codes, self.codes = self.codes, np.zeros_like(self.codes)
         self.project(unknowns)
         self.codes = codes
 
     def way(self, unknowns: np.ndarray) -> float:
-        """Return the share of a change to unknowns (n_dofs,) at which its first open node closes, at most 1."""
+        """Return the share of a change to unknowns (n_dofs,) at which its first open node closes,
+        at most 1."""
         n, dim = len(self.nodes), self.dim
         normals, before = self.frames.reshape(n, dim, dim)[:, 0], self.values.reshape(n, dim)[:, 0]
         change = np.einsum("nd,nd->n", normals, unknowns.reshape(-1, dim)[self.nodes]) - before
@@ -92,13 +129,20 @@ class TruncatedContact:
         return float((left[closing] / change[closing]).min(initial=1.0))
 
     def update_status(self, residual: np.ndarray) -> tuple[int, float, float]:
-        """Find the status after a sweep; ``residual`` is f - A u (n_dofs,). Returns what :func:`classify` does."""
-        return classify(ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes, self.pressure)
+        """Find the status after a sweep; ``residual`` is f - A u (n_dofs,). Returns what
+        :func:`classify` does."""
+        return classify(
+            ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes, self.pressure
+        )
 
     def linearise_friction(self) -> None:
-        """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns; zero elsewhere."""
+        """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns;
+        zero elsewhere."""
         slip = self.values.reshape(-1, self.dim)[:, 1:] - self.reference.reshape(-1, self.dim - 1)
-        direction, hessian = self.direction.reshape(slip.shape), self.hessian.reshape(*slip.shape, self.dim - 1)
+        direction, hessian = (
+            self.direction.reshape(slip.shape),
+            self.hessian.reshape(*slip.shape, self.dim - 1),
+        )
         direction[:], hessian[:] = 0.0, 0.0
         at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         # scaled: the square of a slip that is all but zero may vanish
@@ -108,7 +152,11 @@ class TruncatedContact:
         if self.dim == 3:
             across = np.eye(2) - along[:, :, None] * along[:, None, :]
             hessian[at] = (self._bound[at, None] / size)[:, :, None] * across
-            direction[self.driven, 0], hessian[self.driven, 0], hessian[self.driven, :, 0] = 0.0, 0.0, 0.0
+            direction[self.driven, 0], hessian[self.driven, 0], hessian[self.driven, :, 0] = (
+                0.0,
+                0.0,
+                0.0,
+            )
 
     @property
     def _bound(self) -> np.ndarray:
@@ -116,14 +164,26 @@ class TruncatedContact:
         return self.limit + np.where(self.codes & CLOSED, self.friction * self.pressure, 0.0)
 
     def truncate(self, residual: np.ndarray) -> float:
-        """Make f - A u the truncated residual, in place; returns its sum of squares at the contact nodes."""
-        squares = truncate(self.dim, self.codes, self.nodes, self.frames, self.limit, self.friction, self.reference,
-                           self.values, residual, np.empty(self.dim))
+        """Make f - A u the truncated residual, in place; returns its sum of squares at the contact
+        nodes."""
+        squares = truncate(
+            self.dim,
+            self.codes,
+            self.nodes,
+            self.frames,
+            self.limit,
+            self.friction,
+            self.reference,
+            self.values,
+            residual,
+            np.empty(self.dim),
+        )
         # the support takes the friction along what it holds
         return squares - self._clear(residual)
 
     def _clear(self, vector: np.ndarray) -> float:
-        """Set held tangents of driven nodes to zero in a vector (n_dofs,), in place; returns the squares lost."""
+        """Set held tangents of driven nodes to zero in a vector (n_dofs,), in place; returns the
+        squares lost."""
         if not len(self.driven):
             return 0.0
         at, tangents = vector.reshape(-1, 3), self.frames.reshape(-1, 3, 3)[self.driven, 1]
@@ -132,33 +192,54 @@ class TruncatedContact:
         return float(np.sum(along**2))
 
     def project(self, unknowns: np.ndarray) -> int:
-        """Make a corrected iterate admissible, in place; returns the number of nodes that had to be cut."""
+        """Make a corrected iterate admissible, in place; returns the number of nodes that had to be
+        cut."""
         cut = self._project(unknowns, True)
         self._clear(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
 
     def _project(self, unknowns: np.ndarray, move: bool) -> int:
-        return project(self.dim, self.codes, self.nodes, self.frames, self.gap, self.reference, self.values, unknowns,
-                       np.empty(self.dim), move)
+        return project(
+            self.dim,
+            self.codes,
+            self.nodes,
+            self.frames,
+            self.gap,
+            self.reference,
+            self.values,
+            unknowns,
+            np.empty(self.dim),
+            move,
+        )
 
     def admits(self, unknowns: np.ndarray) -> bool:
-        """Return whether an iterate closes open nodes or reverses slips at few nodes, which the projection cuts."""
+        """Return whether an iterate closes open nodes or reverses slips at few nodes, which the
+        projection cuts."""
         return self._project(unknowns, False) <= 1 + self.FEW * len(self.nodes)
 
     def friction_slope(self, before: np.ndarray) -> Callable[[float], float]:
-        """Return the slope of sum g |slip| along the step from local unknowns ``before`` less that at its beginning;
-        slipping nodes only."""
+        """Return the slope of sum g |slip| along the step from local unknowns ``before`` less that
+        at its beginning; slipping nodes only."""
         shape = len(self.nodes), self.dim
         at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
-        before, change = before.reshape(shape)[at, 1:], (self.values - before).reshape(shape)[at, 1:]
-        slope = friction_slope(before - self.reference.reshape(-1, self.dim - 1)[at], change, self._bound[at])
+        before, change = (
+            before.reshape(shape)[at, 1:],
+            (self.values - before).reshape(shape)[at, 1:],
+        )
+        slope = friction_slope(
+            before - self.reference.reshape(-1, self.dim - 1)[at], change, self._bound[at]
+        )
         first = slope(0.0)
         return lambda alpha: slope(alpha) - first
 
 
-def friction_slope(slip: np.ndarray, change: np.ndarray, bound: np.ndarray) -> Callable[[float], float]:
-    """Return the derivative of sum g |slip + alpha change| by alpha, from slips (n, dim - 1) and g (n,)."""
+def friction_slope(
+    slip: np.ndarray, change: np.ndarray, bound: np.ndarray
+) -> Callable[[float], float]:
+    """Return the derivative of sum g |slip + alpha change| by alpha, from slips (n, dim - 1) and g
+    (n,)."""
+
     def slope(alpha: float) -> float:
         moved = slip + alpha * change
         size, product = np.linalg.norm(moved, axis=1), np.einsum("nt,nt->n", moved, change)
@@ -168,10 +249,12 @@ def friction_slope(slip: np.ndarray, change: np.ndarray, bound: np.ndarray) -> C
 
 
 @kernel
-def classify(zero, nodes, frames, blocks, gap, reference, limit, friction, values, residual, codes, pressure):
-    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``residual`` (n_dofs,). ``zero`` are dim
-    zeros, see :mod:`adaptmg.smoother.blocks`. Returns the number of codes that changed, and the sums of squares of the
-    natural residual and of the reactions."""
+def classify(
+    zero, nodes, frames, blocks, gap, reference, limit, friction, values, residual, codes, pressure
+):
+    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``residual``
+    (n_dofs,). ``zero`` are dim zeros, see :mod:`adaptmg.smoother.blocks`. Returns the number of
+    codes that changed, and the sums of squares of the natural residual and of the reactions."""
     dim = np.uint64(len(zero))
     changed = 0
     natural = 0.0
@@ -220,8 +303,8 @@ def _slip_size(dim, k, values, reference):
 
 @kernel
 def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r, local):
-    """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its squares there.
-    ``local`` (dim,) is overwritten."""
+    """Replace the residual (n_dofs,) at contact nodes by the truncated one; returns the sum of its
+    squares there. ``local`` (dim,) is overwritten."""
     squares = 0.0
     for k in range(len(nodes)):
         at = dim * np.int64(nodes[k])
@@ -252,10 +335,10 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r, l
 
 @kernel
 def project(dim, codes, nodes, frames, gap, reference, values, u, local, move):
-    """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns. Closed nodes keep the gap,
-    held ones their place. An open node stops at the gap. A slip that would turn by more than 90 degrees (2D: reverse)
-    is cut to zero. Returns how many nodes were cut, or would be if nothing is to ``move``. ``local`` (dim,) is
-    overwritten."""
+    """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns. Closed
+    nodes keep the gap, held ones their place. An open node stops at the gap. A slip that would turn
+    by more than 90 degrees (2D: reverse) is cut to zero. Returns how many nodes were cut, or would
+    be if nothing is to ``move``. ``local`` (dim,) is overwritten."""
     m = dim - 1
     cut = 0
     for k in range(len(nodes)):

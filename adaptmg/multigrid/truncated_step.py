@@ -1,26 +1,32 @@
-r"""TruncatedStep: one step of the truncated nonsmooth Newton multigrid, on one level and those below it.
+r"""TruncatedStep: one step of the truncated nonsmooth Newton multigrid, on one level and those
+below it.
 
-1. *Smoother* (:meth:`~TruncatedStep.smooth`): a backward and a forward projected Gauss-Seidel sweep, local sweeps over
-   the interface between bodies, and the rigid motions that only contact holds go to their least energy.
-2. *Linearisation* (:meth:`~TruncatedStep.linearise`): update the contact status, drop closed normals and held tangents
-   from the residual, and truncate the coarse matrices where the status has changed.
-3. *Coarse correction*: a linear V-cycle on the truncated coarse problem, from a recombination of the last iterates.
+1. *Smoother* (:meth:`~TruncatedStep.smooth`): a backward and a forward projected Gauss-Seidel
+   sweep, local sweeps over the interface between bodies, and the rigid motions that only contact
+   holds go to their least energy.
+2. *Linearisation* (:meth:`~TruncatedStep.linearise`): update the contact status, drop closed
+   normals and held tangents from the residual, and truncate the coarse matrices where the status
+   has changed.
+3. *Coarse correction*: a linear V-cycle on the truncated coarse problem, from a recombination of
+   the last iterates.
 4. *Projection* onto the admissible displacements.
 5. *Search* for the least energy along the correction, where the friction is frozen.
 
-With frozen friction this is a truncated nonsmooth Newton multigrid method (C. Graeser, R. Kornhuber, J. Comput. Math.
-27, 2009); the Newton rows of Coulomb's law and the recombination make it faster.
+With frozen friction this is a truncated nonsmooth Newton multigrid method (C. Graeser, R.
+Kornhuber, J. Comput. Math. 27, 2009); the Newton rows of Coulomb's law and the recombination make
+it faster.
 
-CoarseContact: while the contact status is unknown, a linear correction carries a flexible body through its obstacle,
-and the projection cuts it node by node. In the span of a coarse space, :math:`u + P e`, the inequalities and the law of
-all contact nodes are kept: with the residual :math:`r = f - A u`, the Galerkin matrix :math:`A_c` and the rows B of P
-at contact nodes, in their frames, e solves
+CoarseContact: while the contact status is unknown, a linear correction carries a flexible body
+through its obstacle, and the projection cuts it node by node. In the span of a coarse space,
+:math:`u + P e`, the inequalities and the law of all contact nodes are kept: with the residual
+:math:`r = f - A u`, the Galerkin matrix :math:`A_c` and the rows B of P at contact nodes, in their
+frames, e solves
 
 .. math:: A_c e + B' q(w + B e) = P' r,
 
-q being the contact forces that belong to the displacements w + B e of the contact nodes. Coarse unknowns that reach no
-contact node are eliminated once; the interior point method (:mod:`adaptmg.smoother.interior_point`) solves the rest.
-"""
+q being the contact forces that belong to the displacements w + B e of the contact nodes. Coarse
+unknowns that reach no contact node are eliminated once; the interior point method
+(:mod:`adaptmg.smoother.interior_point`) solves the rest."""
 
 from __future__ import annotations
 
@@ -64,29 +70,54 @@ class TruncatedStep:
     #: of the interval in the search for the least energy; the least part of a correction that is shortened
     HALVINGS, LEAST = 30, 1e-3
 
-    def __init__(self, cycle: LinearCycle, number: int, contact: TruncatedContact, load: np.ndarray,
-                 unknowns: np.ndarray, depth: int, motions: RigidMotions | None = None,
-                 interface: Interface | None = None, interface_sweeps: int = 0,
-                 pressures: VolumePressures | None = None) -> None:
+    def __init__(
+        self,
+        cycle: LinearCycle,
+        number: int,
+        contact: TruncatedContact,
+        load: np.ndarray,
+        unknowns: np.ndarray,
+        depth: int,
+        motions: RigidMotions | None = None,
+        interface: Interface | None = None,
+        interface_sweeps: int = 0,
+        pressures: VolumePressures | None = None,
+    ) -> None:
         self.cycle, self.number, self.contact, self.pressures = cycle, number, contact, pressures
         self.load = load
-        self.level, levels = cycle.levels[number], cycle.levels[:number + 1]
+        self.level, levels = cycle.levels[number], cycle.levels[: number + 1]
         self.matrix, self.coarse = self.level.matrix, self.level.below.matrix
-        self.truncation = Truncation([level.matrix for level in levels],
-                                     [level.prolongation for level in levels[1:]], contact)
+        self.truncation = Truncation(
+            [level.matrix for level in levels],
+            [level.prolongation for level in levels[1:]],
+            contact,
+        )
         self.motions, self.depth = motions, depth
         self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
         self._turns, self._uniform = 0, list[tuple[np.ndarray, np.ndarray]]()
-        self._frozen: bool | None = None  # whether friction is frozen in the coarse matrices; None: they are to be made
-        self.interface, self._interface_sweeps = interface, 0 if interface is None else interface_sweeps
+        self._frozen: bool | None = (
+            None  # whether friction is frozen in the coarse matrices; None: they are to be made
+        )
+        self.interface, self._interface_sweeps = (
+            interface,
+            0 if interface is None else interface_sweeps,
+        )
 
-    def measure(self, safe: bool = False, trusted: Callable[[np.ndarray], float] | None = None,
-                with_energy: bool = False) -> StepState:
-        """Smooth and linearise, the first half of a step; :meth:`correct` is the other one. ``trusted`` gives the limit
-        of :meth:`linearise` for the smoothed unknowns."""
+    def measure(
+        self,
+        safe: bool = False,
+        trusted: Callable[[np.ndarray], float] | None = None,
+        with_energy: bool = False,
+    ) -> StepState:
+        """Smooth and linearise, the first half of a step; :meth:`correct` is the other one.
+        ``trusted`` gives the limit of :meth:`linearise` for the smoothed unknowns."""
         self.smooth()
         # u'Au = u'f - u'r; the linearisation truncates r
-        energy = _product(self.unknowns, self.load) - _product(self.unknowns, self.residual) if with_energy else np.nan
+        energy = (
+            _product(self.unknowns, self.load) - _product(self.unknowns, self.residual)
+            if with_energy
+            else np.nan
+        )
         if self.pressures is not None:
             energy += self.pressures.volumes.energy(self.pressures.values)
         return self.linearise(safe, np.inf if trusted is None else trusted(self.unknowns), energy)
@@ -98,13 +129,13 @@ class TruncatedStep:
             self._interface_sweep(self.interface.backward if k % 2 == 0 else self.interface.forward)
         if self.motions is not None:
             # pressures stand behind the unknowns
-            past = [iterate[:len(self.unknowns)] for iterate, _ in self._past]
+            past = [iterate[: len(self.unknowns)] for iterate, _ in self._past]
             self.motions.settle(self.unknowns, past, self.residual)
 
     def linearise(self, safe: bool, trusted: float, energy: float) -> StepState:
-        """Update the contact status, truncate the residual and, where the status has changed, the coarse matrices.
-        ``safe`` freezes g in the matrices, which keeps them symmetric; a residual above ``trusted`` (N) does the
-        same."""
+        """Update the contact status, truncate the residual and, where the status has changed, the
+        coarse matrices. ``safe`` freezes g in the matrices, which keeps them symmetric; a residual
+        above ``trusted`` (N) does the same."""
         changed, natural, reactions = self.contact.update_status(self.residual)
         whole = None if self.pressures is None else self.residual.copy()
         at_contact = self.contact.truncate(self.residual)
@@ -124,7 +155,12 @@ class TruncatedStep:
             self.contact.linearise_friction()
             self.truncation.apply(newton=not frozen)
             self.cycle.renew(self.number)
-            if self.pressures is None or changed > self.FEW or frozen != self._frozen or self._turns < self.TURNS:
+            if (
+                self.pressures is None
+                or changed > self.FEW
+                or frozen != self._frozen
+                or self._turns < self.TURNS
+            ):
                 self._past.clear()
             self._frozen = frozen
             self._uniform = []
@@ -133,11 +169,12 @@ class TruncatedStep:
         return StepState(changed, residual, float(np.sqrt(reactions)), energy)
 
     def correct(self, shorten: bool = False) -> float:
-        """Correct, project and search; returns the energy of the coarse correction, N m. It estimates the energy of the
-        error that the correction removes. ``shorten``: up to where the first open node closes."""
+        """Correct, project and search; returns the energy of the coarse correction, N m. It
+        estimates the energy of the error that the correction removes. ``shorten``: up to where the
+        first open node closes."""
         start = self._iterate()
         combined, residual = self._recombined(start)
-        load, proposed = residual[:self.coarse.n_dofs], combined[:len(self._unknowns)].copy()
+        load, proposed = residual[: self.coarse.n_dofs], combined[: len(self._unknowns)].copy()
         # past iterates make up for what a cheaper cycle leaves
         correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
         energy, before = _product(load, correction), self.contact.values.copy()
@@ -150,10 +187,10 @@ class TruncatedStep:
         if self._frozen:
             self._search(proposed, before)
         smoothed = [] if combined is start[0] else [start]
-        self._past = [(combined, residual), *smoothed, *self._past][:self.depth]
+        self._past = [(combined, residual), *smoothed, *self._past][: self.depth]
         self._unknowns, self._corrected = proposed, True
         if self.pressures is not None:
-            self.pressures.values = combined[len(proposed):]
+            self.pressures.values = combined[len(proposed) :]
             energy += self.pressures.advance(proposed)
             self.load = self._given
             self.cycle.recorder.count(2.0, self.pressures.nonzeros)
@@ -166,16 +203,19 @@ class TruncatedStep:
         self.contact.start(self.unknowns)
 
     def base_matrix(self, number: int) -> sparse.bsr_array:
-        """The matrix of a coarser level without truncation, which the next linearisation makes again."""
+        """The matrix of a coarser level without truncation, which the next linearisation makes
+        again."""
         self.truncation.restore()
         self._frozen = None
         level = self.cycle.levels[number].matrix
-        scale = np.abs(level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)).reshape(-1)
+        scale = np.abs(
+            level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
+        ).reshape(-1)
         return regular_matrix(level, np.where(scale > 0, scale, 1.0))
 
     def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> None:
-        """Free what only further steps read, if it is much: half of the matrix, which is made again from the whole one,
-        and past iterates, without which recombination starts again."""
+        """Free what only further steps read, if it is much: half of the matrix, which is made again
+        from the whole one, and past iterates, without which recombination starts again."""
         if self.matrix.set_aside(matrix, fixed):
             self._past.clear()
 
@@ -192,7 +232,8 @@ class TruncatedStep:
 
     @property
     def load(self) -> np.ndarray:
-        """What the matrix of this level balances (n_dofs,): the load without what pressures of groups carry."""
+        """What the matrix of this level balances (n_dofs,): the load without what pressures of
+        groups carry."""
         return self._load
 
     @load.setter
@@ -202,14 +243,22 @@ class TruncatedStep:
             self._load = given - self.pressures.volumes.forces(self.pressures.values)
 
     def _iterate(self) -> tuple[np.ndarray, np.ndarray]:
-        """The iterate and its residual, restricted; with pressures these and what they miss behind."""
+        """The iterate and its residual, restricted; with pressures these and what they miss
+        behind."""
         if self.pressures is None:
             return self._unknowns, self._restricted
-        return np.append(self._unknowns, self.pressures.values), np.append(self._restricted, self._missed)
+        return np.append(self._unknowns, self.pressures.values), np.append(
+            self._restricted, self._missed
+        )
 
-    def _of_uniform(self, residual: np.ndarray, pressures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _of_uniform(
+        self, residual: np.ndarray, pressures: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The pressures, and what they add to the restricted residual and to what volumes miss."""
-        changed, restricted = residual - self.pressures.volumes.forces(pressures), np.empty(self.coarse.n_dofs)
+        changed, restricted = (
+            residual - self.pressures.volumes.forces(pressures),
+            np.empty(self.coarse.n_dofs),
+        )
         self.contact.truncate(changed)
         self.level.restrict(changed - self.residual, restricted)
         return pressures, np.append(restricted, -self.pressures.volumes.compliance * pressures)
@@ -218,39 +267,67 @@ class TruncatedStep:
         """A backward and a forward sweep in one pass over the matrix."""
         matrix, c = self.matrix, self.contact
         self.residual[:] = self.load
-        matrix.sweep(projected_sweeps.backward, *matrix.lower_arrays, matrix.inverse, c.contact_of, *c.node_data,
-                    self.unknowns, self.residual, backward=True)
-        matrix.sweep(projected_sweeps.forward, *matrix.lower_arrays, matrix.inverse, c.diagonal, c.contact_of,
-                    *c.node_data, self.unknowns, self.residual)
+        matrix.sweep(
+            projected_sweeps.backward,
+            *matrix.lower_arrays,
+            matrix.inverse,
+            c.contact_of,
+            *c.node_data,
+            self.unknowns,
+            self.residual,
+            backward=True,
+        )
+        matrix.sweep(
+            projected_sweeps.forward,
+            *matrix.lower_arrays,
+            matrix.inverse,
+            c.diagonal,
+            c.contact_of,
+            *c.node_data,
+            self.unknowns,
+            self.residual,
+        )
         self.cycle.recorder.count(1.0, matrix.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
 
     def _interface_sweep(self, order: np.ndarray) -> None:
         c = self.contact
-        projected_sweeps.local(ZERO[self.matrix.dim], order, *self.interface.arrays, self.matrix.inverse, c.contact_of,
-                               *c.node_data, self.unknowns, self.residual)
+        projected_sweeps.local(
+            ZERO[self.matrix.dim],
+            order,
+            *self.interface.arrays,
+            self.matrix.inverse,
+            c.contact_of,
+            *c.node_data,
+            self.unknowns,
+            self.residual,
+        )
         self.cycle.recorder.count(1.0, self.interface.nonzeros)
 
     def _recombined(self, iterate: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         r"""The iterate and its restricted residual, recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
-        the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays, the residual is
-        affine in u (3D: nearly). With recombined iterates alone, few are as good as all of them where the problem is
-        symmetric; the others keep what Coulomb's law needs."""
+        the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays,
+        the residual is affine in u (3D: nearly). With recombined iterates alone, few are as good as
+        all of them where the problem is symmetric; the others keep what Coulomb's law needs."""
         unknowns, load = iterate
         uniform = self._uniform
         if self._past or uniform:
             dim, n = self.coarse.dim, len(self._past)
             d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
             d = d if self.pressures is None else np.append(d, self.pressures.weights)
-            changes = np.array([residual - load for _, residual in self._past] + [change for _, change in uniform])
+            changes = np.array(
+                [residual - load for _, residual in self._past] + [change for _, change in uniform]
+            )
             alpha = least_weights(load, changes, d)
             combined = (1.0 - alpha[:n].sum()) * unknowns
             for weight, (past, _) in zip(alpha, self._past, strict=False):
-                combined = linalg.blas.daxpy(past, combined, a=weight)  # in place: one pass over long vectors
+                combined = linalg.blas.daxpy(
+                    past, combined, a=weight
+                )  # in place: one pass over long vectors
             for weight, (pressures, _) in zip(alpha[n:], uniform, strict=True):
-                combined[len(self._unknowns):] += weight * pressures
-            if self.contact.admits(combined[:len(self._unknowns)]):
+                combined[len(self._unknowns) :] += weight * pressures
+            if self.contact.admits(combined[: len(self._unknowns)]):
                 return combined, load + alpha @ changes
         return unknowns, load
 
@@ -279,15 +356,31 @@ class TruncatedStep:
         """Square of the A-norm of the difference to other unknowns; half a pass."""
         matrix, arrays = self.matrix, self.matrix.lower_arrays
         self.cycle.recorder.count(0.5, matrix.nonzeros)
-        return sum_of_parts(projected_sweeps.energy_product, matrix.n_nodes, len(arrays[-1]), matrix.strips.order,
-                            ZERO[matrix.dim], *arrays, matrix.inverse, self.unknowns, other)
+        return sum_of_parts(
+            projected_sweeps.energy_product,
+            matrix.n_nodes,
+            len(arrays[-1]),
+            matrix.strips.order,
+            ZERO[matrix.dim],
+            *arrays,
+            matrix.inverse,
+            self.unknowns,
+            other,
+        )
 
     def rounding(self) -> float:
-        """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that arithmetic reaches."""
+        """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that
+        arithmetic reaches."""
         matrix = self.matrix
         matrix.complete()
-        diagonal = matrix.inverse.reshape(-1, matrix.dim, matrix.dim).diagonal(axis1=1, axis2=2).reshape(-1)
-        stiff = np.divide(self.unknowns, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
+        diagonal = (
+            matrix.inverse.reshape(-1, matrix.dim, matrix.dim)
+            .diagonal(axis1=1, axis2=2)
+            .reshape(-1)
+        )
+        stiff = np.divide(
+            self.unknowns, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0
+        )
         return float(np.sqrt(_product(stiff, stiff)))
 
 
@@ -297,15 +390,17 @@ def _product(a: np.ndarray, b: np.ndarray) -> float:
 
 
 class CoarseContact:
-    """Corrections of one :class:`~adaptmg.multigrid.truncated_step.TruncatedStep`, in the span of the finest level with
-    at most ``MOST`` unknowns below its own."""
+    """Corrections of one :class:`~adaptmg.multigrid.truncated_step.TruncatedStep`, in the span of
+    the finest level with at most ``MOST`` unknowns below its own."""
 
     #: unknowns of the coarse space; tolerance of its problem; slack above which its solution is refused
     MOST, TOLERANCE, REFUSED = 2500, 1e-3, 1e-2
 
     def __init__(self, step: TruncatedStep, coordinates: list[np.ndarray | None]) -> None:
         levels, contact, dim = step.cycle.levels, step.contact, step.contact.dim
-        small = [number for number in range(step.number) if levels[number].matrix.n_dofs <= self.MOST]
+        small = [
+            number for number in range(step.number) if levels[number].matrix.n_dofs <= self.MOST
+        ]
         self.step, self.number = step, small[-1] if small else 0
         rows = self._rows()
         matrix = step.base_matrix(self.number)
@@ -323,57 +418,74 @@ class CoarseContact:
         step, dim = self.step, self.step.contact.dim
         n, dofs = len(step.contact.nodes), dofs_of(step.contact.nodes, dim)
         frames = step.contact.frames.reshape(n, dim, dim)
-        rows = sparse.csr_array(sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim)))
-        rows = sparse.csr_array((rows.data, dofs[rows.indices], rows.indptr), shape=(n * dim, len(step.unknowns)))
-        for level in reversed(step.cycle.levels[self.number + 1:step.number + 1]):
+        rows = sparse.csr_array(
+            sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
+        )
+        rows = sparse.csr_array(
+            (rows.data, dofs[rows.indices], rows.indptr), shape=(n * dim, len(step.unknowns))
+        )
+        for level in reversed(step.cycle.levels[self.number + 1 : step.number + 1]):
             nodal = level.prolongation
             size = level.matrix.n_dofs // nodal.shape[0]
-            rows = _without(rows, level.matrix.fixed) @ sparse.kron(nodal, sparse.eye_array(size), format="csr")
+            rows = _without(rows, level.matrix.fixed) @ sparse.kron(
+                nodal, sparse.eye_array(size), format="csr"
+            )
         rows = _without(rows, step.cycle.levels[self.number].matrix.fixed)
         rows.eliminate_zeros()
         return rows
 
     def __call__(self) -> float:
-        """Correct the smoothed iterate; returns the A-norm of the correction, sqrt(N m), or infinity where there is
-        none."""
+        """Correct the smoothed iterate; returns the A-norm of the correction, sqrt(N m), or
+        infinity where there is none."""
         step = self.step
         if not len(self.eliminated.contact):  # no coarse unknown moves a contact node
             return np.inf
         levels, rest = step.cycle.levels, step.residual
-        for level in reversed(levels[self.number + 1:step.number + 1]):
+        for level in reversed(levels[self.number + 1 : step.number + 1]):
             coarse = np.zeros(level.below.matrix.n_dofs)
             level.restrict(rest, coarse)
             rest = coarse
         particular, load = self.eliminated.reduce(rest)
         c = step.contact
         conditions = NodalContact(c.gap, c.reference.reshape(len(c.nodes), -1), c.limit, c.friction)
-        solution = interior_point(self.unknowns, load, conditions, self.stiffness, self.TOLERANCE,
-                                  c.values.reshape(len(c.nodes), -1))
+        solution = interior_point(
+            self.unknowns,
+            load,
+            conditions,
+            self.stiffness,
+            self.TOLERANCE,
+            c.values.reshape(len(c.nodes), -1),
+        )
         if not solution.slack <= self.REFUSED:
             return np.inf
         correction = self.eliminated.complete(particular, solution.unknowns)
-        for level in levels[self.number + 1:step.number + 1]:
+        for level in levels[self.number + 1 : step.number + 1]:
             correction[level.below.matrix.fixed] = 0.0
             finer = np.zeros(level.matrix.n_dofs)
             level.prolong(correction, finer)
             correction = finer
         correction[step.matrix.fixed] = 0.0
         step.move(correction)
-        return float(np.sqrt(max(solution.unknowns @ self.unknowns.product(solution.unknowns), 0.0)))
+        return float(
+            np.sqrt(max(solution.unknowns @ self.unknowns.product(solution.unknowns), 0.0))
+        )
 
 
 #: springs that hold what no fine node tells apart, over the diagonal
 _SPRING = 1e-9
 
 
-def _eliminated(matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray, coordinates: np.ndarray | None
-                ) -> Eliminated:
-    """All but the coarse nodes that reach contact nodes eliminated. Galerkin matrices of independent meshes may be
-    singular without these; no force acts on what springs hold then."""
+def _eliminated(
+    matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray, coordinates: np.ndarray | None
+) -> Eliminated:
+    """All but the coarse nodes that reach contact nodes eliminated. Galerkin matrices of
+    independent meshes may be singular without these; no force acts on what springs hold then."""
     try:
         return eliminate(LocalSystem.from_matrix(matrix, fixed, nodes), coordinates)
     except ValueError:
-        held = sparse.bsr_array(matrix + sparse.diags_array(_SPRING * matrix.diagonal()), blocksize=matrix.blocksize)
+        held = sparse.bsr_array(
+            matrix + sparse.diags_array(_SPRING * matrix.diagonal()), blocksize=matrix.blocksize
+        )
         return eliminate(LocalSystem.from_matrix(held, fixed, nodes), coordinates)
 
 
@@ -381,7 +493,9 @@ def _without(rows: sparse.csr_array, fixed: np.ndarray) -> sparse.csr_array:
     """The rows with columns of fixed dofs zero."""
     free = np.ones(rows.shape[1])
     free[fixed] = 0.0
-    return sparse.csr_array((rows.data * free[rows.indices], rows.indices, rows.indptr), shape=rows.shape)
+    return sparse.csr_array(
+        (rows.data * free[rows.indices], rows.indices, rows.indptr), shape=rows.shape
+    )
 
 
 class _CoarseSpan:

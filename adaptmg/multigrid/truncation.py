@@ -1,14 +1,15 @@
-r"""Truncation: the matrices below one level, changed near contact whenever the contact status changes.
+r"""Truncation: the matrices below one level, changed near contact whenever the contact status
+changes.
 
-With T dropping closed normals and held tangents, S adding the Newton rows of slip
-(:math:`row_t \leftarrow row_t - \mu\,(\tau/|\tau|)\,row_n`) and H the Hessian of the friction, a coarse matrix is
+With T dropping closed normals and held tangents, S adding the Newton rows of slip (:math:`row_t
+\leftarrow row_t - \mu\,(\tau/|\tau|)\,row_n`) and H the Hessian of the friction, a coarse matrix is
 
 .. math:: P^T T (S A + H) T P = P^T A P + P^T \Delta P,\qquad \Delta = T (S A + H) T - A,
 
-and :math:`\Delta` lives in the block rows and columns of contact nodes only. Changed blocks are carried down by nodal
-prolongations through lists of products made once; on coarse spaces that are given dof by dof (algebraic ones, say) by
-sparse products. A block is addressed in a split matrix by one slot number: L first, then the diagonal, then U.
-"""
+and :math:`\Delta` lives in the block rows and columns of contact nodes only. Changed blocks are
+carried down by nodal prolongations through lists of products made once; on coarse spaces that are
+given dof by dof (algebraic ones, say) by sparse products. A block is addressed in a split matrix by
+one slot number: L first, then the diagonal, then U."""
 
 from __future__ import annotations
 
@@ -42,9 +43,22 @@ class _Changed:
 
     def store(self, change: np.ndarray) -> None:
         level = self.level
-        store(self.dim, self.slots, self.rows, self.columns, self.base, change, self._free,
-              int(level.lower_indptr[-1]), level.lower, level.upper, level.diagonal, level.inverse,
-              np.empty(self.dim * self.dim), np.empty(self.dim))
+        store(
+            self.dim,
+            self.slots,
+            self.rows,
+            self.columns,
+            self.base,
+            change,
+            self._free,
+            int(level.lower_indptr[-1]),
+            level.lower,
+            level.upper,
+            level.diagonal,
+            level.inverse,
+            np.empty(self.dim * self.dim),
+            np.empty(self.dim),
+        )
 
 
 @dataclass(eq=False)
@@ -55,17 +69,33 @@ class _ChangedDofs(_Changed):
     keys: np.ndarray
 
     @classmethod
-    def of(cls, level: SplitMatrix, weights: sparse.csr_array, dofs: np.ndarray,
-           pattern: sparse.csr_array) -> _ChangedDofs:
-        """Build from the weights of changed dofs, the coarse ones they reach, and the pattern of the change (ones)."""
+    def of(
+        cls,
+        level: SplitMatrix,
+        weights: sparse.csr_array,
+        dofs: np.ndarray,
+        pattern: sparse.csr_array,
+    ) -> _ChangedDofs:
+        """Build from the weights of changed dofs, the coarse ones they reach, and the pattern of
+        the change (ones)."""
         order = sparse.coo_array(pattern)
         keys = np.sort(order.row.astype(np.int64) * len(dofs) + order.col)
         rows, columns = dofs[keys // len(dofs)], dofs[keys % len(dofs)]
         slots = np.empty(len(keys), dtype=np.int64)
-        find_slots(rows, columns, level.lower_indptr, level.lower_indices, level.upper_indptr, level.upper_indices,
-                   level.strips.rank, slots)
+        find_slots(
+            rows,
+            columns,
+            level.lower_indptr,
+            level.lower_indices,
+            level.upper_indptr,
+            level.upper_indices,
+            level.strips.rank,
+            slots,
+        )
         if (slots < 0).any():
-            raise ValueError("a coarse matrix lacks entries of the Galerkin product near contact: it must be P'AP")
+            raise ValueError(
+                "a coarse matrix lacks entries of the Galerkin product near contact: it must be P'AP"
+            )
         return cls(level, 1, slots, rows, columns, weights, keys)
 
     def update(self, change: sparse.csr_array) -> sparse.csr_array:
@@ -73,7 +103,9 @@ class _ChangedDofs(_Changed):
         result = sparse.coo_array(self.weights.T @ (change @ self.weights))
         # a product may leave out entries that happen to vanish
         values = np.zeros(len(self.keys))
-        values[np.searchsorted(self.keys, result.row.astype(np.int64) * result.shape[1] + result.col)] = result.data
+        values[
+            np.searchsorted(self.keys, result.row.astype(np.int64) * result.shape[1] + result.col)
+        ] = result.data
         self.store(values)
         return sparse.csr_array(result)
 
@@ -110,30 +142,50 @@ class _Update:
 class DofUpdate(_Update):
     """The carrier to levels of single dofs, by sparse products."""
 
-    def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], dim: int, rows: np.ndarray,
-                 columns: np.ndarray) -> None:
+    def __init__(
+        self,
+        levels: list[SplitMatrix],
+        prolongations: list[sparse.csr_array],
+        dim: int,
+        rows: np.ndarray,
+        columns: np.ndarray,
+    ) -> None:
         components = np.arange(dim)
         shape = (len(rows), dim, dim)
-        dof_rows = np.broadcast_to((dim * rows.astype(np.int64)[:, None] + components)[:, :, None], shape).reshape(-1)
-        dof_columns = np.broadcast_to((dim * columns.astype(np.int64)[:, None] + components)[:, None, :], shape)
-        dofs, position = np.unique(np.concatenate([dof_rows, dof_columns.reshape(-1)]), return_inverse=True)
+        dof_rows = np.broadcast_to(
+            (dim * rows.astype(np.int64)[:, None] + components)[:, :, None], shape
+        ).reshape(-1)
+        dof_columns = np.broadcast_to(
+            (dim * columns.astype(np.int64)[:, None] + components)[:, None, :], shape
+        )
+        dofs, position = np.unique(
+            np.concatenate([dof_rows, dof_columns.reshape(-1)]), return_inverse=True
+        )
         self._rows, self._columns = np.split(position, 2)
         self._size = len(dofs)
-        pattern = sparse.csr_array(sparse.coo_array((np.ones(len(self._rows)), (self._rows, self._columns)),
-                                                    shape=(self._size, self._size)))
+        pattern = sparse.csr_array(
+            sparse.coo_array(
+                (np.ones(len(self._rows)), (self._rows, self._columns)),
+                shape=(self._size, self._size),
+            )
+        )
         self.below: list[_ChangedDofs] = []
         for level, prolongation in zip(reversed(levels), reversed(prolongations), strict=True):
             weights = sparse.csr_array(prolongation[dofs])
             dofs = np.unique(weights.indices).astype(np.int64)
             weights = sparse.csr_array(weights[:, dofs])
-            reach = sparse.csr_array((np.ones(weights.nnz), weights.indices, weights.indptr), shape=weights.shape)
+            reach = sparse.csr_array(
+                (np.ones(weights.nnz), weights.indices, weights.indptr), shape=weights.shape
+            )
             pattern = sparse.csr_array(reach.T @ (pattern @ reach))
             self.below.append(_ChangedDofs.of(level, weights, dofs, pattern))
 
     def update(self, change: np.ndarray) -> None:
         """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
         shape = (self._size, self._size)
-        matrix = sparse.csr_array(sparse.coo_array((change, (self._rows, self._columns)), shape=shape))
+        matrix = sparse.csr_array(
+            sparse.coo_array((change, (self._rows, self._columns)), shape=shape)
+        )
         for below in self.below:
             matrix = below.update(matrix)
 
@@ -141,8 +193,13 @@ class DofUpdate(_Update):
 class NodalUpdate(_Update):
     """The carrier by nodal prolongations, through lists of products made once."""
 
-    def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array], rows: np.ndarray,
-                 columns: np.ndarray) -> None:
+    def __init__(
+        self,
+        levels: list[SplitMatrix],
+        prolongations: list[sparse.csr_array],
+        rows: np.ndarray,
+        columns: np.ndarray,
+    ) -> None:
         self.below: list[_ChangedBlocks] = []
         for level, nodal in zip(reversed(levels), reversed(prolongations), strict=True):
             self.below.append(_products(level, nodal, rows, columns))
@@ -153,57 +210,130 @@ class NodalUpdate(_Update):
             change = below.update(change)
 
 
-def _products(level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray) -> _ChangedBlocks:
+def _products(
+    level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray
+) -> _ChangedBlocks:
     """Where the blocks of a finer level go on this one."""
     entries = np.diff(nodal.indptr).astype(np.int64)
     room = int(entries[rows] @ entries[columns])
-    source, target, weight = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32), np.empty(room)
+    source, target, weight = (
+        np.empty(room, dtype=np.int32),
+        np.empty(room, dtype=np.int32),
+        np.empty(room),
+    )
     slots = np.empty(room, dtype=np.int64)
     coarse_rows, coarse_columns = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
     below, above, n = int(level.lower_indptr[-1]), int(level.upper_indptr[-1]), level.n_nodes
     number = np.full(below + n + above, -1, dtype=np.int32)
     met, count, lost = fill_contributions(
-        rows, columns, nodal.indptr, nodal.indices, nodal.data, level.lower_indptr, level.lower_indices,
-        level.upper_indptr, level.upper_indices, level.strips.rank, number, source, target, weight, slots, coarse_rows,
-        coarse_columns)
+        rows,
+        columns,
+        nodal.indptr,
+        nodal.indices,
+        nodal.data,
+        level.lower_indptr,
+        level.lower_indices,
+        level.upper_indptr,
+        level.upper_indices,
+        level.strips.rank,
+        number,
+        source,
+        target,
+        weight,
+        slots,
+        coarse_rows,
+        coarse_columns,
+    )
     if lost:
-        raise ValueError(f"a coarse matrix lacks {lost} entries of the Galerkin product near contact: build the coarse "
-                         "matrices with coarse_matrices='galerkin'")
-    return _ChangedBlocks(level, level.dim, slots[:met].copy(), coarse_rows[:met].copy(), coarse_columns[:met].copy(),
-                          source[:count].copy(), target[:count].copy(), weight[:count].copy())
+        raise ValueError(
+            f"a coarse matrix lacks {lost} entries of the Galerkin product near contact: build the coarse "
+            "matrices with coarse_matrices='galerkin'"
+        )
+    return _ChangedBlocks(
+        level,
+        level.dim,
+        slots[:met].copy(),
+        coarse_rows[:met].copy(),
+        coarse_columns[:met].copy(),
+        source[:count].copy(),
+        target[:count].copy(),
+        weight[:count].copy(),
+    )
 
 
 class Truncation:
-    """Keeps the matrices of the levels below one level as the contact status of that level demands."""
+    """Keeps the matrices of the levels below one level as the contact status of that level
+    demands."""
 
-    def __init__(self, levels: list[SplitMatrix], prolongations: list[sparse.csr_array],
-                 contact: TruncatedContact) -> None:
+    def __init__(
+        self,
+        levels: list[SplitMatrix],
+        prolongations: list[sparse.csr_array],
+        contact: TruncatedContact,
+    ) -> None:
         self.contact, fine = contact, levels[-1]
         dim = fine.dim
-        at = np.concatenate(in_parts(_at_contact, fine.n_nodes, len(fine.lower), fine.strips.order, fine.lower_indptr,
-                                     fine.lower_indices, contact.contact_of))
+        at = np.concatenate(
+            in_parts(
+                _at_contact,
+                fine.n_nodes,
+                len(fine.lower),
+                fine.strips.order,
+                fine.lower_indptr,
+                fine.lower_indices,
+                contact.contact_of,
+            )
+        )
         i = fine.strips.order[np.searchsorted(fine.lower_indptr, at, side="right") - 1]
         j, below = fine.lower_indices[at], fine.lower.reshape(-1, dim, dim)[at]
         # blocks in rows and columns of contact nodes: on the diagonal, and of L for both sides
-        rows, columns = (np.concatenate([contact.nodes, np.column_stack(pair).reshape(-1)]).astype(np.int32)
-                         for pair in ((i, j), (j, i)))
-        blocks = np.concatenate([contact.diagonal.reshape(-1, dim, dim), np.stack(
-            [below, below.transpose(0, 2, 1)], axis=1).reshape(-1, dim, dim)])
+        rows, columns = (
+            np.concatenate([contact.nodes, np.column_stack(pair).reshape(-1)]).astype(np.int32)
+            for pair in ((i, j), (j, i))
+        )
+        blocks = np.concatenate(
+            [
+                contact.diagonal.reshape(-1, dim, dim),
+                np.stack([below, below.transpose(0, 2, 1)], axis=1).reshape(-1, dim, dim),
+            ]
+        )
         # contact node by contact node, so that the blocks written below lie close together
-        owner = np.where(contact.contact_of[rows] < 0, contact.contact_of[columns], contact.contact_of[rows])
+        owner = np.where(
+            contact.contact_of[rows] < 0, contact.contact_of[columns], contact.contact_of[rows]
+        )
         order = np.argsort(owner, kind="stable")
-        self.rows, self.columns, self.blocks = rows[order], columns[order], blocks[order].reshape(-1)
+        self.rows, self.columns, self.blocks = (
+            rows[order],
+            columns[order],
+            blocks[order].reshape(-1),
+        )
         self.change = np.zeros(len(self.blocks))
         if prolongations[-1].shape[0] == fine.n_nodes:
-            self.products: NodalUpdate | DofUpdate = NodalUpdate(levels[:-1], prolongations, self.rows, self.columns)
+            self.products: NodalUpdate | DofUpdate = NodalUpdate(
+                levels[:-1], prolongations, self.rows, self.columns
+            )
         else:
             self.products = DofUpdate(levels[:-1], prolongations, dim, self.rows, self.columns)
 
     def apply(self, newton: bool) -> None:
-        """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g frozen."""
+        """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g
+        frozen."""
         o = self.contact
-        changed_blocks(o.dim, self.rows, self.columns, self.blocks, o.contact_of, o.codes, o.frames,
-                       o.friction, o.direction, o.hessian, newton, self.change, *np.empty((2, o.dim, o.dim)))
+        changed_blocks(
+            o.dim,
+            self.rows,
+            self.columns,
+            self.blocks,
+            o.contact_of,
+            o.codes,
+            o.frames,
+            o.friction,
+            o.direction,
+            o.hessian,
+            newton,
+            self.change,
+            *np.empty((2, o.dim, o.dim)),
+        )
         self.products.update(self.change)
 
     def restore(self) -> None:
@@ -225,7 +355,8 @@ def _at_contact(first, last, order, indptr, indices, contact_of):
 
 @inner_kernel
 def _turn(dim, frames, k, inverse, rows, block, other):
-    """Change a block to F block (``rows``) or block F', F the frame of contact node k, or F its inverse F'."""
+    """Change a block to F block (``rows``) or block F', F the frame of contact node k, or F its
+    inverse F'."""
     for a in range(dim):
         for b in range(dim):
             other[a, b] = 0.0
@@ -245,10 +376,24 @@ def _truncated(a, code):
 
 
 @kernel
-def changed_blocks(dim, rows, columns, blocks, contact_of, codes, frames, friction, direction, hessian, newton, change,
-                   block, other):
-    """Compute delta of every collected block, Cartesian; ``newton`` False leaves the slip rows symmetric (g frozen).
-    ``block`` and ``other`` (dim, dim) are overwritten."""
+def changed_blocks(
+    dim,
+    rows,
+    columns,
+    blocks,
+    contact_of,
+    codes,
+    frames,
+    friction,
+    direction,
+    hessian,
+    newton,
+    change,
+    block,
+    other,
+):
+    """Compute delta of every collected block, Cartesian; ``newton`` False leaves the slip rows
+    symmetric (g frozen). ``block`` and ``other`` (dim, dim) are overwritten."""
     size, m = dim * dim, dim - 1
     no, yes = np.bool_(False), np.bool_(True)  # _turn would be compiled again for each constant
     for e in range(len(rows)):
@@ -315,11 +460,29 @@ def find_slots(rows, columns, l_indptr, l_indices, u_indptr, u_indices, rank, sl
 
 
 @kernel
-def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indices, u_indptr, u_indices, rank, number,
-                       source, target, weight, slots, coarse_rows, coarse_columns):
-    """Find where each fine block goes: coarse block ``target`` gets ``weight`` times block ``source``. ``number``
-    (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks met. Returns their number, the number of
-    products, and how many of them found no place in the coarse matrix."""
+def fill_contributions(
+    rows,
+    columns,
+    indptr,
+    indices,
+    weights,
+    l_indptr,
+    l_indices,
+    u_indptr,
+    u_indices,
+    rank,
+    number,
+    source,
+    target,
+    weight,
+    slots,
+    coarse_rows,
+    coarse_columns,
+):
+    """Find where each fine block goes: coarse block ``target`` gets ``weight`` times block
+    ``source``. ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks
+    met. Returns their number, the number of products, and how many of them found no place in the
+    coarse matrix."""
     count = 0
     met = 0
     lost = 0
@@ -336,7 +499,11 @@ def fill_contributions(rows, columns, indptr, indices, weights, l_indptr, l_indi
                     number[slot] = met
                     slots[met], coarse_rows[met], coarse_columns[met] = slot, row, column
                     met += 1
-                source[count], target[count], weight[count] = e, number[slot], weights[p] * weights[q]
+                source[count], target[count], weight[count] = (
+                    e,
+                    number[slot],
+                    weights[p] * weights[q],
+                )
                 count += 1
     return met, count, lost
 
@@ -352,10 +519,25 @@ def add_contributions(size, source, target, weight, fine, coarse):
 
 
 @kernel
-def store(dim, slots, rows, columns, base, change, free, below, lower, upper, diagonal, inverse, block,
-          scale):
-    """Write base + change to a split matrix; ``change`` is zeroed in rows and columns of fixed dofs first. ``diagonal``
-    may be empty where nobody needs it; ``block`` (dim * dim,) and ``scale`` (dim,) are overwritten."""
+def store(
+    dim,
+    slots,
+    rows,
+    columns,
+    base,
+    change,
+    free,
+    below,
+    lower,
+    upper,
+    diagonal,
+    inverse,
+    block,
+    scale,
+):
+    """Write base + change to a split matrix; ``change`` is zeroed in rows and columns of fixed dofs
+    first. ``diagonal`` may be empty where nobody needs it; ``block`` (dim * dim,) and ``scale``
+    (dim,) are overwritten."""
     size = dim * dim
     n = len(inverse) // size
     for t in range(len(slots)):

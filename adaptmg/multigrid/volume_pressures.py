@@ -1,26 +1,26 @@
 r"""The pressures of the groups of :mod:`adaptmg.discrete.volumes` in solvers.
 
-VolumePressures carries them through the cycles of one level. A cycle is the ordinary truncated one on K' with the load
-f - B'p; after its correction
+VolumePressures carries them through the cycles of one level. A cycle is the ordinary truncated one
+on K' with the load f - B'p; after its correction
 
 .. math:: p \leftarrow p + \theta\,\frac{b\,u - p/\kappa}{1/\kappa + 1/(\lambda_1 + \mu)},\qquad \theta = 1,
 
 :math:`\theta = 1/2` for two steps after the contact status has changed. The recombination of
 :class:`~adaptmg.multigrid.truncated_step.TruncatedStep` takes u and p together: what the volumes miss counts with the
-energy :math:`A\,(\lambda_1 + \mu)\,(b\,u - p/\kappa)^2`. A uniform pressure in each body is a further direction: steps
-alone would find the mean pressure of an enclosed body in :math:`\kappa/(\lambda_1 + \mu)` cycles. So the number of
-cycles hardly depends on Poisson's ratio.
+energy :math:`A\,(\lambda_1 + \mu)\,(b\,u - p/\kappa)^2`. A uniform pressure in each body is a
+further direction: steps alone would find the mean pressure of an enclosed body in
+:math:`\kappa/(\lambda_1 + \mu)` cycles. So the number of cycles hardly depends on Poisson's ratio.
 
-Augmented eliminates them for methods that factorise. With :math:`\tilde\kappa = \min(\kappa, c\,(\lambda_1 + \mu))` the
-equations of :mod:`adaptmg.discrete.volumes` are
+Augmented eliminates them for methods that factorise. With :math:`\tilde\kappa = \min(\kappa,
+c\,(\lambda_1 + \mu))` the equations of :mod:`adaptmg.discrete.volumes` are
 
 .. math:: (K' + B^T A^{-1}\tilde\kappa\, B)\,u + (1 - \tilde\kappa/\kappa)\,B^T p_0 = f,\qquad
           p = (1 - \tilde\kappa/\kappa)\,p_0 + \tilde\kappa\,b\,u,
 
-with :math:`p_0 = p`. Up to a Poisson's ratio of .499 that is one problem with an ordinary matrix, which is formed;
-beyond, each solve starts from the pressures :math:`p_0` of the last, and leaves about 1/c of their error (an augmented
-Lagrangian). All have the same factors. A larger c would lose as many digits of the pressures as it has itself.
-"""
+with :math:`p_0 = p`. Up to a Poisson's ratio of .499 that is one problem with an ordinary matrix,
+which is formed; beyond, each solve starts from the pressures :math:`p_0` of the last, and leaves
+about 1/c of their error (an augmented Lagrangian). All have the same factors. A larger c would lose
+as many digits of the pressures as it has itself."""
 
 from __future__ import annotations
 
@@ -44,14 +44,21 @@ class VolumePressures:
 
     def __init__(self, problem: DiscreteProblem, start: np.ndarray | None = None) -> None:
         volumes, free = problem.volumes, (~problem.fixed).astype(float)
-        rows = sparse.csr_array((volumes.rows.data * free[volumes.rows.indices], volumes.rows.indices,
-                                 volumes.rows.indptr), shape=volumes.rows.shape)
+        rows = sparse.csr_array(
+            (
+                volumes.rows.data * free[volumes.rows.indices],
+                volumes.rows.indices,
+                volumes.rows.indptr,
+            ),
+            shape=volumes.rows.shape,
+        )
         self.volumes, self._cautious = replace(volumes, rows=rows, expansion=0.0), 0
         self.values = np.zeros(len(volumes))
         self.pose(problem, start)
 
     def pose(self, problem: DiscreteProblem, start: np.ndarray | None) -> None:
-        """Take over prescribed values and initial strains of another load step, and pressures if there are any."""
+        """Take over prescribed values and initial strains of another load step, and pressures if
+        there are any."""
         if start is not None:
             self.values = start.copy()
         self._prescribed = problem.volumes.strains(problem.fixed_values)
@@ -62,7 +69,8 @@ class VolumePressures:
         return self.volumes.areas * self.volumes.modulus
 
     def missed(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return what volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed values."""
+        """Return what volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed
+        values."""
         return self.volumes.missed(unknowns, self.values) + self._prescribed
 
     def uniform(self) -> list[np.ndarray]:
@@ -92,9 +100,14 @@ class VolumePressures:
         return self.volumes.rows.nnz
 
 
-def prolonged_pressures(coarse: DiscreteProblem, fine: DiscreteProblem, nodal: sparse.csr_array,
-                        pressures: np.ndarray | None) -> np.ndarray | None:
-    """Interpolate pressures to a finer level; ``nodal`` is the prolongation, between bodies of relative values."""
+def prolonged_pressures(
+    coarse: DiscreteProblem,
+    fine: DiscreteProblem,
+    nodal: sparse.csr_array,
+    pressures: np.ndarray | None,
+) -> np.ndarray | None:
+    """Interpolate pressures to a finer level; ``nodal`` is the prolongation, between bodies of
+    relative values."""
     if coarse.volumes is None or fine.volumes is None or pressures is None:
         return None
     values = coarse.volumes.at_nodes(pressures)
@@ -117,9 +130,15 @@ def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
         kappa = np.minimum(1 / volumes.compliance, _MOST * volumes.modulus)
     rows = sparse.diags_array(np.sqrt(kappa / volumes.areas), format="csr") @ volumes.rows
     added = sparse.csr_array(rows.T @ rows)
-    whole = sparse.bsr_array(problem.matrix + 0.5 * (added + added.T), blocksize=problem.matrix.blocksize)
+    whole = sparse.bsr_array(
+        problem.matrix + 0.5 * (added + added.T), blocksize=problem.matrix.blocksize
+    )
     result = copy.copy(problem)
-    parts = {"matrix": indices_frozen(whole.sorted_indices()), "volumes": None, "_structure": Token()}
+    parts = {
+        "matrix": indices_frozen(whole.sorted_indices()),
+        "volumes": None,
+        "_structure": Token(),
+    }
     for name, value in parts.items():
         object.__setattr__(result, name, value)
     return result, kappa
@@ -139,26 +158,37 @@ class Augmented:
         #: whether the first solve ends it
         self.exact = not (rest > 1e-12).any()
         resting = self._offset - self._kappa * problem.volumes.expansion
-        self.problem = formed.posing(load=problem.load - problem.volumes.forces(resting), law=problem.law,
-                                     fixed_values=problem.fixed_values, contact=problem.contact,
-                                     strain_free=problem.strain_free)
+        self.problem = formed.posing(
+            load=problem.load - problem.volumes.forces(resting),
+            law=problem.law,
+            fixed_values=problem.fixed_values,
+            contact=problem.contact,
+            strain_free=problem.strain_free,
+        )
 
     def pressures(self, solved: np.ndarray) -> np.ndarray:
-        """Return the pressures (n_groups,) that belong to a displacement, between bodies relative."""
+        """Return the pressures (n_groups,) that belong to a displacement, between bodies
+        relative."""
         return self._offset + self._kappa * self._volumes.strains(solved.reshape(-1))
 
-    def accelerated(self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-        """Return what the next solve begins with: the pressures of this one recombined with those of the ``past`` ones.
-        The mean pressure of a body that is enclosed tends to its value with 1 - kappa~ / kappa alone."""
+    def accelerated(
+        self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]
+    ) -> np.ndarray:
+        """Return what the next solve begins with: the pressures of this one recombined with those
+        of the ``past`` ones. The mean pressure of a body that is enclosed tends to its value with 1
+        - kappa~ / kappa alone."""
         past.insert(0, (pressures, pressures - self._before))
         values, changes = map(np.array, zip(*past[:5], strict=True))
         if len(values) == 1:
             return pressures
-        alpha = least_weights(changes[0], changes[1:] - changes[0], self._volumes.areas / self._volumes.modulus)
+        alpha = least_weights(
+            changes[0], changes[1:] - changes[0], self._volumes.areas / self._volumes.modulus
+        )
         return pressures + alpha @ (values[1:] - pressures)
 
     def missed(self, solved: np.ndarray) -> float:
-        """Return what volume strains of a displacement and pressures of this problem miss, relative to these."""
+        """Return what volume strains of a displacement and pressures of this problem miss, relative
+        to these."""
         volumes = self._volumes
         missed = volumes.scale * volumes.missed(solved.reshape(-1), self._before)
         size = np.linalg.norm(volumes.scale / volumes.modulus * self._before)

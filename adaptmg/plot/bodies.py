@@ -1,4 +1,5 @@
-"""mesh, grids, deformation: bodies with the states of contact, before and after loading, coloured by body or values."""
+"""mesh, grids, deformation: bodies with the states of contact, before and after loading, coloured
+by body or values."""
 
 from __future__ import annotations
 
@@ -49,8 +50,12 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
     >>> am.plot.mesh(grids.finest.mesh, contact=["bottom"]).axes[0].get_title()
     '25 nodes, 32 elements'
     """
-    checks.instance("drawn", drawn, MeshArrays, "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or "
-                    "adaptmg.mesh.read.as_mesh)")
+    checks.instance(
+        "drawn",
+        drawn,
+        MeshArrays,
+        "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or adaptmg.mesh.read.as_mesh)",
+    )
     ax = style.canvas(ax, (5.4, 5.0), drawn.dim)
     _draw_mesh(ax, drawn, contact)
     style.entitle(ax, f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
@@ -61,7 +66,8 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
 def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     """Draw the grids of a hierarchy side by side, coarsest first, with their numbers of nodes.
 
-    ``axes`` holds one for each level, in 3D with ``projection="3d"``. ValueError if a level has no mesh.
+    ``axes`` holds one for each level, in 3D with ``projection="3d"``. ValueError if a level has no
+    mesh.
 
     Examples
     --------
@@ -81,7 +87,10 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     axes = style.axes_of(axes, len(hierarchy))
     for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
         _draw_mesh(style.canvas(ax, (1, 1), dim), level.mesh, level.discrete.contact.names)
-        ax.set_title(f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact", fontsize=9.5)
+        ax.set_title(
+            f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact",
+            fontsize=9.5,
+        )
         if dim == 3:
             ax.set_axis_off()
         elif k % 4:
@@ -90,28 +99,44 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
 
 
 def _draw_mesh(ax: Axes, drawn: MeshArrays, contact: Sequence[str]) -> None:
-    draw_bodies(ax, drawn, style.body_fills(len(drawn.bodies)),
-                boundary_marks(drawn, dict.fromkeys(contact, style.ORANGE)))
+    draw_bodies(
+        ax,
+        drawn,
+        style.body_fills(len(drawn.bodies)),
+        boundary_marks(drawn, dict.fromkeys(contact, style.ORANGE)),
+    )
 
 
 @style.styled
-def deformation(result: Result, amplify: float | None = None, *, stress: bool = False, displacement: bool = False,
-                states: bool = False, bodies: Sequence[str] | None = None, lines: bool | None = None,
-                ax: Axes | None = None) -> Figure:
-    """Draw the deformed bodies, each in its own colour, over their outlines before; the title has the amplification.
+def deformation(
+    result: Result,
+    amplify: float | None = None,
+    *,
+    stress: bool = False,
+    displacement: bool = False,
+    states: bool = False,
+    bodies: Sequence[str] | None = None,
+    lines: bool | None = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw the deformed bodies, each in its own colour, over their outlines before; the title has
+    the amplification.
 
-    Amplified bodies seem to overlap where an initial gap has closed, and to part where they only slid; with
-    ``amplify=1`` the picture is to scale. ``ax.set_xlim`` and ``ax.set_ylim`` of the figure's axes show a part of it.
+    Amplified bodies seem to overlap where an initial gap has closed, and to part where they only
+    slid; with ``amplify=1`` the picture is to scale. ``ax.set_xlim`` and ``ax.set_ylim`` of the
+    figure's axes show a part of it.
 
     Parameters
     ----------
     result : Result
         With a mesh.
     amplify : float, optional
-        Factor of the displacements, >= 0; by default the largest is drawn as about 5 % of the size of the model.
+        Factor of the displacements, >= 0; by default the largest is drawn as about 5 % of the size
+        of the model.
     stress : bool
-        Colour by von Mises stress, constant on each element, MPa (in 3D that of the element behind each facet). The
-        scale ends where 99 % of the elements lie below; the label names the maximum.
+        Colour by von Mises stress, constant on each element, MPa (in 3D that of the element behind
+        each facet). The scale ends where 99 % of the elements lie below; the label names the
+        maximum.
     displacement : bool
         Colour by the length of the displacement, linear in each element.
     states : bool
@@ -119,9 +144,11 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     bodies : sequence of str, optional
         Names of the bodies shown; default all. In 3D the others hide the contact surfaces.
     lines : bool, optional
-        Whether to draw the edges of the elements; by default up to 8000 of them (in 3D, 6000 surface triangles).
+        Whether to draw the edges of the elements; by default up to 8000 of them (in 3D, 6000
+        surface triangles).
     ax : matplotlib Axes, optional
-        In 3D with ``projection="3d"``, where ``ax.view_init(elevation, azimuth)`` turns the picture.
+        In 3D with ``projection="3d"``, where ``ax.view_init(elevation, azimuth)`` turns the
+        picture.
 
     Examples
     --------
@@ -132,40 +159,73 @@ def deformation(result: Result, amplify: float | None = None, *, stress: bool = 
     mesh = checks.instance("result", result, Result).mesh  # which raises without one
     names = _names(mesh, bodies)
     colors = _coloring(result, stress, displacement)
-    factor = _automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
+    factor = (
+        _automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
+    )
     moved = mesh.points + factor * result.displacement
     if ax is None and result.dim == 2:
         extent = np.ptp(np.vstack([mesh.points, moved]), axis=0)
         width, height = extent / extent.max()
         ax = style.canvas(None, (max(5.6 * width, 2.6) + 1.6, max(5.0 * height, 2.0) + 0.9))
     ax = style.canvas(ax, (6.8, 5.4), result.dim)
-    present = draw_bodies(ax, mesh, colors, state_marks(mesh, result.contact) if states else None, moved=moved,
-                          lines=lines, names=names, axes=style.axis_names(result))
-    style.entitle(ax, f"{style.plain(result.problem_name)}: displacement drawn "
-                      + ("to scale" if factor == 1 else f"{style.number(factor)} times"))
-    handles = [Line2D([], [], color=style.GREY, linewidth=0.9, label="before"), *style.state_lines(present)]
+    present = draw_bodies(
+        ax,
+        mesh,
+        colors,
+        state_marks(mesh, result.contact) if states else None,
+        moved=moved,
+        lines=lines,
+        names=names,
+        axes=style.axis_names(result),
+    )
+    style.entitle(
+        ax,
+        f"{style.plain(result.problem_name)}: displacement drawn "
+        + ("to scale" if factor == 1 else f"{style.number(factor)} times"),
+    )
+    handles = [
+        Line2D([], [], color=style.GREY, linewidth=0.9, label="before"),
+        *style.state_lines(present),
+    ]
     if isinstance(colors, Coloring):
         above = colors.values.max() > 1.001 * colors.norm.vmax
-        bar = ax.figure.colorbar(ScalarMappable(colors.norm, "viridis"), ax=ax, label=colors.label, shrink=0.75,
-                                 pad=0.05 * result.dim - 0.06, extend="max" if above else "neither")
+        bar = ax.figure.colorbar(
+            ScalarMappable(colors.norm, "viridis"),
+            ax=ax,
+            label=colors.label,
+            shrink=0.75,
+            pad=0.05 * result.dim - 0.06,
+            extend="max" if above else "neither",
+        )
         bar.outline.set_visible(False)
         style.legend_below(ax, handles)
     else:
-        patches = [Patch(facecolor=color, edgecolor=style.INK, linewidth=0.6, label=style.plain(name))
-                   for name, color in zip(mesh.bodies, colors, strict=True) if name in names]
-        ax.legend(handles=[*patches, *handles], loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+        patches = [
+            Patch(facecolor=color, edgecolor=style.INK, linewidth=0.6, label=style.plain(name))
+            for name, color in zip(mesh.bodies, colors, strict=True)
+            if name in names
+        ]
+        ax.legend(
+            handles=[*patches, *handles],
+            loc="upper left",
+            bbox_to_anchor=(1.01, 1.0),
+            borderaxespad=0.0,
+        )
     return ax.figure
 
 
 def _names(mesh: MeshArrays, bodies: Sequence[str] | None) -> tuple[str, ...]:
-    names = mesh.bodies if bodies is None else (bodies,) if isinstance(bodies, str) else tuple(bodies)
+    names = (
+        mesh.bodies if bodies is None else (bodies,) if isinstance(bodies, str) else tuple(bodies)
+    )
     if not names:
         raise ValueError("bodies must name at least one body; None shows all")
     return tuple(checks.choice("bodies", name, mesh.bodies) for name in names)
 
 
 def _automatic_factor(result: Result) -> float:
-    """A round factor that draws the largest displacement as about 5 % of the size; 1 if nothing moves."""
+    """A round factor that draws the largest displacement as about 5 % of the size; 1 if nothing
+    moves."""
     size = style.bounds(result.mesh.points)[2]
     largest = float(np.linalg.norm(result.displacement, axis=1).max())
     if not largest > 1e-12 * size:
@@ -192,19 +252,30 @@ def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | li
         largest = float(values.max())
         # a corner or the edge of a punch has one element of a stress far above all others
         top = float(np.quantile(values, 0.99)) or largest or 1.0
-        return Coloring(values, False, f"von Mises stress [MPa], maximum {style.number(largest)}", Normalize(0.0, top))
+        return Coloring(
+            values,
+            False,
+            f"von Mises stress [MPa], maximum {style.number(largest)}",
+            Normalize(0.0, top),
+        )
     if displacement:
         values = np.linalg.norm(result.displacement, axis=1)
         factor, unit = style.scaled(float(values.max()), "m")
-        return Coloring(factor * values, True, f"displacement |u| [{unit}]",
-                        Normalize(0.0, factor * float(values.max()) or 1.0))
+        return Coloring(
+            factor * values,
+            True,
+            f"displacement |u| [{unit}]",
+            Normalize(0.0, factor * float(values.max()) or 1.0),
+        )
     return style.body_fills(len(result.mesh.bodies))
 
 
 class Marks(NamedTuple):
     """Colours of boundary facets, in 2D of the half of an edge at each corner."""
 
-    codes: np.ndarray  # (n_facets, dim) int: into the colours, of each corner; -1 at facets without a mark
+    codes: (
+        np.ndarray
+    )  # (n_facets, dim) int: into the colours, of each corner; -1 at facets without a mark
     colors: Sequence[str]
 
 
@@ -229,11 +300,21 @@ def state_marks(mesh: MeshArrays, contact: ContactResult) -> Marks:
     return Marks(codes, list(style.STATE_INKS.values()))
 
 
-def draw_bodies(ax: Axes, mesh: MeshArrays, colors: Coloring | Sequence[str], marks: Marks | None = None, *,
-                moved: np.ndarray | None = None, lines: bool | None = None, names: Sequence[str] | None = None,
-                axes: str = "xyz", strokes: Sequence[Lines] = ()) -> set[int]:
-    """Draw bodies, by default all, in one colour each or by values, with their outlines; return the codes of the marks.
-    Nodes ``moved`` to other places (n_nodes, dim) are drawn there, over the outlines before."""
+def draw_bodies(
+    ax: Axes,
+    mesh: MeshArrays,
+    colors: Coloring | Sequence[str],
+    marks: Marks | None = None,
+    *,
+    moved: np.ndarray | None = None,
+    lines: bool | None = None,
+    names: Sequence[str] | None = None,
+    axes: str = "xyz",
+    strokes: Sequence[Lines] = (),
+) -> set[int]:
+    """Draw bodies, by default all, in one colour each or by values, with their outlines; return the
+    codes of the marks. Nodes ``moved`` to other places (n_nodes, dim) are drawn there, over the
+    outlines before."""
     table, now = facet_table(mesh.elements, mesh.n_nodes), mesh.points if moved is None else moved
     behind = table.first[table.find(facet_keys(mesh.facets, mesh.n_nodes))]
     shown = np.isin(mesh.element_body, [mesh.bodies.index(name) for name in names or mesh.bodies])
@@ -246,7 +327,11 @@ def draw_bodies(ax: Axes, mesh: MeshArrays, colors: Coloring | Sequence[str], ma
     scale, unit = style.scaled(style.bounds(corners)[2], "m")
     before, now = None if moved is None else scale * mesh.points, scale * now
     elements = np.flatnonzero(shown)
-    lines = len(elements if mesh.dim == 2 else facets) <= _LINES_UP_TO[mesh.dim] if lines is None else lines
+    lines = (
+        len(elements if mesh.dim == 2 else facets) <= _LINES_UP_TO[mesh.dim]
+        if lines is None
+        else lines
+    )
     if mesh.dim == 2:
         # small bodies over large ones
         size = np.bincount(mesh.element_body, np.abs(mesh.volumes))
@@ -254,18 +339,31 @@ def draw_bodies(ax: Axes, mesh: MeshArrays, colors: Coloring | Sequence[str], ma
         _fill(ax, now, mesh, elements, colors, lines)
         for points, color, width in ((before, style.GREY, 0.8), (now, style.INK, 1.0)):
             if points is not None:
-                ax.add_collection(LineCollection(points[facets], color=color, linewidth=width, zorder=3,
-                                                 capstyle="projecting"))
+                ax.add_collection(
+                    LineCollection(
+                        points[facets],
+                        color=color,
+                        linewidth=width,
+                        zorder=3,
+                        capstyle="projecting",
+                    )
+                )
         halves = style.halves(now[facets[marked]])
         for color, width in (("white", 4.2), (inks[codes[marked].ravel()], 2.8)):
-            ax.add_collection(LineCollection(halves, color=color, linewidth=width, capstyle="round", zorder=4))
+            ax.add_collection(
+                LineCollection(halves, color=color, linewidth=width, capstyle="round", zorder=4)
+            )
         ax.set(aspect="equal", xlabel=f"{axes[0]} [{unit}]", ylabel=f"{axes[1]} [{unit}]")
         ax.spines[:].set_visible(False)
         ax.margins(0.03)
         ax.autoscale_view()
     else:
         nodal = isinstance(colors, Coloring) and colors.nodal
-        rgba = np.repeat(_rgba(colors, mesh, behind)[:, None], 3, axis=1) if not nodal else _rgba(colors, mesh, facets)
+        rgba = (
+            np.repeat(_rgba(colors, mesh, behind)[:, None], 3, axis=1)
+            if not nodal
+            else _rgba(colors, mesh, facets)
+        )
         rgba[marked] = inks[np.median(codes[marked], axis=1).astype(int)][:, None]
         edges = sharp_edges(mesh.points, facets)
         outlines = [Lines(now[edges], style.INK, 0.9)]
@@ -278,22 +376,45 @@ def draw_bodies(ax: Axes, mesh: MeshArrays, colors: Coloring | Sequence[str], ma
     return set(codes[marked].ravel().tolist())
 
 
-def _fill(ax: Axes, points: np.ndarray, mesh: MeshArrays, shown: np.ndarray, colors: Coloring | Sequence[str],
-          lines: bool) -> None:
+def _fill(
+    ax: Axes,
+    points: np.ndarray,
+    mesh: MeshArrays,
+    shown: np.ndarray,
+    colors: Coloring | Sequence[str],
+    lines: bool,
+) -> None:
     """Fill triangles, and draw their edges."""
     valued, elements = isinstance(colors, Coloring), mesh.elements[shown]
     # edges as wide as a pixel in the colour of their triangle close the seams between triangles
-    edge, width = ("white" if valued else style.INK, float(np.clip(14 / np.sqrt(len(shown)), 0.1, 0.6))
-                   ) if lines else ("face", 0.6)
+    edge, width = (
+        ("white" if valued else style.INK, float(np.clip(14 / np.sqrt(len(shown)), 0.1, 0.6)))
+        if lines
+        else ("face", 0.6)
+    )
     if valued and colors.nodal:
         nodes, corners = np.unique(elements, return_inverse=True)
-        ax.tripcolor(Triangulation(*points[nodes].T, corners.reshape(elements.shape)), colors.values[nodes],
-                     shading="gouraud", norm=colors.norm, rasterized=True, zorder=2)
+        ax.tripcolor(
+            Triangulation(*points[nodes].T, corners.reshape(elements.shape)),
+            colors.values[nodes],
+            shading="gouraud",
+            norm=colors.norm,
+            rasterized=True,
+            zorder=2,
+        )
         fills, edge = "none", edge if lines else "none"
     else:
         fills = _rgba(colors, mesh, shown)
-    ax.add_collection(PolyCollection(points[elements], facecolor=fills, edgecolor=edge, linewidth=width,
-                                     rasterized=len(shown) > 20_000, zorder=2.1))
+    ax.add_collection(
+        PolyCollection(
+            points[elements],
+            facecolor=fills,
+            edgecolor=edge,
+            linewidth=width,
+            rasterized=len(shown) > 20_000,
+            zorder=2.1,
+        )
+    )
 
 
 def _rgba(colors: Coloring | Sequence[str], mesh: MeshArrays, index: np.ndarray) -> np.ndarray:

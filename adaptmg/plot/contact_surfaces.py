@@ -1,10 +1,11 @@
-r"""contact: pressure, friction, gap and slip along contact lines, maps of them and of the states on surfaces; and
-load_history: quantities of a sequence of load steps against the load, and the contact pressure of each step.
+r"""contact: pressure, friction, gap and slip along contact lines, maps of them and of the states on
+surfaces; and load_history: quantities of a sequence of load steps against the load, and the contact
+pressure of each step.
 
-Lines are drawn against x or y where they are straight, else against the arc length. A surface is seen along its mean
-normal; where that is short, as around a hole, it is unrolled: the direction across all normals is the axis, and the
-coordinates are the angle of the normal and the length along the axis.
-"""
+Lines are drawn against x or y where they are straight, else against the arc length. A surface is
+seen along its mean normal; where that is short, as around a hole, it is unrolled: the direction
+across all normals is the axis, and the coordinates are the angle of the normal and the length along
+the axis."""
 
 from __future__ import annotations
 
@@ -31,12 +32,16 @@ _AROUND = 0.5
 
 
 @style.styled
-def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: object = None) -> Figure:
-    r"""Draw pressure, friction, gap and slip on contact boundaries, between two bodies on the slave surface of a pair.
+def contact(
+    result: Result, axes: Sequence[Axes] | None = None, *, boundary: object = None
+) -> Figure:
+    r"""Draw pressure, friction, gap and slip on contact boundaries, between two bodies on the slave
+    surface of a pair.
 
-    In 2D: contact pressure p, MPa; tangential traction t on the body, MPa, within the band :math:`\pm \mu p` (Tresca:
-    plus or minus the limit) that friction allows; gap and slip. Curves and backgrounds have the colours of the
-    states. In 3D: maps of pressure, size of the traction and gap, and the states.
+    In 2D: contact pressure p, MPa; tangential traction t on the body, MPa, within the band
+    :math:`\pm \mu p` (Tresca: plus or minus the limit) that friction allows; gap and slip. Curves
+    and backgrounds have the colours of the states. In 3D: maps of pressure, size of the traction
+    and gap, and the states.
 
     Parameters
     ----------
@@ -48,9 +53,9 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
 
     Notes
     -----
-    Pressures and tractions are nodal forces over the nodes' weights (the lumped mass of the surface, with dual
-    multipliers that of its covered part); the gap is that of the constraint, g0 minus the (relative) normal
-    displacement.
+    Pressures and tractions are nodal forces over the nodes' weights (the lumped mass of the
+    surface, with dual multipliers that of its covered part); the gap is that of the constraint, g0
+    minus the (relative) normal displacement.
 
     Examples
     --------
@@ -62,14 +67,19 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
     names = chosen_boundaries(result, boundary)
     if axes is not None:
         if len(names) != 1:
-            raise ValueError(f"axes takes one contact boundary, the result has {len(names)}: choose with boundary=...")
+            raise ValueError(
+                f"axes takes one contact boundary, the result has {len(names)}: choose with boundary=..."
+            )
         panels = [style.axes_of(axes, 4 if solid else 3)]
     else:
         (width, height), columns = ((9.0, 7.0), 1) if solid else ((6.2, 6.8), min(len(names), 3))
         rows = -(-len(names) // columns)
         whole = style.new_figure((width * columns, height * rows), "constrained")
         parts = whole.subfigures(rows, columns, squeeze=False).ravel()
-        panels = [style.cells(part, 4, 2) if solid else part.subplots(3, sharex=True) for part in parts[:len(names)]]
+        panels = [
+            style.cells(part, 4, 2) if solid else part.subplots(3, sharex=True)
+            for part in parts[: len(names)]
+        ]
     for name, drawn in zip(names, panels, strict=True):
         (_draw_surface if solid else _draw_lines)(result, name, drawn)
         title = pair_name(result.contact, name)
@@ -86,19 +96,40 @@ def contact(result: Result, axes: Sequence[Axes] | None = None, *, boundary: obj
 def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     c, lines = result.contact, lines_of(result, name)
     nodes = np.concatenate([line.index for line in lines])
-    scale, unit = style.scaled(max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m")
+    scale, unit = style.scaled(
+        max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m"
+    )
     bound, largest = 1e-6 * c.limit / c.weights, 1e-6 * float(c.pressure.max())
     friction = bound[nodes].any()
     for line in lines:
         at, s, first = line.index, line.position, line is lines[0]
-        for ax, values in zip(axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], scale * c.gap), strict=True):
+        for ax, values in zip(
+            axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], scale * c.gap), strict=True
+        ):
             style.shade(ax, s, c.state[at])
             style.stated_curve(ax, s, values[at], c.state[at])
         if friction:
-            axes[1].fill_between(s, -bound[at], bound[at], facecolor="#c9ced5", edgecolor="#9aa0a8", linewidth=0.8,
-                                 alpha=0.55, zorder=1, label="friction bound" if first else None)
-        axes[2].plot(s, scale * c.slip[at, 0], color=style.GREEN, linestyle="--", label="slip" if first else None)
-    for ax, label in zip(axes, ("pressure p\n[MPa]", "friction t\n[MPa]", f"gap, slip\n[{unit}]"), strict=True):
+            axes[1].fill_between(
+                s,
+                -bound[at],
+                bound[at],
+                facecolor="#c9ced5",
+                edgecolor="#9aa0a8",
+                linewidth=0.8,
+                alpha=0.55,
+                zorder=1,
+                label="friction bound" if first else None,
+            )
+        axes[2].plot(
+            s,
+            scale * c.slip[at, 0],
+            color=style.GREEN,
+            linestyle="--",
+            label="slip" if first else None,
+        )
+    for ax, label in zip(
+        axes, ("pressure p\n[MPa]", "friction t\n[MPa]", f"gap, slip\n[{unit}]"), strict=True
+    ):
         ax.axhline(0.0, color="#5b626b", linewidth=0.8, zorder=1)
         ax.margins(x=0.0)
         ax.set_ylabel(label)
@@ -107,14 +138,27 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     keep_open(axes[1], np.concatenate([-bound[nodes], 1e-6 * c.traction[nodes, 0]]), largest)
     if not friction:
         axes[1].set_ylim(-1.0, 1.0)
-        axes[1].text(0.5, 0.9, "frictionless", transform=axes[1].transAxes, ha="center", va="top", color="#5b626b")
+        axes[1].text(
+            0.5,
+            0.9,
+            "frictionless",
+            transform=axes[1].transAxes,
+            ha="center",
+            va="top",
+            color="#5b626b",
+        )
     for ax in axes[1:] if friction else axes[2:]:
         ax.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
     low, high = axes[2].get_ylim()
     # closed and stuck everywhere: the axes do not magnify rounding
     axes[2].set_ylim(min(low, -0.05), max(high, 0.5))
     axes[2].set_xlabel(lines[0].label)
-    axes[0].legend(handles=style.state_lines(c.state[nodes]), loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=3)
+    axes[0].legend(
+        handles=style.state_lines(c.state[nodes]),
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.98),
+        ncols=3,
+    )
 
 
 def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
@@ -123,9 +167,15 @@ def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
     scale, unit = style.scaled(max(1e-6, np.abs(c.gap[at]).max()), "m")
     # closed everywhere: a gap of a nanometre is rounding
     for ax, values, label, reference in (
-            (axes[0], 1e-6 * c.pressure[at], "contact pressure p [MPa]", largest),
-            (axes[1], 1e-6 * np.linalg.norm(c.traction[at], axis=1), "friction traction |t| [MPa]", largest),
-            (axes[2], scale * c.gap[at], f"gap [{unit}]", scale)):
+        (axes[0], 1e-6 * c.pressure[at], "contact pressure p [MPa]", largest),
+        (
+            axes[1],
+            1e-6 * np.linalg.norm(c.traction[at], axis=1),
+            "friction traction |t| [MPa]",
+            largest,
+        ),
+        (axes[2], scale * c.gap[at], f"gap [{unit}]", scale),
+    ):
         low, high = min(float(values.min()), 0.0), float(values.max())
         if high - low > 1e-9 * reference:
             shown = draw_map(ax, flat, values, Normalize(low, high))
@@ -169,22 +219,34 @@ def flattened(result: Result, boundary: str) -> Flat:
         angle = np.degrees(np.arctan2(*(normals @ frame[:, :2]).T[::-1]))
         # triangles across the seam would cover the rest
         triangles = triangles[np.ptp(angle[triangles], axis=1) < 180.0]
-        return Flat(index, np.stack([angle, scale * x @ frame[:, 2]], axis=1), triangles,
-                    (f"angle of the normal around {names[2]} [°]", f"{names[2]} [{unit}]"), equal=False)
+        return Flat(
+            index,
+            np.stack([angle, scale * x @ frame[:, 2]], axis=1),
+            triangles,
+            (f"angle of the normal around {names[2]} [°]", f"{names[2]} [{unit}]"),
+            equal=False,
+        )
     frame, names = _frame(mean / np.linalg.norm(mean))
-    return Flat(index, scale * x @ frame[:, :2], triangles, (f"{names[0]} [{unit}]", f"{names[1]} [{unit}]"))
+    return Flat(
+        index, scale * x @ frame[:, :2], triangles, (f"{names[0]} [{unit}]", f"{names[1]} [{unit}]")
+    )
 
 
 def _frame(normal: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Two directions across a unit normal, near Cartesian axes, and the normal (3, 3), and the names of all three."""
+    """Two directions across a unit normal, near Cartesian axes, and the normal (3, 3), and the
+    names of all three."""
     order = np.argsort(np.abs(normal), kind="stable")
     near = np.sort(order[:2])
     first = np.eye(3)[near[0]] - normal[near[0]] * normal
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
     frame = np.stack([first, second * np.sign(second[near[1]]), normal], axis=1)
-    names = ["xyz"[k] if abs(frame[k, j]) > 1 - 1e-6 else other
-             for j, (k, other) in enumerate(zip((*near, order[2]), ("t1", "t2", "the axis"), strict=True))]
+    names = [
+        "xyz"[k] if abs(frame[k, j]) > 1 - 1e-6 else other
+        for j, (k, other) in enumerate(
+            zip((*near, order[2]), ("t1", "t2", "the axis"), strict=True)
+        )
+    ]
     return frame, names
 
 
@@ -198,7 +260,8 @@ class Line:
 
 
 def lines_of(result: Result, boundary: str) -> list[Line]:
-    """Return the connected parts of a contact boundary; parts without contact nodes separate them."""
+    """Return the connected parts of a contact boundary; parts without contact nodes separate
+    them."""
     c, mesh = result.contact, result.mesh_or_none
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
     if not np.isfinite(c.x[index]).all():
@@ -225,14 +288,17 @@ def _parts(result: Result, boundary: str, index: np.ndarray) -> list[tuple[np.nd
         lengths = np.linalg.norm(np.diff(points[line], axis=0), axis=1)
         arc = begin + np.concatenate([[0.0], np.cumsum(lengths)])
         begin, covered = arc[-1], np.flatnonzero(place[line] >= 0)
-        parts += [(place[line[run]], arc[run]) for run in
-                  np.split(covered, np.flatnonzero(np.diff(covered) > 1) + 1) if len(run)]
+        parts += [
+            (place[line[run]], arc[run])
+            for run in np.split(covered, np.flatnonzero(np.diff(covered) > 1) + 1)
+            if len(run)
+        ]
     return parts
 
 
 def polylines(edges: np.ndarray) -> list[np.ndarray]:
-    """Join oriented edges (n, 2), one from each node, to polylines of nodes: open ones, then rings, which end at their
-    first node."""
+    """Join oriented edges (n, 2), one from each node, to polylines of nodes: open ones, then rings,
+    which end at their first node."""
     following = dict(edges.tolist())
     ends, lines = set(following.values()), []
     for start in (*sorted(set(following) - ends), *sorted(ends)):
@@ -249,20 +315,42 @@ def draw_map(ax: Axes, flat: Flat, values: np.ndarray, norm: Normalize) -> Scala
     _finish(ax, flat)
     if not len(flat.triangles):
         return ax.scatter(*flat.points.T, c=values, s=18, cmap="viridis", norm=norm)
-    return ax.tripcolor(Triangulation(*flat.points.T, flat.triangles), values, cmap="viridis", shading="gouraud",
-                        norm=norm, rasterized=True)
+    return ax.tripcolor(
+        Triangulation(*flat.points.T, flat.triangles),
+        values,
+        cmap="viridis",
+        shading="gouraud",
+        norm=norm,
+        rasterized=True,
+    )
 
 
 def _draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
     """Draw the nodes in the colours of their states over the triangles; the legend counts them."""
     if len(flat.triangles):
-        ax.triplot(Triangulation(*flat.points.T, flat.triangles), color="#c9ced5", linewidth=0.4, zorder=1)
-    ax.scatter(*flat.points.T, c=[style.STATE_INKS[int(s)] for s in states], zorder=2, edgecolors=style.INK,
-               linewidths=0.2, s=float(np.clip(4000 / len(states), 1.5, 40.0)))
+        ax.triplot(
+            Triangulation(*flat.points.T, flat.triangles), color="#c9ced5", linewidth=0.4, zorder=1
+        )
+    ax.scatter(
+        *flat.points.T,
+        c=[style.STATE_INKS[int(s)] for s in states],
+        zorder=2,
+        edgecolors=style.INK,
+        linewidths=0.2,
+        s=float(np.clip(4000 / len(states), 1.5, 40.0)),
+    )
     counts = np.bincount(states.astype(int), minlength=3)
-    ax.legend(handles=[Patch(color=style.STATE_INKS[s], label=f"{style.STATE_NAMES[s]} ({counts[int(s)]})")
-                       for s in (OPEN, SLIP, STICK)],
-              loc="lower center", bbox_to_anchor=(0.5, 0.98), ncols=3, handlelength=1.2, columnspacing=1.2)
+    ax.legend(
+        handles=[
+            Patch(color=style.STATE_INKS[s], label=f"{style.STATE_NAMES[s]} ({counts[int(s)]})")
+            for s in (OPEN, SLIP, STICK)
+        ],
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.98),
+        ncols=3,
+        handlelength=1.2,
+        columnspacing=1.2,
+    )
     _finish(ax, flat)
 
 
@@ -271,24 +359,30 @@ def _finish(ax: Axes, flat: Flat) -> None:
 
 
 def chosen_boundaries(result: Result, boundary: object = None) -> tuple[str, ...]:
-    """Return the contact boundaries to draw: one, by its name or as a Contact or ContactPair, or all with nodes."""
+    """Return the contact boundaries to draw: one, by its name or as a Contact or ContactPair, or
+    all with nodes."""
     contact = result.contact
     name = getattr(boundary, "boundary", boundary)
     names = contact.names if name is None else (checks.choice("boundary", name, contact.names),)
     drawn = tuple(n for n in names if (contact.boundary == contact.names.index(n)).any())
     if not drawn:
-        raise ValueError(f"boundary: {', '.join(map(repr, names)) or 'this result'} has no contact nodes to draw")
+        raise ValueError(
+            f"boundary: {', '.join(map(repr, names)) or 'this result'} has no contact nodes to draw"
+        )
     return drawn
 
 
 def pair_name(contact: ContactResult, boundary: str) -> str:
     """Return 'slave on master', or the boundary alone in front of a rigid obstacle."""
     master = contact.masters[contact.names.index(boundary)]
-    return f"{style.quoted(boundary)} on {style.quoted(master)}" if master else style.quoted(boundary)
+    return (
+        f"{style.quoted(boundary)} on {style.quoted(master)}" if master else style.quoted(boundary)
+    )
 
 
 def keep_open(ax: Axes, values: np.ndarray, largest: float) -> None:
-    """Scale an axis of values that are rounding, against the ``largest`` value elsewhere, so that they look like 0."""
+    """Scale an axis of values that are rounding, against the ``largest`` value elsewhere, so that
+    they look like 0."""
     if not np.abs(values).max() > 1e-9 * largest:
         ax.set_ylim(-1.0 if values.min() < 0 else 0.0, 1.0)
 
@@ -297,9 +391,14 @@ _COLUMNS = 4
 
 
 @style.styled
-def load_history(results: Sequence[Result], factors: ArrayLike,
-                 quantities: Mapping[str, Callable[[Result], float]], *, against: str = "load factor",
-                 steps: int = 8) -> Figure:
+def load_history(
+    results: Sequence[Result],
+    factors: ArrayLike,
+    quantities: Mapping[str, Callable[[Result], float]],
+    *,
+    against: str = "load factor",
+    steps: int = 8,
+) -> Figure:
     """Draw quantities against the load factor, and below them the contact pressure of single steps.
 
     Parameters
@@ -307,14 +406,17 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
     results : sequence of Result
         One a step, in order; all on the same mesh.
     factors : sequence of float
-        One a step, rising or falling (arrows show the order); any other abscissa is possible, e.g. displacements.
+        One a step, rising or falling (arrows show the order); any other abscissa is possible, e.g.
+        displacements.
     quantities : mapping of str to callable
-        Label of the axis, with its unit, to a function of a Result that returns a number; one panel each.
+        Label of the axis, with its unit, to a function of a Result that returns a number; one panel
+        each.
     against : str
         The label of ``factors``, with their unit.
     steps : int
-        The largest number of steps drawn for each contact boundary: the first, the last, those of the largest factor
-        and pressure, and others between them; 0 for none. The title says how many are left out.
+        The largest number of steps drawn for each contact boundary: the first, the last, those of
+        the largest factor and pressure, and others between them; 0 for none. The title says how
+        many are left out.
 
     Examples
     --------
@@ -346,8 +448,13 @@ def load_history(results: Sequence[Result], factors: ArrayLike,
         part = next(parts)
         left_out = f": {len(shown)} of {len(results)} steps" if len(shown) < len(results) else ""
         part.suptitle(pair_name(results[0].contact, name) + left_out, fontsize=10)
-        _draw_steps(part, [results[k] for k in shown], [f"{against} {style.number(factors[k])}" for k in shown], name,
-                    columns)
+        _draw_steps(
+            part,
+            [results[k] for k in shown],
+            [f"{against} {style.number(factors[k])}" for k in shown],
+            name,
+            columns,
+        )
     figure.suptitle(style.plain(results[-1].problem_name), fontsize=11)
     return figure
 
@@ -358,14 +465,17 @@ def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result
         raise TypeError("results must be a sequence of at least one Result, one a load step")
     factors = checks.vector("factors", factors)
     if len(factors) != len(results):
-        raise ValueError(f"factors must have one value a result: {len(results)} results, {len(factors)} factors")
+        raise ValueError(
+            f"factors must have one value a result: {len(results)} results, {len(factors)} factors"
+        )
     if len({(len(r.displacement), r.dim, len(r.contact), r.contact.names) for r in results}) > 1:
         raise ValueError("results must all belong to the same mesh and contact boundaries")
     return results, factors
 
 
 def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray:
-    """The numbers of the steps to draw: evenly spread, but with those of the largest factor and pressure."""
+    """The numbers of the steps to draw: evenly spread, but with those of the largest factor and
+    pressure."""
     shown = np.linspace(0, len(results) - 1, min(steps, len(results))).round().astype(int)
     for values in (factors, [result.contact.pressure.max(initial=0.0) for result in results]):
         if len(shown) > 2 and (peak := np.argmax(values)) not in shown:
@@ -373,31 +483,53 @@ def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray
     return shown
 
 
-def _evaluate(results: list[Result], quantities: Mapping[str, Callable[[Result], float]]) -> dict[str, np.ndarray]:
+def _evaluate(
+    results: list[Result], quantities: Mapping[str, Callable[[Result], float]]
+) -> dict[str, np.ndarray]:
     if not isinstance(quantities, Mapping) or not all(map(callable, quantities.values())):
         raise TypeError(f"quantities must map labels to functions of a Result, got {quantities!r}")
-    return {style.label_text(str(label)): np.array([
-        checks.number(f"quantities[{label!r}] of step {k}", function(result)) for k, result in enumerate(results)])
-        for label, function in quantities.items()}
+    return {
+        style.label_text(str(label)): np.array(
+            [
+                checks.number(f"quantities[{label!r}] of step {k}", function(result))
+                for k, result in enumerate(results)
+            ]
+        )
+        for label, function in quantities.items()
+    }
 
 
-def _draw_curve(ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, against: str) -> None:
-    ax.plot(factors, values, marker="o" if len(factors) <= 60 else "", markersize=3.5, color=style.BLUE)
+def _draw_curve(
+    ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, against: str
+) -> None:
+    ax.plot(
+        factors, values, marker="o" if len(factors) <= 60 else "", markersize=3.5, color=style.BLUE
+    )
     turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
     if len(turns):
         # up and down: an arrow in the middle of each branch
         for a, b in zip(np.r_[0, turns], np.r_[turns, len(factors) - 1], strict=True):
             k = (a + b) // 2
             middle = [0.5 * (v[k] + v[k + 1]) for v in (factors, values)]
-            ax.annotate("", middle, (factors[k], values[k]),
-                        arrowprops={"arrowstyle": "-|>,head_width=0.35,head_length=0.8", "color": style.BLUE,
-                                    "shrinkA": 0, "shrinkB": 0})
+            ax.annotate(
+                "",
+                middle,
+                (factors[k], values[k]),
+                arrowprops={
+                    "arrowstyle": "-|>,head_width=0.35,head_length=0.8",
+                    "color": style.BLUE,
+                    "shrinkA": 0,
+                    "shrinkB": 0,
+                },
+            )
     ax.set_xlabel(against)
     ax.set_ylabel(label)
     ax.grid(True)
 
 
-def _draw_steps(part: SubFigure, results: list[Result], titles: list[str], name: str, columns: int) -> None:
+def _draw_steps(
+    part: SubFigure, results: list[Result], titles: list[str], name: str, columns: int
+) -> None:
     """Draw the contact pressure of each step, with common scales: curves, in 3D maps."""
     axes = style.cells(part, len(results), columns, share=True)
     if results[0].dim == 3:
@@ -409,20 +541,28 @@ def _draw_steps(part: SubFigure, results: list[Result], titles: list[str], name:
             ax.set(xlabel="", ylabel="")
         along = flat.labels[0]
         part.supylabel(flat.labels[1], fontsize=9.5)
-        bar = part.colorbar(ScalarMappable(norm, "viridis"), ax=axes, label="contact pressure [MPa]")
+        bar = part.colorbar(
+            ScalarMappable(norm, "viridis"), ax=axes, label="contact pressure [MPa]"
+        )
         bar.outline.set_visible(False)
     else:
         lines, contacts = lines_of(results[0], name), [result.contact for result in results]
         for ax, c in zip(axes, contacts, strict=True):
             for line in lines:
-                style.stated_curve(ax, line.position, 1e-6 * c.pressure[line.index], c.state[line.index], 1.5)
+                style.stated_curve(
+                    ax, line.position, 1e-6 * c.pressure[line.index], c.state[line.index], 1.5
+                )
         for ax in axes[::columns]:
             ax.set_ylabel("pressure [MPa]")
         along = lines[0].label
         axes[0].margins(x=0.02)
         axes[0].set_ylim(bottom=0.0)
         pressures = np.array([1e-6 * c.pressure for c in contacts])
-        keep_open(axes[0], pressures[:, np.concatenate([line.index for line in lines])], float(pressures.max()))
+        keep_open(
+            axes[0],
+            pressures[:, np.concatenate([line.index for line in lines])],
+            float(pressures.max()),
+        )
         states = np.concatenate([c.state for c in contacts])
         part.legend(handles=style.state_lines(states, 2.5), loc="outside right upper")
     for ax, title in zip(axes, titles, strict=True):

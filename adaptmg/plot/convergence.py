@@ -1,5 +1,5 @@
-"""history: residual, change and error against work, cycles or time; path: the cycle diagram of a solver; adaptation:
-the meshes of an adaptive loop, and how its error falls."""
+"""history: residual, change and error against work, cycles or time; path: the cycle diagram of a
+solver; adaptation: the meshes of an adaptive loop, and how its error falls."""
 
 from __future__ import annotations
 
@@ -18,18 +18,24 @@ from adaptmg.plot import style
 from adaptmg.plot.bodies import Coloring, draw_bodies, state_marks
 from adaptmg.solver.result import Result
 
-_QUANTITIES = {"error_estimate": "estimated error (relative, energy norm)",
-               "true_error": "true error (relative, energy norm)", "residual": "natural residual (relative)",
-               "relative_change": "change in one cycle (relative, Euclidean)",
-               "change": "change between checks (relative, energy norm)"}
+_QUANTITIES = {
+    "error_estimate": "estimated error (relative, energy norm)",
+    "true_error": "true error (relative, energy norm)",
+    "residual": "natural residual (relative)",
+    "relative_change": "change in one cycle (relative, Euclidean)",
+    "change": "change between checks (relative, energy norm)",
+}
 _AGAINST = {"work_units": "work units", "cycle": "cycle", "seconds": "time [s]"}
 _DASHES = ("-", "--", ":", "-.")
 
 
 @style.styled
-def history(results: Result | Mapping[str, Result], against: str = "work_units", ax: Axes | None = None) -> Figure:
-    """Draw convergence histories on a logarithmic scale: of one result all that it recorded, of several the true error,
-    where all recorded it, else the natural residual, or what else all recorded.
+def history(
+    results: Result | Mapping[str, Result], against: str = "work_units", ax: Axes | None = None
+) -> Figure:
+    """Draw convergence histories on a logarithmic scale: of one result all that it recorded, of
+    several the true error, where all recorded it, else the natural residual, or what else all
+    recorded.
 
     Parameters
     ----------
@@ -47,22 +53,41 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
     several = isinstance(results, Mapping)
     runs = dict(results) if several else {"": results}
     if not runs or not all(isinstance(r, Result) for r in runs.values()):
-        raise TypeError(f"results must be a Result or a mapping of labels to Results, got {results!r}")
+        raise TypeError(
+            f"results must be a Result or a mapping of labels to Results, got {results!r}"
+        )
     checks.choice("against", against, _AGAINST)
     quantities = _chosen(runs, several)
     ax = style.canvas(ax, (6.4, 4.2))
     for k, (label, result) in enumerate(runs.items()):
         for j, name in enumerate(quantities):
-            x, y = np.asarray(result.history[against], dtype=float), np.asarray(result.history[name], dtype=float)
+            x, y = (
+                np.asarray(result.history[against], dtype=float),
+                np.asarray(result.history[name], dtype=float),
+            )
             shown = np.isfinite(x) & np.isfinite(y) & (y > 0)
-            ax.semilogy(x[shown], y[shown], marker="o" if shown.sum() <= 60 else "",
-                        linestyle="-" if several else _DASHES[j], color=f"C{k if several else j}",
-                        label=style.label_text(str(label)) if several else _QUANTITIES[name])
+            ax.semilogy(
+                x[shown],
+                y[shown],
+                marker="o" if shown.sum() <= 60 else "",
+                linestyle="-" if several else _DASHES[j],
+                color=f"C{k if several else j}",
+                label=style.label_text(str(label)) if several else _QUANTITIES[name],
+            )
     tolerances = {result.rtol for result in runs.values()}
     if len(tolerances) == 1:
-        ax.axhline(tolerances.pop(), color=style.GREY, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1)
-        ax.annotate("rtol", (1.0, next(iter(runs.values())).rtol), xycoords=("axes fraction", "data"), color=style.GREY,
-                    fontsize=8.5, ha="right", va="bottom")
+        ax.axhline(
+            tolerances.pop(), color=style.GREY, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1
+        )
+        ax.annotate(
+            "rtol",
+            (1.0, next(iter(runs.values())).rtol),
+            xycoords=("axes fraction", "data"),
+            color=style.GREY,
+            fontsize=8.5,
+            ha="right",
+            va="bottom",
+        )
     ax.set_xlabel(_AGAINST[against])
     if several or len(quantities) == 1:
         ax.set_ylabel(_QUANTITIES[quantities[0]])
@@ -78,12 +103,18 @@ def history(results: Result | Mapping[str, Result], against: str = "work_units",
 
 
 def _chosen(runs: Mapping[str, Result], several: bool) -> list[str]:
-    """The quantities that every run recorded with at least one finite positive value; of several runs the first."""
+    """The quantities that every run recorded with at least one finite positive value; of several
+    runs the first."""
+
     def recorded(result: Result, name: str) -> bool:
         values = np.asarray(result.history.get(name, ()), dtype=float)
         return bool((np.isfinite(values) & (values > 0)).any())
 
-    names = sorted(_QUANTITIES, key=("true_error", "residual", *_QUANTITIES).index) if several else _QUANTITIES
+    names = (
+        sorted(_QUANTITIES, key=("true_error", "residual", *_QUANTITIES).index)
+        if several
+        else _QUANTITIES
+    )
     common = [name for name in names if all(recorded(result, name) for result in runs.values())]
     if not common:
         raise ValueError("results have no quantity of the history in common")
@@ -91,13 +122,17 @@ def _chosen(runs: Mapping[str, Result], several: bool) -> list[str]:
 
 
 #: transfers by their names in the path: colour, line and label
-_TRANSFERS = {"restrict": (style.ORANGE, "-", "restrict residual"), "prolong": (style.BLUE, "-", "prolong correction"),
-              "start": (style.INK, (0, (3, 2)), "prolong solution (nested start)")}
+_TRANSFERS = {
+    "restrict": (style.ORANGE, "-", "restrict residual"),
+    "prolong": (style.BLUE, "-", "prolong correction"),
+    "start": (style.INK, (0, (3, 2)), "prolong solution (nested start)"),
+}
 
 
 @style.styled
 def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
-    """Draw the cycle diagram, level against step (as Fig. 1 of the paper): smoothing, coarse solves and transfers.
+    """Draw the cycle diagram, level against step (as Fig. 1 of the paper): smoothing, coarse solves
+    and transfers.
 
     At most ``steps`` of them are drawn, from the start; the picture says how many there are.
 
@@ -112,22 +147,48 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
     if not entries:
         raise ValueError("this result has no cycles to draw (result.path is empty)")
     levels = max(len(result.levels), max(level for level, _, _ in entries[:steps]) + 1)
-    ax = style.canvas(ax, (min(11.0, 3.4 + 0.1 * len(entries[:steps])), 1.1 + 0.62 * max(levels, 2)))
+    ax = style.canvas(
+        ax, (min(11.0, 3.4 + 0.1 * len(entries[:steps])), 1.1 + 0.62 * max(levels, 2))
+    )
     at, height, before = 0.0, entries[0][0], "restrict"
     for level, action, times in entries[:steps]:
         # a restriction is recorded on the level it leaves, the others on the one they reach
         reached = level - 1 if action == "restrict" else level
         if action in _TRANSFERS:
             color, dashes, label = _TRANSFERS[action]
-            ax.plot([at, at + 1], [height, reached], color=color, linestyle=dashes, linewidth=1.4, label=label)
+            ax.plot(
+                [at, at + 1],
+                [height, reached],
+                color=color,
+                linestyle=dashes,
+                linewidth=1.4,
+                label=label,
+            )
             at += 1
         elif before not in _TRANSFERS:
             at += 0.8  # next to another
         if action == "smooth":
-            ax.scatter(at, level, marker="o", s=120, facecolor="white", edgecolor=style.INK, linewidth=1.1, zorder=3,
-                       label="smooth (sweeps)")
-            ax.text(at, level, str(times) if times < 100 else "", ha="center", va="center", fontsize=7, color=style.INK,
-                    zorder=4)
+            ax.scatter(
+                at,
+                level,
+                marker="o",
+                s=120,
+                facecolor="white",
+                edgecolor=style.INK,
+                linewidth=1.1,
+                zorder=3,
+                label="smooth (sweeps)",
+            )
+            ax.text(
+                at,
+                level,
+                str(times) if times < 100 else "",
+                ha="center",
+                va="center",
+                fontsize=7,
+                color=style.INK,
+                zorder=4,
+            )
         elif action == "solve":
             ax.scatter(at, level, marker="s", s=80, color=style.GREEN, zorder=3, label="solve")
         height, before = reached, action
@@ -138,8 +199,16 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
     ax.tick_params(axis="y", length=0)
     ax.grid(True, axis="y")
     if len(entries) > steps:
-        ax.text(1.0, -0.02, f"first {steps} of {len(entries)} steps", transform=ax.transAxes, ha="right", va="top",
-                color=style.INK, fontsize=8.5)
+        ax.text(
+            1.0,
+            -0.02,
+            f"first {steps} of {len(entries)} steps",
+            transform=ax.transAxes,
+            ha="right",
+            va="top",
+            color=style.INK,
+            fontsize=8.5,
+        )
     handles, labels = ax.get_legend_handles_labels()
     entry = dict(zip(labels, handles, strict=True))
     ax.legend(entry.values(), entry, loc="upper left", bbox_to_anchor=(1.0, 1.02))
@@ -148,11 +217,13 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
 
 @style.styled
 def adaptation(steps: Sequence[Step]) -> Figure:
-    """Draw an adaptive loop: three of its meshes with contact states, a map of the indicator, and how the error falls.
+    """Draw an adaptive loop: three of its meshes with contact states, a map of the indicator, and
+    how the error falls.
 
-    ``steps`` are those of :func:`adaptmg.adapt`. Above are the first mesh, one in the middle and the last; below the
-    square root of each element's part of the estimate on the last mesh, and the relative estimate against nodes and
-    against seconds (meshes included), with the rate of smooth solutions (of a goal twice that of the energy norm).
+    ``steps`` are those of :func:`adaptmg.adapt`. Above are the first mesh, one in the middle and
+    the last; below the square root of each element's part of the estimate on the last mesh, and the
+    relative estimate against nodes and against seconds (meshes included), with the rate of smooth
+    solutions (of a goal twice that of the energy norm).
 
     Examples
     --------
@@ -168,14 +239,21 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     figure = style.new_figure((10.5, 7.2))
     figure.get_layout_engine().set(w_pad=0.1)
     for k, number in enumerate(sorted({0, len(steps) // 2, len(steps) - 1})):
-        ax, result = _panel(figure, k, dim, f"step {number}: {steps[number].nodes} nodes"), steps[number].result
+        ax, result = (
+            _panel(figure, k, dim, f"step {number}: {steps[number].nodes} nodes"),
+            steps[number].result,
+        )
         marks = state_marks(result.mesh, result.contact)
         present |= draw_bodies(ax, result.mesh, style.body_fills(len(result.mesh.bodies)), marks)
-    figure.legend(handles=style.state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5)
+    figure.legend(
+        handles=style.state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5
+    )
     # at most four decades of the indicator in colour
     parts = np.sqrt(last.estimate.squares)
     largest = float(parts.max()) or 1.0
-    norm = LogNorm(max(1e-4 * largest, parts.min(initial=0.5 * largest, where=parts > 0)), largest, clip=True)
+    norm = LogNorm(
+        max(1e-4 * largest, parts.min(initial=0.5 * largest, where=parts > 0)), largest, clip=True
+    )
     ax = _panel(figure, 3, dim, f"indicator, step {last.number}")
     draw_bodies(ax, last.result.mesh, Coloring(parts, False, "", norm), lines=False)
     label = r"$|\eta_E|^{1/2}$ of the goal" if goal else r"$\eta_E$ [$\sqrt{\mathrm{N\,m}}$]"
@@ -187,15 +265,24 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     for ax, x, name in ((left, nodes, "nodes"), (right, seconds, "time, meshes included [s]")):
         shown = (x > 0) & (relative > 0) & np.isfinite(relative)
         ax.loglog(x[shown], relative[shown], marker="o", color=style.BLUE)
-        ax.set(xlabel=name, ylabel="estimate / value of the goal [-]" if goal else r"estimate / $\|u_h\|_A$ [-]")
+        ax.set(
+            xlabel=name,
+            ylabel="estimate / value of the goal [-]" if goal else r"estimate / $\|u_h\|_A$ [-]",
+        )
         ax.grid(True, which="both")
         for axis in (ax.xaxis, ax.yaxis):
             style.label_plainly(axis)
     if (relative > 0).all() and np.isfinite(relative[-1]) and nodes[-1] > nodes[0]:
         # the error of a quantity falls as the square of that in the energy norm
         power = -2 / dim if goal else -1 / dim
-        left.plot(nodes, 1.35 * relative[-1] * (nodes / nodes[-1]) ** power, color=style.GREY, linewidth=1.0,
-                  linestyle="--", label=f"nodes$^{{{Fraction(power).limit_denominator(9)}}}$")
+        left.plot(
+            nodes,
+            1.35 * relative[-1] * (nodes / nodes[-1]) ** power,
+            color=style.GREY,
+            linewidth=1.0,
+            linestyle="--",
+            label=f"nodes$^{{{Fraction(power).limit_denominator(9)}}}$",
+        )
         left.legend()
     figure.suptitle(style.plain(last.result.problem_name), fontsize=11)
     return figure

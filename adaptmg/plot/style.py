@@ -1,4 +1,5 @@
-"""The style of all pictures: type, colours for the colour-blind (Okabe and Ito), units, contact states, polylines.
+"""The style of all pictures: type, colours for the colour-blind (Okabe and Ito), units, contact
+states, polylines.
 
 Open, slip and stick have the same three colours on curves, interfaces and backgrounds.
 """
@@ -29,18 +30,47 @@ from adaptmg.solver.result import Result
 INK, GREY = "#1f2328", "#8a9099"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
 #: fills of bodies: pale, so that lines, marks and the colours of states show on them
-BODY_COLORS = ("#b9d3ea", "#f3d9b1", "#bfe0c8", "#e3c8dd", "#d9d6cf", "#f4efb5", "#b8e2e8", "#e9bdb5")
+BODY_COLORS = (
+    "#b9d3ea",
+    "#f3d9b1",
+    "#bfe0c8",
+    "#e3c8dd",
+    "#d9d6cf",
+    "#f4efb5",
+    "#b8e2e8",
+    "#e9bdb5",
+)
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#806000", INK)
 
 _STYLE = {
-    "figure.dpi": 120, "figure.facecolor": "white",
-    "axes.facecolor": "white", "font.family": "sans-serif", "font.size": 9.5, "axes.titlesize": 10.5,
-    "axes.labelsize": 9.5, "axes.titlepad": 8, "axes.edgecolor": "#5b626b",
-    "axes.labelcolor": INK, "text.color": INK, "xtick.color": "#3f454d", "ytick.color": "#3f454d",
-    "axes.linewidth": 0.8, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": False,
-    "grid.color": "#dfe3e8", "grid.linewidth": 0.7, "legend.frameon": False, "legend.fontsize": 9,
-    "lines.linewidth": 1.6, "lines.markersize": 4.5, "mathtext.fontset": "dejavusans", "hatch.linewidth": 0.6,
-    "axes.prop_cycle": matplotlib.cycler(color=CYCLE), "image.cmap": "viridis", "axes.axisbelow": True,
+    "figure.dpi": 120,
+    "figure.facecolor": "white",
+    "axes.facecolor": "white",
+    "font.family": "sans-serif",
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.labelsize": 9.5,
+    "axes.titlepad": 8,
+    "axes.edgecolor": "#5b626b",
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": "#3f454d",
+    "ytick.color": "#3f454d",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": False,
+    "grid.color": "#dfe3e8",
+    "grid.linewidth": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4.5,
+    "mathtext.fontset": "dejavusans",
+    "hatch.linewidth": 0.6,
+    "axes.prop_cycle": matplotlib.cycler(color=CYCLE),
+    "image.cmap": "viridis",
+    "axes.axisbelow": True,
     "text.usetex": False,
 }
 
@@ -64,14 +94,16 @@ class _Picture(Figure):
 
 
 def new_figure(size: tuple[float, float], layout: str = "compressed") -> Figure:
-    """Return a figure of ``size`` inches that pyplot does not keep; with subfigures "constrained"."""
+    """Return a figure of ``size`` inches that pyplot does not keep; with subfigures
+    "constrained"."""
     figure = _Picture(figsize=size, layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
 def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
-    """Return ``ax``, or the axes of a new figure of ``size`` inches; three-dimensional where ``dim`` is 3."""
+    """Return ``ax``, or the axes of a new figure of ``size`` inches; three-dimensional where
+    ``dim`` is 3."""
     if ax is None:
         return new_figure(size).add_subplot(projection="3d" if dim == 3 else None)
     if (checks.instance("ax", ax, Axes, "matplotlib axes").name == "3d") != (dim == 3):
@@ -79,10 +111,19 @@ def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
     return ax
 
 
-def cells(part: Figure | SubFigure, count: int, columns: int, share: bool = False, dim: int = 2) -> list[Axes]:
-    """Return ``count`` axes row by row; with ``share`` on common scales, with numbers only at the left and below."""
-    axes = part.subplots(-(-count // columns), columns, sharex=share, sharey=share, squeeze=False,
-                         subplot_kw={"projection": "3d"} if dim == 3 else {}).ravel()
+def cells(
+    part: Figure | SubFigure, count: int, columns: int, share: bool = False, dim: int = 2
+) -> list[Axes]:
+    """Return ``count`` axes row by row; with ``share`` on common scales, with numbers only at the
+    left and below."""
+    axes = part.subplots(
+        -(-count // columns),
+        columns,
+        sharex=share,
+        sharey=share,
+        squeeze=False,
+        subplot_kw={"projection": "3d"} if dim == 3 else {},
+    ).ravel()
     for k, ax in enumerate(axes):
         if k >= count:
             ax.remove()
@@ -92,15 +133,24 @@ def cells(part: Figure | SubFigure, count: int, columns: int, share: bool = Fals
 
 
 def entitle(ax: Axes, text: str) -> None:
-    """Set a title above everything: the labels of three-dimensional axes seen from below run along the upper side."""
+    """Set a title above everything: the labels of three-dimensional axes seen from below run along
+    the upper side."""
     ax.set_title(text, pad=30 if ax.name == "3d" else None)
 
 
 def legend_below(ax: Axes, handles: Sequence[Artist]) -> None:
     """Add a legend below axes and their labels."""
-    below = ScaledTranslation(0, -0.5 if ax.name != "3d" else -0.1, ax.get_figure(root=True).dpi_scale_trans)
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=ax.transAxes + below,
-              ncols=min(len(handles), 4), borderaxespad=0.0)
+    below = ScaledTranslation(
+        0, -0.5 if ax.name != "3d" else -0.1, ax.get_figure(root=True).dpi_scale_trans
+    )
+    ax.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=ax.transAxes + below,
+        ncols=min(len(handles), 4),
+        borderaxespad=0.0,
+    )
 
 
 def axes_of(axes: Sequence[Axes], count: int) -> list[Axes]:
@@ -117,7 +167,8 @@ def axis_names(result: Result) -> str:
 
 
 def scaled(largest: float, unit: str) -> tuple[float, str]:
-    """Return a factor and a prefixed unit for values up to ``largest``: 0.004 m gives (1e3, 'mm')."""
+    """Return a factor and a prefixed unit for values up to ``largest``: 0.004 m gives (1e3,
+    'mm')."""
     if not (np.isfinite(largest) and largest > 0):
         return 1.0, unit
     for size, prefix in _PREFIXES:
@@ -127,7 +178,8 @@ def scaled(largest: float, unit: str) -> tuple[float, str]:
 
 
 def plain(name: str) -> str:
-    """Return a name as text that matplotlib shows unchanged: without math, and not hidden in legends by a leading _."""
+    """Return a name as text that matplotlib shows unchanged: without math, and not hidden in
+    legends by a leading _."""
     return (" " if name.startswith("_") else "") + printable(name).replace("$", r"\$")
 
 
@@ -156,7 +208,13 @@ def number(value: float) -> str:
 def label_plainly(axis: Axis) -> None:
     """Label a logarithmic axis with plain numbers: few on long ranges, several on short ones."""
     low, high = axis.get_data_interval()
-    subs = (1.0,) if high > 100 * low else (1.0, 2.0, 5.0) if high > 5 * low else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    subs = (
+        (1.0,)
+        if high > 100 * low
+        else (1.0, 2.0, 5.0)
+        if high > 5 * low
+        else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    )
     axis.set_major_locator(LogLocator(subs=subs, numticks=20))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -182,21 +240,42 @@ def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
     for a, b in zip(starts, ends, strict=True):
         left = position[a] if a == 0 else 0.5 * (position[a - 1] + position[a])
         right = position[b] if b == len(state) - 1 else 0.5 * (position[b] + position[b + 1])
-        ax.axvspan(left, right, facecolor=STATE_COLORS[int(state[a])], edgecolor="none", linewidth=0, zorder=0)
+        ax.axvspan(
+            left,
+            right,
+            facecolor=STATE_COLORS[int(state[a])],
+            edgecolor="none",
+            linewidth=0,
+            zorder=0,
+        )
 
 
 def halves(edges: np.ndarray) -> np.ndarray:
     """Return the halves (2 n, 2, dim) of edges (n, 2, dim), that of the first end first."""
     middle = edges.mean(axis=1, keepdims=True)
-    return np.concatenate([edges[:, :1], middle, middle, edges[:, 1:]], axis=1).reshape(-1, 2, edges.shape[2])
+    return np.concatenate([edges[:, :1], middle, middle, edges[:, 1:]], axis=1).reshape(
+        -1, 2, edges.shape[2]
+    )
 
 
-def stated_curve(ax: Axes, position: np.ndarray, values: np.ndarray, state: np.ndarray, linewidth: float = 1.8) -> None:
-    """Draw values against position as a curve coloured by state half way between nodes, with marks up to 150 nodes."""
+def stated_curve(
+    ax: Axes, position: np.ndarray, values: np.ndarray, state: np.ndarray, linewidth: float = 1.8
+) -> None:
+    """Draw values against position as a curve coloured by state half way between nodes, with marks
+    up to 150 nodes."""
     points, colors = np.stack([position, values], 1), [STATE_INKS[int(code)] for code in state]
-    ax.add_collection(LineCollection(halves(np.stack([points[:-1], points[1:]], 1)), colors=np.repeat(colors, 2)[1:-1],
-                                     linewidths=linewidth, capstyle="round", zorder=3))
-    ax.scatter(position, values, s=9.0 if len(position) <= 150 else 0.0, c=colors, linewidths=0, zorder=4)
+    ax.add_collection(
+        LineCollection(
+            halves(np.stack([points[:-1], points[1:]], 1)),
+            colors=np.repeat(colors, 2)[1:-1],
+            linewidths=linewidth,
+            capstyle="round",
+            zorder=3,
+        )
+    )
+    ax.scatter(
+        position, values, s=9.0 if len(position) <= 150 else 0.0, c=colors, linewidths=0, zorder=4
+    )
 
 
 def body_fills(count: int) -> list[str]:
@@ -207,5 +286,8 @@ def body_fills(count: int) -> list[str]:
 def state_lines(states: Iterable[int], linewidth: float = 3.0) -> list[Line2D]:
     """Return legend entries for the states that occur."""
     present = set(map(int, states))
-    return [Line2D([], [], color=STATE_INKS[s], linewidth=linewidth, label=STATE_NAMES[s])
-            for s in (OPEN, SLIP, STICK) if int(s) in present]
+    return [
+        Line2D([], [], color=STATE_INKS[s], linewidth=linewidth, label=STATE_NAMES[s])
+        for s in (OPEN, SLIP, STICK)
+        if int(s) in present
+    ]

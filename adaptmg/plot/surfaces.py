@@ -1,8 +1,10 @@
-r"""Surfaces of solids in matplotlib's three-dimensional axes, with hidden parts hidden by a depth buffer.
+r"""Surfaces of solids in matplotlib's three-dimensional axes, with hidden parts hidden by a depth
+buffer.
 
-Matplotlib sorts whole polygons by their mean depth, which fails where bodies touch. Here each pixel shows what is
-nearest. A pixel with centre x lies in a triangle where its barycentric coordinates :math:`w_k` are all >= 0; depth and
-colour are :math:`\sum_k w_k z_k` (after the perspective division depth is linear on the screen) and
+Matplotlib sorts whole polygons by their mean depth, which fails where bodies touch. Here each pixel
+shows what is nearest. A pixel with centre x lies in a triangle where its barycentric coordinates
+:math:`w_k` are all >= 0; depth and colour are :math:`\sum_k w_k z_k` (after the perspective
+division depth is linear on the screen) and
 :math:`\sum_k w_k c_k`. The distance to the edge opposite corner k is :math:`w_k \cdot 2A / \ell_k`. The image is made
 when the figure is drawn, at its resolution, and follows when the view is turned.
 """
@@ -39,15 +41,27 @@ class Lines:
 
 
 class ShadedSurface(Artist):
-    """Shaded triangles (n, 3, 3) in colours (n, 4) or (n, 3, 4), and lines; the light stands behind the viewer's left
-    shoulder. The edges of triangles are drawn if ``edges``."""
+    """Shaded triangles (n, 3, 3) in colours (n, 4) or (n, 3, 4), and lines; the light stands behind
+    the viewer's left shoulder. The edges of triangles are drawn if ``edges``."""
 
-    def __init__(self, corners: np.ndarray, colors: np.ndarray, edges: bool = False, lines: tuple[Lines, ...] = (),
-                 shading: float = 0.2) -> None:
+    def __init__(
+        self,
+        corners: np.ndarray,
+        colors: np.ndarray,
+        edges: bool = False,
+        lines: tuple[Lines, ...] = (),
+        shading: float = 0.2,
+    ) -> None:
         super().__init__()
-        self.corners, self.lines, self.shading = np.asarray(corners, dtype=np.float64), lines, shading
+        self.corners, self.lines, self.shading = (
+            np.asarray(corners, dtype=np.float64),
+            lines,
+            shading,
+        )
         colors = np.asarray(colors, dtype=np.float64)[..., :3]
-        self.colors = np.broadcast_to(colors[:, None] if colors.ndim == 2 else colors, (len(corners), 3, 3))
+        self.colors = np.broadcast_to(
+            colors[:, None] if colors.ndim == 2 else colors, (len(corners), 3, 3)
+        )
         self.width = float(np.clip(12 / np.sqrt(len(corners)), 0.15, 0.6)) if edges else 0.0
         self.set_clip_on(False)
         self.set_zorder(1)
@@ -56,14 +70,17 @@ class ShadedSurface(Artist):
         """Draw into the figure; matplotlib calls this."""
         if not self.get_visible():
             return
-        image, x, y = self.raster(renderer.points_to_pixels(1.0), renderer.get_image_magnification())
+        image, x, y = self.raster(
+            renderer.points_to_pixels(1.0), renderer.get_image_magnification()
+        )
         if image.size:
             graphics = renderer.new_gc()
             renderer.draw_image(graphics, x, y, image)
             graphics.restore()
 
     def get_tightbbox(self, renderer: RendererBase | None = None) -> Bbox:
-        """Return the box of triangles and lines and, which matplotlib's layout leaves out, of the axes' labels."""
+        """Return the box of triangles and lines and, which matplotlib's layout leaves out, of the
+        axes' labels."""
         parts = [self._project(self.corners)[..., :2].reshape(-1, 2)]
         parts += [self._project(line.ends)[..., :2].reshape(-1, 2) for line in self.lines]
         boxes = [Bbox([np.min(part, axis=0), np.max(part, axis=0)]) for part in parts if len(part)]
@@ -79,7 +96,10 @@ class ShadedSurface(Artist):
     def raster(self, point: float, magnification: float = 1.0) -> tuple[np.ndarray, float, float]:
         """Return the picture in the present view, and the pixel of its lower left corner."""
         finer = _FINER * magnification
-        corners, lines = self._project(self.corners), [self._project(line.ends) for line in self.lines]
+        corners, lines = (
+            self._project(self.corners),
+            [self._project(line.ends) for line in self.lines],
+        )
         seen = np.concatenate([part.reshape(-1, 3) for part in (corners, *lines)])
         frame = self.axes.get_figure(root=True).bbox
         lower = np.floor(np.clip(seen[:, :2].min(axis=0) - 2, 0, (frame.width, frame.height)))
@@ -91,12 +111,21 @@ class ShadedSurface(Artist):
         depth = np.full(image.shape[:2], np.inf)
         for part in (corners, *lines):
             part[..., :2] = (part[..., :2] - lower) * finer
-        raster_triangles(corners, self._shaded(), np.array(to_rgb(INK)), self.width * point * finer, image, depth)
+        raster_triangles(
+            corners, self._shaded(), np.array(to_rgb(INK)), self.width * point * finer, image, depth
+        )
         bias = 0.01 * float(np.ptp(seen[:, 2]))
         for line, ends in zip(self.lines, lines, strict=True):
             for color, nearer in ((line.hidden, np.inf), (line.color, bias)):
                 if color is not None:
-                    raster_segments(ends, np.array(to_rgb(color)), line.width * point * finer, nearer, image, depth)
+                    raster_segments(
+                        ends,
+                        np.array(to_rgb(color)),
+                        line.width * point * finer,
+                        nearer,
+                        image,
+                        depth,
+                    )
         # colours weighted by coverage, so that edges fade out without a dark rim
         image[..., :3] *= image[..., 3:]
         mean = image.reshape(rows, _FINER, columns, _FINER, 4).mean(axis=(1, 3))
@@ -105,7 +134,10 @@ class ShadedSurface(Artist):
 
     def _project(self, points: np.ndarray) -> np.ndarray:
         """Pixels of the figure and depth (..., 3) of points (..., 3)."""
-        flat = np.column_stack([points.reshape(-1, 3), np.ones(points.size // 3)]) @ np.asarray(self.axes.get_proj()).T
+        flat = (
+            np.column_stack([points.reshape(-1, 3), np.ones(points.size // 3)])
+            @ np.asarray(self.axes.get_proj()).T
+        )
         flat = flat[:, :3] / flat[:, 3:]
         flat[:, :2] = self.axes.transData.transform(flat[:, :2])
         return flat.reshape(points.shape)
@@ -117,15 +149,17 @@ class ShadedSurface(Artist):
         light = towards + 0.7 * up - 0.5 * np.cross(up, towards)
         # a triangle seen from behind (the inside of an open surface) is lit like its front
         front = np.where(normals @ towards < 0, -1.0, 1.0)
-        shade = 1.0 - self.shading * (1.0 - np.clip(front * (normals @ (light / np.linalg.norm(light))), 0.0, 1.0))
+        shade = 1.0 - self.shading * (
+            1.0 - np.clip(front * (normals @ (light / np.linalg.norm(light))), 0.0, 1.0)
+        )
         return self.colors * shade[:, None, None]
 
 
 @kernel
 def raster_triangles(corners, colors, ink, width, image, depth):
-    """Draw triangles (n, 3, 3), x and y in pixels and depth, with an rgb colour (n, 3, 3) at each corner. Edges have
-    the colour ``ink`` (3,) and ``width`` pixels, half in each triangle. ``image`` (rows, columns, 4) and ``depth``
-    (rows, columns) are changed."""
+    """Draw triangles (n, 3, 3), x and y in pixels and depth, with an rgb colour (n, 3, 3) at each
+    corner. Edges have the colour ``ink`` (3,) and ``width`` pixels, half in each triangle.
+    ``image`` (rows, columns, 4) and ``depth`` (rows, columns) are changed."""
     rows, columns = depth.shape
     for t in range(len(corners)):
         x0, y0, z0 = corners[t, 0]
@@ -160,13 +194,16 @@ def raster_triangles(corners, colors, ink, width, image, depth):
                     if edge:
                         image[i, j, k] = ink[k]
                     else:
-                        image[i, j, k] = w0 * colors[t, 0, k] + w1 * colors[t, 1, k] + w2 * colors[t, 2, k]
+                        image[i, j, k] = (
+                            w0 * colors[t, 0, k] + w1 * colors[t, 1, k] + w2 * colors[t, 2, k]
+                        )
                 image[i, j, 3] = 1.0
 
 
 @kernel
 def raster_segments(ends, ink, width, bias, image, depth):
-    """Draw the visible parts of segments (n, 2, 3); what lies nearer by at most ``bias`` does not hide them."""
+    """Draw the visible parts of segments (n, 2, 3); what lies nearer by at most ``bias`` does not
+    hide them."""
     rows, columns = depth.shape
     reach = int(0.5 * width + 1.0)
     for s in range(len(ends)):
@@ -177,22 +214,36 @@ def raster_segments(ends, ink, width, bias, image, depth):
             x, y, z = ends[s, 0, 0] + t * dx, ends[s, 0, 1] + t * dy, ends[s, 0, 2] + t * dz
             for i in range(max(int(y) - reach, 0), min(int(y) + reach, rows - 1) + 1):
                 for j in range(max(int(x) - reach, 0), min(int(x) + reach, columns - 1) + 1):
-                    if (i + 0.5 - y) ** 2 + (j + 0.5 - x) ** 2 <= 0.25 * width * width and z <= depth[i, j] + bias:
+                    if (i + 0.5 - y) ** 2 + (
+                        j + 0.5 - x
+                    ) ** 2 <= 0.25 * width * width and z <= depth[i, j] + bias:
                         for k in range(3):
                             image[i, j, k] = ink[k]
                         image[i, j, 3] = 1.0
 
 
 #: elevations and azimuths in degrees, the preferred one first
-_VIEWS = ((22, -58), (22, -148), (-24, -58), (-24, -148), (22, 32), (22, 122), (-24, 32), (-24, 122))
+_VIEWS = (
+    (22, -58),
+    (22, -148),
+    (-24, -58),
+    (-24, -148),
+    (22, 32),
+    (22, 122),
+    (-24, 32),
+    (-24, 122),
+)
 
 
 def view_of(ax: Axes3D, corners: np.ndarray) -> None:
-    """Choose the view in which most of some triangles (n, 3, 3) of a body shows; the first view is preferred."""
+    """Choose the view in which most of some triangles (n, 3, 3) of a body shows; the first view is
+    preferred."""
     if not len(corners):
         return
     normals = normals_of(corners)
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    areas = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
     best, chosen = 0.0, _VIEWS[0]
     for view in _VIEWS:
         shown = float(areas @ np.maximum(normals @ viewer(*view), 0.0)) / float(areas.sum())
@@ -205,7 +256,9 @@ def finish_axes(ax: Axes3D, points: np.ndarray, unit: str) -> None:
     """Set equal scales around points (n, 3), labels with units, plain panes and the first view."""
     lower, upper, _ = bounds(points)
     extent = np.maximum(upper - lower, 1e-3 * np.max(upper - lower))
-    for axis, low, wide, name in zip((ax.xaxis, ax.yaxis, ax.zaxis), lower, extent, "xyz", strict=True):
+    for axis, low, wide, name in zip(
+        (ax.xaxis, ax.yaxis, ax.zaxis), lower, extent, "xyz", strict=True
+    ):
         getattr(ax, f"set_{name}lim")(low - 0.02 * wide, low + 1.02 * wide)
         getattr(ax, f"set_{name}label")(f"{name} [{unit}]", labelpad=2)
         axis.pane.set_facecolor("white")

@@ -1,4 +1,5 @@
-"""Problems: materials, laws, loads, obstacles, pairs and domains as pure data in SI units, without NGSolve."""
+"""Problems: materials, laws, loads, obstacles, pairs and domains as pure data in SI units, without
+NGSolve."""
 
 from adaptmg.problem.combined_domains import Assembly, Common, Cracked, Cut, Fuse
 from adaptmg.problem.contact_problem import Contact, ContactProblem
@@ -30,12 +31,55 @@ from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon,
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Moving, Periodic, Plane, Rigid, Tied
 
-__all__ = ["Assembly", "Axisymmetric", "Ball", "BodyForce", "Box", "Circle", "Common", "Contact", "ContactPair",
-           "ContactProblem", "Coulomb", "Cracked", "Cut", "Cylinder", "Domain", "Elastic", "Extrusion", "Frictionless",
-           "Fuse", "GapFunction", "InitialStrain", "Law", "LoadPath", "Moved", "Moving", "Outline", "Periodic", "Plane",
-           "PlaneStrain", "PlaneStress", "PointSpring", "PointSupport", "Polygon", "Preload", "Pressure", "Rectangle",
-           "Revolution", "Rigid", "Solid", "Spring", "StepFile", "Support", "Symmetry", "Tied", "Traction", "Tresca",
-           "step_problem"]
+__all__ = [
+    "Assembly",
+    "Axisymmetric",
+    "Ball",
+    "BodyForce",
+    "Box",
+    "Circle",
+    "Common",
+    "Contact",
+    "ContactPair",
+    "ContactProblem",
+    "Coulomb",
+    "Cracked",
+    "Cut",
+    "Cylinder",
+    "Domain",
+    "Elastic",
+    "Extrusion",
+    "Frictionless",
+    "Fuse",
+    "GapFunction",
+    "InitialStrain",
+    "Law",
+    "LoadPath",
+    "Moved",
+    "Moving",
+    "Outline",
+    "Periodic",
+    "Plane",
+    "PlaneStrain",
+    "PlaneStress",
+    "PointSpring",
+    "PointSupport",
+    "Polygon",
+    "Preload",
+    "Pressure",
+    "Rectangle",
+    "Revolution",
+    "Rigid",
+    "Solid",
+    "Spring",
+    "StepFile",
+    "Support",
+    "Symmetry",
+    "Tied",
+    "Traction",
+    "Tresca",
+    "step_problem",
+]
 
 
 def __dir__() -> list[str]:

@@ -1,10 +1,12 @@
 """Bodies made of others: differences, unions and intersections, bodies with cracks, and assemblies.
 
-When solids are combined, the names of faces survive: several faces may share one, and a name without a face is an error
-only where it is used. Plane domains combined are an :class:`~adaptmg.problem.Outline` as soon as they are made: edges
-are cut where those of the other outline meet them, and a piece stays by the side of the other outline that it lies on:
-outside of it in a union, inside in an intersection; in a difference pieces of b inside of a stay, turned round. Where
-pieces of both coincide, one stays if the bodies lie on the same side of it (in a difference: on either side).
+When solids are combined, the names of faces survive: several faces may share one, and a name
+without a face is an error only where it is used. Plane domains combined are an
+:class:`~adaptmg.problem.Outline` as soon as they are made: edges are cut where those of the other
+outline meet them, and a piece stays by the side of the other outline that it lies on: outside of it
+in a union, inside in an intersection; in a difference pieces of b inside of a stay, turned round.
+Where pieces of both coincide, one stays if the bodies lie on the same side of it (in a difference:
+on either side).
 
 A crack has two faces: a path of straight edges in the plane, a plane polygon in space.
 """
@@ -22,21 +24,36 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
 from adaptmg._text import brief
-from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle, with_vertex
+from adaptmg.problem.plane_domains import (
+    Box,
+    Circle,
+    Domain,
+    Outline,
+    Polygon,
+    Rectangle,
+    with_vertex,
+)
 from adaptmg.problem.plane_edges import Arc, Segment, check_simple, meetings
 from adaptmg.problem.solid_domains import SOLID, SolidDomain
 
 Path = tuple[tuple[float, ...], ...]
-# of the extent: ends of cracks this near to a vertex or an edge lie on it; points nearer to each other are one
+# of the extent: ends of cracks this near to a vertex or an edge lie on it; points nearer to each
+# other are one
 _NEAR, _ROUND = 1e-9, 1e-12
 _SIDES = ("left", "right")
 
 
 def _part(name: str, value: Domain) -> Domain:
-    part = checks.instance(name, value, (SolidDomain, Box, Rectangle, Outline, Circle),
-                           f"{SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)")
+    part = checks.instance(
+        name,
+        value,
+        (SolidDomain, Box, Rectangle, Outline, Circle),
+        f"{SOLID}, or a plane domain (Rectangle, Polygon, Outline, Circle, Cut, ...)",
+    )
     if isinstance(part, Cracked):
-        raise ValueError(f"{name} is cracked: combine the bodies first, and name all cracks of the result together")
+        raise ValueError(
+            f"{name} is cracked: combine the bodies first, and name all cracks of the result together"
+        )
     return part
 
 
@@ -45,10 +62,11 @@ Part = Annotated[Domain, _part]
 
 @dataclass(frozen=True)
 class Combination(SolidDomain):
-    """Two solids, or two plane domains, combined: the base class of :class:`Cut`, :class:`Fuse` and :class:`Common`.
+    """Two solids, or two plane domains, combined: the base class of :class:`Cut`, :class:`Fuse` and
+    :class:`Common`.
 
-    Boundaries keep their names; where both parts have one of the same name, it becomes one boundary unless ``rename``
-    tells them apart.
+    Boundaries keep their names; where both parts have one of the same name, it becomes one boundary
+    unless ``rename`` tells them apart.
 
     Parameters
     ----------
@@ -61,15 +79,23 @@ class Combination(SolidDomain):
     a: Part
     b: Part
     rename: Annotated[Mapping[str, str], partial(checks.mapping, words="names to names")] = field(
-        default_factory=dict, hash=False)
+        default_factory=dict, hash=False
+    )
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.a.dim != self.b.dim:
-            raise ValueError(f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains")
-        known = [key for part in "ab" for name in getattr(self, part).boundaries for key in (name, f"{part}.{name}")]
+            raise ValueError(
+                f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains"
+            )
+        known = [
+            key
+            for part in "ab"
+            for name in getattr(self, part).boundaries
+            for key in (name, f"{part}.{name}")
+        ]
         for old, new in self.rename.items():
             checks.choice("the keys of rename", old, dict.fromkeys(known))
             checks.boundary_name(f"rename[{old!r}]", new)
@@ -84,8 +110,12 @@ class Combination(SolidDomain):
     @cached_property
     def outline(self) -> Outline:
         """Return, of plane domains, the edges of the result, holes included."""
-        parts = [replace(outline, boundaries=tuple(self.renamed(part, name) for name in outline.boundaries))
-                 for part, outline in (("a", self.a.outline), ("b", self.b.outline))]
+        parts = [
+            replace(
+                outline, boundaries=tuple(self.renamed(part, name) for name in outline.boundaries)
+            )
+            for part, outline in (("a", self.a.outline), ("b", self.b.outline))
+        ]
         return combined(type(self).__name__, *parts)
 
     def renamed(self, part: str, name: str) -> str:
@@ -94,7 +124,8 @@ class Combination(SolidDomain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Return the distinct names: those of a, then those of b; of some of them no face of a solid may be left."""
+        """Return the distinct names: those of a, then those of b; of some of them no face of a
+        solid may be left."""
         if self.dim == 2:
             return tuple(dict.fromkeys(self.outline.boundaries))
         both = ((part, name) for part in "ab" for name in getattr(self, part).boundaries)
@@ -143,7 +174,9 @@ class Common(Combination):
     """
 
     def _extremes(self) -> np.ndarray:
-        return np.stack([np.maximum(self.a.lower, self.b.lower), np.minimum(self.a.upper, self.b.upper)])
+        return np.stack(
+            [np.maximum(self.a.lower, self.b.lower), np.minimum(self.a.upper, self.b.upper)]
+        )
 
 
 @dataclass(frozen=True)
@@ -158,17 +191,24 @@ class _Piece:
 
 
 def combined(what: str, a: Outline, b: Outline) -> Outline:
-    """Return the outline of "Cut", "Fuse" or "Common" of two outlines; ValueError unless it is one piece."""
+    """Return the outline of "Cut", "Fuse" or "Common" of two outlines; ValueError unless it is one
+    piece."""
     tol = _ROUND * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
     points: list[np.ndarray] = []
     edges = [[outline.edge(i) for i in range(len(outline.vertices))] for outline in (a, b)]
     met = [[meetings(e, f, tol) for f in edges[1]] for e in edges[0]]
     of_a = _pieces(a, edges[0], [list(chain(*row)) for row in met], points, tol)
-    of_b = _pieces(b, edges[1], [list(chain(*column)) for column in zip(*met, strict=True)], points, tol)
+    of_b = _pieces(
+        b, edges[1], [list(chain(*column)) for column in zip(*met, strict=True)], points, tol
+    )
     kept = []
     for piece in of_a:
-        twins = [other for other in of_b if {piece.start, piece.end} == {other.start, other.end}
-                 and np.linalg.norm(piece.middle - other.middle) <= 10 * tol]
+        twins = [
+            other
+            for other in of_b
+            if {piece.start, piece.end} == {other.start, other.end}
+            and np.linalg.norm(piece.middle - other.middle) <= 10 * tol
+        ]
         if twins:
             if (twins[0].start == piece.start) != (what == "Cut"):
                 kept.append(piece)
@@ -177,13 +217,21 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
         of_b = [other for other in of_b if other not in twins]
     for piece in of_b:
         if (a.winding(piece.middle) == 1) == (what != "Fuse"):
-            kept.append(replace(piece, start=piece.end, end=piece.start) if what == "Cut" else piece)
+            kept.append(
+                replace(piece, start=piece.end, end=piece.start) if what == "Cut" else piece
+            )
     return _chained(what, kept, points)
 
 
-def _pieces(outline: Outline, edges: list[Segment | Arc], cuts: list[list[np.ndarray]], points: list[np.ndarray],
-            tol: float) -> list[_Piece]:
+def _pieces(
+    outline: Outline,
+    edges: list[Segment | Arc],
+    cuts: list[list[np.ndarray]],
+    points: list[np.ndarray],
+    tol: float,
+) -> list[_Piece]:
     """The edges of an outline cut at points, which are numbered in ``points``."""
+
     def number(p: np.ndarray) -> int:
         for k, other in enumerate(points):
             if np.abs(p - other).max() <= 4 * tol:
@@ -213,8 +261,10 @@ def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outli
     leaving: dict[int, _Piece] = {}
     for piece in pieces:
         if piece.start in leaving:
-            raise ValueError(f"the edges of the {what} touch each other at the point "
-                             f"{tuple(points[piece.start].tolist())}: move or resize one part a little")
+            raise ValueError(
+                f"the edges of the {what} touch each other at the point "
+                f"{tuple(points[piece.start].tolist())}: move or resize one part a little"
+            )
         leaving[piece.start] = piece
     loops = []
     while leaving:
@@ -225,14 +275,19 @@ def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outli
     areas = [_loop_area(loop, points) for loop in loops]
     outer = [k for k, area in enumerate(areas) if area > 0]
     if len(outer) != 1:
-        raise ValueError(f"the {what} leaves {f'{len(outer)} pieces' if outer else 'nothing'}; a body must be one "
-                         "piece: pose several as an Assembly")
+        raise ValueError(
+            f"the {what} leaves {f'{len(outer)} pieces' if outer else 'nothing'}; a body must be one "
+            "piece: pose several as an Assembly"
+        )
     loops.insert(0, loops.pop(outer[0]))
     starts = np.cumsum([0, *map(len, loops)])
     every = list(chain(*loops))
-    return Outline(vertices=tuple(tuple(points[piece.start].tolist()) for piece in every),
-                   boundaries=tuple(piece.name for piece in every), holes=tuple(starts[1:-1].tolist()),
-                   arcs={k: piece.centre for k, piece in enumerate(every) if piece.centre is not None})
+    return Outline(
+        vertices=tuple(tuple(points[piece.start].tolist()) for piece in every),
+        boundaries=tuple(piece.name for piece in every),
+        holes=tuple(starts[1:-1].tolist()),
+        arcs={k: piece.centre for k, piece in enumerate(every) if piece.centre is not None},
+    )
 
 
 def _loop_area(loop: list[_Piece], points: list[np.ndarray]) -> float:
@@ -242,9 +297,12 @@ def _loop_area(loop: list[_Piece], points: list[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Slit(Outline):
-    """An outline whose last holes have no width: along the left face of each crack, and back along the right one."""
+    """An outline whose last holes have no width: along the left face of each crack, and back along
+    the right one."""
 
-    twins: Mapping[int, int] | None = None  # edge of a right face -> that of the left one at the same place
+    twins: Mapping[int, int] | None = (
+        None  # edge of a right face -> that of the left one at the same place
+    )
 
     __repr__ = brief
     __hash__ = Outline.__hash__
@@ -259,13 +317,15 @@ class Cracked(SolidDomain):
 
     Parameters
     ----------
-    domain : Rectangle, Polygon, Outline, Circle, or a combination of these; or Box, Cylinder, Cut, ...
+    domain : Rectangle, Polygon, Outline, Circle, or a combination of these; or Box, Cylinder, Cut,
+    ...
         The body without cracks.
     cracks : mapping of str to sequence of points
-        The path of each crack by its name, m: straight edges between two or more points inside the body; each end may
-        lie on the boundary, or at a point of another crack. In space a plane polygon. The boundaries "name.left" and
-        "name.right" are its faces, seen along the path; polygons run counter-clockwise as seen from the right. The
-        faces touch where an :class:`~adaptmg.ContactPair` says so.
+        The path of each crack by its name, m: straight edges between two or more points inside the
+        body; each end may lie on the boundary, or at a point of another crack. In space a plane
+        polygon. The boundaries "name.left" and "name.right" are its faces, seen along the path;
+        polygons run counter-clockwise as seen from the right. The faces touch where an
+        :class:`~adaptmg.ContactPair` says so.
 
     Examples
     --------
@@ -279,6 +339,7 @@ class Cracked(SolidDomain):
 
     __repr__ = brief
     if TYPE_CHECKING:
+
         def __init__(self, domain: Domain, cracks: Mapping[str, ArrayLike]) -> None: ...
 
     def __post_init__(self) -> None:
@@ -288,17 +349,24 @@ class Cracked(SolidDomain):
             checks.boundary_name("the names of cracks", name)
             path = checks.array(f"cracks[{name!r}]", points, (None, body.dim))
             if len(path) < body.dim:
-                raise ValueError(f"cracks[{name!r}] must be {body.dim} points or more, got {checks.shown(points)}")
+                raise ValueError(
+                    f"cracks[{name!r}] must be {body.dim} points or more, got {checks.shown(points)}"
+                )
             if body.dim == 3:
                 _check_plane(name, path)
             paths[name] = tuple(map(tuple, (path + 0.0).tolist()))
         if not paths:
             raise ValueError("cracks is empty: name one crack at least")
         object.__setattr__(self, "cracks", paths)
-        names = [*dict.fromkeys(self.domain.boundaries), *(f"{name}.{side}" for name in paths for side in _SIDES)]
+        names = [
+            *dict.fromkeys(self.domain.boundaries),
+            *(f"{name}.{side}" for name in paths for side in _SIDES),
+        ]
         if len(set(names)) < len(names):
-            raise ValueError(f"cracks: the faces {', '.join(names[-2 * len(paths):])} must have other names than the "
-                             f"boundaries {', '.join(self.domain.boundaries)}")
+            raise ValueError(
+                f"cracks: the faces {', '.join(names[-2 * len(paths) :])} must have other names than the "
+                f"boundaries {', '.join(self.domain.boundaries)}"
+            )
         if body.dim == 2:
             _ = self.outline
 
@@ -313,7 +381,10 @@ class Cracked(SolidDomain):
     @property
     def boundaries(self) -> tuple[str, ...]:
         """Return the boundaries of the body, then the two faces of each crack."""
-        return (*self.domain.boundaries, *(f"{name}.{side}" for name in self.cracks for side in _SIDES))
+        return (
+            *self.domain.boundaries,
+            *(f"{name}.{side}" for name in self.cracks for side in _SIDES),
+        )
 
     def _extremes(self) -> np.ndarray:
         return np.stack([self.domain.lower, self.domain.upper])
@@ -323,26 +394,45 @@ class Cracked(SolidDomain):
         """Return the outline of a plane body, with the cracks as holes without width."""
         body, paths = self._anchored()
         _check_cracks(body, paths)
-        vertices, names, holes, twins = list(body.vertices), list(body.boundaries), list(body.holes), {}
+        vertices, names, holes, twins = (
+            list(body.vertices),
+            list(body.boundaries),
+            list(body.holes),
+            {},
+        )
         for name, path in paths.items():
             n, first = len(path) - 1, len(vertices)
             holes.append(first)
             vertices += [*path, *path[-2:0:-1]]
             names += [f"{name}.left"] * n + [f"{name}.right"] * n
             twins |= {first + n + j: first + n - 1 - j for j in range(n)}
-        return Slit(vertices=tuple(vertices), boundaries=tuple(names), arcs=body.arcs, holes=tuple(holes), twins=twins)
+        return Slit(
+            vertices=tuple(vertices),
+            boundaries=tuple(names),
+            arcs=body.arcs,
+            holes=tuple(holes),
+            twins=twins,
+        )
 
     def _anchored(self) -> tuple[Outline, dict[str, Path]]:
-        """The outline with a vertex where cracks end on it, and the cracks with these ends, or points of others; one of
-        one edge gets a vertex in the middle, so that there is a node that opens."""
+        """The outline with a vertex where cracks end on it, and the cracks with these ends, or
+        points of others; one of one edge gets a vertex in the middle, so that there is a node that
+        opens."""
         body, paths = self.domain.outline, {}
         near = _NEAR * float((self.upper - self.lower).max())
         for name, path in self.cracks.items():
             ends = []
             for end in (path[0], path[-1]):
                 body = with_vertex(body, end, arcs=True)
-                places = [*body.vertices, *(p for other, points in self.cracks.items() if other != name
-                                            for p in paths.get(other, points[1:-1]))]
+                places = [
+                    *body.vertices,
+                    *(
+                        p
+                        for other, points in self.cracks.items()
+                        if other != name
+                        for p in paths.get(other, points[1:-1])
+                    ),
+                ]
                 away = np.linalg.norm(np.array(places) - end, axis=1)
                 ends.append(places[int(np.argmin(away))] if away.min() <= near else end)
             middle = path[1:-1] or (tuple((0.5 * np.add(*ends)).tolist()),)
@@ -351,7 +441,8 @@ class Cracked(SolidDomain):
 
 
 def normal_of(polygon: ArrayLike) -> np.ndarray:
-    """Return twice the area vector (3,) of a plane polygon, pointing to where it runs counter-clockwise."""
+    """Return twice the area vector (3,) of a plane polygon, pointing to where it runs
+    counter-clockwise."""
     spokes = np.array(polygon) - polygon[0]
     return np.cross(spokes[1:-1], spokes[2:]).sum(axis=0)
 
@@ -360,8 +451,13 @@ def _check_plane(name: str, path: np.ndarray) -> None:
     """ValueError unless a path is a plane polygon that does not cross itself."""
     normal, extent = normal_of(path), float(np.ptp(path, axis=0).max())
     length = float(np.linalg.norm(normal))
-    if not length > _NEAR * extent**2 or not np.abs((path - path[0]) @ normal).max() <= _NEAR * extent * length:
-        raise ValueError(f"cracks[{name!r}] must be the corners of a plane polygon, got {checks.shown(path.tolist())}")
+    if (
+        not length > _NEAR * extent**2
+        or not np.abs((path - path[0]) @ normal).max() <= _NEAR * extent * length
+    ):
+        raise ValueError(
+            f"cracks[{name!r}] must be the corners of a plane polygon, got {checks.shown(path.tolist())}"
+        )
     first = (path[1] - path[0]) / np.linalg.norm(path[1] - path[0])
     axes = np.stack([first, np.cross(normal / length, first)])
     try:
@@ -371,7 +467,8 @@ def _check_plane(name: str, path: np.ndarray) -> None:
 
 
 def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
-    """ValueError unless cracks lie in the body, meet only at their points, and leave it in one piece."""
+    """ValueError unless cracks lie in the body, meet only at their points, and leave it in one
+    piece."""
     n = len(body.vertices)
     number = {p: i for i, p in reversed(list(enumerate(body.vertices)))}
     starts, ends, names = list(range(n)), body.following.tolist(), list(body.boundaries)
@@ -389,8 +486,10 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
             if body.winding(0.5 * np.add(p, q)) != 1:
                 raise ValueError(f"cracks[{name!r}] leaves the body between {p} and {q}")
             if part[u] == part[v]:
-                raise ValueError(f"cracks[{name!r}] cuts the body in two between {p} and {q}: pose the pieces as an "
-                                 "Assembly")
+                raise ValueError(
+                    f"cracks[{name!r}] cuts the body in two between {p} and {q}: pose the pieces as an "
+                    "Assembly"
+                )
             part = [part[u] if k == part[v] else k for k in part]
             starts.append(u)
             ends.append(v)
@@ -402,7 +501,8 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Assembly(Domain):
-    """Bodies that share no nodes; they may touch, or even overlap (a ring of bolts in an axisymmetric model does).
+    """Bodies that share no nodes; they may touch, or even overlap (a ring of bolts in an
+    axisymmetric model does).
 
     Parameters
     ----------
@@ -427,11 +527,22 @@ class Assembly(Domain):
             raise ValueError("parts is empty: an assembly needs at least one body")
         for name, part in parts.items():
             if "." in checks.boundary_name("the name of a body in parts", name):
-                raise ValueError(f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'")
-            checks.instance(f"parts[{name!r}]", part, Domain, "a Domain (Rectangle, Polygon, Outline, Box, ...)")
-            if part.bodies is None or len(part.bodies) != 1 or part.boundaries is None or isinstance(part, Assembly):
-                raise ValueError(f"parts[{name!r}] must be one body with known boundaries; name the bodies of "
-                                 f"{type(part).__name__} one by one")
+                raise ValueError(
+                    f"the name of a body must not contain '.', got {name!r}: boundaries are 'body.edge'"
+                )
+            checks.instance(
+                f"parts[{name!r}]", part, Domain, "a Domain (Rectangle, Polygon, Outline, Box, ...)"
+            )
+            if (
+                part.bodies is None
+                or len(part.bodies) != 1
+                or part.boundaries is None
+                or isinstance(part, Assembly)
+            ):
+                raise ValueError(
+                    f"parts[{name!r}] must be one body with known boundaries; name the bodies of "
+                    f"{type(part).__name__} one by one"
+                )
         dims = {name: part.dim for name, part in parts.items()}
         if len(set(dims.values())) > 1:
             raise ValueError(f"all parts must have the same dimension, got {dims}")
@@ -452,7 +563,13 @@ class Assembly(Domain):
     @property
     def boundaries(self) -> tuple[str, ...]:
         """Return the distinct boundary names "body.edge", body by body."""
-        return tuple(dict.fromkeys(f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries))
+        return tuple(
+            dict.fromkeys(
+                f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries
+            )
+        )
 
     def _extremes(self) -> np.ndarray:
-        return np.stack([corner for part in self.parts.values() for corner in (part.lower, part.upper)])
+        return np.stack(
+            [corner for part in self.parts.values() for corner in (part.lower, part.upper)]
+        )

@@ -42,7 +42,8 @@ class Contact(checks.Checked):
     allow_interference : bool
         Accept negative initial gaps (an interference fit).
     law : Frictionless, Tresca, Coulomb or user-defined, optional
-        In place of the problem's. A node on two contact boundaries has the law of the one named first.
+        In place of the problem's. A node on two contact boundaries has the law of the one named
+        first.
 
     Examples
     --------
@@ -64,19 +65,29 @@ def _several(*types: type) -> partial:
 def _materials(name: str, material: object) -> Elastic | dict[str, Elastic]:
     if isinstance(material, Elastic):
         return material
-    if not isinstance(material, Mapping) or not material or not all(isinstance(m, Elastic) for m in material.values()):
-        raise TypeError("material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
-                        f"one of them, got {checks.described(material)}")
+    if (
+        not isinstance(material, Mapping)
+        or not material
+        or not all(isinstance(m, Elastic) for m in material.values())
+    ):
+        raise TypeError(
+            "material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
+            f"one of them, got {checks.described(material)}"
+        )
     for body in material:
         checks.boundary_name("the names of bodies in material", body)
     kinds = {body: type(m).__name__ for body, m in material.items()}
     if len({(m.dim, isinstance(m, Axisymmetric)) for m in material.values()}) > 1:
-        raise ValueError(f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}")
+        raise ValueError(
+            f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}"
+        )
     soft, stiff = (pick(material, key=lambda body: material[body].young) for pick in (min, max))
     if material[stiff].young > _MOST_STIFFER * material[soft].young:
-        raise ValueError(f"material: Young's moduli must lie within a factor {_MOST_STIFFER:g} of each other, got "
-                         f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): use "
-                         "am.Contact for a rigid body")
+        raise ValueError(
+            f"material: Young's moduli must lie within a factor {_MOST_STIFFER:g} of each other, got "
+            f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): use "
+            "am.Contact for a rigid body"
+        )
     return dict(material)
 
 
@@ -84,9 +95,9 @@ def _materials(name: str, material: object) -> Elastic | dict[str, Elastic]:
 class ContactProblem(checks.Checked):
     """Elastic bodies in contact: pure data in SI units (m, N, Pa), without a mesh.
 
-    The theory is linear but for contact and friction: small strains and slips, linear elasticity, linear
-    displacements on each element; contact is sought in the undeformed position. :func:`adaptmg.solve` warns where a
-    solution goes beyond.
+    The theory is linear but for contact and friction: small strains and slips, linear elasticity,
+    linear displacements on each element; contact is sought in the undeformed position.
+    :func:`adaptmg.solve` warns where a solution goes beyond.
 
     Parameters
     ----------
@@ -101,16 +112,19 @@ class ContactProblem(checks.Checked):
     loads : sequence of Pressure, Traction, BodyForce, InitialStrain, Preload
     supports : sequence of Support, Symmetry, PointSupport, Spring, PointSpring
     domain : Domain, optional
-        The geometry: Rectangle, Box, Polygon, Outline, Assembly, ...; not needed when every mesh is given by the user.
+        The geometry: Rectangle, Box, Polygon, Outline, Assembly, ...; not needed when every mesh is
+        given by the user.
     elements : {"linear", "smoothed"}
-        The strain of each element (the paper's), or its means around the edges of the mesh: the same unknowns, and a
-        matrix with about twice the entries in the plane, three times in space; as many cycles in 1 to 2.7 times the
-        seconds. Smoothed elements pay in bending (two elements across a cantilever have .92 of the deflection, linear
-        ones .52), for displacements and forces on uniform and adapted meshes (errors 2 to 20 times smaller), and for
-        stresses (1.5 times). They do not pay for where contact ends, and peaks of pressure. For Poisson's ratios above
-        .4, up to .5 itself, they do not lock: mean volume strains over groups of nodes are part of the energy
-        (:mod:`adaptmg.discrete.volumes`), and ``Result.pressures`` of the solution. :class:`adaptmg.Goal` and
-        references of :func:`adaptmg.estimate.energy_error` need linear ones.
+        The strain of each element (the paper's), or its means around the edges of the mesh: the
+        same unknowns, and a matrix with about twice the entries in the plane, three times in space;
+        as many cycles in 1 to 2.7 times the seconds. Smoothed elements pay in bending (two elements
+        across a cantilever have .92 of the deflection, linear ones .52), for displacements and
+        forces on uniform and adapted meshes (errors 2 to 20 times smaller), and for stresses (1.5
+        times). They do not pay for where contact ends, and peaks of pressure. For Poisson's ratios
+        above .4, up to .5 itself, they do not lock: mean volume strains over groups of nodes are
+        part of the energy (:mod:`adaptmg.discrete.volumes`), and ``Result.pressures`` of the
+        solution. :class:`adaptmg.Goal` and references of :func:`adaptmg.estimate.energy_error` need
+        linear ones.
     name : str
         For tables and pictures.
     reference : mapping
@@ -127,7 +141,9 @@ class ContactProblem(checks.Checked):
     """
 
     material: Annotated[Elastic | Mapping[str, Elastic], _materials]
-    contact: Annotated[Contact | ContactPair | tuple[Contact | ContactPair, ...], _several(Contact, ContactPair)] = ()
+    contact: Annotated[
+        Contact | ContactPair | tuple[Contact | ContactPair, ...], _several(Contact, ContactPair)
+    ] = ()
     law: Law | Any = None  # Any: it is None only while the problem is made
     ties: Annotated[Tied | Periodic | tuple[Tied | Periodic, ...], _several(Tied, Periodic)] = ()
     loads: Annotated[tuple[Load, ...], _several(*get_args(Load))] = ()
@@ -135,8 +151,9 @@ class ContactProblem(checks.Checked):
     domain: Domain | Any = None  # Any: only problems without a domain need the test for None
     elements: Annotated[str, partial(checks.choice, choices=ELEMENTS)] = "linear"
     name: Name = "contact problem"
-    reference: Annotated[Mapping[str, Any], partial(checks.mapping, words="names to values")
-                         ] = field(default_factory=dict)
+    reference: Annotated[Mapping[str, Any], partial(checks.mapping, words="names to values")] = (
+        field(default_factory=dict)
+    )
 
     __repr__, _repr_html_ = brief, html_fields
 
@@ -149,22 +166,33 @@ class ContactProblem(checks.Checked):
         for load in self.loads:
             if isinstance(load, Preload):
                 if load.direction >= self.dim or (self.axisymmetric and load.axis != "y"):
-                    raise ValueError(f"axis of the preload of {load.body!r} must be "
-                                     + ("'y' in axisymmetry" if self.axisymmetric else "'x' or 'y' in the plane")
-                                     + f", got {load.axis!r}")
-            elif not isinstance(load, Pressure) and len(load.components) != self.dim and not (
-                    isinstance(load, InitialStrain) and self.dim == 2):
-                raise ValueError(f"{checks.shown(load)} has {len(load.components)} components in a {self.dim}D problem")
+                    raise ValueError(
+                        f"axis of the preload of {load.body!r} must be "
+                        + ("'y' in axisymmetry" if self.axisymmetric else "'x' or 'y' in the plane")
+                        + f", got {load.axis!r}"
+                    )
+            elif (
+                not isinstance(load, Pressure)
+                and len(load.components) != self.dim
+                and not (isinstance(load, InitialStrain) and self.dim == 2)
+            ):
+                raise ValueError(
+                    f"{checks.shown(load)} has {len(load.components)} components in a {self.dim}D problem"
+                )
         for support in self.supports:
             support.components(self.dim)
             if support.boundary is None and len(support.point) != self.dim:
-                raise ValueError(f"{checks.shown(support)} has {len(support.point)} components in a {self.dim}D "
-                                 "problem")
+                raise ValueError(
+                    f"{checks.shown(support)} has {len(support.point)} components in a {self.dim}D "
+                    "problem"
+                )
         self._check_contact()
         self._check_sides()
         if CONTACT in self._uses() and self.contact_boundaries != (CONTACT,):
-            raise ValueError(f"the name {CONTACT!r} stands for all contact boundaries together, but names one of "
-                             f"several, used for {self._uses()[CONTACT]}: rename it")
+            raise ValueError(
+                f"the name {CONTACT!r} stands for all contact boundaries together, but names one of "
+                f"several, used for {self._uses()[CONTACT]}: rename it"
+            )
         if self.domain is not None:
             self._check_domain(self.domain)
         if self.bodies:
@@ -172,60 +200,95 @@ class ContactProblem(checks.Checked):
 
     def _check_elements(self) -> None:
         linear = self.elements == "linear"
-        for one in [self.material] if isinstance(self.material, Elastic) else self.material.values():
+        for one in (
+            [self.material] if isinstance(self.material, Elastic) else self.material.values()
+        ):
             if linear and one.incompressible:
-                raise ValueError(f"poisson must be less than 0.5 with linear elements, got {one.poisson!r}: take "
-                                 "elements=\"smoothed\"")
+                raise ValueError(
+                    f"poisson must be less than 0.5 with linear elements, got {one.poisson!r}: take "
+                    'elements="smoothed"'
+                )
             if linear or one.anisotropy is None:
                 continue
             if one.anisotropy.varies:
-                raise ValueError("axes of an anisotropic material must not vary in a body with smoothed elements: take "
-                                 "elements=\"linear\"")
+                raise ValueError(
+                    "axes of an anisotropic material must not vary in a body with smoothed elements: take "
+                    'elements="linear"'
+                )
             if one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
-                raise ValueError(f"an anisotropic material must have a mean Poisson's ratio of at most "
-                                 f"{_MOST_POISSON:g} with smoothed elements, got {one.poisson:g}: take "
-                                 "elements=\"linear\"")
+                raise ValueError(
+                    f"an anisotropic material must have a mean Poisson's ratio of at most "
+                    f"{_MOST_POISSON:g} with smoothed elements, got {one.poisson:g}: take "
+                    'elements="linear"'
+                )
 
     def _check_contact(self) -> None:
         for one in self.contact:
             if not isinstance(one, Contact):
                 continue
             if getattr(one.obstacle, "dim", self.dim) != self.dim:
-                raise ValueError(f"the {type(one.obstacle).__name__} in front of {one.boundary!r} is "
-                                 f"{one.obstacle.dim}D, the material {self.dim}D")
+                raise ValueError(
+                    f"the {type(one.obstacle).__name__} in front of {one.boundary!r} is "
+                    f"{one.obstacle.dim}D, the material {self.dim}D"
+                )
             for part in moving_parts(one.obstacle) if self.axisymmetric else ():
-                if part.free != (1,) if isinstance(part, Rigid) else part.displacement[0] or part.rotation.any():
-                    raise ValueError(f"the obstacle {part.name!r} in front of {one.boundary!r} must move along the "
-                                     "axis only, or be pressed along it, in an axisymmetric problem")
+                if (
+                    part.free != (1,)
+                    if isinstance(part, Rigid)
+                    else part.displacement[0] or part.rotation.any()
+                ):
+                    raise ValueError(
+                        f"the obstacle {part.name!r} in front of {one.boundary!r} must move along the "
+                        "axis only, or be pressed along it, in an axisymmetric problem"
+                    )
         for tie in self.ties:
             if isinstance(tie, Periodic) and len(tie.jump or (0,) * self.dim) != self.dim:
                 raise ValueError(f"jump must have {self.dim} components, got {len(tie.jump)}")
 
     def _check_sides(self) -> None:
-        """Raise ValueError if a boundary carries nodes of two contacts or ties, or a master is a slave of its kind."""
+        """Raise ValueError if a boundary carries nodes of two contacts or ties, or a master is a
+        slave of its kind."""
         slaves = [*self.contact_boundaries, *(tie.slave for tie in self.ties)]
         if twice := [name for name in slaves if slaves.count(name) > 1]:
-            raise ValueError(f"boundary {twice[0]!r} is named twice as contact boundary or as slave of a tie: swap "
-                             "slave and master of one, or cut the boundary in two")
+            raise ValueError(
+                f"boundary {twice[0]!r} is named twice as contact boundary or as slave of a tie: swap "
+                "slave and master of one, or cut the boundary in two"
+            )
         for kind in ([one for one in self.contact if isinstance(one, ContactPair)], self.ties):
             for one in kind:
                 if one.master in [other.slave for other in kind]:
-                    raise ValueError(f"boundary {one.master!r} is the master of {one.slave!r} and slave of another "
-                                     "pair: swap slave and master of one, or cut the boundary in two")
+                    raise ValueError(
+                        f"boundary {one.master!r} is the master of {one.slave!r} and slave of another "
+                        "pair: swap slave and master of one, or cut the boundary in two"
+                    )
 
     def _uses(self) -> dict[str, str]:
-        used = dict.fromkeys(self.tied_boundaries, "a tie") | dict.fromkeys(self.pair_boundaries, "contact")
-        used |= {load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)}
-        return used | {support.boundary: "a support" for support in self.supports if support.boundary is not None}
+        used = dict.fromkeys(self.tied_boundaries, "a tie") | dict.fromkeys(
+            self.pair_boundaries, "contact"
+        )
+        used |= {
+            load.boundary: "a load" for load in self.loads if isinstance(load, Pressure | Traction)
+        }
+        return used | {
+            support.boundary: "a support"
+            for support in self.supports
+            if support.boundary is not None
+        }
 
     def _check_domain(self, domain: Domain) -> None:
-        checks.instance("domain", domain, Domain, "a Domain (Rectangle, Box, Polygon, Outline, Assembly, ...)")
+        checks.instance(
+            "domain", domain, Domain, "a Domain (Rectangle, Box, Polygon, Outline, Assembly, ...)"
+        )
         if domain.dim != self.dim:
-            raise ValueError(f"domain is {domain.dim}D, material {self.dim}D: use Solid in 3D, "
-                             "PlaneStrain, PlaneStress or Axisymmetric in 2D")
+            raise ValueError(
+                f"domain is {domain.dim}D, material {self.dim}D: use Solid in 3D, "
+                "PlaneStrain, PlaneStress or Axisymmetric in 2D"
+            )
         if self.axisymmetric and not domain.lower[0] >= 0:
-            raise ValueError(f"domain reaches to x = {domain.lower[0]:g} m, but x is the radius of an axisymmetric "
-                             "problem: it must be >= 0")
+            raise ValueError(
+                f"domain reaches to x = {domain.lower[0]:g} m, but x is the radius of an axisymmetric "
+                "problem: it must be >= 0"
+            )
         if domain.boundaries is not None:
             self.check_boundaries(domain.boundaries)
 
@@ -241,24 +304,32 @@ class ContactProblem(checks.Checked):
 
     @property
     def by_force(self) -> bool:
-        """Return whether forces are prescribed whose motions are unknown: those of rigid obstacles, of preloads."""
+        """Return whether forces are prescribed whose motions are unknown: those of rigid obstacles,
+        of preloads."""
         return any(isinstance(load, Preload) for load in self.loads) or any(
-            isinstance(one, Contact) and isinstance(one.obstacle, Rigid) for one in self.contact)
+            isinstance(one, Contact) and isinstance(one.obstacle, Rigid) for one in self.contact
+        )
 
     @property
     def _any_material(self) -> Elastic:
-        return self.material if isinstance(self.material, Elastic) else next(iter(self.material.values()))
+        return (
+            self.material
+            if isinstance(self.material, Elastic)
+            else next(iter(self.material.values()))
+        )
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Return the names of the bodies, of the domain or else of the materials; () where only the mesh knows them."""
+        """Return the names of the bodies, of the domain or else of the materials; () where only the
+        mesh knows them."""
         if self.domain is not None and self.domain.bodies is not None:
             return self.domain.bodies
         return () if isinstance(self.material, Elastic) else tuple(self.material)
 
     @property
     def contact_boundaries(self) -> tuple[str, ...]:
-        """Return the boundaries that carry contact nodes, in the order of ``contact``; of a pair the slave."""
+        """Return the boundaries that carry contact nodes, in the order of ``contact``; of a pair
+        the slave."""
         return tuple(c.boundary for c in self.contact)
 
     @property
@@ -268,7 +339,8 @@ class ContactProblem(checks.Checked):
 
     @property
     def pair_boundaries(self) -> tuple[str, ...]:
-        """Return the distinct names of all boundaries that may touch, masters too: where meshes are to be fine."""
+        """Return the distinct names of all boundaries that may touch, masters too: where meshes are
+        to be fine."""
         pairs = zip(self.contact_boundaries, self.masters, strict=True)
         return tuple(dict.fromkeys(name for pair in pairs for name in pair if name))
 
@@ -281,18 +353,25 @@ class ContactProblem(checks.Checked):
         """Raise ValueError unless every boundary named by the problem is one of ``known``."""
         for boundary, use in self._uses().items():
             if boundary not in known:
-                raise ValueError(f"boundary {boundary!r}, used for {use}, does not exist"
-                                 f"{checks.suggestion(boundary, known)}; the boundaries are "
-                                 f"{', '.join(sorted(set(known)))}")
+                raise ValueError(
+                    f"boundary {boundary!r}, used for {use}, does not exist"
+                    f"{checks.suggestion(boundary, known)}; the boundaries are "
+                    f"{', '.join(sorted(set(known)))}"
+                )
 
     def check_bodies(self, known: tuple[str, ...]) -> None:
-        """Raise ValueError unless the materials name exactly the bodies ``known``, and loads name some of them."""
+        """Raise ValueError unless the materials name exactly the bodies ``known``, and loads name
+        some of them."""
         if not isinstance(self.material, Elastic) and set(self.material) != set(known):
-            raise ValueError(f"material must name each body once: the bodies are {', '.join(map(repr, known))}, "
-                             f"material names {', '.join(map(repr, self.material))}")
+            raise ValueError(
+                f"material must name each body once: the bodies are {', '.join(map(repr, known))}, "
+                f"material names {', '.join(map(repr, self.material))}"
+            )
         for item in (*self.loads, *self.supports):
             body = getattr(item, "body", None)
             if body is not None and body not in known:
                 use = "a load" if item in self.loads else "a support"
-                raise ValueError(f"body {body!r}, used for {use}, does not exist"
-                                 f"{checks.suggestion(body, known)}; the bodies are {', '.join(map(repr, known))}")
+                raise ValueError(
+                    f"body {body!r}, used for {use}, does not exist"
+                    f"{checks.suggestion(body, known)}; the bodies are {', '.join(map(repr, known))}"
+                )

@@ -1,20 +1,23 @@
 r"""Constitutive laws: elastic materials, and what a contact node can bear tangentially.
 
-The stress of an isotropic material is :math:`\sigma = \lambda\,\mathrm{tr}(\varepsilon) I + 2\mu\,\varepsilon` with
+The stress of an isotropic material is :math:`\sigma = \lambda\,\mathrm{tr}(\varepsilon) I +
+2\mu\,\varepsilon` with
 :math:`\mu = E / (2(1+\nu))` and :math:`\lambda = E\nu / ((1+\nu)(1-2\nu))` in three dimensions and in plane strain;
-plane stress has :math:`\lambda = E\nu / (1-\nu^2)`. Axisymmetric bodies have, besides the strains of the meridian plane
-(r, z), the hoop strain :math:`\varepsilon_{\theta\theta} = u_r / r`.
+plane stress has :math:`\lambda = E\nu / (1-\nu^2)`. Axisymmetric bodies have, besides the strains
+of the meridian plane (r, z), the hoop strain :math:`\varepsilon_{\theta\theta} = u_r / r`.
 
-Orthotropic materials have three axes at right angles. A stress :math:`\sigma_{11}` along the first alone makes the
-strains :math:`\sigma_{11} / E_1`, :math:`-\nu_{12}\,\sigma_{11} / E_1` and :math:`-\nu_{13}\,\sigma_{11} / E_1`, one
-along the second the strain :math:`-\nu_{23}\,\sigma_{22} / E_2` along the third, and shear the angles
+Orthotropic materials have three axes at right angles. A stress :math:`\sigma_{11}` along the first
+alone makes the strains :math:`\sigma_{11} / E_1`, :math:`-\nu_{12}\,\sigma_{11} / E_1` and
+:math:`-\nu_{13}\,\sigma_{11} / E_1`, one along the second the strain :math:`-\nu_{23}\,\sigma_{22}
+/ E_2` along the third, and shear the angles
 :math:`\gamma_{ij} = \sigma_{ij} / G_{ij}`.
 
 With the compressive nodal force p >= 0 every contact law here has the form
 
 .. math:: |f_t| \le s + \mu\,p, \qquad f_t \text{ opposite to the slip where equal},
 
-a Tresca limit s plus a Coulomb part. A user-defined law is any object with the two methods :meth:`at_nodes` and
+a Tresca limit s plus a Coulomb part. A user-defined law is any object with the two methods
+:meth:`at_nodes` and
 :meth:`bounds`.
 """
 
@@ -46,8 +49,12 @@ Axes = np.ndarray | Sequence[Sequence[float]] | Callable[[np.ndarray], np.ndarra
 class Anisotropy:
     """A stiffness that depends on the direction, and how the axes of the material lie."""
 
-    stiffness: tuple[tuple[float, ...], ...]  # 6 x 6 along the axes of the material, Voigt: 11, 22, 33, 23, 13, 12; Pa
-    axes: tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None = None  # see Axes; None: x, y, z
+    stiffness: tuple[
+        tuple[float, ...], ...
+    ]  # 6 x 6 along the axes of the material, Voigt: 11, 22, 33, 23, 13, 12; Pa
+    axes: tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None = (
+        None  # see Axes; None: x, y, z
+    )
     angle: FieldLike = 0.0  # instead in the plane, from x to the first axis, degrees
 
     @property
@@ -56,18 +63,25 @@ class Anisotropy:
         return callable(self.axes) or callable(self.angle)
 
     def nearest(self) -> tuple[float, float]:
-        """Return Young's modulus and Poisson's ratio of the isotropic material with means over directions (Voigt)."""
+        """Return Young's modulus and Poisson's ratio of the isotropic material with means over
+        directions (Voigt)."""
         c = np.array(self.stiffness)
         bulk = c[:3, :3].sum() / 9
         shear = (np.trace(c[:3, :3]) - (c[0, 1] + c[0, 2] + c[1, 2]) + 3 * np.trace(c[3:, 3:])) / 15
-        return float(9 * bulk * shear / (3 * bulk + shear)), float((3 * bulk - 2 * shear) / (6 * bulk + 2 * shear))
+        return float(9 * bulk * shear / (3 * bulk + shear)), float(
+            (3 * bulk - 2 * shear) / (6 * bulk + 2 * shear)
+        )
 
     def rotations(self, points: np.ndarray) -> np.ndarray:
         """Return the axes (1 or n, 3, 3) at points (n, dim), checked."""
         if self.axes is None:
-            turn = np.radians(checks.field("angle", self.angle, points if callable(self.angle) else points[:1]))
+            turn = np.radians(
+                checks.field("angle", self.angle, points if callable(self.angle) else points[:1])
+            )
             c, s, zero = np.cos(turn), np.sin(turn), np.zeros(len(turn))
-            return np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(-1, 3, 3)
+            return np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(
+                -1, 3, 3
+            )
         if not callable(self.axes):
             return np.array(self.axes)[None]
         result = checks.array("axes", self.axes(points), (len(points), 3, 3))
@@ -79,29 +93,40 @@ def _check_axes(axes: np.ndarray) -> None:
     """ValueError unless the rows of matrices (n, 3, 3) are orthonormal."""
     wrong = np.abs(axes @ axes.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     if not wrong.max(initial=0.0) <= _ORTHOGONAL:
-        raise ValueError("the rows of axes must be orthonormal (three unit vectors at right angles), got "
-                         f"{axes[int(np.argmax(wrong))].tolist()}")
+        raise ValueError(
+            "the rows of axes must be orthonormal (three unit vectors at right angles), got "
+            f"{axes[int(np.argmax(wrong))].tolist()}"
+        )
 
 
 def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence[float]) -> tuple:
     """The stiffness (6, 6) of an orthotropic material."""
-    e, g = (tuple(checks.quantity(f"{name}[{i}]", value, positive=True) for i, value in enumerate(
-        checks.vector(name, values, 3))) for name, values in (("young", young), ("shear", shear)))
+    e, g = (
+        tuple(
+            checks.quantity(f"{name}[{i}]", value, positive=True)
+            for i, value in enumerate(checks.vector(name, values, 3))
+        )
+        for name, values in (("young", young), ("shear", shear))
+    )
     nu = checks.vector("poisson", poisson, 3)
     compliance = np.diag(1 / np.array([*e, g[2], g[1], g[0]]))
     for (i, j), ratio in zip(((0, 1), (0, 2), (1, 2)), nu, strict=True):
         compliance[i, j] = compliance[j, i] = -ratio / e[i]
     scale = np.sqrt(np.diag(compliance))  # moduli may differ by many orders
     if not _positive_definite(compliance):
-        raise ValueError(f"young {e} and poisson {tuple(nu.tolist())} must make a positive definite stiffness: each "
-                         "nu_ij is below the root of E_i / E_j, and all three together are smaller")
+        raise ValueError(
+            f"young {e} and poisson {tuple(nu.tolist())} must make a positive definite stiffness: each "
+            "nu_ij is below the root of E_i / E_j, and all three together are smaller"
+        )
     return _table(np.linalg.inv(compliance / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def _positive_definite(matrix: np.ndarray) -> bool:
     """Whether the eigenvalues of a matrix are positive once its diagonal is scaled to 1."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    return bool(scale.all() and np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() > _FROM_LIMIT)
+    return bool(
+        scale.all() and np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() > _FROM_LIMIT
+    )
 
 
 def _table(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
@@ -112,11 +137,11 @@ def _table(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
 class Elastic(checks.Checked):
     """Linear elasticity; use one of the subclasses.
 
-    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5]. Strains are to be small (a few per
-    cent). Above 0.45 linear elements lock, but in plane stress: they are too stiff, and stresses oscillate. Smoothed
-    ones do not (``ContactProblem.elements``), and 0.5 itself needs them. ``anisotropy`` is set by ``orthotropic`` and
-    ``anisotropic``; ``young`` and ``poisson`` are then those of the isotropic material with the same means over all
-    directions.
+    ``young`` is Young's modulus, Pa, > 0, ``poisson`` Poisson's ratio in (-1, 0.5]. Strains are to
+    be small (a few per cent). Above 0.45 linear elements lock, but in plane stress: they are too
+    stiff, and stresses oscillate. Smoothed ones do not (``ContactProblem.elements``), and 0.5
+    itself needs them. ``anisotropy`` is set by ``orthotropic`` and ``anisotropic``; ``young`` and
+    ``poisson`` are then those of the isotropic material with the same means over all directions.
     """
 
     young: Size
@@ -127,10 +152,14 @@ class Elastic(checks.Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.anisotropy is not None and (self.young, self.poisson) != self.anisotropy.nearest():
-            raise ValueError("young and poisson of an anisotropic material follow from its stiffness: make another by "
-                             "orthotropic(...) or anisotropic(...)")
+            raise ValueError(
+                "young and poisson of an anisotropic material follow from its stiffness: make another by "
+                "orthotropic(...) or anisotropic(...)"
+            )
         if not -1 + _FROM_LIMIT < self.poisson <= 0.5:
-            raise ValueError(f"poisson must be > -1 (by more than {_FROM_LIMIT:g}) and <= 0.5, got {self.poisson!r}")
+            raise ValueError(
+                f"poisson must be > -1 (by more than {_FROM_LIMIT:g}) and <= 0.5, got {self.poisson!r}"
+            )
 
     def __repr__(self) -> str:
         own = f", anisotropy={self.anisotropy!r}" if self.anisotropy is not None else ""
@@ -148,7 +177,9 @@ class Elastic(checks.Checked):
             return 2 * self.shear_modulus + min(3 * self.lame, 0.0)
         # shear stresses and strains count twice in the norms of tensors
         root = np.sqrt([1, 1, 1, 2, 2, 2])
-        return float(np.linalg.eigvalsh(np.array(self.anisotropy.stiffness) * np.outer(root, root)).min())
+        return float(
+            np.linalg.eigvalsh(np.array(self.anisotropy.stiffness) * np.outer(root, root)).min()
+        )
 
     @property
     def shear_modulus(self) -> float:
@@ -157,7 +188,8 @@ class Elastic(checks.Checked):
 
     @property
     def lame(self) -> float:
-        """Return the first Lame constant lambda as it enters the stress, Pa; infinite for Poisson's ratio 0.5."""
+        """Return the first Lame constant lambda as it enters the stress, Pa; infinite for Poisson's
+        ratio 0.5."""
         compressible = (1 + self.poisson) * (1 - 2 * self.poisson)
         return self.young * self.poisson / compressible if compressible > 0 else math.inf
 
@@ -171,9 +203,16 @@ class _Plane(Elastic):
     """A material of plane or axisymmetric bodies."""
 
     @classmethod
-    def orthotropic(cls, *, young: Sequence[float], poisson: Sequence[float], shear: Sequence[float],
-                    angle: FieldLike = 0.0) -> Self:
-        """Return a material with three axes at right angles, the third one out of the plane (axisymmetric: the hoop).
+    def orthotropic(
+        cls,
+        *,
+        young: Sequence[float],
+        poisson: Sequence[float],
+        shear: Sequence[float],
+        angle: FieldLike = 0.0,
+    ) -> Self:
+        """Return a material with three axes at right angles, the third one out of the plane
+        (axisymmetric: the hoop).
 
         Parameters
         ----------
@@ -184,8 +223,8 @@ class _Plane(Elastic):
         shear : three floats
             Shear moduli G12, G13, G23, Pa, > 0.
         angle : float or callable
-            From x (axisymmetric: r) counter-clockwise to the first axis, degrees; a function of position is taken at
-            the centroids of elements.
+            From x (axisymmetric: r) counter-clockwise to the first axis, degrees; a function of
+            position is taken at the centroids of elements.
 
         Examples
         --------
@@ -194,7 +233,9 @@ class _Plane(Elastic):
         >>> wood.anisotropy.angle
         30.0
         """
-        return cls._of(Anisotropy(_stiffness(young, poisson, shear), angle=checks.function_or("angle", angle)))
+        return cls._of(
+            Anisotropy(_stiffness(young, poisson, shear), angle=checks.function_or("angle", angle))
+        )
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -256,8 +297,14 @@ class Solid(Elastic):
     dim: ClassVar[int] = 3
 
     @classmethod
-    def orthotropic(cls, *, young: Sequence[float], poisson: Sequence[float], shear: Sequence[float],
-                    axes: Axes | None = None) -> Self:
+    def orthotropic(
+        cls,
+        *,
+        young: Sequence[float],
+        poisson: Sequence[float],
+        shear: Sequence[float],
+        axes: Axes | None = None,
+    ) -> Self:
         """Return a material with three axes at right angles.
 
         Parameters
@@ -265,8 +312,8 @@ class Solid(Elastic):
         young, poisson, shear
             As of :meth:`PlaneStrain.orthotropic`.
         axes : array (3, 3) or callable, optional
-            The axes as rows, unit vectors; a function takes points (n, 3), the centroids of elements, and returns (n,
-            3, 3). Default x, y, z.
+            The axes as rows, unit vectors; a function takes points (n, 3), the centroids of
+            elements, and returns (n, 3, 3). Default x, y, z.
 
         Examples
         --------
@@ -276,14 +323,16 @@ class Solid(Elastic):
         return cls._of(Anisotropy(_stiffness(young, poisson, shear), _axes(axes)))
 
     @classmethod
-    def anisotropic(cls, stiffness: np.ndarray | Sequence[Sequence[float]], axes: Axes | None = None) -> Self:
+    def anisotropic(
+        cls, stiffness: np.ndarray | Sequence[Sequence[float]], axes: Axes | None = None
+    ) -> Self:
         """Return a material with any stiffness.
 
         Parameters
         ----------
         stiffness : array (6, 6)
-            Stresses over strains in the order of Voigt, 11, 22, 33, 23, 13, 12, with the angles of shear (twice the
-            components of the tensor), Pa; symmetric and positive definite.
+            Stresses over strains in the order of Voigt, 11, 22, 33, 23, 13, 12, with the angles of
+            shear (twice the components of the tensor), Pa; symmetric and positive definite.
         axes
             As of :meth:`orthotropic`.
 
@@ -302,7 +351,9 @@ class Solid(Elastic):
         return cls._of(Anisotropy(_table(c), _axes(axes)))
 
 
-def _axes(axes: Axes | None) -> tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None:
+def _axes(
+    axes: Axes | None,
+) -> tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None:
     if axes is None or (callable(axes) and not isinstance(axes, type)):
         return axes
     rows = checks.array("axes", axes, (3, 3))
@@ -315,7 +366,8 @@ class Law(Protocol):
     """The methods of a contact law."""
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Law:
-        """Return the law with its parameters evaluated at contact nodes (points (n, dim) m, weights (n,) m or m^2)."""
+        """Return the law with its parameters evaluated at contact nodes (points (n, dim) m, weights
+        (n,) m or m^2)."""
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
         """Return nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
@@ -324,7 +376,12 @@ class Law(Protocol):
 def check_law(name: str, law: Law) -> Law:
     """Return ``law`` if it is an instance with the two methods of a law."""
     for method in ("at_nodes", "bounds"):
-        checks.offers(name, law, method, "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds")
+        checks.offers(
+            name,
+            law,
+            method,
+            "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds",
+        )
     return law
 
 
@@ -346,18 +403,26 @@ class NodalLaw:
 
 def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
     if callable(value):
-        raise TypeError(f"{name}: a function of position must be evaluated at the nodes first (at_nodes)")
+        raise TypeError(
+            f"{name}: a function of position must be evaluated at the nodes first (at_nodes)"
+        )
     if np.shape(value) not in ((), (n,)):
-        raise ValueError(f"{name} must be a number or an array over the {n} contact nodes, got shape {np.shape(value)}")
+        raise ValueError(
+            f"{name} must be a number or an array over the {n} contact nodes, got shape {np.shape(value)}"
+        )
     return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (n,)))
 
 
 def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike:
     array = checks.real_array(value)
     if array is None:
-        raise TypeError(f"{name} must be a number, a function of position or an array, got {checks.described(value)}")
+        raise TypeError(
+            f"{name} must be a number, a function of position or an array, got {checks.described(value)}"
+        )
     if not ((array >= 0) & (array <= checks.VAST)).all():
-        raise ValueError(f"{name} must be finite and >= 0, and at most {checks.VAST:g}, got {checks.shown(value)}")
+        raise ValueError(
+            f"{name} must be finite and >= 0, and at most {checks.VAST:g}, got {checks.shown(value)}"
+        )
     return value
 
 
@@ -366,8 +431,10 @@ FieldLikeOrArray = Annotated[FieldLike | ArrayLike, partial(checks.function_or, 
 
 def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> np.ndarray:
     if isinstance(value, np.ndarray) and value.ndim:
-        raise TypeError(f"{name} must be a number or a function of position on a ContactProblem; arrays over contact "
-                        "nodes belong on a DiscreteProblem")
+        raise TypeError(
+            f"{name} must be a number or a function of position on a ContactProblem; arrays over contact "
+            "nodes belong on a DiscreteProblem"
+        )
     return checks.field(name, value, points, minimum=0.0)
 
 
@@ -403,8 +470,8 @@ class Tresca(checks.Checked):
     Parameters
     ----------
     limit : float, callable or array
-        On a ContactProblem a traction in Pa (number or function of position); on a DiscreteProblem the nodal
-        forces in N (number or array over the contact nodes).
+        On a ContactProblem a traction in Pa (number or function of position); on a DiscreteProblem
+        the nodal forces in N (number or array over the contact nodes).
 
     Examples
     --------
@@ -431,7 +498,8 @@ class Coulomb(checks.Checked):
     Parameters
     ----------
     friction : float, callable or array
-        The coefficient (number or function of position; on a DiscreteProblem also an array over the contact nodes).
+        The coefficient (number or function of position; on a DiscreteProblem also an array over the
+        contact nodes).
 
     Examples
     --------

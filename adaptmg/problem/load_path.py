@@ -1,4 +1,5 @@
-"""LoadPath: a quasi-static history of loads and prescribed displacements, in each step a factor times the problem's.
+"""LoadPath: a quasi-static history of loads and prescribed displacements, in each step a factor
+times the problem's.
 
 Friction depends on the history: the same load, applied in another order, leaves another slip.
 """
@@ -30,10 +31,10 @@ class LoadPath:
     Parameters
     ----------
     factors : mapping of str to float or sequence of float
-        Factor of each step, by the name of loads and supports, or where one alone is called so by that of its place: a
-        boundary, "point (0, 1)" of a PointSupport, a body (InitialStrain, BodyForce), "body force" (of all bodies). A
-        single number holds in all steps.
-        Factors below 1e-14 of the largest of their sequence, what rounding leaves of zero, become zero.
+        Factor of each step, by the name of loads and supports, or where one alone is called so by
+        that of its place: a boundary, "point (0, 1)" of a PointSupport, a body (InitialStrain,
+        BodyForce), "body force" (of all bodies). A single number holds in all steps. Factors below
+        1e-14 of the largest of their sequence, what rounding leaves of zero, become zero.
     default : float or sequence of float
         Factor of what is not named.
 
@@ -50,19 +51,30 @@ class LoadPath:
     default: np.ndarray = 1.0
 
     if TYPE_CHECKING:
-        def __init__(self, factors: Mapping[str, ArrayLike] = ..., default: ArrayLike = 1.0) -> None: ...
+
+        def __init__(
+            self, factors: Mapping[str, ArrayLike] = ..., default: ArrayLike = 1.0
+        ) -> None: ...
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        factors = checks.mapping("factors", self.factors, "names of boundaries or bodies to factors")
-        values = {checks.boundary_name("the names in factors", name): _factors(f"factors[{name!r}]", value)
-                  for name, value in factors.items()} | {None: _factors("default", self.default)}
+        factors = checks.mapping(
+            "factors", self.factors, "names of boundaries or bodies to factors"
+        )
+        values = {
+            checks.boundary_name("the names in factors", name): _factors(
+                f"factors[{name!r}]", value
+            )
+            for name, value in factors.items()
+        } | {None: _factors("default", self.default)}
         lengths = {name: value.size for name, value in values.items() if value.ndim}
         steps = max(lengths.values(), default=1)
         if set(lengths.values()) - {steps} or not steps:
-            raise ValueError("factors must have the same number of steps, one at least, got "
-                             + ", ".join(f"{n} for {name or DEFAULT!r}" for name, n in lengths.items()))
+            raise ValueError(
+                "factors must have the same number of steps, one at least, got "
+                + ", ".join(f"{n} for {name or DEFAULT!r}" for name, n in lengths.items())
+            )
         spread = {name: np.broadcast_to(value, (steps,)) for name, value in values.items()}
         object.__setattr__(self, "default", spread.pop(None))
         object.__setattr__(self, "factors", spread)
@@ -75,13 +87,16 @@ class LoadPath:
         return self.factors.get(name, self.default)
 
     def resolved(self, problem: ContactProblem | None) -> dict[str, np.ndarray]:
-        """Return factors (n_steps,) of all that a problem has to scale; of a bare DiscreteProblem (None) ``default``.
+        """Return factors (n_steps,) of all that a problem has to scale; of a bare DiscreteProblem
+        (None) ``default``.
 
         ValueError if the path names something that the problem does not load or move.
         """
         if problem is None and self.factors:
-            raise ValueError(f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "
-                             "no names: give default=... alone, or a hierarchy made from a ContactProblem")
+            raise ValueError(
+                f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "
+                "no names: give default=... alone, or a hierarchy made from a ContactProblem"
+            )
         names = (DEFAULT,) if problem is None else names_in_path(problem)
         _check_names("path names", self.factors, names)
         for name in self.factors:
@@ -93,23 +108,34 @@ class LoadPath:
 
 
 def _acting(problem: ContactProblem) -> list[Acting]:
-    """Return what a path scales: loads, prescribed displacements and jumps other than zero, and moving obstacles."""
-    held = [one for one in (*problem.supports, *problem.ties) if isinstance(one, Acting) and one.acts]
+    """Return what a path scales: loads, prescribed displacements and jumps other than zero, and
+    moving obstacles."""
+    held = [
+        one for one in (*problem.supports, *problem.ties) if isinstance(one, Acting) and one.acts
+    ]
     return [*problem.loads, *held, *_obstacles(problem)]
 
 
 def _obstacles(problem: ContactProblem) -> list[Moving | Rigid]:
-    return [part for one in problem.contact if isinstance(one, Contact) for part in moving_parts(one.obstacle)]
+    return [
+        part
+        for one in problem.contact
+        if isinstance(one, Contact)
+        for part in moving_parts(one.obstacle)
+    ]
 
 
 def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
-    """Return the names of all that a path scales, each once; those of preloads and obstacles belong to one alone."""
+    """Return the names of all that a path scales, each once; those of preloads and obstacles belong
+    to one alone."""
     acting = _acting(problem)
     named = [one.path_name for one in acting]
     for one in acting:
         if isinstance(one, Preload | Moving | Rigid) and named.count(one.path_name) > 1:
-            raise ValueError(f"{one.path_name!r} is the name of a {type(one).__name__} and of another load, support or "
-                             "obstacle: give each a name= of its own")
+            raise ValueError(
+                f"{one.path_name!r} is the name of a {type(one).__name__} and of another load, support or "
+                "obstacle: give each a name= of its own"
+            )
     return tuple(dict.fromkeys(named))
 
 
@@ -119,7 +145,11 @@ def obstacles_in_path(problem: ContactProblem) -> list[str]:
 
 
 def _factors(name: str, value: ArrayLike) -> np.ndarray:
-    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or getattr(value, "ndim", 1) == 0:
+    if (
+        isinstance(value, (str, bytes))
+        or not isinstance(value, Iterable)
+        or getattr(value, "ndim", 1) == 0
+    ):
         return np.array(checks.quantity(name, value))
     result = np.array(checks.vector(name, value))
     if not (np.abs(result) <= checks.VAST).all():
@@ -128,30 +158,51 @@ def _factors(name: str, value: ArrayLike) -> np.ndarray:
     return result
 
 
-def step_problem(problem: ContactProblem, factors: Mapping[str, float],
-                 motions: Mapping[str, ArrayLike] | None = None) -> ContactProblem:
-    """Return the problem with its loads and prescribed displacements multiplied by the factors of one load step.
+def step_problem(
+    problem: ContactProblem,
+    factors: Mapping[str, float],
+    motions: Mapping[str, ArrayLike] | None = None,
+) -> ContactProblem:
+    """Return the problem with its loads and prescribed displacements multiplied by the factors of
+    one load step.
 
-    ``factors`` go by the names of a :class:`LoadPath`; what is not named keeps its size. Those of step k of a
-    PathResult are ``{name: values[k] for name, values in path.factors.items()}``. Loads with factor 0 stay, as zeros;
-    the slip of earlier steps is not part of it. With the ``motions`` of the step's Result, Rigid obstacles have become
-    Moving ones and preloads initial strains. ValueError for a name under which nothing is loaded or moved, or a factor
-    that is not finite.
+    ``factors`` go by the names of a :class:`LoadPath`; what is not named keeps its size. Those of
+    step k of a PathResult are ``{name: values[k] for name, values in path.factors.items()}``. Loads
+    with factor 0 stay, as zeros; the slip of earlier steps is not part of it. With the ``motions``
+    of the step's Result, Rigid obstacles have become Moving ones and preloads initial strains.
+    ValueError for a name under which nothing is loaded or moved, or a factor that is not finite.
     """
-    factors = {name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()}
+    factors = {
+        name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()
+    }
     _check_names("factors name", factors, names_in_path(problem))
-    changed = {kind: tuple(one.scaled(factors.get(one.path_name, 1.0)) if isinstance(one, Acting) else one
-                           for one in getattr(problem, kind)) for kind in ("loads", "supports", "ties")}
+    changed = {
+        kind: tuple(
+            one.scaled(factors.get(one.path_name, 1.0)) if isinstance(one, Acting) else one
+            for one in getattr(problem, kind)
+        )
+        for kind in ("loads", "supports", "ties")
+    }
     if motions is not None:
-        changed["loads"] = tuple(one.shortening(problem.dim, *np.ravel(motions[one.path_name]))
-                                 if isinstance(one, Preload) else one for one in changed["loads"])
-    contact = tuple(replace(one, obstacle=placed(one.obstacle, factors, motions)) if isinstance(one, Contact) else one
-                    for one in problem.contact)
+        changed["loads"] = tuple(
+            one.shortening(problem.dim, *np.ravel(motions[one.path_name]))
+            if isinstance(one, Preload)
+            else one
+            for one in changed["loads"]
+        )
+    contact = tuple(
+        replace(one, obstacle=placed(one.obstacle, factors, motions))
+        if isinstance(one, Contact)
+        else one
+        for one in problem.contact
+    )
     return replace(problem, contact=contact, **changed)
 
 
 def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...]) -> None:
     for name in factors:
         if name not in names:
-            raise ValueError(f"{what} {name!r}, which no load, moving obstacle or prescribed displacement other than "
-                             f"zero has; known are {', '.join(map(repr, names)) or 'none'}")
+            raise ValueError(
+                f"{what} {name!r}, which no load, moving obstacle or prescribed displacement other than "
+                f"zero has; known are {', '.join(map(repr, names)) or 'none'}"
+            )

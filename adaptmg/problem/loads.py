@@ -54,12 +54,15 @@ class Product:
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Return the values (n,) at points (n, dim)."""
-        first, second = (np.asarray(one(points)) if callable(one) else one for one in (self.first, self.second))
+        first, second = (
+            np.asarray(one(points)) if callable(one) else one for one in (self.first, self.second)
+        )
         return first * second
 
 
 def times(value: Any, factor: float) -> Any:
-    """Return a number, array, function of position, or tuple of them, times a factor; None stays."""
+    """Return a number, array, function of position, or tuple of them, times a factor; None
+    stays."""
     if value is None or factor == 1.0:
         return value
     if isinstance(value, tuple):
@@ -68,7 +71,8 @@ def times(value: Any, factor: float) -> Any:
 
 
 class Acting(checks.Checked):
-    """What a load path scales: the base class of loads, supports, periodic sides and moving obstacles."""
+    """What a load path scales: the base class of loads, supports, periodic sides and moving
+    obstacles."""
 
     name: str | None = None
     _amounts: ClassVar[tuple[str, ...]] = ()  # the fields that a factor multiplies
@@ -186,8 +190,9 @@ class InitialStrain(Acting):
     body : str
         Name of the body.
     components : sequence of float or callable
-        Normal strains; shear strains are zero. In 2D (xx, yy) or (xx, yy, zz), axisymmetric (rr, zz) or (rr, zz,
-        hoop), the third being 0 where it is left out; in 3D (xx, yy, zz). Negative shortens.
+        Normal strains; shear strains are zero. In 2D (xx, yy) or (xx, yy, zz), axisymmetric (rr,
+        zz) or (rr, zz, hoop), the third being 0 where it is left out; in 3D (xx, yy, zz). Negative
+        shortens.
     name : str, optional
         In load paths; default the body's.
 
@@ -204,8 +209,14 @@ class InitialStrain(Acting):
     _amounts = ("components",)
 
     @classmethod
-    def thermal(cls, expansion: FieldLike | Sequence[FieldLike], temperature: FieldLike, *, body: str = "body",
-                name: str | None = None) -> InitialStrain:
+    def thermal(
+        cls,
+        expansion: FieldLike | Sequence[FieldLike],
+        temperature: FieldLike,
+        *,
+        body: str = "body",
+        name: str | None = None,
+    ) -> InitialStrain:
         """Return the strains of a change of temperature.
 
         Parameters
@@ -227,8 +238,14 @@ class InitialStrain(Acting):
         alike = callable(expansion) or not isinstance(expansion, Sequence | np.ndarray)
         each = _components("expansion", (expansion,) * 3 if alike else expansion)
         rise = checks.function_or("temperature", temperature)
-        return cls(body, tuple(Product(one, rise) if callable(one) or callable(rise) else one * rise for one in each),
-                   name=name)
+        return cls(
+            body,
+            tuple(
+                Product(one, rise) if callable(one) or callable(rise) else one * rise
+                for one in each
+            ),
+            name=name,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +254,8 @@ class Preload(Acting):
 
     An initial strain along the axis shortens the body until a cut across it carries the force;
     :func:`adaptmg.solve_path` finds it, and ``Result.motions`` has it. In a load path the force is reached in steps
-    that change its factor; where the factor stays the bolt keeps its length, and its force follows the other loads.
+    that change its factor; where the factor stays the bolt keeps its length, and its force follows
+    the other loads.
 
     Parameters
     ----------
@@ -289,7 +307,9 @@ class _Holds(Acting):
         super().__post_init__()
         names = self._amounts or self._stiffnesses
         if names and all(getattr(self, name) == getattr(type(self), name) for name in names):
-            raise ValueError(f"the {type(self).__name__} at {self.place!r} holds nothing: give {' or '.join(names)}")
+            raise ValueError(
+                f"the {type(self).__name__} at {self.place!r} holds nothing: give {' or '.join(names)}"
+            )
 
     def components(self, dim: int) -> tuple[FieldLike | None, ...]:
         """Return the prescribed components in ``dim`` dimensions."""
@@ -309,7 +329,8 @@ class Support(_Holds):
     x, y, z : float, callable or None
         Prescribed displacement, m; a function of position is taken at the nodes.
     normal : float, callable or None
-        Prescribed displacement along the outward normal of the boundary, which must be plane, in any direction, m.
+        Prescribed displacement along the outward normal of the boundary, which must be plane, in
+        any direction, m.
     name : str, optional
         In load paths; default the boundary's.
 
@@ -352,12 +373,14 @@ class Symmetry(_Holds):
 class PointSupport(_Holds):
     """Prescribed displacement components of the node at a point, against rigid motions.
 
-    The stress at a node that carries a load grows without bound as meshes become finer: let it carry none.
+    The stress at a node that carries a load grows without bound as meshes become finer: let it
+    carry none.
 
     Parameters
     ----------
     point : sequence of float
-        m. Every mesh must have a node there: graded meshes of plane domains do at points of straight edges.
+        m. Every mesh must have a node there: graded meshes of plane domains do at points of
+           straight edges.
     x, y, z : float, callable or None
         Prescribed displacement, m.
     body : str, optional
@@ -384,7 +407,8 @@ class PointSupport(_Holds):
 
 @dataclass(frozen=True)
 class Spring(_Holds):
-    """Springs between a boundary and the ground, an elastic foundation: traction ``-normal u_n n - tangential u_t``.
+    """Springs between a boundary and the ground, an elastic foundation: traction ``-normal u_n n -
+    tangential u_t``.
 
     Parameters
     ----------
@@ -412,9 +436,11 @@ class PointSpring(_Holds):
     Parameters
     ----------
     point : sequence of float
-        m. Every mesh must have a node there: graded meshes of plane domains do at points of straight edges.
+        m. Every mesh must have a node there: graded meshes of plane domains do at points of
+           straight edges.
     x, y, z : float
-        Stiffness, N/m (plane: per metre of thickness; axisymmetric: of the full circumference), >= 0.
+        Stiffness, N/m (plane: per metre of thickness; axisymmetric: of the full circumference), >=
+        0.
     body : str, optional
         Name of the body, where nodes of several lie at the point.
 

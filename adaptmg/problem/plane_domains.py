@@ -1,8 +1,8 @@
 r"""Plane domains and boxes as data that the mesh generators mesh. Lengths in m, boundaries by name.
 
-With the signed angle :math:`\theta` of an arc of radius r (positive: counter-clockwise about its centre) the area of an
-outline is that of the polygon of the vertices plus :math:`\tfrac12 r^2 (\theta - \sin\theta)` an arc.
-"""
+With the signed angle :math:`\theta` of an arc of radius r (positive: counter-clockwise about its
+centre) the area of an outline is that of the polygon of the vertices plus :math:`\tfrac12 r^2
+(\theta - \sin\theta)` an arc."""
 
 from __future__ import annotations
 
@@ -32,16 +32,20 @@ class Domain(checks.Checked):
     dim : int
         Space dimension.
     boundaries : tuple of str or None
-        Names of the boundaries; those of several bodies are "body.edge". None where only the mesh knows them.
+        Names of the boundaries; those of several bodies are "body.edge". None where only the mesh
+        knows them.
     bodies : tuple of str or None
-        Names of the bodies; ``("body",)`` unless a subclass says otherwise. None where only the mesh knows them.
+        Names of the bodies; ``("body",)`` unless a subclass says otherwise. None where only the
+        mesh knows them.
     lower, upper : (dim,) arrays
         Lowest and highest corner of a box around the domain, m; not for a StepFile.
     """
 
     dim: int
     boundaries: tuple[str, ...] | None
-    _extremes: Callable[[], np.ndarray]  # points (n, dim), m, whose bounding box contains the domain
+    _extremes: Callable[
+        [], np.ndarray
+    ]  # points (n, dim), m, whose bounding box contains the domain
 
     @property
     def bodies(self) -> tuple[str, ...] | None:
@@ -98,7 +102,9 @@ class Rectangle(Domain):
     def outline(self) -> Outline:
         """Return the same as an outline."""
         (x0, y0), (x1, y1) = self.lower, self.upper
-        return Outline(vertices=((x0, y0), (x1, y0), (x1, y1), (x0, y1)), boundaries=self.boundaries)
+        return Outline(
+            vertices=((x0, y0), (x1, y0), (x1, y1), (x0, y1)), boundaries=self.boundaries
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,8 +145,10 @@ def _vertices(name: str, value: object) -> tuple[tuple[float, float], ...]:
 
 
 def _arcs(name: str, value: Mapping[int, tuple[float, float]]) -> dict[int, tuple[float, float]]:
-    arcs = {checks.integer("the edge number in arcs", i): corner(f"arcs[{i}]", centre, 2)
-            for i, centre in checks.mapping(name, value, "edge numbers to centres").items()}
+    arcs = {
+        checks.integer("the edge number in arcs", i): corner(f"arcs[{i}]", centre, 2)
+        for i, centre in checks.mapping(name, value, "edge numbers to centres").items()
+    }
     return dict(sorted(arcs.items()))
 
 
@@ -150,7 +158,8 @@ def _holes(name: str, value: object) -> tuple[int, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Outline(Domain):
-    """A plane domain like :class:`Polygon`, some of whose edges are circular arcs; it may have holes.
+    """A plane domain like :class:`Polygon`, some of whose edges are circular arcs; it may have
+    holes.
 
     Meshes are straight: their nodes lie on the arcs, their edges are chords.
 
@@ -161,11 +170,13 @@ class Outline(Domain):
     boundaries : sequence of str
         ``boundaries[i]`` names the edge from vertex i to vertex i + 1.
     arcs : mapping of int to pair of float
-        Edge i is the shorter arc about the centre ``arcs[i]``, m: less than 180 degrees, both vertices at the same
-        distance from the centre. A full circle takes three edges or more. Other edges are straight.
+        Edge i is the shorter arc about the centre ``arcs[i]``, m: less than 180 degrees, both
+        vertices at the same distance from the centre. A full circle takes three edges or more.
+        Other edges are straight.
     holes : sequence of int
-        Numbers of the vertices at which holes begin: the vertices of each follow those of the outer edge, clockwise,
-        so that the body lies to the left of every edge. The last edge of each closes it. ``Cut`` makes holes.
+        Numbers of the vertices at which holes begin: the vertices of each follow those of the outer
+        edge, clockwise, so that the body lies to the left of every edge. The last edge of each
+        closes it. ``Cut`` makes holes.
 
     Examples
     --------
@@ -187,24 +198,35 @@ class Outline(Domain):
         super().__post_init__()
         n, ends = len(self.vertices), self._loops()
         if len(self.boundaries) != n:
-            raise ValueError(f"boundaries must name each of the {n} edges, got {len(self.boundaries)} names")
+            raise ValueError(
+                f"boundaries must name each of the {n} edges, got {len(self.boundaries)} names"
+            )
         if self.holes and min(b - a for a, b in ends) < 2:
-            raise ValueError("holes must be ascending vertex numbers, two or more apart, from 2 to "
-                             f"{n - 2}, got {self.holes}")
+            raise ValueError(
+                "holes must be ascending vertex numbers, two or more apart, from 2 to "
+                f"{n - 2}, got {self.holes}"
+            )
         if self.arcs and max(self.arcs) >= n:
-            raise ValueError(f"arcs names edge {max(self.arcs)}, but there are {n} edges, counted from 0")
+            raise ValueError(
+                f"arcs names edge {max(self.arcs)}, but there are {n} edges, counted from 0"
+            )
         for i in self.arcs:
             self._check_arc(i)
         for (first, _), area in zip(ends, self._areas(), strict=True):
             if not (area < 0 if first else area > 0):
-                way = "of a hole must run clockwise around it" if first else (
-                    "must run counter-clockwise around a positive area")
+                way = (
+                    "of a hole must run clockwise around it"
+                    if first
+                    else ("must run counter-clockwise around a positive area")
+                )
                 raise ValueError(f"vertices {way}, got a signed area of {area}")
         check_simple(list(map(self.edge, range(n))), self.boundaries, np.arange(n), self.following)
         for first, last in ends[1:]:
             if self.winding(self.vertices[first], np.r_[0:first, last:n]) != 1:
-                raise ValueError(f"holes: the hole from vertex {first} on lies outside the outer edge, or in another "
-                                 "hole")
+                raise ValueError(
+                    f"holes: the hole from vertex {first} on lies outside the outer edge, or in another "
+                    "hole"
+                )
 
     def _loops(self) -> list[tuple[int, int]]:
         """The vertices from a to before b of the outer edge, and of each hole."""
@@ -227,13 +249,19 @@ class Outline(Domain):
         first, last = np.linalg.norm(a - c), np.linalg.norm(b - c)
         name = f"arcs[{i}] ({self.boundaries[i]!r})"
         if not abs(first - last) <= _ROUND * max(first, last) or not first > 0:
-            raise ValueError(f"{name}: the centre {self.arcs[i]} must have the same distance > 0 from both vertices, "
-                             f"got {first:.12g} and {last:.12g} m")
+            raise ValueError(
+                f"{name}: the centre {self.arcs[i]} must have the same distance > 0 from both vertices, "
+                f"got {first:.12g} and {last:.12g} m"
+            )
         if not np.linalg.norm(b - a) > _ROUND * first:
-            raise ValueError(f"{name}: both vertices are {self.vertices[i]}; cut a full circle into three edges "
-                             "or more")
+            raise ValueError(
+                f"{name}: both vertices are {self.vertices[i]}; cut a full circle into three edges "
+                "or more"
+            )
         if not np.linalg.norm(a + b - 2 * c) > 1e-6 * first:
-            raise ValueError(f"{name}: an arc of 180 degrees has no shorter side; cut it into two edges")
+            raise ValueError(
+                f"{name}: an arc of 180 degrees has no shorter side; cut it into two edges"
+            )
 
     @property
     def following(self) -> np.ndarray:
@@ -253,21 +281,27 @@ class Outline(Domain):
         center = self.arcs[i]
         (ax, ay), (bx, by) = (np.array(p) - np.array(center) for p in self._ends(i))
         angle = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
-        return Arc(center, 0.5 * (math.hypot(ax, ay) + math.hypot(bx, by)), math.atan2(ay, ax), angle)
+        return Arc(
+            center, 0.5 * (math.hypot(ax, ay) + math.hypot(bx, by)), math.atan2(ay, ax), angle
+        )
 
     def edge(self, i: int) -> Arc | Segment:
         """Return edge i."""
         return self.arc(i) or Segment(*map(np.array, self._ends(i)))
 
     def winding(self, x: np.ndarray | tuple[float, float], edges: np.ndarray | None = None) -> int:
-        """Return how often the edges, or closed loops of them, run around a point that lies on none: 1 inside."""
+        """Return how often the edges, or closed loops of them, run around a point that lies on
+        none: 1 inside."""
         edges = np.arange(len(self.vertices)) if edges is None else edges
         a, b = (np.array(self.vertices)[ends] - x for ends in (edges, self.following[edges]))
         turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
         for k, arc in enumerate(map(self.arc, edges.tolist())):
             # between the chord and the arc
-            if (arc is not None and turns[k] * arc.angle < 0
-                    and np.linalg.norm(x - np.array(arc.center)) < arc.radius):
+            if (
+                arc is not None
+                and turns[k] * arc.angle < 0
+                and np.linalg.norm(x - np.array(arc.center)) < arc.radius
+            ):
                 turns[k] += math.copysign(2 * math.pi, arc.angle)
         return round(float(turns.sum()) / (2 * math.pi))
 
@@ -282,10 +316,15 @@ class Outline(Domain):
         return tuple(self.edge(i).length for i in range(len(self.vertices)))
 
     def chords(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return points (n, 2), m, in order, arcs cut every 3 degrees; for each its edge, and the next one's number."""
+        """Return points (n, 2), m, in order, arcs cut every 3 degrees; for each its edge, and the
+        next one's number."""
         edges = [self.edge(i) for i in range(len(self.vertices))]
-        counts = np.array([math.ceil(abs(one.angle) / _CHORD) if isinstance(one, Arc) else 1 for one in edges])
-        points = np.concatenate([one.at(np.arange(n) / n) for one, n in zip(edges, counts.tolist(), strict=True)])
+        counts = np.array(
+            [math.ceil(abs(one.angle) / _CHORD) if isinstance(one, Arc) else 1 for one in edges]
+        )
+        points = np.concatenate(
+            [one.at(np.arange(n) / n) for one, n in zip(edges, counts.tolist(), strict=True)]
+        )
         last = np.cumsum(counts) - 1
         following = np.arange(1, len(points) + 1)
         following[last] = (last - counts + 1)[self.following]
@@ -362,18 +401,24 @@ class Circle(Domain):
     def outline(self) -> Outline:
         """Return the same as an outline of four arcs, which begins at the right."""
         (x, y), r = self.centre, self.radius
-        return Outline(vertices=((x + r, y), (x, y + r), (x - r, y), (x, y - r)), boundaries=(self.boundary,) * 4,
-                       arcs=dict.fromkeys(range(4), self.centre))
+        return Outline(
+            vertices=((x + r, y), (x, y + r), (x - r, y), (x, y - r)),
+            boundaries=(self.boundary,) * 4,
+            arcs=dict.fromkeys(range(4), self.centre),
+        )
 
     def _extremes(self) -> np.ndarray:
         return np.array([[-self.radius], [self.radius]]) + self.centre
 
 
 def with_vertex(domain: Domain, point: tuple[float, ...], arcs: bool = False) -> Domain:
-    """Return a plane domain with a vertex at a point of a straight edge, or of any; itself if it lies elsewhere."""
+    """Return a plane domain with a vertex at a point of a straight edge, or of any; itself if it
+    lies elsewhere."""
     outline, near = domain.outline, 1e-9 * float((domain.upper - domain.lower).max())
-    away = [np.inf if i in outline.arcs and not arcs else outline.edge(i).distance(np.array([point]))[0]
-            for i in range(len(outline.vertices))]
+    away = [
+        np.inf if i in outline.arcs and not arcs else outline.edge(i).distance(np.array([point]))[0]
+        for i in range(len(outline.vertices))
+    ]
     i = int(np.argmin(away))
     if away[i] > near or np.linalg.norm(np.array(outline.vertices) - point, axis=1).min() <= near:
         return domain
@@ -381,6 +426,9 @@ def with_vertex(domain: Domain, point: tuple[float, ...], arcs: bool = False) ->
     if (arc := outline.arc(i)) is not None:
         point = tuple(arc.at(np.array(arc.along(np.array(point)))).tolist())
         centres[i + 1] = arc.center
-    return Outline(vertices=(*outline.vertices[:i + 1], point, *outline.vertices[i + 1:]),
-                   boundaries=(*outline.boundaries[:i + 1], *outline.boundaries[i:]), arcs=centres,
-                   holes=tuple(k + (k > i) for k in outline.holes))
+    return Outline(
+        vertices=(*outline.vertices[: i + 1], point, *outline.vertices[i + 1 :]),
+        boundaries=(*outline.boundaries[: i + 1], *outline.boundaries[i:]),
+        arcs=centres,
+        holes=tuple(k + (k > i) for k in outline.holes),
+    )

@@ -1,4 +1,5 @@
-"""The edges of plane domains, straight or circular arcs, the points where two meet, and the check of closed loops."""
+"""The edges of plane domains, straight or circular arcs, the points where two meet, and the check
+of closed loops."""
 
 from __future__ import annotations
 
@@ -34,7 +35,9 @@ class Segment:
 
     def at(self, fractions: np.ndarray) -> np.ndarray:
         """Return the points (n, 2), m, at fractions (n,) of the length."""
-        return self.start + np.asarray(fractions, dtype=np.float64)[..., None] * (self.end - self.start)
+        return self.start + np.asarray(fractions, dtype=np.float64)[..., None] * (
+            self.end - self.start
+        )
 
     def along(self, point: np.ndarray) -> float:
         """Return the fraction of the length at which a point of the edge lies."""
@@ -69,13 +72,16 @@ class Arc:
 
     @property
     def bulge(self) -> float:
-        """Return the signed area between arc and chord, m^2; positive where the arc lies outside the chord."""
+        """Return the signed area between arc and chord, m^2; positive where the arc lies outside
+        the chord."""
         return 0.5 * self.radius**2 * (self.angle - math.sin(self.angle))
 
     def at(self, fractions: np.ndarray) -> np.ndarray:
         """Return the points (n, 2), m, at fractions (n,) of the angle."""
         directions = self.start + np.asarray(fractions, dtype=np.float64) * self.angle
-        return np.array(self.center) + self.radius * np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+        return np.array(self.center) + self.radius * np.stack(
+            [np.cos(directions), np.sin(directions)], axis=-1
+        )
 
     def along(self, point: np.ndarray) -> float:
         """Return the fraction of the angle at which a point of the arc lies."""
@@ -87,15 +93,18 @@ class Arc:
         """Return the distance (n,) of points (n, 2) to the arc, m."""
         offset = points - np.array(self.center)
         middle = self.start + 0.5 * self.angle
-        along, across = (offset @ np.array(d) for d in ((math.cos(middle), math.sin(middle)),
-                                                        (-math.sin(middle), math.cos(middle))))
+        along, across = (
+            offset @ np.array(d)
+            for d in ((math.cos(middle), math.sin(middle)), (-math.sin(middle), math.cos(middle)))
+        )
         in_sector = np.abs(np.arctan2(across, along)) <= 0.5 * abs(self.angle)
         ends = np.min([np.linalg.norm(points - end, axis=1) for end in self.ends], axis=0)
         return np.where(in_sector, np.abs(np.hypot(along, across) - self.radius), ends)
 
 
 def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]:
-    """Return the points where two edges cross or touch, and the ends of one that lie on the other."""
+    """Return the points where two edges cross or touch, and the ends of one that lie on the
+    other."""
     points = [*e.ends, *f.ends]
     if isinstance(e, Arc) and isinstance(f, Arc):
         points += _circles(e, f, tol)
@@ -113,9 +122,13 @@ def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]
     return on_both(e, f, points, tol)
 
 
-def on_both(e: Segment | Arc, f: Segment | Arc, points: list[np.ndarray], tol: float) -> list[np.ndarray]:
+def on_both(
+    e: Segment | Arc, f: Segment | Arc, points: list[np.ndarray], tol: float
+) -> list[np.ndarray]:
     """Return those points that lie on both edges."""
-    return [p for p in points if e.distance(p[None])[0] <= 2 * tol and f.distance(p[None])[0] <= 2 * tol]
+    return [
+        p for p in points if e.distance(p[None])[0] <= 2 * tol and f.distance(p[None])[0] <= 2 * tol
+    ]
 
 
 def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
@@ -125,43 +138,63 @@ def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
         return []
     toward = apart / distance
     along = (distance**2 + e.radius**2 - f.radius**2) / (2 * distance)
-    return _both_sides(centre + along * toward, np.array([-toward[1], toward[0]]), e.radius, abs(along), tol)
+    return _both_sides(
+        centre + along * toward, np.array([-toward[1], toward[0]]), e.radius, abs(along), tol
+    )
 
 
-def _both_sides(foot: np.ndarray, along: np.ndarray, radius: float, distance: float, tol: float) -> list[np.ndarray]:
+def _both_sides(
+    foot: np.ndarray, along: np.ndarray, radius: float, distance: float, tol: float
+) -> list[np.ndarray]:
     if distance > radius - tol:
         return [foot] if distance <= radius + tol else []
     half = math.sqrt((radius - distance) * (radius + distance))
     return [foot - half * along, foot + half * along]
 
 
-def check_simple(edges: Sequence[Segment | Arc], names: Sequence[str], first: np.ndarray, last: np.ndarray,
-                 what: str = "vertices") -> None:
-    """Raise ValueError if edges from vertices ``first`` to ``last``, by number, are too short, or meet elsewhere."""
+def check_simple(
+    edges: Sequence[Segment | Arc],
+    names: Sequence[str],
+    first: np.ndarray,
+    last: np.ndarray,
+    what: str = "vertices",
+) -> None:
+    """Raise ValueError if edges from vertices ``first`` to ``last``, by number, are too short, or
+    meet elsewhere."""
     a, b = np.array([edge.ends for edge in edges]).transpose(1, 0, 2)
     straight = np.array([isinstance(edge, Segment) for edge in edges])
-    # an arc is shorter than a half circle: it lies in the box around its ends grown by their distance
+    # an arc is shorter than a half circle: it lies in the box around its ends grown by their
+    # distance
     lengths = np.linalg.norm(b - a, axis=1)
     extent = float(np.ptp(a, axis=0).max())
     k = int(np.argmin(lengths))
     if not lengths[k] > _SHORTEST * extent:
-        raise ValueError(f"{what}: edge {k} ({names[k]!r}) must be longer than {_SHORTEST:g} of the extent, got "
-                         f"{lengths[k] / extent:.2g}")
+        raise ValueError(
+            f"{what}: edge {k} ({names[k]!r}) must be longer than {_SHORTEST:g} of the extent, got "
+            f"{lengths[k] / extent:.2g}"
+        )
     grown = np.where(straight, 0.0, lengths)[:, None]
     low, high, tiny = np.minimum(a, b) - grown, np.maximum(a, b) + grown, _ROUND * extent
     pairs = np.stack(np.triu_indices(len(a), 1), axis=1)
     near = (low[pairs] <= high[pairs[:, ::-1]] + tiny).all(axis=(1, 2))
     for i, j in pairs[near].tolist():
-        shared = [a[i] if k == first[i] else b[i] for k in {first[i], last[i]} & {first[j], last[j]}]
+        shared = [
+            a[i] if k == first[i] else b[i] for k in {first[i], last[i]} & {first[j], last[j]}
+        ]
         if _meet(edges[i], edges[j], shared, tiny):
-            raise ValueError(f"{what}: edges {i} ({names[i]!r}) and {j} ({names[j]!r}) meet; a boundary must not cross "
-                             "itself, or fold back")
+            raise ValueError(
+                f"{what}: edges {i} ({names[i]!r}) and {j} ({names[j]!r}) meet; a boundary must not cross "
+                "itself, or fold back"
+            )
 
 
 def _meet(e: Segment | Arc, f: Segment | Arc, shared: list[np.ndarray], tiny: float) -> bool:
     """Whether two edges meet elsewhere than at the vertices they share."""
-    points = meetings(e, f, tiny) if not shared else on_both(e, f, [*e.ends, *f.ends, *(
-        p for v in shared for p in _again(e, f, v))], tiny)
+    points = (
+        meetings(e, f, tiny)
+        if not shared
+        else on_both(e, f, [*e.ends, *f.ends, *(p for v in shared for p in _again(e, f, v))], tiny)
+    )
     return any(all(np.linalg.norm(p - v) > _SAME * tiny for v in shared) for p in points)
 
 

@@ -25,7 +25,8 @@ SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
 
 
 class SolidDomain(Domain):
-    """One body in space (of plane domains combined: in the plane): the base class of solids and combinations."""
+    """One body in space (of plane domains combined: in the plane): the base class of solids and
+    combinations."""
 
     dim: ClassVar[int] = 3
 
@@ -38,7 +39,9 @@ def _profile(name: str, value: Domain) -> Outline:
     if not isinstance(value, Domain) or value.dim != 2 or not hasattr(value, "outline"):
         raise TypeError(f"{name} must be {_PROFILE}, got {checks.described(value)}")
     if value.outline.holes:
-        raise ValueError(f"{name} has holes: make the solid of its outer edge, and Cut those of its holes from it")
+        raise ValueError(
+            f"{name} has holes: make the solid of its outer edge, and Cut those of its holes from it"
+        )
     return value.outline
 
 
@@ -106,13 +109,14 @@ class Ball(SolidDomain):
 class Revolution(SolidDomain):
     """A plane profile turned about the z axis, from the plane y = 0 towards +y.
 
-    Boundaries are called like the edges of the profile (those on the axis have none); below 360 degrees ``start``, in
-    the plane y = 0, and ``end`` are added.
+    Boundaries are called like the edges of the profile (those on the axis have none); below 360
+    degrees ``start``, in the plane y = 0, and ``end`` are added.
 
     Parameters
     ----------
     polygon : Polygon, Outline, Rectangle, Circle, or a combination of these
-        Profile in the half plane (r, z), r >= 0. It may touch the axis along edges, not at a single vertex.
+        Profile in the half plane (r, z), r >= 0. It may touch the axis along edges, not at a single
+        vertex.
     angle : float
         Degrees, 0 < angle <= 360.
 
@@ -133,14 +137,20 @@ class Revolution(SolidDomain):
             raise ValueError(f"angle must be at most 360 degrees, got {self.angle!r}")
         r = np.array(self.polygon.vertices)[:, 0]
         if not self.polygon.lower[0] >= -_ON_AXIS * r.max():
-            raise ValueError(f"polygon must lie in the half plane r >= 0, it reaches to r = {self.polygon.lower[0]:g}")
+            raise ValueError(
+                f"polygon must lie in the half plane r >= 0, it reaches to r = {self.polygon.lower[0]:g}"
+            )
         on_axis = r <= _ON_AXIS * r.max()
         alone = on_axis & ~np.roll(on_axis, 1) & ~np.roll(on_axis, -1)
         if alone.any():
-            raise ValueError(f"polygon touches the axis at the single vertex {int(np.argmax(alone))}; let an edge of "
-                             "it lie on the axis, or move the vertex away")
+            raise ValueError(
+                f"polygon touches the axis at the single vertex {int(np.argmax(alone))}; let an edge of "
+                "it lie on the axis, or move the vertex away"
+            )
         if self.angle < 360 and {"start", "end"} & set(self.polygon.boundaries):
-            raise ValueError("the edges of polygon must not be called 'start' or 'end': these are the end planes")
+            raise ValueError(
+                "the edges of polygon must not be called 'start' or 'end': these are the end planes"
+            )
 
     @property
     def boundaries(self) -> tuple[str, ...]:
@@ -155,12 +165,15 @@ class Revolution(SolidDomain):
         # rounded so that quarter turns are exact
         directions = np.round(np.stack([np.cos(turns), np.sin(turns)], axis=1), 15)
         ends = self.polygon.lower, self.polygon.upper
-        return np.concatenate([np.column_stack([r * directions, np.full(len(turns), z)]) for r, z in ends])
+        return np.concatenate(
+            [np.column_stack([r * directions, np.full(len(turns), z)]) for r, z in ends]
+        )
 
 
 @dataclass(frozen=True)
 class Extrusion(SolidDomain):
-    """A plane profile in (x, y), extruded along z; boundaries are its edges, ``bottom`` and ``top``.
+    """A plane profile in (x, y), extruded along z; boundaries are its edges, ``bottom`` and
+    ``top``.
 
     Parameters
     ----------
@@ -187,7 +200,9 @@ class Extrusion(SolidDomain):
     def __post_init__(self) -> None:
         super().__post_init__()
         if {"bottom", "top"} & set(self.polygon.boundaries):
-            raise ValueError("the edges of polygon must not be called 'bottom' or 'top': these are the end planes")
+            raise ValueError(
+                "the edges of polygon must not be called 'bottom' or 'top': these are the end planes"
+            )
 
     @property
     def boundaries(self) -> tuple[str, ...]:
@@ -195,13 +210,18 @@ class Extrusion(SolidDomain):
         return (*dict.fromkeys(self.polygon.boundaries), "bottom", "top")
 
     def _extremes(self) -> np.ndarray:
-        return np.stack([np.append(self.polygon.lower, self.base),
-                         np.append(self.polygon.upper, self.base + self.height)])
+        return np.stack(
+            [
+                np.append(self.polygon.lower, self.base),
+                np.append(self.polygon.upper, self.base + self.height),
+            ]
+        )
 
 
 @dataclass(frozen=True)
 class Moved(SolidDomain):
-    """A solid that is first rotated about an axis through the origin, then moved; boundaries keep their names.
+    """A solid that is first rotated about an axis through the origin, then moved; boundaries keep
+    their names.
 
     Parameters
     ----------
@@ -219,7 +239,9 @@ class Moved(SolidDomain):
     (0.0, 0.0, 0.1)
     """
 
-    solid: Annotated[SolidDomain | Box, partial(checks.instance, types=(SolidDomain, Box), words=SOLID)]
+    solid: Annotated[
+        SolidDomain | Box, partial(checks.instance, types=(SolidDomain, Box), words=SOLID)
+    ]
     offset: Triple = (0.0, 0.0, 0.0)
     angle: Quantity = 0.0
     axis: Direction = (0.0, 0.0, 1.0)
@@ -245,7 +267,9 @@ class Moved(SolidDomain):
 
     def _extremes(self) -> np.ndarray:
         ends = np.stack([self.solid.lower, self.solid.upper])
-        corners = np.stack([ends[[i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+        corners = np.stack(
+            [ends[[i, j, k], [0, 1, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        )
         return corners @ self.rotation.T + np.array(self.offset)
 
 
@@ -254,7 +278,9 @@ def _names(name: str, value: Mapping[str, str]) -> dict[str, str]:
     for old, new in result.items():
         checks.boundary_name(f"the keys of {name}", old)
         if "." in checks.boundary_name(f"{name}[{old!r}]", new):
-            raise ValueError(f"{name}[{old!r}] must not contain '.', got {new!r}: boundaries are 'solid.face'")
+            raise ValueError(
+                f"{name}[{old!r}] must not contain '.', got {new!r}: boundaries are 'solid.face'"
+            )
     return result
 
 
@@ -262,23 +288,24 @@ def _names(name: str, value: Mapping[str, str]) -> dict[str, str]:
 class StepFile(Domain):
     """The solids of a STEP file, each a body; boundaries are called "solid.face".
 
-    Names come from the file: of products, where each is one solid, else of solids; those without one, and faces, are
-    called ``solid1``, ``face1``, ... in the order of the file. Of several solids with one name (instances of a product)
-    the later ones get "_2", "_3", ...; a "." becomes "_". Names are known only when the file is read
-    (:func:`adaptmg.mesh.step_table` lists them).
+    Names come from the file: of products, where each is one solid, else of solids; those without
+    one, and faces, are called ``solid1``, ``face1``, ... in the order of the file. Of several
+    solids with one name (instances of a product) the later ones get "_2", "_3", ...; a "." becomes
+    "_". Names are known only when the file is read (:func:`adaptmg.mesh.step_table` lists them).
 
     Parameters
     ----------
     path : str or Path
         A ``.step`` or ``.stp`` file.
     unit : float
-        Length in m of one unit of the coordinates, after the reader has turned all units of length into millimetres:
-        leave it at 1e-3 unless the file states a wrong unit.
+        Length in m of one unit of the coordinates, after the reader has turned all units of length
+        into millimetres: leave it at 1e-3 unless the file states a wrong unit.
     names : mapping of str to str
-        New names: "solid1": "upper" of a solid, "solid1.face3": "contact" of one of its faces. Keys are names as in
-        the file, or solids and faces by their numbers, counted from 1.
+        New names: "solid1": "upper" of a solid, "solid1.face3": "contact" of one of its faces. Keys
+        are names as in the file, or solids and faces by their numbers, counted from 1.
     solids : sequence of str, optional
-        Which solids are meshed: "bolt" is all that have this name, "nut.2" the second of several; default all.
+        Which solids are meshed: "bolt" is all that have this name, "nut.2" the second of several;
+        default all.
 
     Examples
     --------

@@ -1,8 +1,10 @@
-r"""What a contact boundary may touch: rigid obstacles, at rest or moving, or another boundary; and ties.
+r"""What a contact boundary may touch: rigid obstacles, at rest or moving, or another boundary; and
+ties.
 
 The condition at a contact node is :math:`u_n = u \cdot n \le g_0`, with n pointing out of the body.
 
-An obstacle moves by a displacement (Moving), or by the force that it transmits (Rigid): a point x of it by
+An obstacle moves by a displacement (Moving), or by the force that it transmits (Rigid): a point x
+of it by
 :math:`U(x) = d + (R - I)(x - c)`. A plane moves exactly. In front of any other obstacle with the gap g and the normals
 n, to first order in the motion,
 
@@ -39,16 +41,18 @@ class Obstacle(Protocol):
         ...
 
 
-AnyObstacle = Annotated[Obstacle, partial(checks.offers, method="contact",
-                                          words="a Plane or a GapFunction, or offer contact()")]
+AnyObstacle = Annotated[
+    Obstacle,
+    partial(checks.offers, method="contact", words="a Plane or a GapFunction, or offer contact()"),
+]
 
 
 @dataclass(frozen=True, eq=False)
 class Plane(checks.Checked):
     """A rigid plane.
 
-    The contact normal of every node is minus the normal of the plane, so the linearised condition is exact however
-    curved the body is: (x + u - point) . normal >= 0.
+    The contact normal of every node is minus the normal of the plane, so the linearised condition
+    is exact however curved the body is: (x + u - point) . normal >= 0.
 
     Parameters
     ----------
@@ -69,6 +73,7 @@ class Plane(checks.Checked):
 
     __repr__ = brief
     if TYPE_CHECKING:
+
         def __init__(self, point: ArrayLike, normal: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
@@ -81,15 +86,18 @@ class Plane(checks.Checked):
         return self.point.size
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return contact normals (n, dim) and gaps (n,), m, at boundary points (n, dim), m, with outward unit normals.
+        """Return contact normals (n, dim) and gaps (n,), m, at boundary points (n, dim), m, with
+        outward unit normals.
 
-        Gaps are measured along the contact normals, which point out of the body; negative behind the plane.
-        """
+        Gaps are measured along the contact normals, which point out of the body; negative behind
+        the plane."""
         facing = normals @ self.normal
         if (facing > 0).any():
             i = int(np.argmax(facing))
-            raise ValueError(f"the obstacle's normal must point towards the body; at {points[i].tolist()} the "
-                             "contact boundary faces away from the plane: turn the normal, or name another boundary")
+            raise ValueError(
+                f"the obstacle's normal must point towards the body; at {points[i].tolist()} the "
+                "contact boundary faces away from the plane: turn the normal, or name another boundary"
+            )
         gaps = (points - self.point) @ self.normal
         return np.broadcast_to(-self.normal, points.shape).copy(), gaps
 
@@ -110,8 +118,14 @@ class GapFunction(checks.Checked):
     [0.0005]
     """
 
-    function: Annotated[Callable[[np.ndarray], np.ndarray], partial(
-        checks.offers, method="__call__", words="a function of points (n, dim) that returns gaps (n,)")]
+    function: Annotated[
+        Callable[[np.ndarray], np.ndarray],
+        partial(
+            checks.offers,
+            method="__call__",
+            words="a function of points (n, dim) that returns gaps (n,)",
+        ),
+    ]
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the outward normals and the gaps at boundary points; see :meth:`Plane.contact`."""
@@ -130,9 +144,13 @@ class _MovingPart(Acting):
         inner = self.obstacle
         if isinstance(inner, Rigid):
             raise TypeError("obstacle must not be Rigid: write Rigid(Moving(...), ...)")
-        place = inner.point if isinstance(inner, Plane) else getattr(inner, "about", np.zeros(self.dim))
+        place = (
+            inner.point if isinstance(inner, Plane) else getattr(inner, "about", np.zeros(self.dim))
+        )
         if len(place) != self.dim:
-            raise ValueError(f"{self._amounts[0]} must have {len(place)} components, as the obstacle, got {self.dim}")
+            raise ValueError(
+                f"{self._amounts[0]} must have {len(place)} components, as the obstacle, got {self.dim}"
+            )
         about = place if self.about is None else self.about
         object.__setattr__(self, "about", checks.vector("about", about, self.dim))
 
@@ -141,7 +159,8 @@ class _MovingPart(Acting):
 class Moving(_MovingPart):
     """An obstacle with a prescribed motion.
 
-    In a load path its factor multiplies displacement and rotation; without one the whole motion acts.
+    In a load path its factor multiplies displacement and rotation; without one the whole motion
+    acts.
 
     Parameters
     ----------
@@ -150,10 +169,11 @@ class Moving(_MovingPart):
     displacement : (dim,) sequence of float
         m; in axisymmetric problems along y, without rotation.
     rotation : float or (3,) sequence of float
-        rad; counter-clockwise in the plane, in space along the axis (3,). Obstacles that are not planes turn to first
-        order: keep it small.
+        rad; counter-clockwise in the plane, in space along the axis (3,). Obstacles that are not
+        planes turn to first order: keep it small.
     about : (dim,) sequence of float, optional
-        The point that only ``displacement`` moves, m. Default: the point of a Plane, else the origin.
+        The point that only ``displacement`` moves, m. Default: the point of a Plane, else the
+        origin.
     name : str
         In load paths.
 
@@ -175,8 +195,16 @@ class Moving(_MovingPart):
 
     __repr__ = brief
     if TYPE_CHECKING:
-        def __init__(self, obstacle: Obstacle, *, displacement: ArrayLike, rotation: ArrayLike = 0.0,
-                     about: ArrayLike | None = None, name: str = "obstacle") -> None: ...
+
+        def __init__(
+            self,
+            obstacle: Obstacle,
+            *,
+            displacement: ArrayLike,
+            rotation: ArrayLike = 0.0,
+            about: ArrayLike | None = None,
+            name: str = "obstacle",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -213,7 +241,9 @@ class Moving(_MovingPart):
         if not isinstance(inner, Plane):
             return None
         turn = self._turn()
-        return Plane(self.about + self.displacement + turn @ (inner.point - self.about), turn @ inner.normal)
+        return Plane(
+            self.about + self.displacement + turn @ (inner.point - self.about), turn @ inner.normal
+        )
 
     def _turn(self) -> np.ndarray:
         if not self.rotation.any():
@@ -227,8 +257,10 @@ class Moving(_MovingPart):
 
 
 def _targets(name: str, values: object) -> tuple[float | None, ...]:
-    return tuple(None if value is None else checks.quantity(f"{name}[{i}]", value)
-                 for i, value in enumerate(checks.listed(name, values, "numbers or None, one a component")))
+    return tuple(
+        None if value is None else checks.quantity(f"{name}[{i}]", value)
+        for i, value in enumerate(checks.listed(name, values, "numbers or None, one a component"))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,16 +268,18 @@ class Rigid(_MovingPart):
     """A rigid obstacle that moves until it transmits a force and a moment.
 
     :func:`adaptmg.solve_path` finds its motion by Broyden's method on these few numbers, with a contact problem for
-    each trial; ``Result.motions`` has the motion. Cycles, work and seconds of the result are those of all trials, its
-    history that of the one it is from. In a load path the factor multiplies force and moment.
+    each trial; ``Result.motions`` has the motion. Cycles, work and seconds of the result are those
+    of all trials, its history that of the one it is from. In a load path the factor multiplies
+    force and moment.
 
     Parameters
     ----------
     obstacle : Plane, GapFunction or Moving
-        Its shape and first place. With a Moving one press and slide: the force finds what its motion leaves open.
+        Its shape and first place. With a Moving one press and slide: the force finds what its
+        motion leaves open.
     force : (dim,) sequence of float or None
-        What it exerts on the body, N (plane: N/m; axisymmetric: of the whole circumference); None: it does not move in
-        this direction.
+        What it exerts on the body, N (plane: N/m; axisymmetric: of the whole circumference); None:
+        it does not move in this direction.
     moment : float, or (3,) sequence of float or None, optional
         About ``about``, N m (plane: N); None, the default: it does not turn.
     about, name
@@ -268,9 +302,16 @@ class Rigid(_MovingPart):
 
     __repr__ = brief
     if TYPE_CHECKING:
-        def __init__(self, obstacle: Obstacle, *, force: tuple[float | None, ...],
-                     moment: tuple[float | None, ...] | float | None = None, about: ArrayLike | None = None,
-                     name: str = "obstacle") -> None: ...
+
+        def __init__(
+            self,
+            obstacle: Obstacle,
+            *,
+            force: tuple[float | None, ...],
+            moment: tuple[float | None, ...] | float | None = None,
+            about: ArrayLike | None = None,
+            name: str = "obstacle",
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -278,11 +319,15 @@ class Rigid(_MovingPart):
         moment = self.moment if isinstance(self.moment, tuple | list) else (self.moment,) * turns
         object.__setattr__(self, "moment", _targets("moment", moment))
         if self.dim not in (2, 3) or len(self.moment) != turns:
-            raise ValueError(f"force must have 2 or 3 components, moment 1 or 3, got {self.dim} and {len(self.moment)}")
+            raise ValueError(
+                f"force must have 2 or 3 components, moment 1 or 3, got {self.dim} and {len(self.moment)}"
+            )
         if not self.free:
             raise ValueError("force and moment are None: use the obstacle itself, or Moving")
         if not any(self.force):
-            raise ValueError("force must have a component other than zero: nothing would press the obstacle")
+            raise ValueError(
+                "force must have a component other than zero: nothing would press the obstacle"
+            )
 
     @property
     def dim(self) -> int:
@@ -305,8 +350,13 @@ class Rigid(_MovingPart):
 
     def placed(self, motion: np.ndarray) -> Moving:
         """Return the obstacle after displacement and rotation (n,), m and rad."""
-        return Moving(self.obstacle, displacement=motion[:self.dim], rotation=motion[self.dim:], about=self.about,
-                      name=self.name)
+        return Moving(
+            self.obstacle,
+            displacement=motion[: self.dim],
+            rotation=motion[self.dim :],
+            about=self.about,
+            name=self.name,
+        )
 
 
 def moving_parts(obstacle: Obstacle) -> list[Moving | Rigid]:
@@ -318,9 +368,12 @@ def moving_parts(obstacle: Obstacle) -> list[Moving | Rigid]:
     return result
 
 
-def placed(obstacle: Obstacle, factors: Mapping[str, float], motions: Mapping[str, ArrayLike] | None) -> Obstacle:
-    """Return an obstacle whose Moving parts have made ``factors`` of their motions (1 where not named), and whose Rigid
-    one has made that of ``motions`` (none where not named); without ``motions`` it has the factor of its force."""
+def placed(
+    obstacle: Obstacle, factors: Mapping[str, float], motions: Mapping[str, ArrayLike] | None
+) -> Obstacle:
+    """Return an obstacle whose Moving parts have made ``factors`` of their motions (1 where not
+    named), and whose Rigid one has made that of ``motions`` (none where not named); without
+    ``motions`` it has the factor of its force."""
     if isinstance(obstacle, Rigid):
         inner = replace(obstacle, obstacle=placed(obstacle.obstacle, factors, motions))
         if motions is None:
@@ -341,8 +394,10 @@ class _Sides(checks.Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.slave == self.master:
-            raise ValueError(f"slave and master are both {self.slave!r}: name two different boundaries; where a "
-                             "surface may touch itself, cut it into two boundaries")
+            raise ValueError(
+                f"slave and master are both {self.slave!r}: name two different boundaries; where a "
+                "surface may touch itself, cut it into two boundaries"
+            )
 
     @property
     def boundary(self) -> str:
@@ -359,11 +414,13 @@ class Tied(_Sides):
     Parameters
     ----------
     slave : str
-        The boundary whose nodes follow the other one: rather that of the softer body, and the finer one.
+        The boundary whose nodes follow the other one: rather that of the softer body, and the finer
+        one.
     master : str
         The boundary they follow.
     reach : float, optional
-        Largest distance of the surfaces, m, > 0; default the size of the surfaces, with a warning beyond an element.
+        Largest distance of the surfaces, m, > 0; default the size of the surfaces, with a warning
+        beyond an element.
 
     Examples
     --------
@@ -379,16 +436,19 @@ class Tied(_Sides):
 
 @dataclass(frozen=True, eq=False)
 class Periodic(_Sides, Acting):
-    """Two opposite sides of a periodic cell: what happens on one happens on the other, up to a jump.
+    """Two opposite sides of a periodic cell: what happens on one happens on the other, up to a
+    jump.
 
-    Each node of a side must have a partner on the other one, the same distance away: structured meshes have.
+    Each node of a side must have a partner on the other one, the same distance away: structured
+    meshes have.
 
     Parameters
     ----------
     master, slave : str
         The two sides; the slave's displacements are those of the master plus the jump.
     jump : sequence of float, optional
-        m; default none. Of a cell with the sides L apart it is the mean displacement gradient times L.
+        m; default none. Of a cell with the sides L apart it is the mean displacement gradient times
+        L.
     name : str, optional
         In load paths; default the slave's.
 
@@ -412,16 +472,18 @@ class ContactPair(_Sides):
     Parameters
     ----------
     slave : str
-        The boundary that carries the contact nodes: rather that of the softer body, the finer one, and the one that
-        lies inside the other.
+        The boundary that carries the contact nodes: rather that of the softer body, the finer one,
+        and the one that lies inside the other.
     master : str
         The boundary it may touch.
     sides : {"given", "auto"}
-        Whether the slave is the boundary named so, or the softer of the two, of bodies whose moduli are within a factor
-        of 2 the finer. "auto" is decided where a hierarchy or a discrete problem is made: ``hierarchy.problem``,
-        ``result.contact`` (``names`` the slaves, ``masters``) and pictures speak of the slave that was taken. A master
-        of several pairs, or one that a tie or support holds, stays the master. Cycles do not depend on the contrast of
-        the bodies with the softer one as slave, and are many with one 10 times stiffer than its master (a warning).
+        Whether the slave is the boundary named so, or the softer of the two, of bodies whose moduli
+        are within a factor of 2 the finer. "auto" is decided where a hierarchy or a discrete
+        problem is made: ``hierarchy.problem``, ``result.contact`` (``names`` the slaves,
+        ``masters``) and pictures speak of the slave that was taken. A master of several pairs, or
+        one that a tie or support holds, stays the master. Cycles do not depend on the contrast of
+        the bodies with the softer one as slave, and are many with one 10 times stiffer than its
+        master (a warning).
     coupling : {"mortar", "nodes"}
         Mortar integrals with dual multipliers; or node to node, for surfaces whose nodes match.
     allow_interference : bool
@@ -429,10 +491,11 @@ class ContactPair(_Sides):
     reach : float, optional
         Largest initial distance of the surfaces, m, > 0; default the size of the surfaces.
     gap : float or callable, optional
-        Initial gap along the slave's normal, m, in place of the computed one: a number, or a function of position
-        (n, dim) -> (n,).
+        Initial gap along the slave's normal, m, in place of the computed one: a number, or a
+        function of position (n, dim) -> (n,).
     law : Frictionless, Tresca, Coulomb or user-defined, optional
-        In place of the problem's. A node on two contact boundaries has the law of the one named first.
+        In place of the problem's. A node on two contact boundaries has the law of the one named
+        first.
 
     Examples
     --------
@@ -452,5 +515,12 @@ class ContactPair(_Sides):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.gap is not None and not callable(self.gap) and self.gap < 0 and not self.allow_interference:
-            raise ValueError(f"gap must be >= 0, got {self.gap!r}; for an interference fit set allow_interference=True")
+        if (
+            self.gap is not None
+            and not callable(self.gap)
+            and self.gap < 0
+            and not self.allow_interference
+        ):
+            raise ValueError(
+                f"gap must be >= 0, got {self.gap!r}; for an interference fit set allow_interference=True"
+            )

@@ -12,8 +12,18 @@ from adaptmg.smoother.system import (
     local_system,
 )
 
-__all__ = ["OPEN", "SLIP", "STICK", "ContactState", "LocalProblem", "LocalSystem", "NodalContact",
-           "ProjectedGaussSeidel", "Smoother", "local_system"]
+__all__ = [
+    "OPEN",
+    "SLIP",
+    "STICK",
+    "ContactState",
+    "LocalProblem",
+    "LocalSystem",
+    "NodalContact",
+    "ProjectedGaussSeidel",
+    "Smoother",
+    "local_system",
+]
 
 
 def __dir__() -> list[str]:

@@ -1,11 +1,13 @@
-"""Vectors of a node and blocks of a matrix in kernels: tuples, whose length is known when a kernel is compiled.
+"""Vectors of a node and blocks of a matrix in kernels: tuples, whose length is known when a kernel
+is compiled.
 
-One kernel serves all block sizes: it takes ``zero``, as many zeros as a node has components (``ZERO[dim]``), and reads,
-multiplies and writes through the functions here. numba drops the branches of other lengths and inlines the functions,
-so that what runs is the code written by hand for one size.
+One kernel serves all block sizes: it takes ``zero``, as many zeros as a node has components
+(``ZERO[dim]``), and reads, multiplies and writes through the functions here. numba drops the
+branches of other lengths and inlines the functions, so that what runs is the code written by hand
+for one size.
 
-Positions are np.uint64 (no wrap-around tests); ``at`` is that of the first entry, blocks are stored row by row.
-"""
+Positions are np.uint64 (no wrap-around tests); ``at`` is that of the first entry, blocks are stored
+row by row."""
 
 from __future__ import annotations
 
@@ -21,10 +23,12 @@ FIVE, SIX, SEVEN, EIGHT = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8)
 
 
 def in_loop(function: Callable) -> Callable:
-    """Let kernels call a function in their loops: it is inlined and compiled as its caller is. (Cached by itself, it
-    would be compiled once for callers with and without fused multiply-adds.)"""
-    return register_jitable(forceinline=True, error_model="numpy", no_cpython_wrapper=True,
-                            no_cfunc_wrapper=True)(function)
+    """Let kernels call a function in their loops: it is inlined and compiled as its caller is.
+    (Cached by itself, it would be compiled once for callers with and without fused
+    multiply-adds.)"""
+    return register_jitable(
+        forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )(function)
 
 
 @in_loop
@@ -125,18 +129,24 @@ def times(blocks, at, v):
     if len(v) == 1:
         return (blocks[at] * v[0],)
     if len(v) == 2:
-        return blocks[at] * v[0] + blocks[at + ONE] * v[1], blocks[at + TWO] * v[0] + blocks[at + THREE] * v[1]
-    return (blocks[at] * v[0] + blocks[at + ONE] * v[1] + blocks[at + TWO] * v[2],
-            blocks[at + THREE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + FIVE] * v[2],
-            blocks[at + SIX] * v[0] + blocks[at + SEVEN] * v[1] + blocks[at + EIGHT] * v[2])
+        return blocks[at] * v[0] + blocks[at + ONE] * v[1], blocks[at + TWO] * v[0] + blocks[
+            at + THREE
+        ] * v[1]
+    return (
+        blocks[at] * v[0] + blocks[at + ONE] * v[1] + blocks[at + TWO] * v[2],
+        blocks[at + THREE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + FIVE] * v[2],
+        blocks[at + SIX] * v[0] + blocks[at + SEVEN] * v[1] + blocks[at + EIGHT] * v[2],
+    )
 
 
 @in_loop
 def minus_times(r, blocks, at, v):
     """Return r minus the block at a position times v."""
     if len(v) == 2:
-        return (r[0] - blocks[at] * v[0] - blocks[at + ONE] * v[1],
-                r[1] - blocks[at + TWO] * v[0] - blocks[at + THREE] * v[1])
+        return (
+            r[0] - blocks[at] * v[0] - blocks[at + ONE] * v[1],
+            r[1] - blocks[at + TWO] * v[0] - blocks[at + THREE] * v[1],
+        )
     return subtract(r, times(blocks, at, v))
 
 
@@ -146,10 +156,14 @@ def transposed_times(blocks, at, v):
     if len(v) == 1:
         return (blocks[at] * v[0],)
     if len(v) == 2:
-        return blocks[at] * v[0] + blocks[at + TWO] * v[1], blocks[at + ONE] * v[0] + blocks[at + THREE] * v[1]
-    return (blocks[at] * v[0] + blocks[at + THREE] * v[1] + blocks[at + SIX] * v[2],
-            blocks[at + ONE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + SEVEN] * v[2],
-            blocks[at + TWO] * v[0] + blocks[at + FIVE] * v[1] + blocks[at + EIGHT] * v[2])
+        return blocks[at] * v[0] + blocks[at + TWO] * v[1], blocks[at + ONE] * v[0] + blocks[
+            at + THREE
+        ] * v[1]
+    return (
+        blocks[at] * v[0] + blocks[at + THREE] * v[1] + blocks[at + SIX] * v[2],
+        blocks[at + ONE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + SEVEN] * v[2],
+        blocks[at + TWO] * v[0] + blocks[at + FIVE] * v[1] + blocks[at + EIGHT] * v[2],
+    )
 
 
 @in_loop
@@ -157,7 +171,14 @@ def upper(blocks, at, like):
     """Return the upper triangle, row by row, of the block at a position."""
     if len(like) == 2:
         return blocks[at], blocks[at + ONE], blocks[at + THREE]
-    return (blocks[at], blocks[at + ONE], blocks[at + TWO], blocks[at + FOUR], blocks[at + FIVE], blocks[at + EIGHT])
+    return (
+        blocks[at],
+        blocks[at + ONE],
+        blocks[at + TWO],
+        blocks[at + FOUR],
+        blocks[at + FIVE],
+        blocks[at + EIGHT],
+    )
 
 
 @in_loop
@@ -167,8 +188,14 @@ def read_upper(triangles, k, like):
         at = THREE * k
         return triangles[at], triangles[at + ONE], triangles[at + TWO]
     at = SIX * k
-    return (triangles[at], triangles[at + ONE], triangles[at + TWO], triangles[at + THREE], triangles[at + FOUR],
-            triangles[at + FIVE])
+    return (
+        triangles[at],
+        triangles[at + ONE],
+        triangles[at + TWO],
+        triangles[at + THREE],
+        triangles[at + FOUR],
+        triangles[at + FIVE],
+    )
 
 
 @in_loop
@@ -176,7 +203,14 @@ def over(m, divisor):
     """Return an upper triangle over a number."""
     if len(m) == 3:
         return m[0] / divisor, m[1] / divisor, m[2] / divisor
-    return m[0] / divisor, m[1] / divisor, m[2] / divisor, m[3] / divisor, m[4] / divisor, m[5] / divisor
+    return (
+        m[0] / divisor,
+        m[1] / divisor,
+        m[2] / divisor,
+        m[3] / divisor,
+        m[4] / divisor,
+        m[5] / divisor,
+    )
 
 
 @in_loop
@@ -184,8 +218,11 @@ def plus_symmetric(v, m, w):
     """Return v + M w, M symmetric, given by its upper triangle."""
     if len(v) == 2:
         return v[0] + m[0] * w[0] + m[1] * w[1], v[1] + m[1] * w[0] + m[2] * w[1]
-    return (v[0] + m[0] * w[0] + m[1] * w[1] + m[2] * w[2], v[1] + m[1] * w[0] + m[3] * w[1] + m[4] * w[2],
-            v[2] + m[2] * w[0] + m[4] * w[1] + m[5] * w[2])
+    return (
+        v[0] + m[0] * w[0] + m[1] * w[1] + m[2] * w[2],
+        v[1] + m[1] * w[0] + m[3] * w[1] + m[4] * w[2],
+        v[2] + m[2] * w[0] + m[4] * w[1] + m[5] * w[2],
+    )
 
 
 @in_loop
@@ -193,18 +230,32 @@ def inverse_square(blocks, at, v):
     """Return v' B^-1 v for the symmetric block B at a position."""
     m = upper(blocks, at, v)
     if len(v) == 2:
-        return (m[2] * v[0] * v[0] - 2.0 * m[1] * v[0] * v[1] + m[0] * v[1] * v[1]) / (m[0] * m[2] - m[1] * m[1])
-    c_00, c_01, c_02 = m[3] * m[5] - m[4] * m[4], m[2] * m[4] - m[1] * m[5], m[1] * m[4] - m[2] * m[3]
-    c_11, c_12, c_22 = m[0] * m[5] - m[2] * m[2], m[1] * m[2] - m[0] * m[4], m[0] * m[3] - m[1] * m[1]
+        return (m[2] * v[0] * v[0] - 2.0 * m[1] * v[0] * v[1] + m[0] * v[1] * v[1]) / (
+            m[0] * m[2] - m[1] * m[1]
+        )
+    c_00, c_01, c_02 = (
+        m[3] * m[5] - m[4] * m[4],
+        m[2] * m[4] - m[1] * m[5],
+        m[1] * m[4] - m[2] * m[3],
+    )
+    c_11, c_12, c_22 = (
+        m[0] * m[5] - m[2] * m[2],
+        m[1] * m[2] - m[0] * m[4],
+        m[0] * m[3] - m[1] * m[1],
+    )
     determinant = m[0] * c_00 + m[1] * c_01 + m[2] * c_02
-    return (c_00 * v[0] * v[0] + c_11 * v[1] * v[1] + c_22 * v[2] * v[2]
-            + 2.0 * (c_01 * v[0] * v[1] + c_02 * v[0] * v[2] + c_12 * v[1] * v[2])) / determinant
+    return (
+        c_00 * v[0] * v[0]
+        + c_11 * v[1] * v[1]
+        + c_22 * v[2] * v[2]
+        + 2.0 * (c_01 * v[0] * v[1] + c_02 * v[0] * v[2] + c_12 * v[1] * v[2])
+    ) / determinant
 
 
 @in_loop
 def minus_row(i, step, indptr, indices, data, w, r):
-    """Return r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the direction in which the
-    matrix is read."""
+    """Return r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the
+    direction in which the matrix is read."""
     dim = np.uint64(len(r))
     begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
     first = begin if step > 0 else end - np.int64(1)
@@ -223,5 +274,6 @@ def minus_transposed_row(i, step, indptr, indices, data, d, w):
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)
         j = dim * np.uint64(indices[k])
-        # all is read before anything is written: the compiler cannot know that w is none of the other arrays
+        # all is read before anything is written: the compiler cannot know that w is none of the
+        # other arrays
         write(w, j, subtract(read(w, j, d), transposed_times(data, dim * dim * k, d)))

@@ -1,7 +1,8 @@
-r"""Contact conditions as equations: the natural residual, the states of nodes, and Newton's linearisation.
+r"""Contact conditions as equations: the natural residual, the states of nodes, and Newton's
+linearisation.
 
-With r = b - A w, the force on the body at a contact node is -r, and p = max(0, r_n) its compressive magnitude. The
-natural residual
+With r = b - A w, the force on the body at a contact node is -r, and p = max(0, r_n) its compressive
+magnitude. The natural residual
 
 .. math:: D\,(\mathrm{prox}_D(w - D^{-1}(A w - b)) - w)
 
@@ -9,14 +10,15 @@ with D the block diagonal of A and :math:`\mathrm{prox}_D` the exact node solve 
 :mod:`adaptmg.smoother.node_solve` in the metric D, its bound held at :math:`s + \mu\,p(w)`, is a force. It vanishes
 exactly at the solution, Coulomb's law included; away from contact it is r.
 
-With q = b - A w (minus the force on the body), the slip :math:`\tau` and factors :math:`c_n, c_t > 0` (N/m)
-the contact conditions are the equations (P. Alart, A. Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991,
-doi:10.1016/0045-7825(91)90022-X)
+With q = b - A w (minus the force on the body), the slip :math:`\tau` and factors :math:`c_n, c_t >
+0` (N/m) the contact conditions are the equations (P. Alart, A. Curnier, Comput. Methods Appl. Mech.
+Engrg. 92, 1991, doi:10.1016/0045-7825(91)90022-X)
 
 .. math:: q_n = \max(0, z_n),\quad z_n = q_n + c_n (w_n - g_0);\qquad
           q_t = \min(1, B/|z_t|)\, z_t,\quad z_t = q_t + c_t \tau,\quad B = s + \mu \max(0, z_n).
 
-A node is active where :math:`z_n > 0`, sticks where :math:`|z_t| \le B > 0` and slips elsewhere. A Newton step
+A node is active where :math:`z_n > 0`, sticks where :math:`|z_t| \le B > 0` and slips elsewhere. A
+Newton step
 :math:`\delta` then satisfies (S. Hueber, G. Stadler, B. Wohlmuth, SIAM J. Sci. Comput. 30, 2008, doi:10.1137/060671061)
 
 - active :math:`\delta_n = g_0 - w_n`, otherwise :math:`(A\delta)_n = q_n`;
@@ -26,7 +28,8 @@ A node is active where :math:`z_n > 0`, sticks where :math:`|z_t| \le B > 0` and
 .. math:: (A_t - \mu z A_n + \kappa \Pi)\,\delta = z (z\cdot q_t - s - \mu q_n) + \frac{|z_t|}{|z_t| - B}\,\Pi q_t,
           \qquad \kappa = \frac{c_t B}{|z_t| - B} \ge 0.
 
-This is the derivative itself, solved for :math:`\delta q_t`; :math:`\kappa\Pi` tends to the slip Hessian
+This is the derivative itself, solved for :math:`\delta q_t`; :math:`\kappa\Pi` tends to the slip
+Hessian
 :math:`(B/|\tau|)\,\Pi`. Without the Coulomb term :math:`\mu z A_n` the matrix is symmetric and positive definite.
 """
 
@@ -45,17 +48,32 @@ from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, c
 def natural_residual(local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Return the natural residual (n_dofs,), N, of unknowns with the residual b - A w."""
     dim, nodes = local.system.dim, local.system.nodes
-    result, blocks = residual.reshape(-1, dim).copy(), local.system.diagonal.reshape(-1, dim, dim)[nodes]
-    result[nodes] = natural_at_nodes(local.contact, blocks, unknowns.reshape(-1, dim)[nodes], result[nodes])
+    result, blocks = (
+        residual.reshape(-1, dim).copy(),
+        local.system.diagonal.reshape(-1, dim, dim)[nodes],
+    )
+    result[nodes] = natural_at_nodes(
+        local.contact, blocks, unknowns.reshape(-1, dim)[nodes], result[nodes]
+    )
     return result.reshape(-1)
 
 
-def natural_at_nodes(contact: NodalContact, blocks: np.ndarray, values: np.ndarray, linear: np.ndarray) -> np.ndarray:
-    """Return the natural residual (n_contact, dim), N, from diagonal blocks of contact nodes, unknowns and b - A w."""
+def natural_at_nodes(
+    contact: NodalContact, blocks: np.ndarray, values: np.ndarray, linear: np.ndarray
+) -> np.ndarray:
+    """Return the natural residual (n_contact, dim), N, from diagonal blocks of contact nodes,
+    unknowns and b - A w."""
     result, dim = np.array(linear).reshape(-1), values.shape[1]
-    _natural_residual(ZERO[dim], np.ascontiguousarray(blocks).reshape(-1), contact.gap,
-                      contact.slip_reference.reshape(-1), contact.limit, contact.friction,
-                      np.ascontiguousarray(values).reshape(-1), result)
+    _natural_residual(
+        ZERO[dim],
+        np.ascontiguousarray(blocks).reshape(-1),
+        contact.gap,
+        contact.slip_reference.reshape(-1),
+        contact.limit,
+        contact.friction,
+        np.ascontiguousarray(values).reshape(-1),
+        result,
+    )
     return result.reshape(-1, dim)
 
 
@@ -66,15 +84,27 @@ def _natural_residual(zero, diagonal, gap, reference, limit, friction, w, result
     for node in range(len(gap)):
         k = np.uint64(node)
         r = read(result, dim * k, zero)
-        write(result, dim * k, natural_at(
-            upper(diagonal, dim * dim * k, zero), r, read(w, dim * k, zero), gap[k],
-            read_reference(reference, k, zero), limit[k] + friction[k] * max(r[0], 0.0)))
+        write(
+            result,
+            dim * k,
+            natural_at(
+                upper(diagonal, dim * dim * k, zero),
+                r,
+                read(w, dim * k, zero),
+                gap[k],
+                read_reference(reference, k, zero),
+                limit[k] + friction[k] * max(r[0], 0.0),
+            ),
+        )
 
 
-def states(contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, small: float) -> np.ndarray:
-    """Return the :class:`~adaptmg.smoother.system.ContactState` (n_contact,) int8 of unknowns (n_contact, dim) and p.
-    OPEN where there is a gap, or no compressive force; otherwise STICK where the slip is zero and the bound s + mu p is
-    positive, and SLIP elsewhere. A gap or slip up to ``small`` (m) counts as zero."""
+def states(
+    contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, small: float
+) -> np.ndarray:
+    """Return the :class:`~adaptmg.smoother.system.ContactState` (n_contact,) int8 of unknowns
+    (n_contact, dim) and p. OPEN where there is a gap, or no compressive force; otherwise STICK
+    where the slip is zero and the bound s + mu p is positive, and SLIP elsewhere. A gap or slip up
+    to ``small`` (m) counts as zero."""
     slip = np.linalg.norm(values[:, 1:] - contact.slip_reference, axis=1)
     held = (slip <= small) & (contact.limit + contact.friction * normal_force > 0)
     return contact_states(contact_codes(~(contact.gap - values[:, 0] > small), held), normal_force)
@@ -105,12 +135,18 @@ class Linearised:
 
     @property
     def same_matrix(self) -> bool:
-        """Whether every step with this :attr:`key` has the same matrix: no curvature, directions in the key."""
+        """Whether every step with this :attr:`key` has the same matrix: no curvature, directions in
+        the key."""
         return not self.curvature.any() and (self.direction.shape[1] == 1 or self.symmetric)
 
 
-def linearise(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, stiffness: np.ndarray,
-              factor: float) -> Linearised:
+def linearise(
+    contact: NodalContact,
+    unknowns: np.ndarray,
+    residual: np.ndarray,
+    stiffness: np.ndarray,
+    factor: float,
+) -> Linearised:
     """Decide the status of every contact node and set up its equations."""
     tangential = factor * stiffness[:, 1:].max(axis=1)
     with np.errstate(invalid="ignore"):
@@ -122,12 +158,17 @@ def linearise(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray,
     size = np.linalg.norm(trial, axis=1)
     slip = ~((size <= bound) & (bound > 0))
     slip[contact.driven] = True
-    equations = _equations(contact, unknowns, residual, active, slip, trial, size, bound, tangential)
+    equations = _equations(
+        contact, unknowns, residual, active, slip, trial, size, bound, tangential
+    )
     return _beside_held(contact, tau, residual, equations)
 
 
-def _beside_held(contact: NodalContact, tau: np.ndarray, residual: np.ndarray, equations: Linearised) -> Linearised:
-    r"""The equations, in place, of nodes that slip along a held tangent: there |tau| > 0, and the second tangent has
+def _beside_held(
+    contact: NodalContact, tau: np.ndarray, residual: np.ndarray, equations: Linearised
+) -> Linearised:
+    r"""The equations, in place, of nodes that slip along a held tangent: there |tau| > 0, and the
+    second tangent has
 
     .. math:: q_2 = (s + \mu p)\,\tau_2/|\tau|,\qquad \kappa = (s + \mu p)\,\tau_1^2/|\tau|^3 .
     """
@@ -151,14 +192,24 @@ def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) 
     active = np.isfinite(contact.gap)
     slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
     zero = np.zeros(len(active))
-    equations = _equations(contact, unknowns, residual, active, slip, np.zeros_like(unknowns[:, 1:]), zero, zero, zero)
+    equations = _equations(
+        contact, unknowns, residual, active, slip, np.zeros_like(unknowns[:, 1:]), zero, zero, zero
+    )
     equations.change[contact.driven, 1] = 0.0
     return equations
 
 
-def _equations(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, active: np.ndarray,
-               slip: np.ndarray, trial: np.ndarray, size: np.ndarray, bound: np.ndarray,
-               tangential: np.ndarray) -> Linearised:
+def _equations(
+    contact: NodalContact,
+    unknowns: np.ndarray,
+    residual: np.ndarray,
+    active: np.ndarray,
+    slip: np.ndarray,
+    trial: np.ndarray,
+    size: np.ndarray,
+    bound: np.ndarray,
+    tangential: np.ndarray,
+) -> Linearised:
     moving = slip & (size > 0)
     direction = np.where(moving[:, None], trial / np.where(moving, size, 1.0)[:, None], 0.0)
     coupling = np.where(active & moving, contact.friction, 0.0)
@@ -168,8 +219,9 @@ def _equations(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray
     curvature = np.where(moving, tangential * bound / beyond, 0.0)[:, None, None] * across
     along = np.sum(direction * residual[:, 1:], axis=1)
     force = residual.copy()
-    force[:, 1:] = (direction * (along - limit - coupling * residual[:, 0])[:, None]
-                    + np.where(moving, size / beyond, 1.0)[:, None] * np.einsum("nij,nj->ni", across, residual[:, 1:]))
+    force[:, 1:] = direction * (along - limit - coupling * residual[:, 0])[:, None] + np.where(
+        moving, size / beyond, 1.0
+    )[:, None] * np.einsum("nij,nj->ni", across, residual[:, 1:])
     prescribed = np.zeros(unknowns.shape, dtype=bool)
     prescribed[active, 0] = True
     prescribed[~slip, 1:] = True

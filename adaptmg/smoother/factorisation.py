@@ -1,20 +1,22 @@
-r"""Sparse factors in a nested-dissection order, and the condensation of a problem onto its contact dofs.
+r"""Sparse factors in a nested-dissection order, and the condensation of a problem onto its contact
+dofs.
 
-Nested dissection: a part of the graph is cut at the median of its longest extent; the nodes behind the cut with a
-neighbour before it are the separator and go last, and both halves are cut again (A. George, SIAM J. Numer. Anal. 10,
-1973, doi:10.1137/0710032), all parts of a depth in one pass. Against SuperLU's minimum-degree order, elasticity on
-257 x 257 nodes takes half the time and a fifth less fill; below 5k nodes nothing differs.
+Nested dissection: a part of the graph is cut at the median of its longest extent; the nodes behind
+the cut with a neighbour before it are the separator and go last, and both halves are cut again (A.
+George, SIAM J. Numer. Anal. 10, 1973, doi:10.1137/0710032), all parts of a depth in one pass.
+Against SuperLU's minimum-degree order, elasticity on 257 x 257 nodes takes half the time and a
+fifth less fill; below 5k nodes nothing differs.
 
 Condensation: with the contact dofs c and all others i,
 
 .. math:: S = A_{cc} - A_{ci} A_{ii}^{-1} A_{ic},\qquad s = b_c - A_{ci} A_{ii}^{-1} b_i,\qquad
           w_i = A_{ii}^{-1} (b_i - A_{ic} w_c).
 
-The matrix :math:`M = A + \Sigma`, :math:`\Sigma` the diagonal of A at the contact dofs and zero elsewhere, is
-factorised as L U with the contact dofs last; elimination leaves :math:`L_{cc} U_{cc} = S + \Sigma` on them.
-(:math:`\Sigma` makes M regular where only contact holds the body.) Solves with :math:`A_{ii}` are solves with M whose
-right-hand side at c is chosen so that :math:`w_c` comes out as required.
-"""
+The matrix :math:`M = A + \Sigma`, :math:`\Sigma` the diagonal of A at the contact dofs and zero
+elsewhere, is factorised as L U with the contact dofs last; elimination leaves :math:`L_{cc} U_{cc}
+= S + \Sigma` on them. (:math:`\Sigma` makes M regular where only contact holds the body.) Solves
+with :math:`A_{ii}` are solves with M whose right-hand side at c is chosen so that :math:`w_c` comes
+out as required."""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ _ENTRIES = {2: 15, 3: 45}
 
 
 def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
-    """Return whether the work for factors is at most that of linear elements with these numbers of dofs."""
+    """Return whether the work for factors is at most that of linear elements with these numbers of
+    dofs."""
     entries, n = problem.matrix.nnz, problem.n_dofs
     if problem.volumes is not None:
         # every second entry that its rows bring to the formed matrix is one of the other rows, too
@@ -59,10 +62,18 @@ class OrderedFactors:
     diagonal: np.ndarray  # (n_dofs,): of the permuted matrix
 
     @classmethod
-    def of(cls, matrix: sparse.csr_array, order: np.ndarray, threshold: float = 0.0) -> OrderedFactors:
-        """Factorise, with pivots off the diagonal, which destroy the order, only where it is below a threshold."""
+    def of(
+        cls, matrix: sparse.csr_array, order: np.ndarray, threshold: float = 0.0
+    ) -> OrderedFactors:
+        """Factorise, with pivots off the diagonal, which destroy the order, only where it is below
+        a threshold."""
         permuted = matrix[order][:, order].tocsc()
-        lu = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=threshold, options={"SymmetricMode": True})
+        lu = splu(
+            permuted,
+            permc_spec="NATURAL",
+            diag_pivot_thresh=threshold,
+            options={"SymmetricMode": True},
+        )
         return cls(lu, order, permuted.diagonal())
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
@@ -73,7 +84,8 @@ class OrderedFactors:
 
 @dataclass(frozen=True, eq=False)
 class DenseFactors:
-    """Factors by Cholesky's method of the rows and columns ``order`` of a matrix; other dofs stay at zero."""
+    """Factors by Cholesky's method of the rows and columns ``order`` of a matrix; other dofs stay
+    at zero."""
 
     lower: np.ndarray
     order: np.ndarray
@@ -95,11 +107,14 @@ _LANDMARKS = 3
 def node_graph(matrix: sparse.bsr_array) -> sparse.csr_array:
     """Return the graph (n_nodes, n_nodes) of the blocks of a matrix, all weights 1."""
     n = matrix.shape[0] // matrix.blocksize[0]
-    return sparse.csr_array((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(n, n))
+    return sparse.csr_array(
+        (np.ones(len(matrix.indices)), matrix.indices, matrix.indptr), shape=(n, n)
+    )
 
 
-def nested_dissection(graph: sparse.csr_array, coordinates: np.ndarray | None = None,
-                      last: np.ndarray | None = None) -> np.ndarray:
+def nested_dissection(
+    graph: sparse.csr_array, coordinates: np.ndarray | None = None, last: np.ndarray | None = None
+) -> np.ndarray:
     """Return the order of elimination."""
     if coordinates is None:
         coordinates = graph_coordinates(graph)
@@ -111,15 +126,19 @@ def nested_dissection(graph: sparse.csr_array, coordinates: np.ndarray | None = 
 
 
 def graph_coordinates(graph: sparse.csr_array) -> np.ndarray:
-    """Return the distances in the graph (n, k) from nodes far from each other, each connected part shifted apart."""
+    """Return the distances in the graph (n, k) from nodes far from each other, each connected part
+    shifted apart."""
     n_parts, part = connected_components(graph, directed=False)
-    # any node of each part, then the farthest from it, the farthest from that, ...; the first is far from nothing
+    # any node of each part, then the farthest from it, the farthest from that, ...; the first is
+    # far from nothing
     landmarks = np.unique(part, return_index=True)[1]
     distances = [dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True)]
     for _ in range(_LANDMARKS):
         order = np.lexsort((np.min(distances[1:] or distances, axis=0), part))
         landmarks = order[np.r_[np.flatnonzero(np.diff(part[order])), len(order) - 1]]
-        distances.append(dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True))
+        distances.append(
+            dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True)
+        )
     result = np.column_stack(distances[1:])
     return result + (result.max(initial=0.0) + 1) * part[:, None] if n_parts > 1 else result
 
@@ -151,7 +170,8 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
 
 
 def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which nodes lie behind the median of their part along its longest extent, and which parts are left whole."""
+    """Which nodes lie behind the median of their part along its longest extent, and which parts are
+    left whole."""
     _, index, size = np.unique(part, return_inverse=True, return_counts=True)
     first = np.r_[0, np.cumsum(size)[:-1]]
     extent, low, middle = (np.empty((len(size), coordinates.shape[1])) for _ in range(3))
@@ -177,13 +197,16 @@ _DENSE, _DENSE_AT_MOST = 300, 6000
 
 class _Singular(ValueError):
     def __init__(self) -> None:
-        super().__init__("the problem is singular even with all contact dofs fixed: add a support, or check that every "
-                         "node belongs to an element")
+        super().__init__(
+            "the problem is singular even with all contact dofs fixed: add a support, or check that every "
+            "node belongs to an element"
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """The Schur complement on the dofs of some nodes and the way back; see the module for the formulas."""
+    """The Schur complement on the dofs of some nodes and the way back; see the module for the
+    formulas."""
 
     factors: OrderedFactors | DenseFactors  # of M
     contact: np.ndarray  # (n,) int: dofs of these nodes, n = n_nodes * dim
@@ -198,7 +221,8 @@ class Eliminated:
         return particular, residual[self.contact] + self._stiffness(particular[self.contact])
 
     def complete(self, particular: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
-        r"""Return the solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given :math:`w_c`; one solve."""
+        r"""Return the solution (n_dofs,) of :math:`A_{ii} w_i = r_i - A_{ic} w_c` for given
+        :math:`w_c`; one solve."""
         rhs = np.zeros_like(particular)
         rhs[self.contact] = self._stiffness(unknowns - particular[self.contact])
         result = particular + self.factors.solve(rhs)
@@ -226,7 +250,9 @@ class Condensed(Eliminated):
         """Whether sweeps may solve node by node: all contact nodes but one hold every body."""
         n, dim = len(self.full.system.nodes), self.full.system.dim
         size = np.sqrt(self.shift).reshape(n, dim)
-        blocks = self.matrix.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n)] / (size[:, :, None] * size[:, None])
+        blocks = self.matrix.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n)] / (
+            size[:, :, None] * size[:, None]
+        )
         return bool(np.linalg.eigvalsh(blocks).min(initial=1.0) > _PIVOT)
 
     @cached_property
@@ -239,7 +265,9 @@ class Condensed(Eliminated):
         """The condensed problem."""
         full, n, dim = self.full, len(self.full.system.nodes), self.full.system.dim
         fixed = full.system.fixed[self.contact]
-        dense = LocalSystem.from_matrix(sparse.bsr_array(self.matrix, blocksize=(dim, dim)), fixed, np.arange(n))
+        dense = LocalSystem.from_matrix(
+            sparse.bsr_array(self.matrix, blocksize=(dim, dim)), fixed, np.arange(n)
+        )
         turn_held(dense.diagonal, dense.nodes, full.contact)
         return replace(full, system=dense, load=np.where(fixed, 0.0, self.reduced[1]))
 
@@ -260,18 +288,24 @@ def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
     return Condensed(parts.factors, parts.contact, parts.matrix, parts.shift, local)
 
 
-def eliminate(system: LocalSystem, coordinates: np.ndarray | None, lenient: bool = False) -> Eliminated:
-    """Eliminate all but the contact nodes of a system. ``lenient``: where it is singular with all contact dofs fixed,
-    dofs that depend on others stay at zero."""
+def eliminate(
+    system: LocalSystem, coordinates: np.ndarray | None, lenient: bool = False
+) -> Eliminated:
+    """Eliminate all but the contact nodes of a system. ``lenient``: where it is singular with all
+    contact dofs fixed, dofs that depend on others stay at zero."""
     dim = system.dim
     contact = dofs_of(system.nodes, dim)
-    shift = np.abs(system.diagonal.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2)[system.nodes]).reshape(-1)
+    shift = np.abs(
+        system.diagonal.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2)[system.nodes]
+    ).reshape(-1)
     try:
         if system.n_dofs <= _DENSE:
             factors, schur = _eliminate_dense(system, contact, shift, lenient)
         else:
             nodes = nested_dissection(node_graph(system.matrix), coordinates, last=system.nodes)
-            factors, schur = _eliminate(_shifted(system, contact, shift), dofs_of(nodes, dim), contact)
+            factors, schur = _eliminate(
+                _shifted(system, contact, shift), dofs_of(nodes, dim), contact
+            )
     except _Singular:
         if not lenient or system.n_dofs > _DENSE_AT_MOST:
             raise
@@ -289,7 +323,9 @@ def condense_problem(problem: DiscreteProblem, lenient: bool = False) -> Condens
     if problem.n_dofs > REMEMBERED[problem.dim]:
         return condense(local_system(problem), lenient)
     system, parts = _eliminated(problem)
-    result = Condensed(parts.factors, parts.contact, parts.matrix, parts.shift, local_system(problem, system))
+    result = Condensed(
+        parts.factors, parts.contact, parts.matrix, parts.shift, local_system(problem, system)
+    )
     if not (lenient or result.regular):
         raise _Singular
     return result
@@ -303,23 +339,31 @@ def _eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
 
 
 def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> sparse.csc_array:
-    """M with every entry between two contact dofs stored, so that SuperLU keeps them at the end of its order."""
+    """M with every entry between two contact dofs stored, so that SuperLU keeps them at the end of
+    its order."""
     n = len(contact)
-    full = sparse.coo_array((np.zeros(n * n), (np.repeat(contact, n), np.tile(contact, n))), shape=system.matrix.shape)
+    full = sparse.coo_array(
+        (np.zeros(n * n), (np.repeat(contact, n), np.tile(contact, n))), shape=system.matrix.shape
+    )
     diagonal = sparse.coo_array((shift, (contact, contact)), shape=system.matrix.shape)
     matrix = sparse.coo_array(system.matrix)
     data = np.concatenate([matrix.data, diagonal.data, full.data])
-    rows, columns = (np.concatenate([matrix.coords[k], diagonal.coords[k], full.coords[k]]) for k in (0, 1))
+    rows, columns = (
+        np.concatenate([matrix.coords[k], diagonal.coords[k], full.coords[k]]) for k in (0, 1)
+    )
     return sparse.coo_array((data, (rows, columns)), shape=system.matrix.shape).tocsc()
 
 
-def _eliminate(matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray) -> tuple[OrderedFactors, np.ndarray]:
+def _eliminate(
+    matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray
+) -> tuple[OrderedFactors, np.ndarray]:
     """Factors, and L_cc U_cc in the order of ``contact``."""
     try:
         factors = OrderedFactors.of(matrix, order)
     except RuntimeError as error:
         raise _Singular from error
-    # SuperLU postorders the elimination tree: row and column k of the permuted matrix became place[k]
+    # SuperLU postorders the elimination tree: row and column k of the permuted matrix became
+    # place[k]
     lu = factors.lu
     place, rows, upper = lu.perm_c, lu.perm_r, lu.U
     pivots = upper.diagonal()[place]
@@ -332,12 +376,15 @@ def _eliminate(matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray)
     return factors, lower @ upper
 
 
-def _eliminate_dense(system: LocalSystem, contact: np.ndarray, shift: np.ndarray, lenient: bool
-                     ) -> tuple[DenseFactors, np.ndarray]:
+def _eliminate_dense(
+    system: LocalSystem, contact: np.ndarray, shift: np.ndarray, lenient: bool
+) -> tuple[DenseFactors, np.ndarray]:
     """The same by dense factors with pivots, which find the rank of the interior."""
     n, dim = system.n_nodes, system.dim
     matrix = np.zeros((n, dim, n, dim))
-    matrix[np.repeat(np.arange(n), np.diff(system.indptr)), :, system.indices] = system.data.reshape(-1, dim, dim)
+    matrix[np.repeat(np.arange(n), np.diff(system.indptr)), :, system.indices] = (
+        system.data.reshape(-1, dim, dim)
+    )
     matrix = matrix.reshape(n * dim, n * dim)
     inside = np.flatnonzero(np.repeat(system.contact_of < 0, dim))
     size = np.sqrt(matrix.diagonal()[inside])
@@ -350,7 +397,11 @@ def _eliminate_dense(system: LocalSystem, contact: np.ndarray, shift: np.ndarray
     used = pivots[:rank] - 1
     lower = np.tril(lower[:rank, :rank]) * size[used, None]
     order = np.append(inside[used], contact)
-    coupling = linalg.solve_triangular(lower, matrix[np.ix_(inside[used], contact)], lower=True, check_finite=False)
+    coupling = linalg.solve_triangular(
+        lower, matrix[np.ix_(inside[used], contact)], lower=True, check_finite=False
+    )
     schur = matrix[np.ix_(contact, contact)] + np.diag(shift) - coupling.T @ coupling
-    whole = np.block([[lower, np.zeros((rank, len(contact)))], [coupling.T, np.linalg.cholesky(schur)]])
+    whole = np.block(
+        [[lower, np.zeros((rank, len(contact)))], [coupling.T, np.linalg.cholesky(schur)]]
+    )
     return DenseFactors(np.asfortranarray(whole), order), schur

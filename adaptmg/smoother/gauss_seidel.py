@@ -1,16 +1,18 @@
-r"""ProjectedGaussSeidel: block Gauss-Seidel / SOR with the exact contact problem solved at each contact node.
+r"""ProjectedGaussSeidel: block Gauss-Seidel / SOR with the exact contact problem solved at each
+contact node.
 
-The paper's smoother (a relaxation with projection onto the contact and friction conditions). A sweep visits the nodes
-in order; with the residual :math:`r_i = b_i - \sum_j A_{ij} w_j` and D the diagonal block
+The paper's smoother (a relaxation with projection onto the contact and friction conditions). A
+sweep visits the nodes in order; with the residual :math:`r_i = b_i - \sum_j A_{ij} w_j` and D the
+diagonal block
 
 .. math:: w_i \leftarrow w_i + \omega D^{-1} r_i
 
-away from contact, and at a contact node w_i becomes the solution of :mod:`adaptmg.smoother.node_solve` with
+away from contact, and at a contact node w_i becomes the solution of
+:mod:`adaptmg.smoother.node_solve` with
 :math:`M = D/\omega`, :math:`c = r_i + M w_i`: the minimum of the functional over that block (omega = 1), in the metric
-M in general. For Tresca's law and :math:`0 < \omega < 2` no step can raise the energy. Coulomb's bound :math:`\mu p`
-follows the iterate inside each node solve (the diagonal process). Over-relaxed sweeps may then cycle (from omega = 1.65
-on).
-"""
+M in general. For Tresca's law and :math:`0 < \omega < 2` no step can raise the energy. Coulomb's
+bound :math:`\mu p` follows the iterate inside each node solve (the diagonal process). Over-relaxed
+sweeps may then cycle (from omega = 1.65 on)."""
 
 from __future__ import annotations
 
@@ -42,9 +44,16 @@ _DIRECTIONS = {"forward": (1,), "backward": (-1,), "symmetric": (1, -1)}
 class Smoother(Protocol):
     """What a smoother must offer."""
 
-    def smooth(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
-               sweeps: int) -> float:
-        """Improve ``unknowns`` in place by ``sweeps`` sweeps; return the passes over the matrix that it took."""
+    def smooth(
+        self,
+        system: LocalSystem,
+        contact: NodalContact,
+        load: np.ndarray,
+        unknowns: np.ndarray,
+        sweeps: int,
+    ) -> float:
+        """Improve ``unknowns`` in place by ``sweeps`` sweeps; return the passes over the matrix
+        that it took."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +63,8 @@ class ProjectedGaussSeidel:
     Parameters
     ----------
     omega : float
-        Relaxation factor, 0 < omega < 2. 1 is best inside multigrid; alone on a fine mesh a factor near 2 is.
+        Relaxation factor, 0 < omega < 2. 1 is best inside multigrid; alone on a fine mesh a factor
+        near 2 is.
     order : {"forward", "backward", "symmetric"}
         Order of the nodes in a sweep. A symmetric sweep is one forward and one backward pass.
 
@@ -75,8 +85,14 @@ class ProjectedGaussSeidel:
         object.__setattr__(self, "omega", omega)
         checks.choice("order", self.order, _DIRECTIONS)
 
-    def smooth(self, system: LocalSystem, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray,
-               sweeps: int = 1) -> float:
+    def smooth(
+        self,
+        system: LocalSystem,
+        contact: NodalContact,
+        load: np.ndarray,
+        unknowns: np.ndarray,
+        sweeps: int = 1,
+    ) -> float:
         """Sweep in place.
 
         Parameters
@@ -86,7 +102,8 @@ class ProjectedGaussSeidel:
         load : (n_dofs,) array
             b (dual), local components, zero at fixed dofs, N.
         unknowns : (n_dofs,) array
-            w (primal), local components, zero at fixed dofs, m; changed. It is admissible afterwards.
+            w (primal), local components, zero at fixed dofs, m; changed. It is admissible
+            afterwards.
         sweeps : int
 
         Returns
@@ -94,27 +111,50 @@ class ProjectedGaussSeidel:
         float
             Passes over the matrix: 1 a sweep (symmetric: 2).
         """
-        _check(system, checks.instance("contact", contact, NodalContact), load=load, unknowns=unknowns)
+        _check(
+            system, checks.instance("contact", contact, NodalContact), load=load, unknowns=unknowns
+        )
         if not unknowns.flags.writeable:
             raise ValueError("unknowns is read-only but is changed in place: pass unknowns.copy()")
         steps = _DIRECTIONS[self.order] * checks.integer("sweeps", sweeps)
         for step in steps:
-            _sweep(ZERO[system.dim], 0 if step > 0 else system.n_nodes - 1, step, system.indptr, system.indices,
-                   system.data, system.diagonal, system.inverse, system.contact_of, contact.gap,
-                   contact.slip_reference.reshape(-1), contact.limit, contact.friction, load, unknowns, self.omega)
+            _sweep(
+                ZERO[system.dim],
+                0 if step > 0 else system.n_nodes - 1,
+                step,
+                system.indptr,
+                system.indices,
+                system.data,
+                system.diagonal,
+                system.inverse,
+                system.contact_of,
+                contact.gap,
+                contact.slip_reference.reshape(-1),
+                contact.limit,
+                contact.friction,
+                load,
+                unknowns,
+                self.omega,
+            )
         return float(len(steps))
 
 
 def _check(system: LocalSystem, contact: NodalContact, **vectors: np.ndarray) -> None:
-    """Raise unless ``vectors`` (n_dofs,) and the arrays of ``contact`` are as the kernel, which checks nothing, reads
-    them: contiguous float64 arrays that fit ``system``."""
+    """Raise unless ``vectors`` (n_dofs,) and the arrays of ``contact`` are as the kernel, which
+    checks nothing, reads them: contiguous float64 arrays that fit ``system``."""
     expected = {name: (value, (system.n_dofs,)) for name, value in vectors.items()}
     n = len(system.nodes)
-    expected |= {f"contact.{name}": (getattr(contact, name), (n,)) for name in ("gap", "limit", "friction")}
+    expected |= {
+        f"contact.{name}": (getattr(contact, name), (n,)) for name in ("gap", "limit", "friction")
+    }
     expected["contact.slip_reference"] = contact.slip_reference, (n, system.dim - 1)
     for name, (value, shape) in expected.items():
         if not isinstance(value, np.ndarray) or value.dtype != np.float64:
-            kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+            kind = (
+                f"an array of {value.dtype}"
+                if isinstance(value, np.ndarray)
+                else type(value).__name__
+            )
             raise TypeError(f"{name} must be a numpy array of float64, got {kind}")
         if value.shape != shape:
             raise ValueError(f"{name} must have shape {shape}, got {value.shape}")
@@ -127,14 +167,37 @@ def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, ome
     """The new unknowns of a contact node from its residual."""
     dim = np.uint64(len(r))
     m = over(upper(diagonal, dim * dim * i, r), omega)
-    return solve(m, plus_symmetric(r, m, read(w, dim * i, r)), gap[contact], read_reference(reference, contact, r),
-                 limit[contact], friction[contact])
+    return solve(
+        m,
+        plus_symmetric(r, m, read(w, dim * i, r)),
+        gap[contact],
+        read_reference(reference, contact, r),
+        limit[contact],
+        friction[contact],
+    )
 
 
 @kernel
-def _sweep(zero, first, step, indptr, indices, data, diagonal, inverse, contact_of, gap, reference, limit, friction,
-           load, w, omega):
-    """Sweep over all nodes, changing ``w``: ``first, step`` are 0, 1 (forward) or n_nodes - 1, -1 (backward)."""
+def _sweep(
+    zero,
+    first,
+    step,
+    indptr,
+    indices,
+    data,
+    diagonal,
+    inverse,
+    contact_of,
+    gap,
+    reference,
+    limit,
+    friction,
+    load,
+    w,
+    omega,
+):
+    """Sweep over all nodes, changing ``w``: ``first, step`` are 0, 1 (forward) or n_nodes - 1, -1
+    (backward)."""
     dim = np.uint64(len(zero))
     for k in range(len(contact_of)):
         i = np.uint64(first + k * step)
@@ -143,5 +206,19 @@ def _sweep(zero, first, step, indptr, indices, data, diagonal, inverse, contact_
         if contact_of[i] < 0:
             write(w, at, add(read(w, at, zero), scale(omega, times(inverse, dim * at, r))))
         else:
-            write(w, at, _contact_solve(i, np.uint64(contact_of[i]), diagonal, gap, reference, limit, friction, w,
-                                        omega, r))
+            write(
+                w,
+                at,
+                _contact_solve(
+                    i,
+                    np.uint64(contact_of[i]),
+                    diagonal,
+                    gap,
+                    reference,
+                    limit,
+                    friction,
+                    w,
+                    omega,
+                    r,
+                ),
+            )

@@ -1,18 +1,21 @@
-r"""interior_point: a contact problem with a small dense matrix, by a primal-dual interior point method.
+r"""interior_point: a contact problem with a small dense matrix, by a primal-dual interior point
+method.
 
-With w the displacement of the contact nodes in their frames, forces q = f - S w, the pressure p, the gap y, the bound
-B = s + mu p on friction, the slip :math:`\tau` and its bound v, each node has a pair and a pair of cones,
+With w the displacement of the contact nodes in their frames, forces q = f - S w, the pressure p,
+the gap y, the bound B = s + mu p on friction, the slip :math:`\tau` and its bound v, each node has
+a pair and a pair of cones,
 
 .. math:: p\,y = \epsilon,\quad y = g_0 - w_n;\qquad
           B v - q_t\cdot\tau = \epsilon,\quad v q_t = B\tau,\quad B \ge |q_t|,\quad v \ge |\tau|,
 
-and at :math:`\epsilon = 0` Coulomb's law exactly: B follows p, so that the equations are not symmetric. A step
-eliminates (v, q_t) and p node by node, which adds a block to S at each node, and solves with one factorisation for a
-predictor (:math:`\epsilon = 0`) and a corrector (S. Mehrotra, SIAM J. Optim. 2, 1992, doi:10.1137/0802028). There is no
-status that could come back, and the number of steps hardly depends on the body.
+and at :math:`\epsilon = 0` Coulomb's law exactly: B follows p, so that the equations are not
+symmetric. A step eliminates (v, q_t) and p node by node, which adds a block to S at each node, and
+solves with one factorisation for a predictor (:math:`\epsilon = 0`) and a corrector (S. Mehrotra,
+SIAM J. Optim. 2, 1992, doi:10.1137/0802028). There is no status that could come back, and the
+number of steps hardly depends on the body.
 
-A plane problem has a second tangent that nothing moves. A state of a node is (w_n, w_1, w_2, p, y, v, q_1, q_2).
-"""
+A plane problem has a second tangent that nothing moves. A state of a node is (w_n, w_1, w_2, p, y,
+v, q_1, q_2)."""
 
 from __future__ import annotations
 
@@ -56,13 +59,23 @@ class Interior:
     steps: int
 
 
-def interior_point(unknowns: Span, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
-                   tolerance: float, offset: np.ndarray | float = 0.0, most: int = 60) -> Interior:
-    """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in ``most`` steps or fewer.
-    ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible displacement."""
+def interior_point(
+    unknowns: Span,
+    load: np.ndarray,
+    contact: NodalContact | Conditions,
+    stiffness: np.ndarray,
+    tolerance: float,
+    offset: np.ndarray | float = 0.0,
+    most: int = 60,
+) -> Interior:
+    """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in ``most`` steps or
+    fewer. ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible
+    displacement."""
     method = _Method(unknowns, load, contact, stiffness, offset)
     best, steps, since = method.iterate(), 0, 0
-    while steps < most and best.slack > tolerance and not (since >= _IDLE and best.slack < _ROUNDING):
+    while (
+        steps < most and best.slack > tolerance and not (since >= _IDLE and best.slack < _ROUNDING)
+    ):
         if not method.advance():
             break
         present, steps = method.iterate(), steps + 1
@@ -73,15 +86,27 @@ def interior_point(unknowns: Span, load: np.ndarray, contact: NodalContact | Con
 class _Method:
     """The iterate of an interior point method, and its steps."""
 
-    def __init__(self, unknowns: Span, load: np.ndarray, contact: NodalContact | Conditions, stiffness: np.ndarray,
-                 offset: np.ndarray | float) -> None:
+    def __init__(
+        self,
+        unknowns: Span,
+        load: np.ndarray,
+        contact: NodalContact | Conditions,
+        stiffness: np.ndarray,
+        offset: np.ndarray | float,
+    ) -> None:
         n, dim = stiffness.shape
         self.dim, self.load, self.span = dim, load, unknowns
         friction = np.where(np.isfinite(contact.gap), contact.friction, 0.0)
         self.nodes = contact.gap, np.zeros((n, 2)), contact.limit, friction
-        self.nodes[1][:, :dim - 1] = contact.slip_reference
-        self.pairs = max(int(np.isfinite(contact.gap).sum() + ((contact.limit > 0) | (friction > 0)).sum()), 1)
-        self.blocks, self.terms, self.change = np.zeros((n, 3, 3)), np.zeros((n, 4)), np.zeros((n, 8))
+        self.nodes[1][:, : dim - 1] = contact.slip_reference
+        self.pairs = max(
+            int(np.isfinite(contact.gap).sum() + ((contact.limit > 0) | (friction > 0)).sum()), 1
+        )
+        self.blocks, self.terms, self.change = (
+            np.zeros((n, 3, 3)),
+            np.zeros((n, 4)),
+            np.zeros((n, 8)),
+        )
         self.blocks[:, range(dim), range(dim)] = _SPRING * stiffness
         solve = self._factors()
         self.unknowns = np.zeros_like(load) if solve is None else solve(load)
@@ -92,29 +117,38 @@ class _Method:
         self._lift(_SPRING * stiffness[:, 0])
 
     def _lift(self, spring: np.ndarray) -> None:
-        """Start from the pressures and gaps of springs, lifted to a mean size, and bounds of slips above these."""
+        """Start from the pressures and gaps of springs, lifted to a mean size, and bounds of slips
+        above these."""
         state, (gap, reference, limit, friction) = self.state, self.nodes
         touches, rough = np.isfinite(gap), (limit > 0) | (friction > 0)
         pressures, gaps = (spring * state[:, 0])[touches], (gap - state[:, 0])[touches]
         slips = np.linalg.norm(state[rough, 1:3] - reference[rough], axis=1)
-        mean_pressure, mean_gap, mean_slip = (np.abs(one).sum() / max(len(one), 1) for one in (pressures, gaps, slips))
+        mean_pressure, mean_gap, mean_slip = (
+            np.abs(one).sum() / max(len(one), 1) for one in (pressures, gaps, slips)
+        )
         state[:, 4:6] = 1.0
-        state[touches, 3], state[touches, 4] = np.maximum(pressures, mean_pressure), np.maximum(gaps, mean_gap)
+        state[touches, 3], state[touches, 4] = (
+            np.maximum(pressures, mean_pressure),
+            np.maximum(gaps, mean_gap),
+        )
         state[rough, 5] = 1.1 * slips + (mean_slip if mean_slip > 0 else max(mean_gap, 1e-300))
 
     def _factors(self) -> Callable[[np.ndarray], np.ndarray] | None:
-        return self.span.factors(np.ascontiguousarray(self.blocks[:, :self.dim, :self.dim]))
+        return self.span.factors(np.ascontiguousarray(self.blocks[:, : self.dim, : self.dim]))
 
     def iterate(self) -> Interior:
         """Return the present iterate, measured."""
-        product, forces = self.span.product(self.unknowns), self.state[:, [3, 6, 7][:self.dim]]
+        product, forces = self.span.product(self.unknowns), self.state[:, [3, 6, 7][: self.dim]]
         self.rest = self.load - product - self.span.restricted(forces)
         self.total, apart, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
         size = np.abs([self.load, product]).max(initial=0.0)
-        slack = max(self.total / energy if energy > 0 else np.inf, apart / max(self.width, width),
-                    np.abs(self.rest).max(initial=0.0) / size if size > 0 else 0.0)
-        return Interior(self.state[:, :self.dim].copy(), forces, self.unknowns, slack, 0)
+        slack = max(
+            self.total / energy if energy > 0 else np.inf,
+            apart / max(self.width, width),
+            np.abs(self.rest).max(initial=0.0) / size if size > 0 else 0.0,
+        )
+        return Interior(self.state[:, : self.dim].copy(), forces, self.unknowns, slack, 0)
 
     def advance(self) -> bool:
         """Take a step, or return False where there is none."""
@@ -126,7 +160,9 @@ class _Method:
         self.change[:] = 0.0
         length = min(1.0, self._direct(solve, 0.0, 0.0)[1])
         left = _measure(self.state + length * self.change, *self.nodes)[0]
-        aim = min(max(left / self.total, 0.0), 1.0)**3 if self.total > 0 else 0.0  # a product may round to zero
+        aim = (
+            min(max(left / self.total, 0.0), 1.0) ** 3 if self.total > 0 else 0.0
+        )  # a product may round to zero
         more, length = self._direct(solve, aim * mean, 1.0 if length >= 0.5 else length * length)
         if _WAY * length < _SHORT:
             corrected, shorter, direction = more, length, self.change.copy()
@@ -138,14 +174,16 @@ class _Method:
         self.unknowns = self.unknowns + length * more
         return bool(np.isfinite(self.unknowns).all())
 
-    def _direct(self, solve: Callable[[np.ndarray], np.ndarray], target: float, weight: float
-                ) -> tuple[np.ndarray, float]:
-        """The change of the unknowns towards complementarity of ``target``, with second-order terms of the last change
-        times ``weight``; and how far it may go. The change of the state is left in ``change``."""
+    def _direct(
+        self, solve: Callable[[np.ndarray], np.ndarray], target: float, weight: float
+    ) -> tuple[np.ndarray, float]:
+        """The change of the unknowns towards complementarity of ``target``, with second-order terms
+        of the last change times ``weight``; and how far it may go. The change of the state is left
+        in ``change``."""
         sides = np.zeros((len(self.state), 3))
         _sides(self.state, *self.nodes, self.change, target, weight, self.terms, sides)
-        more = solve(self.rest + self.span.restricted(sides[:, :self.dim]))
-        self.change[:, :self.dim] = self.span.values(more)
+        more = solve(self.rest + self.span.restricted(sides[:, : self.dim]))
+        self.change[:, : self.dim] = self.span.values(more)
         return more, _complete(self.state, *self.nodes, self.terms, self.change)
 
 
@@ -162,7 +200,8 @@ class Span(Protocol):
         """Return B'q of forces (n_contact, dim)."""
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        """Factor S + B'DB, D the blocks (n_contact, dim, dim) of the nodes; return None where that is singular."""
+        """Factor S + B'DB, D the blocks (n_contact, dim, dim) of the nodes; return None where that
+        is singular."""
 
 
 class ContactDofs:
@@ -203,7 +242,16 @@ def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | No
 @inner_kernel
 def _node(state, i):
     """The state of a node as a tuple."""
-    return state[i, 0], state[i, 1], state[i, 2], state[i, 3], state[i, 4], state[i, 5], state[i, 6], state[i, 7]
+    return (
+        state[i, 0],
+        state[i, 1],
+        state[i, 2],
+        state[i, 3],
+        state[i, 4],
+        state[i, 5],
+        state[i, 6],
+        state[i, 7],
+    )
 
 
 @inner_kernel
@@ -229,7 +277,8 @@ def _way(b, q_1, q_2, db, dq_1, dq_2):
 
 @kernel
 def _measure(state, gap, reference, limit, friction):
-    """The sum of the products of all pairs, the largest error of a gap, and the largest displacement."""
+    """The sum of the products of all pairs, the largest error of a gap, and the largest
+    displacement."""
     total, apart, size = 0.0, 0.0, 0.0
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
@@ -238,7 +287,11 @@ def _measure(state, gap, reference, limit, friction):
             total += p * y
             apart = max(apart, abs(gap[i] - w - y))
         if limit[i] > 0 or friction[i] > 0:
-            total += (limit[i] + friction[i] * p) * v - q_1 * (w_1 - reference[i, 0]) - q_2 * (w_2 - reference[i, 1])
+            total += (
+                (limit[i] + friction[i] * p) * v
+                - q_1 * (w_1 - reference[i, 0])
+                - q_2 * (w_2 - reference[i, 1])
+            )
     return total, apart, size
 
 
@@ -270,12 +323,25 @@ def _sides(state, gap, reference, limit, friction, before, target, weight, terms
             shift = (target - p * y - weight * dp * dy - p * (gap[i] - w - y)) / y
         sides[i, 0] = terms[i, 0] = -shift
         if limit[i] > 0 or mu > 0:
-            e = target - (b * v - q_1 * t_1 - q_2 * t_2) - weight * (mu * dp * dv - dq_1 * d_1 - dq_2 * d_2)
+            e = (
+                target
+                - (b * v - q_1 * t_1 - q_2 * t_2)
+                - weight * (mu * dp * dv - dq_1 * d_1 - dq_2 * d_2)
+            )
             e_1 = b * t_1 - v * q_1 - weight * (dv * dq_1 - mu * dp * d_1)
             e_2 = b * t_2 - v * q_2 - weight * (dv * dq_2 - mu * dp * d_2)
             terms[i, 1], terms[i, 2], terms[i, 3] = e, e_1, e_2
-            _, k_1, k_2 = _cones(b, v, q_1, q_2, t_1, t_2, e - v * mu * shift, e_1 + t_1 * mu * shift,
-                                 e_2 + t_2 * mu * shift)
+            _, k_1, k_2 = _cones(
+                b,
+                v,
+                q_1,
+                q_2,
+                t_1,
+                t_2,
+                e - v * mu * shift,
+                e_1 + t_1 * mu * shift,
+                e_2 + t_2 * mu * shift,
+            )
             sides[i, 1], sides[i, 2] = -k_1, -k_2
 
 
@@ -296,8 +362,19 @@ def _complete(state, gap, reference, limit, friction, terms, change):
             if dy < 0:
                 longest = min(longest, -y / dy)
         if limit[i] > 0 or mu > 0:
-            dv, dq_1, dq_2 = _cones(b, v, q_1, q_2, t_1, t_2, terms[i, 1] - v * mu * dp + q_1 * d_1 + q_2 * d_2,
-                                    terms[i, 2] + b * d_1 + t_1 * mu * dp, terms[i, 3] + b * d_2 + t_2 * mu * dp)
+            dv, dq_1, dq_2 = _cones(
+                b,
+                v,
+                q_1,
+                q_2,
+                t_1,
+                t_2,
+                terms[i, 1] - v * mu * dp + q_1 * d_1 + q_2 * d_2,
+                terms[i, 2] + b * d_1 + t_1 * mu * dp,
+                terms[i, 3] + b * d_2 + t_2 * mu * dp,
+            )
             change[i, 5], change[i, 6], change[i, 7] = dv, dq_1, dq_2
-            longest = min(longest, _way(b, q_1, q_2, mu * dp, dq_1, dq_2), _way(v, t_1, t_2, dv, d_1, d_2))
+            longest = min(
+                longest, _way(b, q_1, q_2, mu * dp, dq_1, dq_2), _way(v, t_1, t_2, dv, d_1, d_2)
+            )
     return longest

@@ -1,14 +1,15 @@
-r"""Linear solvers: a direct one and algebraic multigrid, for the steps of the active set method and the glued problem.
+r"""Linear solvers: a direct one and algebraic multigrid, for the steps of the active set method and
+the glued problem.
 
 Work of the iterative solver is counted by the entries it touches, in passes over the matrix:
 
 .. math:: \text{passes} = n_A + n_M \sum_l \frac{(s_{pre} + s_{post} + 1)\,\mathrm{nnz}(A_l) + 2\,\mathrm{nnz}(P_l)}
           {\mathrm{nnz}(A_0)}
 
-with :math:`n_A` products with the matrix and :math:`n_M` cycles (both counted as they happen), :math:`s` passes of the
-smoother (two for a symmetric sweep), one residual, a restriction and a prolongation on every level but the coarsest,
-where the dense pseudo-inverse is one product with :math:`n^2` entries. Set-up and factorisations are time, not work.
-"""
+with :math:`n_A` products with the matrix and :math:`n_M` cycles (both counted as they happen),
+:math:`s` passes of the smoother (two for a symmetric sweep), one residual, a restriction and a
+prolongation on every level but the coarsest, where the dense pseudo-inverse is one product with
+:math:`n^2` entries. Set-up and factorisations are time, not work."""
 
 from __future__ import annotations
 
@@ -39,15 +40,25 @@ class LinearSolution:
     converged: bool  # whether the residual is below the tolerance
 
 
-def solution_of(linear: LinearSolver, prepared: Prepared, rhs: np.ndarray, rtol: float) -> LinearSolution:
+def solution_of(
+    linear: LinearSolver, prepared: Prepared, rhs: np.ndarray, rtol: float
+) -> LinearSolution:
     """Return what a linear solver, perhaps user-defined, returns for a right-hand side, checked."""
     name = f"linear: what {checks.shown(linear)}"
     checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, rtol)")
     solution = prepared.solve(rhs, rtol=rtol)
     checks.instance(f"{name} returns", solution, LinearSolution, "a LinearSolution")
     unknowns = solution.unknowns
-    if not isinstance(unknowns, np.ndarray) or unknowns.dtype != np.float64 or unknowns.shape != rhs.shape:
-        given = f"{unknowns.dtype} {unknowns.shape}" if isinstance(unknowns, np.ndarray) else checks.shown(unknowns)
+    if (
+        not isinstance(unknowns, np.ndarray)
+        or unknowns.dtype != np.float64
+        or unknowns.shape != rhs.shape
+    ):
+        given = (
+            f"{unknowns.dtype} {unknowns.shape}"
+            if isinstance(unknowns, np.ndarray)
+            else checks.shown(unknowns)
+        )
         raise TypeError(f"{name} returns must have unknowns of float64 {rhs.shape}, got {given}")
     return solution
 
@@ -62,14 +73,22 @@ class Prepared(Protocol):
 class LinearSolver(Protocol):
     """A linear solver for the steps of the active set method."""
 
-    def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
-              preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Prepared:
+    def setup(
+        self,
+        matrix: sparse.bsr_array,
+        near_nullspace: np.ndarray | None = None,
+        *,
+        symmetric: bool = True,
+        preconditioner: sparse.bsr_array | None = None,
+        previous: Prepared | None = None,
+    ) -> Prepared:
         """Prepare to solve with a matrix."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Direct:
-    """Sparse factorisation by SuperLU with a nested-dissection order, and one step of iterative refinement a solve.
+    """Sparse factorisation by SuperLU with a nested-dissection order, and one step of iterative
+    refinement a solve.
 
     Examples
     --------
@@ -81,9 +100,17 @@ class Direct:
     #: ``|K^-1 D|`` beyond this, D the diagonal of K, means singular
     SINGULAR = 1e13
 
-    def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
-              preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Factorised:
-        """Factorise; see :class:`LinearSolver`. The order of a previous matrix of the same pattern is reused."""
+    def setup(
+        self,
+        matrix: sparse.bsr_array,
+        near_nullspace: np.ndarray | None = None,
+        *,
+        symmetric: bool = True,
+        preconditioner: sparse.bsr_array | None = None,
+        previous: Prepared | None = None,
+    ) -> Factorised:
+        """Factorise; see :class:`LinearSolver`. The order of a previous matrix of the same pattern
+        is reused."""
         if isinstance(previous, Factorised) and len(previous.factors.order) == matrix.shape[0]:
             order = previous.factors.order
         else:
@@ -102,8 +129,10 @@ class Direct:
 
 
 def _singular(matrix: sparse.bsr_array) -> str:
-    return (f"the matrix ({matrix.shape[0]} rows) is singular: a motion is left free by the supports and the contact "
-            "nodes that hold; add a support, or start from a state in which more nodes touch")
+    return (
+        f"the matrix ({matrix.shape[0]} rows) is singular: a motion is left free by the supports and the contact "
+        "nodes that hold; add a support, or start from a state in which more nodes touch"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +157,16 @@ def _relative(residual: np.ndarray, rhs: np.ndarray) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class AMG:
-    """Smoothed aggregation (pyamg) as preconditioner of conjugate gradients, or of flexible GMRES if not symmetric.
+    """Smoothed aggregation (pyamg) as preconditioner of conjugate gradients, or of flexible GMRES
+    if not symmetric.
 
-    A symmetric block Gauss-Seidel sweep before and after the coarse correction; the other options are the defaults of
-    ``pyamg.smoothed_aggregation_solver``.
+    A symmetric block Gauss-Seidel sweep before and after the coarse correction; the other options
+    are the defaults of ``pyamg.smoothed_aggregation_solver``.
 
     Notes
     -----
-    P. Vanek, J. Mandel, M. Brezina, Computing 56, 1996, doi:10.1007/BF02238511; N. Bell, L. Olson, J. Schroder,
+    P. Vanek, J. Mandel, M. Brezina, Computing 56, 1996, doi:10.1007/BF02238511; N. Bell, L. Olson,
+       J. Schroder,
     B. Southworth, PyAMG, JOSS 8 (87), 2023, doi:10.21105/joss.05495.
 
     Examples
@@ -150,8 +181,15 @@ class AMG:
     #: iterations between restarts of GMRES: on slender bodies with slip it stagnates with 50
     RESTART = 200
 
-    def setup(self, matrix: sparse.bsr_array, near_nullspace: np.ndarray | None = None, *, symmetric: bool = True,
-              preconditioner: sparse.bsr_array | None = None, previous: Prepared | None = None) -> Preconditioned:
+    def setup(
+        self,
+        matrix: sparse.bsr_array,
+        near_nullspace: np.ndarray | None = None,
+        *,
+        symmetric: bool = True,
+        preconditioner: sparse.bsr_array | None = None,
+        previous: Prepared | None = None,
+    ) -> Preconditioned:
         """Build a hierarchy of coarse matrices; see :class:`LinearSolver`."""
         import pyamg
 
@@ -159,8 +197,13 @@ class AMG:
         smoother = ("block_gauss_seidel", {"sweep": "symmetric"})
         with seeded():
             hierarchy = pyamg.smoothed_aggregation_solver(
-                sparse.bsr_matrix(basis), B=near_nullspace, symmetry="symmetric",
-                strength=("symmetric", {"theta": 0.0}), presmoother=smoother, postsmoother=smoother)
+                sparse.bsr_matrix(basis),
+                B=near_nullspace,
+                symmetry="symmetric",
+                strength=("symmetric", {"theta": 0.0}),
+                presmoother=smoother,
+                postsmoother=smoother,
+            )
         return Preconditioned(matrix, hierarchy, symmetric, self)
 
 
@@ -182,7 +225,8 @@ class Preconditioned:
         return (entries + coarsest.A.shape[0] ** 2) / self.hierarchy.levels[0].A.nnz
 
     def solve(self, rhs: np.ndarray, rtol: float = 1e-10) -> LinearSolution:
-        """Iterate until the error in the norm of the preconditioner is small, too; see :class:`Prepared`."""
+        """Iterate until the error in the norm of the preconditioner is small, too; see
+        :class:`Prepared`."""
         from pyamg import krylov
 
         shape, cycle = self.matrix.shape, self.hierarchy.aspreconditioner(cycle="V")
@@ -206,16 +250,30 @@ class Preconditioned:
             norms: list[float] = []
             left = self.options.MAX_ITERATIONS - iterations
             if self.symmetric:
-                unknowns, _ = krylov.cg(operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse, residuals=norms)
+                unknowns, _ = krylov.cg(
+                    operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse, residuals=norms
+                )
             else:
                 restart = min(self.options.RESTART, left, shape[0])
-                unknowns, _ = krylov.fgmres(operator, rhs, x0=unknowns, tol=tol, M=inverse, restart=restart,
-                                        maxiter=-(-left // restart), residuals=norms)
+                unknowns, _ = krylov.fgmres(
+                    operator,
+                    rhs,
+                    x0=unknowns,
+                    tol=tol,
+                    M=inverse,
+                    restart=restart,
+                    maxiter=-(-left // restart),
+                    residuals=norms,
+                )
             iterations += max(len(norms) - 1, 0)
             residual = rhs - product(unknowns)
             error = _energy(residual, precondition(residual))
             # a residual hides what is smooth: on a slender body nearly all of the error
-            if not error > rtol * size or not len(norms) > 1 or iterations >= self.options.MAX_ITERATIONS:
+            if (
+                not error > rtol * size
+                or not len(norms) > 1
+                or iterations >= self.options.MAX_ITERATIONS
+            ):
                 break
             tol *= max(0.5 * rtol * size / error, 1e-2)
         relative = _relative(residual, rhs)

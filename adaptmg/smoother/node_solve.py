@@ -1,37 +1,42 @@
 r"""The exact solution of the contact problem of one node, in 2D and 3D, without regularisation.
 
-With a symmetric positive definite block M (the diagonal block D over the relaxation factor: a proximal step in the
-metric D / omega), a force c, component 0 normal and the slip :math:`\tau = w_t - w_t^{ref}`, find w with
+With a symmetric positive definite block M (the diagonal block D over the relaxation factor: a
+proximal step in the metric D / omega), a force c, component 0 normal and the slip :math:`\tau = w_t
+- w_t^{ref}`, find w with
 :math:`q = c - M w` (minus the force on the body) and
 
 .. math:: w_n \le g_0,\quad p = q_n \ge 0,\quad p\,(g_0 - w_n) = 0,\qquad
           |q_t| \le s + \mu p,\quad |\tau|\,q_t = (s + \mu p)\,\tau .
 
-One form holds for all laws: frictionless s = mu = 0, Tresca mu = 0, Coulomb s = 0. **The Tresca limit s acts whether
-the node touches or not**, so that for mu = 0 this is the minimum of
+One form holds for all laws: frictionless s = mu = 0, Tresca mu = 0, Coulomb s = 0. **The Tresca
+limit s acts whether the node touches or not**, so that for mu = 0 this is the minimum of
 :math:`\frac12 w'Mw - c'w + s|\tau|` over :math:`w_n \le g_0`; the Coulomb part acts only through p.
 
-*Open* (p = 0): eliminate w_n; tangentially a shrinkage with the bound s. Kept if :math:`w_n \le g_0`. Else
-*closed*: :math:`w_n = g_0`, :math:`p = p_0 - a\cdot\tau`, B the tangential block of M and c_t the tangential force at
-zero slip: stick if :math:`|c_t| \le s + \mu p_0`, else slip in
+*Open* (p = 0): eliminate w_n; tangentially a shrinkage with the bound s. Kept if :math:`w_n \le
+g_0`. Else *closed*: :math:`w_n = g_0`, :math:`p = p_0 - a\cdot\tau`, B the tangential block of M
+and c_t the tangential force at zero slip: stick if :math:`|c_t| \le s + \mu p_0`, else slip in
 
-- 2D: :math:`\tau = \sigma\,(|c_t| - s - \mu p_0) / (b - \sigma\mu a)`, :math:`\sigma = \mathrm{sign}\,c_t`;
+- 2D: :math:`\tau = \sigma\,(|c_t| - s - \mu p_0) / (b - \sigma\mu a)`, :math:`\sigma =
+  \mathrm{sign}\,c_t`;
 - 3D: :math:`q_t = (I + \theta B)^{-1} c_t`, :math:`\tau = \theta q_t`, where the number
   :math:`\theta = |\tau| / |q_t| > 0` is the root of :math:`f(\theta) = (s + \mu p)/|q_t| - 1`, found by Newton's method
-  inside a bracket. With B diagonalised a step costs a few operations; f is linear in :math:`\theta` when B is a
-  multiple of the identity, and concave when mu = 0, so that Newton from zero rises monotonically to the root.
+  inside a bracket. With B diagonalised a step costs a few operations; f is linear in :math:`\theta`
+  when B is a multiple of the identity, and concave when mu = 0, so that Newton from zero rises
+  monotonically to the root.
 
-A support may hold the first tangent of a node in 3D, which then slips by a given :math:`\tau_1`: M must be decoupled
-there, and its entry :math:`M_{11}` is given with the sign turned. What is left is one equation for :math:`\tau_2`,
-with the friction :math:`(s + \mu p)\,\tau_2/\sqrt{\tau_1^2 + \tau_2^2}`, which has one root.
+A support may hold the first tangent of a node in 3D, which then slips by a given :math:`\tau_1`: M
+must be decoupled there, and its entry :math:`M_{11}` is given with the sign turned. What is left is
+one equation for :math:`\tau_2`, with the friction :math:`(s + \mu p)\,\tau_2/\sqrt{\tau_1^2 +
+\tau_2^2}`, which has one root.
 
-The bound is never lagged: p is p of the solution. A solution exists for every mu >= 0; in 2D it is unique if
+The bound is never lagged: p is p of the solution. A solution exists for every mu >= 0; in 2D it is
+unique if
 :math:`\mu|a| < b`. Where several exist the first of open, stick, slip is taken. If open is rejected, every root of the
-closed problem with :math:`\max(0, p)` in place of p has p >= 0; the guards below only meet rounding.
+closed problem with :math:`\max(0, p)` in place of p has p >= 0; the guards below only meet
+rounding.
 
-After an edit here delete the ``*.nbi`` files of the callers (smoother, multigrid) in ``__pycache__``: numba does not
-see across modules that a cached kernel is stale.
-"""
+After an edit here delete the ``*.nbi`` files of the callers (smoother, multigrid) in
+``__pycache__``: numba does not see across modules that a cached kernel is stale."""
 
 from __future__ import annotations
 
@@ -49,31 +54,57 @@ MAX_STEPS = 200
 
 @in_loop
 def solve(m, c, gap, reference, limit, friction):
-    """Solve the problem of one node in 2D or 3D: block (upper triangle), force and reference as tuples, so is w."""
+    """Solve the problem of one node in 2D or 3D: block (upper triangle), force and reference as
+    tuples, so is w."""
     if len(c) == 2:
         return solve_2d(m[0], m[1], m[2], c[0], c[1], gap, reference[0], limit, friction)
-    return solve_3d(m[0], m[1], m[2], m[3], m[4], m[5], c[0], c[1], c[2], gap, reference[0], reference[1], limit,
-                    friction)
+    return solve_3d(
+        m[0],
+        m[1],
+        m[2],
+        m[3],
+        m[4],
+        m[5],
+        c[0],
+        c[1],
+        c[2],
+        gap,
+        reference[0],
+        reference[1],
+        limit,
+        friction,
+    )
 
 
 @in_loop
 def natural_at(d, r, w, gap, reference, limit):
-    """Return the natural residual D (prox_D(w + D^-1 r) - w) of one node, its bound held at ``limit``."""
+    """Return the natural residual D (prox_D(w + D^-1 r) - w) of one node, its bound held at
+    ``limit``."""
     change = subtract(solve(d, plus_symmetric(r, d, w), gap, reference, limit, 0.0), w)
     return plus_symmetric(nothing(w), d, change)
 
 
 @in_loop
 def read_reference(reference, k, like):
-    """Return the tangential displacement of zero slip of contact node k, a tuple with one entry less than ``like``."""
+    """Return the tangential displacement of zero slip of contact node k, a tuple with one entry
+    less than ``like``."""
     if len(like) == 2:
         return (reference[k],)
     return reference[TWO * k], reference[TWO * k + ONE]
 
 
 @kernel(fastmath=False)
-def solve_2d(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, reference: float,
-             limit: float, friction: float) -> tuple[float, float]:
+def solve_2d(
+    m_nn: float,
+    m_nt: float,
+    m_tt: float,
+    c_n: float,
+    c_t: float,
+    gap: float,
+    reference: float,
+    limit: float,
+    friction: float,
+) -> tuple[float, float]:
     """Solve the problem of one node in 2D."""
     c_n -= m_nt * reference
     c_t -= m_tt * reference
@@ -108,33 +139,78 @@ def _shrink(value: float, bound: float) -> float:
 
 
 @kernel(fastmath=False)
-def solve_3d(m_nn: float, m_n1: float, m_n2: float, m_11: float, m_12: float, m_22: float,
-             c_n: float, c_1: float, c_2: float, gap: float, reference_1: float, reference_2: float,
-             limit: float, friction: float) -> tuple[float, float, float]:
+def solve_3d(
+    m_nn: float,
+    m_n1: float,
+    m_n2: float,
+    m_11: float,
+    m_12: float,
+    m_22: float,
+    c_n: float,
+    c_1: float,
+    c_2: float,
+    gap: float,
+    reference_1: float,
+    reference_2: float,
+    limit: float,
+    friction: float,
+) -> tuple[float, float, float]:
     """Solve the problem of one node in 3D; see :func:`solve_2d`."""
     if m_11 < 0.0:
         if reference_1 == 0.0:
             w_n, w_2 = solve_2d(m_nn, m_n2, m_22, c_n, c_2, gap, reference_2, limit, friction)
         else:
-            w_n, w_2 = _solve_beside(m_nn, m_n2, m_22, c_n, c_2, gap, reference_1, reference_2, limit, friction)
+            w_n, w_2 = _solve_beside(
+                m_nn, m_n2, m_22, c_n, c_2, gap, reference_1, reference_2, limit, friction
+            )
         return w_n, 0.0, w_2
     c_n -= m_n1 * reference_1 + m_n2 * reference_2
     c_1 -= m_11 * reference_1 + m_12 * reference_2
     c_2 -= m_12 * reference_1 + m_22 * reference_2
     ratio_1, ratio_2 = m_n1 / m_nn, m_n2 / m_nn
-    slip_1, slip_2 = slip_3d(m_11 - ratio_1 * m_n1, m_12 - ratio_1 * m_n2, m_22 - ratio_2 * m_n2,
-                             c_1 - ratio_1 * c_n, c_2 - ratio_2 * c_n, 0.0, 0.0, 0.0, limit, 0.0)
+    slip_1, slip_2 = slip_3d(
+        m_11 - ratio_1 * m_n1,
+        m_12 - ratio_1 * m_n2,
+        m_22 - ratio_2 * m_n2,
+        c_1 - ratio_1 * c_n,
+        c_2 - ratio_2 * c_n,
+        0.0,
+        0.0,
+        0.0,
+        limit,
+        0.0,
+    )
     w_n = c_n / m_nn - ratio_1 * slip_1 - ratio_2 * slip_2
     if not w_n <= gap:
         w_n = gap
-        slip_1, slip_2 = slip_3d(m_11, m_12, m_22, c_1 - m_n1 * gap, c_2 - m_n2 * gap, m_n1, m_n2,
-                                 c_n - m_nn * gap, limit, friction)
+        slip_1, slip_2 = slip_3d(
+            m_11,
+            m_12,
+            m_22,
+            c_1 - m_n1 * gap,
+            c_2 - m_n2 * gap,
+            m_n1,
+            m_n2,
+            c_n - m_nn * gap,
+            limit,
+            friction,
+        )
     return w_n, reference_1 + slip_1, reference_2 + slip_2
 
 
 @kernel(fastmath=False)
-def _solve_beside(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float, gap: float, held: float,
-                  reference: float, limit: float, friction: float) -> tuple[float, float]:
+def _solve_beside(
+    m_nn: float,
+    m_nt: float,
+    m_tt: float,
+    c_n: float,
+    c_t: float,
+    gap: float,
+    held: float,
+    reference: float,
+    limit: float,
+    friction: float,
+) -> tuple[float, float]:
     """:func:`solve_2d` for a node that slips by ``held`` along a further tangent."""
     c_n -= m_nt * reference
     c_t -= m_tt * reference
@@ -148,9 +224,11 @@ def _solve_beside(m_nn: float, m_nt: float, m_tt: float, c_n: float, c_t: float,
 
 
 @kernel(fastmath=False)
-def _slip_beside(b: float, c: float, a: float, p_stick: float, held: float, limit: float, friction: float) -> float:
-    """The root of c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held^2 + x^2): it lies from 0 to c / b.
-    Newton's method inside a bracket."""
+def _slip_beside(
+    b: float, c: float, a: float, p_stick: float, held: float, limit: float, friction: float
+) -> float:
+    """The root of c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held^2 + x^2): it
+    lies from 0 to c / b. Newton's method inside a bracket."""
     low, high = min(0.0, c / b), max(0.0, c / b)
     slip = 0.0
     for _ in range(MAX_STEPS):
@@ -177,12 +255,23 @@ def _slip_beside(b: float, c: float, a: float, p_stick: float, held: float, limi
 
 
 @kernel(fastmath=False)
-def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
-            limit: float, friction: float) -> tuple[float, float]:
+def slip_3d(
+    b_11: float,
+    b_12: float,
+    b_22: float,
+    c_1: float,
+    c_2: float,
+    a_1: float,
+    a_2: float,
+    p_stick: float,
+    limit: float,
+    friction: float,
+) -> tuple[float, float]:
     r"""Return the slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`."""
     if math.hypot(c_1, c_2) <= limit + friction * max(p_stick, 0.0):
         return 0.0, 0.0
-    # Jacobi rotation to the eigenbasis of B; none where b_12 = 0, so that a fixed, decoupled tangent stays at zero
+    # Jacobi rotation to the eigenbasis of B; none where b_12 = 0, so that a fixed, decoupled
+    # tangent stays at zero
     tangent = 0.0
     if b_12 != 0.0:
         cotangent = (b_22 - b_11) / (2.0 * b_12)
@@ -190,14 +279,31 @@ def slip_3d(b_11: float, b_12: float, b_22: float, c_1: float, c_2: float, a_1: 
     cosine = 1.0 / math.hypot(tangent, 1.0)
     sine = tangent * cosine
     slip_1, slip_2 = _slip_in_eigenbasis(
-        b_11 - tangent * b_12, b_22 + tangent * b_12, cosine * c_1 - sine * c_2, sine * c_1 + cosine * c_2,
-        cosine * a_1 - sine * a_2, sine * a_1 + cosine * a_2, p_stick, limit, friction)
+        b_11 - tangent * b_12,
+        b_22 + tangent * b_12,
+        cosine * c_1 - sine * c_2,
+        sine * c_1 + cosine * c_2,
+        cosine * a_1 - sine * a_2,
+        sine * a_1 + cosine * a_2,
+        p_stick,
+        limit,
+        friction,
+    )
     return cosine * slip_1 + sine * slip_2, cosine * slip_2 - sine * slip_1
 
 
 @inner_kernel(fastmath=False)
-def _slip_in_eigenbasis(b_1: float, b_2: float, c_1: float, c_2: float, a_1: float, a_2: float, p_stick: float,
-                        limit: float, friction: float) -> tuple[float, float]:
+def _slip_in_eigenbasis(
+    b_1: float,
+    b_2: float,
+    c_1: float,
+    c_2: float,
+    a_1: float,
+    a_2: float,
+    p_stick: float,
+    limit: float,
+    friction: float,
+) -> tuple[float, float]:
     """:func:`slip_3d` of a node that slips, B = diag(b_1, b_2): safeguarded Newton for theta."""
     free_1, free_2 = c_1 / b_1, c_2 / b_2
     if limit + friction * max(p_stick - a_1 * free_1 - a_2 * free_2, 0.0) == 0.0:
@@ -212,7 +318,9 @@ def _slip_in_eigenbasis(b_1: float, b_2: float, c_1: float, c_2: float, a_1: flo
         p = p_stick - theta * coupling
         bound = limit + friction * max(p, 0.0)
         excess = force - bound
-        if abs(excess) <= EPSILON * (force + limit + friction * (abs(p_stick) + theta * abs(coupling))):
+        if abs(excess) <= EPSILON * (
+            force + limit + friction * (abs(p_stick) + theta * abs(coupling))
+        ):
             break
         if excess > 0.0:
             low = theta
@@ -237,7 +345,8 @@ def _slip_in_eigenbasis(b_1: float, b_2: float, c_1: float, c_2: float, a_1: flo
 
 @inner_kernel(fastmath=False)
 def _inside(low: float, high: float, stiffness: float) -> float:
-    """A point between two bounds whose orders of magnitude may differ; ``high`` may be +inf, ``low`` zero."""
+    """A point between two bounds whose orders of magnitude may differ; ``high`` may be +inf,
+    ``low`` zero."""
     if high == math.inf:
         return max(8.0 * low, 1.0 / stiffness)
     if low == 0.0:

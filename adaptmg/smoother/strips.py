@@ -1,10 +1,10 @@
 """Strips of nodes for sweeps by several threads, and the product of a matrix.
 
-A :class:`Strips` cuts the nodes of a large matrix into strips, such that a node is coupled with its own strip and one
-of the two next to it, never with both. All even strips may then be swept at the same time, and after them all odd ones:
-no strip reads or writes what another one writes, even where a sweep scatters to neighbours. The result is that of
-Gauss-Seidel over all even strips one after the other, then the odd ones. Small matrices are a single strip.
-"""
+A :class:`Strips` cuts the nodes of a large matrix into strips, such that a node is coupled with its
+own strip and one of the two next to it, never with both. All even strips may then be swept at the
+same time, and after them all odd ones: no strip reads or writes what another one writes, even where
+a sweep scatters to neighbours. The result is that of Gauss-Seidel over all even strips one after
+the other, then the odd ones. Small matrices are a single strip."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
     """Return A v (n,), summed as scipy does."""
     arrays = map(read_only, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)))
     result, zero = np.empty(matrix.shape[0]), (0.0,) * matrix.blocksize[0]
-    threads.in_parts(_multiply, len(matrix.indptr) - 1, matrix.data.size, zero, *arrays, vector, result)
+    threads.in_parts(
+        _multiply, len(matrix.indptr) - 1, matrix.data.size, zero, *arrays, vector, result
+    )
     return result
 
 
@@ -54,9 +56,10 @@ class Strips:
 
     @classmethod
     def of(cls, indptr: np.ndarray, indices: np.ndarray, block: int, stored: bool = True) -> Strips:
-        """Return the strips of a matrix with a symmetric pattern, sorted columns, and ``block`` entries a block. Where
-        numbers have little to do with places, strips go by distance in the graph: sweeps then jump in memory, by a
-        third slower even if rows are ``stored`` in their order, so that one thread does without."""
+        """Return the strips of a matrix with a symmetric pattern, sorted columns, and ``block``
+        entries a block. Where numbers have little to do with places, strips go by distance in the
+        graph: sweeps then jump in memory, by a third slower even if rows are ``stored`` in their
+        order, so that one thread does without."""
         n = len(indptr) - 1
         own = np.arange(n, dtype=np.int32)
         if block * len(indices) < threads.LARGE:
@@ -81,7 +84,8 @@ class Strips:
         return cls(order, rank, [ranges[:even], ranges[even:]])
 
     def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:
-        """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all strips."""
+        """Call ``kernel(first, last, order, *arguments)``, which sweeps over these places, for all
+        strips."""
         if len(self.colours) == 1:  # quick for small matrices
             kernel(0, len(self.order), self.order, *arguments)
             return
@@ -90,9 +94,12 @@ class Strips:
 
 
 def _bounds(last: np.ndarray) -> list[int]:
-    """Where strips begin and end: ``last`` (n,) is the place of the last neighbour of a node at each place."""
+    """Where strips begin and end: ``last`` (n,) is the place of the last neighbour of a node at
+    each place."""
     n = len(last)
-    reach = np.append(0, np.maximum.accumulate(last) + 1)  # the places before this one are not coupled beyond it
+    reach = np.append(
+        0, np.maximum.accumulate(last) + 1
+    )  # the places before this one are not coupled beyond it
     bounds = [0]
     while bounds[-1] < n:
         two_layers = int(reach[reach[bounds[-1]]])
@@ -101,7 +108,8 @@ def _bounds(last: np.ndarray) -> list[int]:
 
 
 def _by_distance(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Nodes by their distance from one of them in the graph of a matrix, part by part where it falls apart."""
+    """Nodes by their distance from one of them in the graph of a matrix, part by part where it
+    falls apart."""
     n = len(indptr) - 1
     graph = sparse.csr_array((np.ones(len(indices), dtype=np.int8), indices, indptr), shape=(n, n))
     new, layers = np.ones(n, dtype=bool), []

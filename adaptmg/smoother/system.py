@@ -1,14 +1,16 @@
-r"""LocalSystem: a matrix in contact frames, fixed dofs eliminated, as the flat arrays the kernels read.
+r"""LocalSystem: a matrix in contact frames, fixed dofs eliminated, as the flat arrays the kernels
+read.
 
-At contact node i the unknowns are :math:`w = F_i u`, the rows of F_i being n, t (2D: t = n turned by +90 degrees) or
-n, t1, t2 (3D); elsewhere w = u. Fixed dofs are lifted off: :math:`w` counts from the prescribed values, the rows and
-columns of fixed dofs are zero but for the diagonal, so a kernel leaves them at zero.
+At contact node i the unknowns are :math:`w = F_i u`, the rows of F_i being n, t (2D: t = n turned
+by +90 degrees) or n, t1, t2 (3D); elsewhere w = u. Fixed dofs are lifted off: :math:`w` counts from
+the prescribed values, the rows and columns of fixed dofs are zero but for the diagonal, so a kernel
+leaves them at zero.
 
-Results hold the :class:`ContactState` of a contact node. The solvers keep finer codes: bit ``CLOSED``, set where the
-gap is closed, and under ``TANGENTIAL`` one of ``FREE`` (no friction acts), ``HELD`` (no slip), ``SLIPS`` (2D: in the
-direction of the tangent) and ``BACKWARDS`` (2D: against it). With the force p a node is OPEN where it is not closed or
-p = 0, elsewhere STICK where it is held and SLIP otherwise: :func:`contact_states`.
-"""
+Results hold the :class:`ContactState` of a contact node. The solvers keep finer codes: bit
+``CLOSED``, set where the gap is closed, and under ``TANGENTIAL`` one of ``FREE`` (no friction
+acts), ``HELD`` (no slip), ``SLIPS`` (2D: in the direction of the tangent) and ``BACKWARDS`` (2D:
+against it). With the force p a node is OPEN where it is not closed or p = 0, elsewhere STICK where
+it is held and SLIP otherwise: :func:`contact_states`."""
 
 from __future__ import annotations
 
@@ -20,17 +22,23 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_frames
-from adaptmg.discrete.problem import DiscreteProblem, diagonal_blocks, nodal_blocks, remembered_of_structure
+from adaptmg.discrete.problem import (
+    DiscreteProblem,
+    diagonal_blocks,
+    nodal_blocks,
+    remembered_of_structure,
+)
 from adaptmg.transfer.galerkin import without_fixed
 
 
 @dataclass
 class NodalContact:
-    """Contact conditions in local components: w_n <= gap; ``|f_t| <= limit + friction * p``; f_t against the slip.
+    """Contact conditions in local components: w_n <= gap; ``|f_t| <= limit + friction * p``; f_t
+    against the slip.
 
-    ``held``, in 3D: nodes whose first tangent alone is held by a support; minus its slip_reference is the slip along
-    it. Their diagonal blocks have that entry with the sign turned (:mod:`adaptmg.smoother.node_solve`).
-    """
+    ``held``, in 3D: nodes whose first tangent alone is held by a support; minus its slip_reference
+    is the slip along it. Their diagonal blocks have that entry with the sign turned
+    (:mod:`adaptmg.smoother.node_solve`)."""
 
     gap: np.ndarray  # (n_contact,): largest normal displacement, m; +inf without an obstacle
     slip_reference: np.ndarray  # (n_contact, dim - 1): tangential displacement of zero slip, m
@@ -41,13 +49,17 @@ class NodalContact:
     @property
     def driven(self) -> np.ndarray:
         """Contact nodes (k,) that slip along a held tangent, indices."""
-        return np.empty(0, dtype=np.int64) if self.held is None else np.flatnonzero(
-            self.held & (self.slip_reference[:, 0] != 0))
+        return (
+            np.empty(0, dtype=np.int64)
+            if self.held is None
+            else np.flatnonzero(self.held & (self.slip_reference[:, 0] != 0))
+        )
 
 
 @dataclass(eq=False)
 class LocalSystem:
-    """A block-sparse matrix in local components with fixed dofs eliminated, as the kernels read it."""
+    """A block-sparse matrix in local components with fixed dofs eliminated, as the kernels read
+    it."""
 
     dim: int  # block size
     indptr: np.ndarray  # (n_nodes + 1,) int32
@@ -60,8 +72,11 @@ class LocalSystem:
     contact_of: np.ndarray  # (n_nodes,) int32: index of a node among the contact nodes, or -1
 
     @classmethod
-    def from_matrix(cls, matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray) -> LocalSystem:
-        """Make it from an eliminated matrix in local components (fixed rows and columns already decoupled)."""
+    def from_matrix(
+        cls, matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray
+    ) -> LocalSystem:
+        """Make it from an eliminated matrix in local components (fixed rows and columns already
+        decoupled)."""
         dim = matrix.blocksize[0]
         n_nodes = matrix.shape[0] // dim
         if not matrix.has_sorted_indices:
@@ -70,9 +85,17 @@ class LocalSystem:
         diagonal = diagonal_blocks(matrix)
         contact_of = np.full(n_nodes, -1, dtype=np.int32)
         contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
-        return cls(dim=dim, indptr=indptr, indices=indices, data=np.ascontiguousarray(matrix.data).reshape(-1),
-                   diagonal=diagonal.reshape(-1), inverse=inverse_blocks(diagonal).reshape(-1), fixed=np.asarray(fixed),
-                   nodes=np.asarray(nodes, dtype=np.int32), contact_of=contact_of)
+        return cls(
+            dim=dim,
+            indptr=indptr,
+            indices=indices,
+            data=np.ascontiguousarray(matrix.data).reshape(-1),
+            diagonal=diagonal.reshape(-1),
+            inverse=inverse_blocks(diagonal).reshape(-1),
+            fixed=np.asarray(fixed),
+            nodes=np.asarray(nodes, dtype=np.int32),
+            contact_of=contact_of,
+        )
 
     @property
     def n_nodes(self) -> int:
@@ -91,7 +114,9 @@ class LocalSystem:
     def matrix(self) -> sparse.bsr_array:
         """Return the matrix, sharing memory."""
         blocks = self.data.reshape(-1, self.dim, self.dim)
-        return sparse.bsr_array((blocks, self.indices, self.indptr), shape=(self.n_dofs, self.n_dofs), copy=False)
+        return sparse.bsr_array(
+            (blocks, self.indices, self.indptr), shape=(self.n_dofs, self.n_dofs), copy=False
+        )
 
 
 def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
@@ -102,7 +127,9 @@ def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
         inverse = np.full_like(blocks, np.nan)
     if not np.isfinite(inverse).all():
         bad = int(np.argmin(np.abs(np.linalg.det(blocks))))
-        raise ValueError(f"the diagonal block of node {bad} is singular: is the node part of an element?")
+        raise ValueError(
+            f"the diagonal block of node {bad} is singular: is the node part of an element?"
+        )
     return inverse
 
 
@@ -121,20 +148,22 @@ class LocalProblem:
         return self.load - self.system.matrix @ unknowns
 
     def to_local(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the local unknowns (n_dofs,) of a Cartesian displacement (n_nodes, dim) or (n_dofs,)."""
+        """Return the local unknowns (n_dofs,) of a Cartesian displacement (n_nodes, dim) or
+        (n_dofs,)."""
         w = rotate(self.discrete.from_prescribed(displacement), self.frames, self.system.nodes)
         w[self.system.fixed] = 0.0
         return w
 
     def to_cartesian(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the Cartesian displacement (n_nodes, dim), m, prescribed values included, of local unknowns."""
+        """Return the Cartesian displacement (n_nodes, dim), m, prescribed values included, of local
+        unknowns."""
         u = rotate_back(unknowns, self.frames, self.system.nodes)
         return self.discrete.with_prescribed(u).reshape(-1, self.system.dim)
 
 
 def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) -> LocalProblem:
-    """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs. ``system``: that of a problem which
-    shares matrix, fixed dofs and contact nodes with it."""
+    """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs. ``system``: that
+    of a problem which shares matrix, fixed dofs and contact nodes with it."""
     nodes, (frames, fixed) = problem.contact.nodes, frames_and_fixed(problem)
     load = rotate(problem.load_from_prescribed(), frames, nodes)
     load[fixed] = 0.0
@@ -147,7 +176,8 @@ def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) ->
 
 
 def local_contact(problem: DiscreteProblem) -> tuple[NodalContact, np.ndarray]:
-    """Return contact data in local components, and the frames (n_contact, dim, dim): the matrix is not touched."""
+    """Return contact data in local components, and the frames (n_contact, dim, dim): the matrix is
+    not touched."""
     frames, fixed = frames_and_fixed(problem)
     return _nodal_contact(problem, frames, fixed), frames
 
@@ -165,7 +195,9 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     blocks = np.einsum("nij,njk,nlk->nil", frames, nodal_blocks(problem)[nodes], frames)
     free = np.ones((len(nodes), problem.dim))
     free[:, 1:] = ~held_tangents(problem)
-    mask = free[:, :, None] * free[:, None, :] + np.einsum("ni,ij->nij", 1 - free, np.eye(problem.dim))
+    mask = free[:, :, None] * free[:, None, :] + np.einsum(
+        "ni,ij->nij", 1 - free, np.eye(problem.dim)
+    )
     blocks *= mask
     turn_held(blocks, np.arange(len(nodes)), contact)
     return blocks
@@ -184,13 +216,18 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         u = to_frames(frames, problem.at_contact(problem.fixed_values))
         slip = u[:, 1] - np.einsum("nj,nj->n", frames[:, 1], problem.contact.slip_reference)
         reference[alone, 0] = -slip[alone]
-    return NodalContact(gap=problem.contact.gaps - lifted[:, 0], slip_reference=np.ascontiguousarray(reference),
-                        limit=np.array(limit, dtype=np.float64), friction=np.array(friction, dtype=np.float64),
-                        held=alone)
+    return NodalContact(
+        gap=problem.contact.gaps - lifted[:, 0],
+        slip_reference=np.ascontiguousarray(reference),
+        limit=np.array(limit, dtype=np.float64),
+        friction=np.array(friction, dtype=np.float64),
+        held=alone,
+    )
 
 
 def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) -> None:
-    """Turn the sign of the entries of held tangents in flat diagonal blocks of all nodes, in place; see node_solve."""
+    """Turn the sign of the entries of held tangents in flat diagonal blocks of all nodes, in place;
+    see node_solve."""
     if contact.held is not None:
         blocks = diagonal.reshape(-1, 3, 3)
         at = nodes[contact.held]
@@ -199,8 +236,8 @@ def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) ->
 
 @remembered_of_structure
 def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Return the frames (n_contact, dim, dim), and fixed dofs (n_dofs,) in local components: at contact nodes a tangent
-    that is a fixed Cartesian axis."""
+    """Return the frames (n_contact, dim, dim), and fixed dofs (n_dofs,) in local components: at
+    contact nodes a tangent that is a fixed Cartesian axis."""
     dim = problem.dim
     fixed = problem.fixed.reshape(-1, dim).copy()
     frames = frames_of(problem.contact, fixed)
@@ -210,14 +247,17 @@ def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     local = share > 1 - 1e-10
     if (local.sum(axis=1) != at_contact.sum(axis=1)).any():
         i = int(np.argmax(local.sum(axis=1) != at_contact.sum(axis=1)))
-        raise ValueError(f"fixed: the fixed components at contact node {i} (node {problem.contact.nodes[i]}) are not "
-                         "tangential; take the node out of the contact boundary or free the component")
+        raise ValueError(
+            f"fixed: the fixed components at contact node {i} (node {problem.contact.nodes[i]}) are not "
+            "tangential; take the node out of the contact boundary or free the component"
+        )
     fixed[problem.contact.nodes] = local
     return frames, fixed.reshape(-1)
 
 
 def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) -> sparse.bsr_array:
-    """A copy with ``frames`` applied to the block rows and columns of ``nodes``; the others are not touched."""
+    """A copy with ``frames`` applied to the block rows and columns of ``nodes``; the others are not
+    touched."""
     n = matrix.shape[0] // matrix.blocksize[0]
     frame_of = np.full(n, -1)
     frame_of[nodes] = np.arange(len(nodes))
@@ -245,13 +285,21 @@ FREE, HELD, SLIPS, BACKWARDS = 0, 2, 4, 6
 TANGENTIAL = 6
 
 
-def contact_codes(closed: np.ndarray, held: np.ndarray, backwards: np.ndarray | bool = False) -> np.ndarray:
-    """Return codes (n,) int8 of nodes: closed or not, and held or else slip; ``backwards`` counts where they slip."""
-    return (np.where(held, HELD, np.where(backwards, BACKWARDS, SLIPS)) + CLOSED * closed).astype(np.int8)
+def contact_codes(
+    closed: np.ndarray, held: np.ndarray, backwards: np.ndarray | bool = False
+) -> np.ndarray:
+    """Return codes (n,) int8 of nodes: closed or not, and held or else slip; ``backwards`` counts
+    where they slip."""
+    return (np.where(held, HELD, np.where(backwards, BACKWARDS, SLIPS)) + CLOSED * closed).astype(
+        np.int8
+    )
 
 
 def contact_states(codes: np.ndarray, normal_force: np.ndarray) -> np.ndarray:
-    """Return the states (n,) int8 of nodes with these codes and the compressive forces p (n,), N."""
-    state = np.where(codes & TANGENTIAL == HELD, ContactState.STICK, ContactState.SLIP).astype(np.int8)
+    """Return the states (n,) int8 of nodes with these codes and the compressive forces p (n,),
+    N."""
+    state = np.where(codes & TANGENTIAL == HELD, ContactState.STICK, ContactState.SLIP).astype(
+        np.int8
+    )
     state[(codes & CLOSED == 0) | (normal_force == 0)] = ContactState.OPEN
     return state

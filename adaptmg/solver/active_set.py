@@ -1,10 +1,9 @@
 """ActiveSet: the semismooth Newton method, from a given start or from an interior point.
 
 A step decides the status of every contact node and linearises its conditions
-(:mod:`adaptmg.smoother.conditions`); the equations are solved on the dense Schur complement of the contact dofs or on
-the sparse matrix. Their right-hand side is the residual of the full matrix, so that every step is one of iterative
-refinement, too.
-"""
+(:mod:`adaptmg.smoother.conditions`); the equations are solved on the dense Schur complement of the
+contact dofs or on the sparse matrix. Their right-hand side is the residual of the full matrix, so
+that every step is one of iterative refinement, too."""
 
 from __future__ import annotations
 
@@ -34,23 +33,25 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True)
 class ActiveSet:
-    """Semismooth Newton (active set) method on the finest grid; see :mod:`adaptmg.solver.active_set`.
+    """Semismooth Newton (active set) method on the finest grid; see
+    :mod:`adaptmg.solver.active_set`.
 
     Parameters
     ----------
     linear : Direct, AMG or user-defined
         Solver of the linear steps.
     condensed : bool, optional
-        Take the steps on the Schur complement of the contact dofs, with one factorisation in all. Default: with
-        ``Direct()``.
+        Take the steps on the Schur complement of the contact dofs, with one factorisation in all.
+        Default: with ``Direct()``.
     start : {"interior", "held"}, optional
-        Where steps without a given start begin: at the solution of an interior point method, or with all nodes
-        touching and, under friction, sticking. Default: "interior" where the steps are condensed; otherwise an
-        interior point costs as many linear solves as all the Newton steps that it saves.
+        Where steps without a given start begin: at the solution of an interior point method, or
+        with all nodes touching and, under friction, sticking. Default: "interior" where the steps
+        are condensed; otherwise an interior point costs as many linear solves as all the Newton
+        steps that it saves.
     rtol : float
-        For the relative A-norm of the last Newton step (ten times that while the contact status changes), which bounds
-        the error of the iterate before it, and, times 10, for the relative natural residual. Where initial strains
-        act, relative to u without what expands freely.
+        For the relative A-norm of the last Newton step (ten times that while the contact status
+        changes), which bounds the error of the iterate before it, and, times 10, for the relative
+        natural residual. Where initial strains act, relative to u without what expands freely.
     max_steps : int
         Steps at most.
     nested_start : bool
@@ -58,13 +59,14 @@ class ActiveSet:
 
     Notes
     -----
-    The interior point method (:mod:`adaptmg.smoother.interior_point`) finds the contact status in 5 to 20 steps on
-    the bodies that were tried, slender and folded ones among them. Where a status comes back in the Newton steps after
-    it, or from a given start, or leaves a motion free, they begin again from an interior point, with a smaller
-    tolerance each time. Steps of both kinds count. Problems of up to 10 000 dofs (in 3D 3000) remember their factors,
-    and share them with those that differ in load, gaps or friction alone. Smoothed elements with Poisson's ratios above
-    .499 take several solves with the same factors (:mod:`adaptmg.multigrid.volume_pressures`); above .4 the matrix has
-    2 to 3 times the entries.
+    The interior point method (:mod:`adaptmg.smoother.interior_point`) finds the contact status in 5
+    to 20 steps on the bodies that were tried, slender and folded ones among them. Where a status
+    comes back in the Newton steps after it, or from a given start, or leaves a motion free, they
+    begin again from an interior point, with a smaller tolerance each time. Steps of both kinds
+    count. Problems of up to 10 000 dofs (in 3D 3000) remember their factors, and share them with
+    those that differ in load, gaps or friction alone. Smoothed elements with Poisson's ratios above
+    .499 take several solves with the same factors (:mod:`adaptmg.multigrid.volume_pressures`);
+    above .4 the matrix has 2 to 3 times the entries.
 
     Examples
     --------
@@ -116,9 +118,16 @@ class ActiveSet:
     def _augmented(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve a finest problem with volumes, by one factorisation and perhaps several solves."""
         if self.nested_start:
-            raise ValueError("nested_start=True: ActiveSet has no nested start for smoothed elements with poisson "
-                             "above .4; use FullMultigrid")
-        problem, number, pressures, cycles = hierarchy.finest.discrete, len(hierarchy) - 1, run.pressures, 0
+            raise ValueError(
+                "nested_start=True: ActiveSet has no nested start for smoothed elements with poisson "
+                "above .4; use FullMultigrid"
+            )
+        problem, number, pressures, cycles = (
+            hierarchy.finest.discrete,
+            len(hierarchy) - 1,
+            run.pressures,
+            0,
+        )
         past: list[tuple[np.ndarray, np.ndarray]] = []
         with run.phase("setup"):
             first = local_system(Augmented(problem, pressures).problem)
@@ -131,7 +140,9 @@ class ActiveSet:
             # a given start fits another load
             done = solve > 0 and augmented.missed(start) <= self.rtol
             last = augmented.exact or done or solve == Augmented.MOST - 1
-            newton = _Newton(self, local, run, number, start, factors, finest=True, pressures=augmented.pressures)
+            newton = _Newton(
+                self, local, run, number, start, factors, finest=True, pressures=augmented.pressures
+            )
             run.first_cycle += cycles
             status, stop = newton.solve(certified=last)
             run.first_cycle, cycles = run.first_cycle - cycles, cycles + newton.cycles
@@ -140,12 +151,15 @@ class ActiveSet:
             if last:
                 break
             pressures = augmented.accelerated(pressures, past)
-        return Outcome(start, status, cycles, self.rtol, stop.error_estimate, stop.rate, pressures=pressures)
+        return Outcome(
+            start, status, cycles, self.rtol, stop.error_estimate, stop.rate, pressures=pressures
+        )
 
 
 class _NewtonTest(StopTest):
-    """The last step bounds the error of the iterate before it; every step refines, so that rounding excuses none. As
-    long as the contact status changes, nodes may follow one another: many such steps may be left."""
+    """The last step bounds the error of the iterate before it; every step refines, so that rounding
+    excuses none. As long as the contact status changes, nodes may follow one another: many such
+    steps may be left."""
 
     UNSETTLED = 10.0  # factor on the last step while the status changes
 
@@ -156,7 +170,9 @@ class _NewtonTest(StopTest):
         self.error_estimate = np.inf
         if self.changes:
             change = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
-            self.error_estimate = self._caution * change * (1.0 if state.settled else self.UNSETTLED)
+            self.error_estimate = (
+                self._caution * change * (1.0 if state.settled else self.UNSETTLED)
+            )
         self.met = self._small_enough()
 
 
@@ -172,31 +188,61 @@ class _Newton:
     #: augmentation c over the diagonal of the matrix: it weighs gaps against forces where a status is decided
     FACTOR = 0.1
 
-    def __init__(self, options: ActiveSet, local: LocalProblem, run: Run, level: int, start: np.ndarray | None,
-                 condensed: Condensed | None = None, finest: bool = False,
-                 pressures: Callable[[np.ndarray], np.ndarray] | None = None) -> None:
-        self.options, self.local, self.run, self.level, self.finest = options, local, run, level, finest
+    def __init__(
+        self,
+        options: ActiveSet,
+        local: LocalProblem,
+        run: Run,
+        level: int,
+        start: np.ndarray | None,
+        condensed: Condensed | None = None,
+        finest: bool = False,
+        pressures: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> None:
+        self.options, self.local, self.run, self.level, self.finest = (
+            options,
+            local,
+            run,
+            level,
+            finest,
+        )
         self._measure, self._pressures = Measure(local, run if finest else None), pressures
         self.equations_of: SparseSteps | CondensedSteps = (
-            SparseSteps(local, options.linear, run) if condensed is None else CondensedSteps(condensed, run))
+            SparseSteps(local, options.linear, run)
+            if condensed is None
+            else CondensedSteps(condensed, run)
+        )
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
         self.cycles, self._hold_first = 0, start is None and options.start == "held"
-        self._from_inside = start is None and options.start == "interior" and len(local.contact.gap) > 0
+        self._from_inside = (
+            start is None and options.start == "interior" and len(local.contact.gap) > 0
+        )
         self._tolerances = list(self.TOLERANCES)
-        self._seen, self._last, self._since = set[bytes](), b"", 0  # states of the steps before, and their number
+        self._seen, self._last, self._since = (
+            set[bytes](),
+            b"",
+            0,
+        )  # states of the steps before, and their number
         self._equations: Linearised | None = None
 
     def solve(self, certified: bool) -> tuple[Status, StopTest]:
-        """Iterate, on the finest level under the eyes of the run, in the end (if ``certified``) of the certificate."""
-        stop = _NewtonTest(self.options.rtol, self.options.max_steps, self._shortfall if certified else None,
-                           stalled=None)
+        """Iterate, on the finest level under the eyes of the run, in the end (if ``certified``) of
+        the certificate."""
+        stop = _NewtonTest(
+            self.options.rtol,
+            self.options.max_steps,
+            self._shortfall if certified else None,
+            stalled=None,
+        )
         if self.finest and not self.run.history:
             self.run.start_work_units = self.run.work_units
         return iterate(self, stop, self.run if self.finest else None), stop
 
     def _shortfall(self, rtol: float) -> float:
         solved = self.local.to_cartesian(self.unknowns)
-        return self.run.shortfall(solved, rtol, None if self._pressures is None else self._pressures(solved))
+        return self.run.shortfall(
+            solved, rtol, None if self._pressures is None else self._pressures(solved)
+        )
 
     def step(self) -> State | Status:
         if self._equations is not None or self._from_inside:
@@ -206,8 +252,14 @@ class _Newton:
         residual = self._residual()
         self._decide(residual, self._hold_first and self.cycles == 0)
         active, slip = self._equations.active, self._equations.slip
-        return self._measure(self.cycles, self.unknowns, residual, settled=self._equations.key == self._last,
-                             active=int(active.sum()), slip=int((active & slip).sum()))
+        return self._measure(
+            self.cycles,
+            self.unknowns,
+            residual,
+            settled=self._equations.key == self._last,
+            active=int(active.sum()),
+            slip=int((active & slip).sum()),
+        )
 
     def _advance(self) -> Status | None:
         """A step; where a status comes back, or a motion is free, a start from inside instead."""
@@ -235,9 +287,19 @@ class _Newton:
         if not self._tolerances:
             return Status.CYCLING
         tolerance = self._tolerances.pop(0)
-        interior = interior_point(*self.equations_of.inside(), self.local.contact, self.equations_of.stiffness,
-                                  tolerance, most=min(self.MOST, self.options.max_steps - self.cycles))
-        _LOG.debug("step %d: an interior point, %.0e, in %d steps", self.cycles, interior.slack, interior.steps)
+        interior = interior_point(
+            *self.equations_of.inside(),
+            self.local.contact,
+            self.equations_of.stiffness,
+            tolerance,
+            most=min(self.MOST, self.options.max_steps - self.cycles),
+        )
+        _LOG.debug(
+            "step %d: an interior point, %.0e, in %d steps",
+            self.cycles,
+            interior.slack,
+            interior.steps,
+        )
         self.unknowns = self.equations_of.outside(interior)
         self.cycles += interior.steps
         self.run.visit(self.level, "solve", interior.steps)
@@ -250,10 +312,17 @@ class _Newton:
         return self.local.residual(self.unknowns)
 
     def _decide(self, residual: np.ndarray, hold: bool) -> None:
-        system, contact, forces = self.local.system, self.local.contact, self.equations_of.contact_residual(residual)
+        system, contact, forces = (
+            self.local.system,
+            self.local.contact,
+            self.equations_of.contact_residual(residual),
+        )
         at_contact = self.unknowns.reshape(-1, system.dim)[system.nodes]
-        self._equations = hold_all(contact, at_contact, forces) if hold else linearise(
-            contact, at_contact, forces, self.equations_of.stiffness, self.FACTOR)
+        self._equations = (
+            hold_all(contact, at_contact, forces)
+            if hold
+            else linearise(contact, at_contact, forces, self.equations_of.stiffness, self.FACTOR)
+        )
 
 
 class CondensedSteps:
@@ -270,8 +339,8 @@ class CondensedSteps:
         return self.condensed.matrix.diagonal().reshape(-1, self.local.system.dim)
 
     def contact_residual(self, residual: np.ndarray) -> np.ndarray:
-        """Return the residual (n_contact, dim) at contact nodes that decides their status, with the interior in
-        equilibrium, from that at all dofs."""
+        """Return the residual (n_contact, dim) at contact nodes that decides their status, with the
+        interior in equilibrium, from that at all dofs."""
         with self.run.phase("solve"):
             self._particular, force = self.condensed.reduce(residual)
         return force.reshape(-1, self.local.system.dim)
@@ -280,8 +349,10 @@ class CondensedSteps:
         """Return the unknowns of the interior point method, and their load."""
         free = ~self.local.system.fixed[self.condensed.contact]
         with self.run.phase("solve"):
-            return (ContactDofs(self.condensed.matrix, free.reshape(-1, self.local.system.dim)),
-                    self.condensed.reduced[1][free])
+            return (
+                ContactDofs(self.condensed.matrix, free.reshape(-1, self.local.system.dim)),
+                self.condensed.reduced[1][free],
+            )
 
     def outside(self, interior: Interior) -> np.ndarray:
         """Return the unknowns (n_dofs,) for what the interior point method found."""
@@ -289,8 +360,8 @@ class CondensedSteps:
             return self.condensed.recover(interior.values.reshape(-1))
 
     def solve(self, equations: Linearised) -> np.ndarray:
-        """Return the change (n_dofs,) for the last residual; LinAlgError if the equations are singular or an iterative
-        linear solver does not converge."""
+        """Return the change (n_dofs,) for the last residual; LinAlgError if the equations are
+        singular or an iterative linear solver does not converge."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
             matrix = self.condensed.matrix.copy().reshape(n, dim, n, dim)
@@ -314,13 +385,15 @@ class CondensedSteps:
         factors, pivots, info = linalg.lapack.dgetrf(matrix)
         rcond = linalg.lapack.dgecon(factors, norm)[0] if info == 0 else 0.0
         if not rcond > self.SINGULAR:
-            raise np.linalg.LinAlgError(f"the condensed equations are singular: reciprocal condition {rcond:.1e}")
+            raise np.linalg.LinAlgError(
+                f"the condensed equations are singular: reciprocal condition {rcond:.1e}"
+            )
         return linalg.lapack.dgetrs(factors, pivots, rhs)[0]
 
 
 class SparseSteps:
-    """Linear steps on the sparse matrix, of which only rows (and eliminated columns) of contact nodes change. All dofs
-    are the unknowns of the interior point method."""
+    """Linear steps on the sparse matrix, of which only rows (and eliminated columns) of contact
+    nodes change. All dofs are the unknowns of the interior point method."""
 
     #: relative residual to which an iterative linear solver solves each Newton step, and each interior point step
     RTOL, INSIDE = 1e-2, 1e-4
@@ -328,8 +401,9 @@ class SparseSteps:
     def __init__(self, local: LocalProblem, linear: LinearSolver, run: Run) -> None:
         self.local, self.linear, self.run = local, linear, run
         self._matrix = local.system.matrix
-        self._contact = local.system.contact_of[np.repeat(np.arange(local.system.n_nodes),
-                                                          np.diff(self._matrix.indptr))]  # of each block's row, or -1
+        self._contact = local.system.contact_of[
+            np.repeat(np.arange(local.system.n_nodes), np.diff(self._matrix.indptr))
+        ]  # of each block's row, or -1
         self._prepared: Prepared | None = None
         self._prepared_for: bytes | None = None
 
@@ -396,8 +470,12 @@ class SparseSteps:
         direct = isinstance(self.linear, Direct)
         try:
             with self.run.phase("factorise" if direct else "setup"):
-                prepared = self.linear.setup(matrix, local_near_nullspace(self.local), symmetric=False,
-                                             preconditioner=symmetric)
+                prepared = self.linear.setup(
+                    matrix,
+                    local_near_nullspace(self.local),
+                    symmetric=False,
+                    preconditioner=symmetric,
+                )
         except np.linalg.LinAlgError:
             return None
         return lambda rhs: self._solution(prepared, rhs, self.INSIDE).unknowns
@@ -406,25 +484,41 @@ class SparseSteps:
         solution = solution_of(self.linear, prepared, rhs, rtol)
         self.run.count(solution.passes, self.local.system.nonzeros)
         if not solution.converged and not isinstance(self.linear, Direct):
-            _LOG.warning("%r stopped after %d iterations at a relative residual of %.1e, not %.0e: take "
-                         "Direct()", self.linear, solution.iterations, solution.residual, rtol)
+            _LOG.warning(
+                "%r stopped after %d iterations at a relative residual of %.1e, not %.0e: take "
+                "Direct()",
+                self.linear,
+                solution.iterations,
+                solution.residual,
+                rtol,
+            )
         return solution
 
-    def _prepare(self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray) -> None:
+    def _prepare(
+        self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray
+    ) -> None:
         key = equations.key
         if equations.same_matrix and key == self._prepared_for:
             return
         with self.run.phase("factorise" if isinstance(self.linear, Direct) else "setup"):
             eliminated, basis = without_fixed(matrix, released, copy=False), None
             if not equations.symmetric:
-                basis = without_fixed(self._contact_rows(equations, coupled=False), released, copy=False)
+                basis = without_fixed(
+                    self._contact_rows(equations, coupled=False), released, copy=False
+                )
             modes = local_near_nullspace(self.local, released)
-            self._prepared = self.linear.setup(eliminated, modes, symmetric=equations.symmetric, preconditioner=basis,
-                                               previous=self._prepared)
+            self._prepared = self.linear.setup(
+                eliminated,
+                modes,
+                symmetric=equations.symmetric,
+                preconditioner=basis,
+                previous=self._prepared,
+            )
         self._prepared_for = key
 
     def _contact_rows(self, equations: Linearised, coupled: bool = True) -> sparse.bsr_array:
-        """The matrix with Coulomb coupling (if ``coupled``) and curvature in the rows of contact nodes."""
+        """The matrix with Coulomb coupling (if ``coupled``) and curvature in the rows of contact
+        nodes."""
         system, data = self.local.system, self._matrix.data.copy()
         rows = np.flatnonzero(self._contact >= 0)
         diagonal = rows[system.nodes[self._contact[rows]] == self._matrix.indices[rows]]
@@ -433,12 +527,14 @@ class SparseSteps:
             pull = (equations.coupling[:, None] * equations.direction)[self._contact[rows]]
             data[rows, 1:] -= pull[:, :, None] * data[rows, :1]
         data[diagonal, 1:, 1:] += equations.curvature[node]
-        return sparse.bsr_array((data, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape)
+        return sparse.bsr_array(
+            (data, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape
+        )
 
 
 def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None) -> np.ndarray:
-    """Return rigid-body modes (n_dofs, k) in local components, zero at fixed dofs; without ``near_nullspace``
-    translations."""
+    """Return rigid-body modes (n_dofs, k) in local components, zero at fixed dofs; without
+    ``near_nullspace`` translations."""
     problem = local.discrete
     modes = problem.near_nullspace
     if modes is None:
@@ -448,11 +544,12 @@ def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None
     return modes
 
 
-def coarsest_solution(problem: DiscreteProblem, rtol: float, start: np.ndarray | None = None
-                      ) -> tuple[np.ndarray, np.ndarray | None, int, float]:
-    """Return the displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular, the pressures of its
-    volumes, and the numbers of its steps and of the passes over its matrix. ``start`` is a displacement near to it (not
-    used with volumes)."""
+def coarsest_solution(
+    problem: DiscreteProblem, rtol: float, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray | None, int, float]:
+    """Return the displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular,
+    the pressures of its volumes, and the numbers of its steps and of the passes over its matrix.
+    ``start`` is a displacement near to it (not used with volumes)."""
     if problem.volumes is not None:
         augmented = Augmented(problem, None)
         solution, _, steps, passes = coarsest_solution(augmented.problem, rtol)

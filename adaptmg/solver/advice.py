@@ -1,7 +1,9 @@
-"""Advice: warnings on what a problem or its solution asks of the theory and cannot get, each with a remedy.
+"""Advice: warnings on what a problem or its solution asks of the theory and cannot get, each with a
+remedy.
 
-Limits of the theory: linear elements, small strains, small slips, lengths in m. Thresholds are such that none of the
-cases of the package is beyond one. A kind of warning is given once a call of :func:`adaptmg.solve`,
+Limits of the theory: linear elements, small strains, small slips, lengths in m. Thresholds are such
+that none of the cases of the package is beyond one. A kind of warning is given once a call of
+:func:`adaptmg.solve`,
 :func:`adaptmg.solve_path` or :func:`adaptmg.adapt`, at the line of the user.
 """
 
@@ -41,7 +43,8 @@ _SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
 
 @contextmanager
 def once(said: set[str] | None = None) -> Iterator[None]:
-    """Give each kind of warning once in this block; ``said`` collects the kinds, an outer block has precedence."""
+    """Give each kind of warning once in this block; ``said`` collects the kinds, an outer block has
+    precedence."""
     if _SAID.get() is not None:
         yield
         return
@@ -68,32 +71,62 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
         return
     materials = body_materials(mesh, problem.material)
     for pair in problem.contact if len(mesh.bodies) > 1 else ():
-        if isinstance(pair, ContactPair) and (ratio := stiffness_ratio(problem, mesh, pair)) >= STIFFER:
-            advise("sides", f"contact pair ({pair.slave!r}, {pair.master!r}): the slave is {ratio:.3g} times stiffer "
-                   "than the master, which takes multigrid two to five times as many cycles as with "
-                   f"{pair.master!r} for the slave, or ends in the active set method: exchange them, or give the pair "
-                   "sides=\"auto\"")
-    rigid = [one.boundary for one in problem.contact if isinstance(one, Contact)] if problem.ties else []
+        if (
+            isinstance(pair, ContactPair)
+            and (ratio := stiffness_ratio(problem, mesh, pair)) >= STIFFER
+        ):
+            advise(
+                "sides",
+                f"contact pair ({pair.slave!r}, {pair.master!r}): the slave is {ratio:.3g} times stiffer "
+                "than the master, which takes multigrid two to five times as many cycles as with "
+                f"{pair.master!r} for the slave, or ends in the active set method: exchange them, or give the pair "
+                'sides="auto"',
+            )
+    rigid = (
+        [one.boundary for one in problem.contact if isinstance(one, Contact)]
+        if problem.ties
+        else []
+    )
     for tie in problem.ties:
-        met, others = ([name for name in rigid if np.isin(mesh.boundary_nodes(name), mesh.boundary_nodes(side)).any()]
-                       for side in (tie.slave, tie.master))
+        met, others = (
+            [
+                name
+                for name in rigid
+                if np.isin(mesh.boundary_nodes(name), mesh.boundary_nodes(side)).any()
+            ]
+            for side in (tie.slave, tie.master)
+        )
         if met and not others:
-            advise("tie", f"contact {met[0]!r} meets the tied boundary {tie.slave!r}: nodes on both follow "
-                   f"{tie.master!r} and carry no contact, so that they may go through the obstacle: exchange slave "
-                   "and master of the tie")
+            advise(
+                "tie",
+                f"contact {met[0]!r} meets the tied boundary {tie.slave!r}: nodes on both follow "
+                f"{tie.master!r} and carry no contact, so that they may go through the obstacle: exchange slave "
+                "and master of the tie",
+            )
     for name, one in zip(mesh.bodies, materials, strict=True):
-        if problem.elements == "linear" and one.poisson > LOCKING and not isinstance(one, PlaneStress):
-            advise("poisson", f"material of body {name!r}: poisson is {one.poisson:g}, and above {LOCKING:g} linear "
-                   "elements lock: they are too stiff, and stresses oscillate. A rubber roller on 3500 nodes has "
-                   f"{_LOCKED}. Take forces and pressures from two meshes, and believe what they agree in")
+        if (
+            problem.elements == "linear"
+            and one.poisson > LOCKING
+            and not isinstance(one, PlaneStress)
+        ):
+            advise(
+                "poisson",
+                f"material of body {name!r}: poisson is {one.poisson:g}, and above {LOCKING:g} linear "
+                "elements lock: they are too stiff, and stresses oscillate. A rubber roller on 3500 nodes has "
+                f"{_LOCKED}. Take forces and pressures from two meshes, and believe what they agree in",
+            )
     span, young = max(float(np.ptp(x)) for x in mesh.points.T), max(one.young for one in materials)
     if span > SPAN and (young >= METAL or IN_MPA[0] <= young <= IN_MPA[1]):
-        advise("units", f"the bodies span {span:g} m, with young up to {young:g} Pa: are these lengths in mm"
-               f"{'' if young >= METAL else ' and moduli in N/mm^2'}? adaptmg takes m, N and Pa")
+        advise(
+            "units",
+            f"the bodies span {span:g} m, with young up to {young:g} Pa: are these lengths in mm"
+            f"{'' if young >= METAL else ' and moduli in N/mm^2'}? adaptmg takes m, N and Pa",
+        )
 
 
 def advise_on_results(problem: ContactProblem | None, results: Sequence[Result]) -> None:
-    """Warn of bodies that cannot meet in any of these steps, of large strains and of large slips."""
+    """Warn of bodies that cannot meet in any of these steps, of large strains and of large
+    slips."""
     results = [result for result in results if result.status.ok]
     if results:
         _advise_on_contact(results)
@@ -105,16 +138,25 @@ def advise_on_results(problem: ContactProblem | None, results: Sequence[Result])
 
 def _advise_on_contact(results: Sequence[Result]) -> None:
     contact = results[0].contact
-    moved = max(float(np.linalg.norm(result.displacement, axis=1).max(initial=0.0)) for result in results)
+    moved = max(
+        float(np.linalg.norm(result.displacement, axis=1).max(initial=0.0)) for result in results
+    )
     for k, name in enumerate(contact.names):
         at = contact.boundary == k
         least = min(float(result.contact.gap[at].min(initial=np.inf)) for result in results)
         if moved > 0.0 and least > FAR * moved:
-            where = f"stays at least {least:.3g} m from" if np.isfinite(least) else "has nothing in front of"
+            where = (
+                f"stays at least {least:.3g} m from"
+                if np.isfinite(least)
+                else "has nothing in front of"
+            )
             other = contact.masters[k]
-            advise("apart", f"contact {name!r} {where} {repr(other) if other else 'its obstacle'}, and no point moves "
-                   f"by more than {moved:.3g} m: they cannot meet. Check the positions and normals of both (m), and "
-                   "the loads that press them together")
+            advise(
+                "apart",
+                f"contact {name!r} {where} {repr(other) if other else 'its obstacle'}, and no point moves "
+                f"by more than {moved:.3g} m: they cannot meet. Check the positions and normals of both (m), and "
+                "the loads that press them together",
+            )
 
 
 def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
@@ -122,8 +164,13 @@ def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result
     if problem.axisymmetric:
         volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
     bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
-    # the energy u'Au is at least that of these strains in that volume: rarely do they have to be computed
-    energy = STRAIN**2 * SHARE * min(one.least_stiffness * body for one, body in zip(materials, bodies, strict=True))
+    # the energy u'Au is at least that of these strains in that volume: rarely do they have to be
+    # computed
+    energy = (
+        STRAIN**2
+        * SHARE
+        * min(one.least_stiffness * body for one, body in zip(materials, bodies, strict=True))
+    )
     stressed = not any(isinstance(load, InitialStrain) for load in problem.loads)
     if stressed and result.checked is not None and result.checked.energy_norm**2 < energy:
         return
@@ -134,9 +181,12 @@ def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result
     body = int(np.argmax(share))
     if share[body] > SHARE:
         largest = size[mesh.element_body == body].max()
-        advise("strain", f"strains exceed {100 * STRAIN:g} % in {100 * share[body]:.2g} % of body "
-               f"{mesh.bodies[body]!r} (largest {largest:.3g}), but the theory is one of small strains: check young "
-               f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less")
+        advise(
+            "strain",
+            f"strains exceed {100 * STRAIN:g} % in {100 * share[body]:.2g} % of body "
+            f"{mesh.bodies[body]!r} (largest {largest:.3g}), but the theory is one of small strains: check young "
+            f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less",
+        )
 
 
 def _advise_on_slips(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
@@ -150,9 +200,15 @@ def _advise_on_slips(problem: ContactProblem, mesh: MeshArrays, result: Result) 
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         np.maximum.at(element, facets, edges[:, None])
         extent = np.linalg.norm(np.ptp(corners.reshape(-1, mesh.dim), axis=0))
-        slip, most = np.linalg.norm(contact.u_t[at], axis=1), np.maximum(element[contact.node[at]], SLID * extent)
+        slip, most = (
+            np.linalg.norm(contact.u_t[at], axis=1),
+            np.maximum(element[contact.node[at]], SLID * extent),
+        )
         if (slip > most).any():
             i = int(np.argmax(slip - most))
-            advise("slip", f"contact {posed.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "
-                   "m), but the theory is one of small slips: each point stays opposite to where it was. Move or load "
-                   "the bodies less, or pose the problem in the position to which they slid")
+            advise(
+                "slip",
+                f"contact {posed.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "
+                "m), but the theory is one of small slips: each point stays opposite to where it was. Move or load "
+                "the bodies less, or pose the problem in the position to which they slid",
+            )

@@ -1,17 +1,21 @@
-r"""Aggregates: groups of neighbouring nodes whose rigid motions represent what is smooth in an error.
+r"""Aggregates: groups of neighbouring nodes whose rigid motions represent what is smooth in an
+error.
 
-They follow the graph of the matrix, not space: two arms that nearly touch share none, nor do two bodies, nor the slave
-nodes (whose displacement is relative) and the rest. With B the rigid motions of each aggregate about its centre, each
-node projected onto what a contact status lets move, the coarse matrix is :math:`B^T (A + S) B`.
+They follow the graph of the matrix, not space: two arms that nearly touch share none, nor do two
+bodies, nor the slave nodes (whose displacement is relative) and the rest. With B the rigid motions
+of each aggregate about its centre, each node projected onto what a contact status lets move, the
+coarse matrix is :math:`B^T (A + S) B`.
 
-Where the status of a displacement is wrong, what is missing in the space of that status says little: a beam whose tip
-should touch, a body that hovers. The change d is then sought in the span of P, the motions B smoothed by one step of
-damped Jacobi, under the conditions of all contact nodes. With the residual r of the displacement, gaps g, slips
+Where the status of a displacement is wrong, what is missing in the space of that status says
+little: a beam whose tip should touch, a body that hovers. The change d is then sought in the span
+of P, the motions B smoothed by one step of damped Jacobi, under the conditions of all contact
+nodes. With the residual r of the displacement, gaps g, slips
 :math:`\tau`, pressures p, friction :math:`-q` and its bound
 
 .. math:: P^T(A P c + N^T p + T^T q - r) = 0,\quad 0 \le p \perp g - N P c \ge 0,\quad |q| \le s + \mu p,
 
-and q along the slip :math:`\tau + T P c`. The unknowns that reach no contact node are eliminated, and
+and q along the slip :math:`\tau + T P c`. The unknowns that reach no contact node are eliminated,
+and
 :mod:`adaptmg.smoother.interior_point` solves the rest. That module is the only one shared with the solvers: what it
 finds is measured on the matrix afterwards, so that no fault in it can make an error small.
 """
@@ -48,8 +52,8 @@ _ENOUGH = 1e-4
 
 @kernel
 def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
-    """Number the aggregates in ``label`` by breadth-first search inside groups; returns their number. ``queue`` and
-    ``depth`` (n_nodes,) are overwritten."""
+    """Number the aggregates in ``label`` by breadth-first search inside groups; returns their
+    number. ``queue`` and ``depth`` (n_nodes,) are overwritten."""
     n, count = len(group), 0
     for seed in range(n):
         if label[seed] >= 0 or group[seed] < 0:
@@ -71,7 +75,9 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
     return count
 
 
-def _joined(graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _joined(
+    graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray
+) -> np.ndarray:
     """The labels after small remnants have joined the smallest neighbour of their group."""
     inside = label >= 0
     members, of = np.bincount(label[inside]), np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
@@ -90,7 +96,8 @@ def _joined(graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes
 
 
 class Aggregates:
-    """The aggregates of a problem: they depend on mesh, bodies and supports, not on the contact status."""
+    """The aggregates of a problem: they depend on mesh, bodies and supports, not on the contact
+    status."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
         matrix, dim, n = problem.matrix, problem.dim, problem.n_nodes
@@ -107,31 +114,46 @@ class Aggregates:
             depth = round(0.9 * size ** (1 / dim))
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
         label = np.full(n, -1, dtype=np.int32)
-        _grow(matrix.indptr, matrix.indices, group, sizes, depth, label, *np.empty((2, n), dtype=np.int32))
-        graph = sparse.csr_array((np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr),
-                                 shape=(n, n))
+        _grow(
+            matrix.indptr,
+            matrix.indices,
+            group,
+            sizes,
+            depth,
+            label,
+            *np.empty((2, n), dtype=np.int32),
+        )
+        graph = sparse.csr_array(
+            (np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr), shape=(n, n)
+        )
         label = _joined(graph, label, group, sizes)
         inside = label >= 0
         self.label, self.count = label[inside], int(label.max(initial=-1)) + 1
         self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
-        self.motions = self._rigid(np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside)
+        self.motions = self._rigid(
+            np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside
+        )
         # a narrow band: the place of each aggregate, and how far it reaches
         own, other = np.repeat(label, np.diff(matrix.indptr)), label.take(matrix.indices)
         met = np.flatnonzero((own != other) & inside.take(matrix.indices))
         met = met[own[met] >= 0]
-        coarse = sparse.csr_array((np.ones(len(met), dtype=bool), (own[met], other[met])), shape=(self.count,) * 2)
+        coarse = sparse.csr_array(
+            (np.ones(len(met), dtype=bool), (own[met], other[met])), shape=(self.count,) * 2
+        )
         self.place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
         rows = np.repeat(self.place, np.diff(coarse.indptr))
         self.width = int(np.max(rows - self.place[coarse.indices], initial=0)) + 1
 
     def _rigid(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        """Rigid motions (n, modes, dim): translations, and turns about the centre over the extent of an aggregate (root
-        of the mean square)."""
+        """Rigid motions (n, modes, dim): translations, and turns about the centre over the extent
+        of an aggregate (root of the mean square)."""
         dim, members = points.shape[1], np.bincount(self.label, minlength=self.count)
         offset = np.array([x[inside] for x in points.T])
         for x in offset:
             x -= (np.bincount(self.label, x, self.count) / members).take(self.label)
-        extent = np.sqrt(np.bincount(self.label, np.einsum("dn,dn->n", offset, offset), self.count) / members)
+        extent = np.sqrt(
+            np.bincount(self.label, np.einsum("dn,dn->n", offset, offset), self.count) / members
+        )
         offset /= np.where(extent > 0, extent, 1.0).take(self.label)
         motions = np.zeros((len(self.label), 3 * dim - 3, dim))
         motions[:, :dim] = np.eye(dim)
@@ -152,8 +174,9 @@ aggregates_of = remembered_of_structure(Aggregates)
 
 @kernel
 def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, band):
-    """Add the lower half of B'AB to ``band`` (n_coarse, width), column by column. ``forces`` (modes * dim,) comes as 0:
-    what the matrix makes there of the motions of one aggregate, until the next one comes."""
+    """Add the lower half of B'AB to ``band`` (n_coarse, width), column by column. ``forces`` (modes
+    * dim,) comes as 0: what the matrix makes there of the motions of one aggregate, until the next
+    one comes."""
     dim, modes = np.uint64(len(zero)), np.uint64(3 * len(zero) - 3)
     for i in range(len(indptr) - 1):
         if starts[i] == starts[i + 1]:
@@ -182,19 +205,24 @@ def _project(at, motions, own, other, zero, forces, band):
     for q in range(modes):
         v = read(motions, dim * np.uint64(modes * at + q), zero)
         for r in range(modes if other < own else q + 1):
-            band[modes * other + r, modes * (own - other) + q - r] += inner(v, read(forces, dim * np.uint64(r), zero))
+            band[modes * other + r, modes * (own - other) + q - r] += inner(
+                v, read(forces, dim * np.uint64(r), zero)
+            )
     forces[:] = 0.0
 
 
 @kernel
 def _transfer(down, starts, label, motions, place, zero, vector, values):
-    """Add the work of a vector (n_dofs,) on the motions of the aggregates to ``values`` (n_coarse,), or up the motions
-    times ``values`` to the vector."""
+    """Add the work of a vector (n_dofs,) on the motions of the aggregates to ``values``
+    (n_coarse,), or up the motions times ``values`` to the vector."""
     dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
     for i in range(len(starts) - 1):
         for at in range(starts[i], starts[i + 1]):
             for q in range(modes):
-                own, motion = modes * place[label[at]] + q, read(motions, dim * np.uint64(modes * at + q), zero)
+                own, motion = (
+                    modes * place[label[at]] + q,
+                    read(motions, dim * np.uint64(modes * at + q), zero),
+                )
                 if down:
                     values[own] += inner(motion, read(vector, dim * np.uint64(i), zero))
                 else:
@@ -204,29 +232,60 @@ def _transfer(down, starts, label, motions, place, zero, vector, values):
 class CoarseCorrection:
     """B'(A + S)B of a contact status, factorised; S are blocks (n, dim, dim) at some nodes."""
 
-    def __init__(self, matrix: sparse.bsr_array, aggregates: Aggregates, motions: np.ndarray, nodes: np.ndarray,
-                 stiffening: np.ndarray) -> None:
+    def __init__(
+        self,
+        matrix: sparse.bsr_array,
+        aggregates: Aggregates,
+        motions: np.ndarray,
+        nodes: np.ndarray,
+        stiffening: np.ndarray,
+    ) -> None:
         _, modes, dim = motions.shape
-        self._basis = aggregates.starts, aggregates.label, motions.reshape(-1), aggregates.place, ZERO[dim]
+        self._basis = (
+            aggregates.starts,
+            aggregates.label,
+            motions.reshape(-1),
+            aggregates.place,
+            ZERO[dim],
+        )
         band = np.zeros((modes * aggregates.count, modes * aggregates.width))
-        _fill(matrix.indptr, matrix.indices, matrix.data.reshape(-1), *self._basis, np.zeros(dim * modes), band)
+        _fill(
+            matrix.indptr,
+            matrix.indices,
+            matrix.data.reshape(-1),
+            *self._basis,
+            np.zeros(dim * modes),
+            band,
+        )
         if stiffening.any():
             more = at_nodes(nodes, stiffening, matrix.shape[0])
-            _fill(more.indptr, more.indices, more.data.reshape(-1), *self._basis, np.zeros(dim * modes), band)
+            _fill(
+                more.indptr,
+                more.indices,
+                more.data.reshape(-1),
+                *self._basis,
+                np.zeros(dim * modes),
+                band,
+            )
         band[:, 0] += raised(band[:, 0])
         # where it fails, a motion that nothing holds: the sweeps alone precondition too
-        self._factor, self._failed = dpbtrf(band.T, lower=1, overwrite_ab=1) if len(band) else (band, 1)
+        self._factor, self._failed = (
+            dpbtrf(band.T, lower=1, overwrite_ab=1) if len(band) else (band, 1)
+        )
 
     def add(self, residual: np.ndarray, result: np.ndarray) -> None:
         """Add the coarse correction of a residual (n_dofs,) to ``result``."""
         if not self._failed:
             sums = np.zeros(self._factor.shape[1])
             _transfer(True, *self._basis, residual, sums)
-            _transfer(False, *self._basis, result, dpbtrs(self._factor, sums, lower=1, overwrite_b=1)[0])
+            _transfer(
+                False, *self._basis, result, dpbtrs(self._factor, sums, lower=1, overwrite_b=1)[0]
+            )
 
 
 def at_nodes(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:
-    """Return a matrix (n_dofs, n_dofs) of blocks (n, dim, dim) at the diagonal places of some nodes."""
+    """Return a matrix (n_dofs, n_dofs) of blocks (n, dim, dim) at the diagonal places of some
+    nodes."""
     order, n = np.argsort(nodes), n_dofs // blocks.shape[1]
     starts = np.append(0, np.cumsum(np.bincount(nodes, minlength=n)))
     return sparse.bsr_array((blocks[order], nodes[order], starts), shape=(n_dofs, n_dofs))
@@ -254,22 +313,27 @@ class AtNodes:
 
 
 class _Smoothed:
-    """The smoothed aggregates of a problem: the matrix in their span, condensed to what reaches contact nodes."""
+    """The smoothed aggregates of a problem: the matrix in their span, condensed to what reaches
+    contact nodes."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
         dim, free = problem.dim, ~problem.fixed
         matrix, nodes = sparse.csr_array(problem.matrix), np.arange(problem.n_nodes)
         aggregates = aggregates_of(problem)
         motions = aggregates.projected(nodes, free.reshape(-1, dim)[:, :, None] * np.eye(dim))
-        basis = sparse.bsr_array((motions.swapaxes(1, 2), aggregates.label, aggregates.starts),
-                                 shape=(len(free), motions.shape[1] * aggregates.count))
+        basis = sparse.bsr_array(
+            (motions.swapaxes(1, 2), aggregates.label, aggregates.starts),
+            shape=(len(free), motions.shape[1] * aggregates.count),
+        )
         inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
         vector = np.where(free, np.sin(np.arange(len(free)) ** 2.0), 0.0)
         for _ in range(10):
             largest = np.linalg.norm(vector)
             vector = inverse * (matrix @ (vector / largest))
         damping = 4 / 3 / (1.1 * np.linalg.norm(vector))
-        self.span = sparse.csr_array(basis - sparse.diags_array(damping * inverse) @ (matrix @ basis))
+        self.span = sparse.csr_array(
+            basis - sparse.diags_array(damping * inverse) @ (matrix @ basis)
+        )
         self.span.eliminate_zeros()
         coarse = sparse.csc_array(self.span.T @ (matrix @ self.span))
         coarse = coarse + sparse.diags_array(raised(coarse.diagonal()), format="csc")
@@ -279,10 +343,15 @@ class _Smoothed:
         touched = np.isin(np.arange(self.span.shape[1]), at_contact.indices)
         self.near, self.far = np.flatnonzero(touched), np.flatnonzero(~touched)
         self.rows = sparse.csr_array(at_contact[:, self.near])
-        self._solve = splu(sparse.csc_array(coarse[self.far][:, self.far])).solve if len(self.far) else np.asarray
+        self._solve = (
+            splu(sparse.csc_array(coarse[self.far][:, self.far])).solve
+            if len(self.far)
+            else np.asarray
+        )
         self._coupling = sparse.csc_array(coarse[self.far][:, self.near])
-        self.matrix = (coarse[self.near][:, self.near].toarray()
-                       - self._coupling.T @ self._solve(self._coupling.toarray()))
+        self.matrix = coarse[self.near][:, self.near].toarray() - self._coupling.T @ self._solve(
+            self._coupling.toarray()
+        )
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
         return self.matrix @ unknowns
@@ -316,18 +385,25 @@ def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
     return sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
 
 
-def changed_status(problem: DiscreteProblem, residual: np.ndarray, here: AtNodes, stiffness: np.ndarray,
-                   limit: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces (n_contact, dim)
-    that it ends with; None if it is not found. ``stiffness`` and ``limit`` (n_contact,): of the nodes, N/m, and of
-    friction without pressure, N."""
+def changed_status(
+    problem: DiscreteProblem,
+    residual: np.ndarray,
+    here: AtNodes,
+    stiffness: np.ndarray,
+    limit: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces
+    (n_contact, dim) that it ends with; None if it is not found. ``stiffness`` and ``limit``
+    (n_contact,): of the nodes, N/m, and of friction without pressure, N."""
     coarse = _smoothed_of(problem)
     load, n, dim = coarse.span.T @ residual, len(problem.contact), problem.dim
     # where a support holds a tangent its reaction takes the place of friction
     free = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     slip = to_frames(coarse.frames, here.slip)[:, 1:]
     conditions = Conditions(here.gap, -slip, limit * free, problem.law.bounds(n)[1] * free)
-    solution = interior_point(coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH)
+    solution = interior_point(
+        coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH
+    )
     if not solution.slack <= _ENOUGH:
         return None
     return coarse.recover(load, solution.unknowns), -from_frames(coarse.frames, solution.forces)

@@ -1,17 +1,18 @@
-r"""Certificate: whether a displacement solves the contact problem, recomputed from the raw matrices.
+r"""Certificate: whether a displacement solves the contact problem, recomputed from the raw
+matrices.
 
-Nothing here comes from the solvers or their frames but arithmetic: of small blocks, and an interior point method on a
-small dense matrix, whose result is measured afterwards. There are products with the stored matrix, unit normals n and
-projections I - n n' in Cartesian components. With :math:`r = A u - b`, the
-claimed contact forces :math:`f = -p\,n + f_t`, their bound :math:`s + \mu p` and the slip :math:`\tau` it measures
+Nothing here comes from the solvers or their frames but arithmetic: of small blocks, and an interior
+point method on a small dense matrix, whose result is measured afterwards. There are products with
+the stored matrix, unit normals n and projections I - n n' in Cartesian components. With :math:`r =
+A u - b`, the claimed contact forces :math:`f = -p\,n + f_t`, their bound :math:`s + \mu p` and the
+slip :math:`\tau` it measures
 
 .. math:: r - f = 0, \quad u_n \le g_0, \quad p \ge 0, \quad p\,(g_0 - u_n) = 0, \quad
           |f_t| \le s + \mu p, \quad (s + \mu p)\,|\tau| + f_t \cdot \tau = 0,
 
 prescribed values, the claimed states, the balance of all forces, and the energy error
-(:mod:`adaptmg.solver.energy_error`). Forces are relative to loads and reactions, lengths to the largest
-displacement, energies to u'Au: never to a lifted nodal jump.
-"""
+(:mod:`adaptmg.solver.energy_error`). Forces are relative to loads and reactions, lengths to the
+largest displacement, energies to u'Au: never to a lifted nodal jump."""
 
 from __future__ import annotations
 
@@ -35,26 +36,28 @@ class Certificate:
     Attributes
     ----------
     lines : tuple of Condition
-        'equilibrium' (of free dofs, under the claimed contact forces), 'volumes' (of nearly incompressible bodies with
-        smoothed elements: mean volume strains against the pressures of groups), 'prescribed values', 'penetration',
-        'tension',
-        'complementarity' (the smaller of pressure and gap, each in its scale), 'friction bound', 'slip direction'
-        (the work of friction on its bound and opposite to the slip, less that of the claimed friction), 'slip along
-        the force' (weighted by force), 'open, touching' (forces at open nodes), 'touching, open' (gaps at touching
-        nodes), 'slip, sticking' (slip at sticking nodes), 'balance' (sum of loads and all reactions).
+        'equilibrium' (of free dofs, under the claimed contact forces), 'volumes' (of nearly
+        incompressible bodies with smoothed elements: mean volume strains against the pressures of
+        groups), 'prescribed values', 'penetration', 'tension', 'complementarity' (the smaller of
+        pressure and gap, each in its scale), 'friction bound', 'slip direction' (the work of
+        friction on its bound and opposite to the slip, less that of the claimed friction), 'slip
+        along the force' (weighted by force), 'open, touching' (forces at open nodes), 'touching,
+        open' (gaps at touching nodes), 'slip, sticking' (slip at sticking nodes), 'balance' (sum of
+        loads and all reactions).
     energy_error : float
-        Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned steps: mostly 0 to 10 %
-        too large, seldom too small. Where a solve stopped far below its rtol fewer steps do: one below .1 rtol, which
-        may miss half of it, two below .6, which may say half too much. Where the corrected displacement contradicts the
-        status, the status may change (:mod:`adaptmg.solver.aggregates`). With ``bound=True`` by a factorisation:
-        exact for this status, and infinite where it leaves a motion free that is loaded.
+        Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned
+        steps: mostly 0 to 10 % too large, seldom too small. Where a solve stopped far below its
+        rtol fewer steps do: one below .1 rtol, which may miss half of it, two below .6, which may
+        say half too much. Where the corrected displacement contradicts the status, the status may
+        change (:mod:`adaptmg.solver.aggregates`). With ``bound=True`` by a factorisation: exact for
+        this status, and infinite where it leaves a motion free that is loaded.
     energy_rounding : float
         The part of it that rounding explains.
     exact_energy : bool
         Whether a factorisation was made.
     force, displacement, energy_norm : float
-        The scales of the lines: N, m, and sqrt(u'Au) (sqrt(N m)), of u without what initial strains expand freely; in
-        2D per metre of thickness.
+        The scales of the lines: N, m, and sqrt(u'Au) (sqrt(N m)), of u without what initial strains
+        expand freely; in 2D per metre of thickness.
 
     Examples
     --------
@@ -86,13 +89,22 @@ class Certificate:
     @property
     def worst(self) -> Condition:
         """Return the condition that is violated most, relative to its scale."""
-        return max(self.lines, key=lambda line: np.inf if np.isnan(line.relative) else line.relative)
+        return max(
+            self.lines, key=lambda line: np.inf if np.isnan(line.relative) else line.relative
+        )
 
     def contradictions(self, rtol: float, energy_factor: float = ENERGY_FACTOR) -> tuple[str, ...]:
-        """Return the names of what a displacement that has converged to ``rtol`` would not violate so much."""
+        """Return the names of what a displacement that has converged to ``rtol`` would not violate
+        so much."""
+
         def beyond(value: float, allowed: float, rounding: float) -> bool:
             return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
-        names = [line.name for line in self.lines if beyond(line.relative, self.FACTOR * rtol, line.rounding)]
+
+        names = [
+            line.name
+            for line in self.lines
+            if beyond(line.relative, self.FACTOR * rtol, line.rounding)
+        ]
         if beyond(self.energy_error, energy_factor * rtol, self.energy_rounding):
             names.append("energy error")
         return tuple(names)
@@ -104,28 +116,54 @@ class Certificate:
         return in_html_lines(str(self))
 
     def __str__(self) -> str:
-        rows = [f"Certificate: forces relative to {self.force:.3g} N, lengths to {self.displacement:.3g} m, energy to "
-                f"{self.energy_norm**2:.3g} N m", f"{'':<22} {'largest':>9} {'in all':>9} {'':<4} {'relative':>9}"]
-        rows += [f"{line.name:<22} {line.largest:>9.2e} {line.total:>9.2e} {line.unit:<4} {line.relative:>9.2e}"
-                 for line in self.lines]
+        rows = [
+            f"Certificate: forces relative to {self.force:.3g} N, lengths to {self.displacement:.3g} m, energy to "
+            f"{self.energy_norm**2:.3g} N m",
+            f"{'':<22} {'largest':>9} {'in all':>9} {'':<4} {'relative':>9}",
+        ]
+        rows += [
+            f"{line.name:<22} {line.largest:>9.2e} {line.total:>9.2e} {line.unit:<4} {line.relative:>9.2e}"
+            for line in self.lines
+        ]
         how = "exact for this contact status" if self.exact_energy else "estimated"
-        return "\n".join([*rows, f"{'energy error':<22} {'':>9} {'':>9} {'':<4} {self.energy_error:>9.2e}  ({how})"])
+        return "\n".join(
+            [
+                *rows,
+                f"{'energy error':<22} {'':>9} {'':>9} {'':<4} {self.energy_error:>9.2e}  ({how})",
+            ]
+        )
 
 
 @one_blas_thread()
-def certify(problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims, bound: bool = False,
-            rtol: float = 0.0, pressures: np.ndarray | None = None, residual: np.ndarray | None = None) -> Certificate:
-    """Check a displacement and the contact forces and states that go with it; of a problem with volumes also their
-    ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by one step. ``residual``: b - A w, if it
-    was computed."""
+def certify(
+    problem: DiscreteProblem,
+    displacement: np.ndarray,
+    contact: ContactClaims,
+    bound: bool = False,
+    rtol: float = 0.0,
+    pressures: np.ndarray | None = None,
+    residual: np.ndarray | None = None,
+) -> Certificate:
+    """Check a displacement and the contact forces and states that go with it; of a problem with
+    volumes also their ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by
+    one step. ``residual``: b - A w, if it was computed."""
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
-        evidence = Evidence(problem, np.asarray(displacement, dtype=np.float64), contact, pressures, residual)
+        evidence = Evidence(
+            problem, np.asarray(displacement, dtype=np.float64), contact, pressures, residual
+        )
         aggregates = None if bound or problem.fixed.all() else aggregates_of(problem)
         energy, energy_rounding = evidence.energy_error(aggregates, rtol)
         lines = evidence.lines()
-    return Certificate(lines, 0.0 if evidence.idle else energy, energy_rounding, bound, evidence.force, evidence.length,
-                       evidence.energy)
+    return Certificate(
+        lines,
+        0.0 if evidence.idle else energy,
+        energy_rounding,
+        bound,
+        evidence.force,
+        evidence.length,
+        evidence.energy,
+    )
 
 
 _OPEN, _SLIP, _STICK = 0, 1, 2
@@ -139,7 +177,8 @@ _EPSILON = float(np.finfo(float).eps)
 
 
 class ContactClaims(Protocol):
-    """What a result says of its contact nodes; see :class:`adaptmg.solver.examine.ContactResult`."""
+    """What a result says of its contact nodes; see
+    :class:`adaptmg.solver.examine.ContactResult`."""
 
     node: np.ndarray
     frames: np.ndarray
@@ -163,32 +202,49 @@ class Condition:
 
 
 class Evidence:
-    """What the lines are made from. Forces of coupled bodies are those of the bodies, not of relative coordinates."""
+    """What the lines are made from. Forces of coupled bodies are those of the bodies, not of
+    relative coordinates."""
 
-    def __init__(self, problem: DiscreteProblem, displacement: np.ndarray, contact: ContactClaims,
-                 pressures: np.ndarray | None = None, residual: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        problem: DiscreteProblem,
+        displacement: np.ndarray,
+        contact: ContactClaims,
+        pressures: np.ndarray | None = None,
+        residual: np.ndarray | None = None,
+    ) -> None:
         self.problem, self.contact, self.pressures = problem, contact, pressures
         self.nodes = problem.contact.nodes
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
         load = problem.under(pressures).load
-        residual = load - problem.matrix @ self.unknowns.reshape(-1) if residual is None else residual
+        residual = (
+            load - problem.matrix @ self.unknowns.reshape(-1) if residual is None else residual
+        )
         energy = _sum(self.unknowns, load - residual)
         energy += 0.0 if problem.volumes is None else problem.volumes.energy(pressures)
-        self.energy = float(np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0))))
+        self.energy = float(
+            np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0)))
+        )
         diagonal = np.einsum("nii->ni", nodal_blocks(problem))
         self.fixed = problem.fixed.reshape(shape)
         self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
         self.normals = problem.contact.normals
-        self.claimed = from_frames(contact.frames, np.column_stack([-contact.force_n, contact.force_t]))
+        self.claimed = from_frames(
+            contact.frames, np.column_stack([-contact.force_n, contact.force_t])
+        )
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
         self.limit, self.coefficient = problem.law.bounds(len(self.nodes))
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
         # what holds ties is as large as it must be; its counterpart on masters is not a violation
-        borne = -residual if not problem.ties else np.where(problem.fixed & ~problem.held, 0.0, -residual)
+        borne = (
+            -residual
+            if not problem.ties
+            else np.where(problem.fixed & ~problem.held, 0.0, -residual)
+        )
         self.unexplained = problem.physical_forces(borne).reshape(shape)
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
@@ -197,7 +253,9 @@ class Evidence:
         self.left = np.where(self.fixed, 0.0, self.unexplained)
         load, claimed = problem.physical_forces(problem.load), self.claimed
         self.force = max(_norm(load), _norm(self.in_supports), _norm(claimed))
-        self.total = float(max(np.abs(load).sum(), np.abs(self.in_supports).sum(), np.abs(claimed).sum()))
+        self.total = float(
+            max(np.abs(load).sum(), np.abs(self.in_supports).sum(), np.abs(claimed).sum())
+        )
         self.length = float(np.abs(self.u).max())
         # a row sums terms of the size of its diagonal times its displacement
         terms = np.abs(diagonal * self.u)
@@ -206,19 +264,31 @@ class Evidence:
 
     @property
     def idle(self) -> bool:
-        """Return whether all forces are rounding: bodies that their supports move and nothing strains."""
+        """Return whether all forces are rounding: bodies that their supports move and nothing
+        strains."""
         moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
         return moved > 0.0 and self.force <= 1e3 * self.rounding and self.length <= 10 * moved
 
     def lines(self) -> tuple[Condition, ...]:
         """Return all conditions."""
-        lines = (self.equilibrium(), *self.volumes(), self.prescribed(), *self.normal(), *self.tangential(),
-                 *self.states(), self.balance())
+        lines = (
+            self.equilibrium(),
+            *self.volumes(),
+            self.prescribed(),
+            *self.normal(),
+            *self.tangential(),
+            *self.states(),
+            self.balance(),
+        )
         if not self.idle:
             return lines
         # forces that are rounding are no scale: what they leave is reported in N alone
-        return tuple(replace(line, relative=0.0) if not line.unit or (
-            line.unit != "m" and line.largest <= self.rounding) else line for line in lines)
+        return tuple(
+            replace(line, relative=0.0)
+            if not line.unit or (line.unit != "m" and line.largest <= self.rounding)
+            else line
+            for line in lines
+        )
 
     def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""
@@ -236,30 +306,50 @@ class Evidence:
 
     def _forces(self, name: str, forces: np.ndarray) -> Condition:
         total = float(np.linalg.norm(forces))
-        return Condition(name, float(np.abs(forces).max(initial=0.0)), total, "N", _over(total, self.force),
-                    _over(self.rounding, self.force))
+        return Condition(
+            name,
+            float(np.abs(forces).max(initial=0.0)),
+            total,
+            "N",
+            _over(total, self.force),
+            _over(self.rounding, self.force),
+        )
 
     def _lengths(self, name: str, lengths: np.ndarray) -> Condition:
         largest = float(np.abs(lengths).max(initial=0.0))
-        return Condition(name, largest, float(np.linalg.norm(lengths)), "m", _over(largest, self.length), 16 * _EPSILON)
+        return Condition(
+            name,
+            largest,
+            float(np.linalg.norm(lengths)),
+            "m",
+            _over(largest, self.length),
+            16 * _EPSILON,
+        )
 
     def _works(self, name: str, works: np.ndarray, scale: float) -> Condition:
         total = float(works.sum())
         rounding = _over(self.rounding, self.force) + 16 * _EPSILON
         # never over next to nothing: bodies that part, or slip without friction
         scale = max(scale, self.force) * self.length
-        return Condition(name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding)
+        return Condition(
+            name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding
+        )
 
     def equilibrium(self) -> Condition:
         """Return forces at free dofs that neither loads nor claimed contact forces explain."""
         return self._forces("equilibrium", self.left)
 
     def volumes(self) -> tuple[Condition, ...]:
-        """Return what the mean volume strains of groups and their pressures miss, as forces on a facet."""
+        """Return what the mean volume strains of groups and their pressures miss, as forces on a
+        facet."""
         if self.problem.volumes is None:
             return ()
         volumes = self.problem.volumes
-        return (self._forces("volumes", volumes.scale * volumes.missed(self.unknowns.reshape(-1), self.pressures)),)
+        return (
+            self._forces(
+                "volumes", volumes.scale * volumes.missed(self.unknowns.reshape(-1), self.pressures)
+            ),
+        )
 
     def prescribed(self) -> Condition:
         """Return by how much supports miss their values."""
@@ -269,43 +359,74 @@ class Evidence:
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Return penetration, tension, complementarity."""
         pulling = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
-        # each in its scale: a force of rounding times a gap of a thousand displacements is not work of contact
-        both = np.maximum(np.minimum(self.pressure / (self.force or 1.0), self.gap / (self.length or 1.0)), 0.0)
-        complementarity = Condition("complementarity", float(both.max(initial=0.0)), _norm(both), "", _norm(both),
-                                    _over(self.rounding, self.force) + 16 * _EPSILON)
-        return (self._lengths("penetration", np.maximum(-self.gap, 0.0)),
-                self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
-                complementarity)
+        # each in its scale: a force of rounding times a gap of a thousand displacements is not work
+        # of contact
+        both = np.maximum(
+            np.minimum(self.pressure / (self.force or 1.0), self.gap / (self.length or 1.0)), 0.0
+        )
+        complementarity = Condition(
+            "complementarity",
+            float(both.max(initial=0.0)),
+            _norm(both),
+            "",
+            _norm(both),
+            _over(self.rounding, self.force) + 16 * _EPSILON,
+        )
+        return (
+            self._lengths("penetration", np.maximum(-self.gap, 0.0)),
+            self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
+            complementarity,
+        )
 
     def tangential(self) -> tuple[Condition, Condition, Condition]:
         """Return friction beyond its bound, and not opposite to the slip."""
         size, slip = np.linalg.norm(self.friction, axis=1), np.linalg.norm(self.slip, axis=1)
         along = np.einsum("nd,nd->n", self.friction, self.slip)
-        excess, works = np.maximum(size - self.bound, 0.0), np.maximum(self.bound * slip + along, 0.0)
-        # weighted by the force: open nodes slip freely, under a force of rounding, which has no direction
+        excess, works = (
+            np.maximum(size - self.bound, 0.0),
+            np.maximum(self.bound * slip + along, 0.0),
+        )
+        # weighted by the force: open nodes slip freely, under a force of rounding, which has no
+        # direction
         same_way = np.maximum(along - self.rounding * slip * self.idle, 0.0) / (self.force or 1.0)
-        return (self._forces("friction bound", excess), self._works("slip direction", works, self.bound.sum()),
-                self._lengths("slip along the force", same_way))
+        return (
+            self._forces("friction bound", excess),
+            self._works("slip direction", works, self.bound.sum()),
+            self._lengths("slip along the force", same_way),
+        )
 
     def states(self) -> tuple[Condition, Condition, Condition]:
         """Return what contradicts the claimed states."""
         state, slip = np.asarray(self.contact.state), np.linalg.norm(self.slip, axis=1)
-        return (self._forces("open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)),
-                self._lengths("touching, open", np.where(state != _OPEN, np.maximum(self.gap, 0.0), 0.0)),
-                self._lengths("slip, sticking", np.where(state == _STICK, slip, 0.0)))
+        return (
+            self._forces(
+                "open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)
+            ),
+            self._lengths(
+                "touching, open", np.where(state != _OPEN, np.maximum(self.gap, 0.0), 0.0)
+            ),
+            self._lengths("slip, sticking", np.where(state == _STICK, slip, 0.0)),
+        )
 
     def balance(self) -> Condition:
-        """Return the sum of loads, supports, claimed contact forces and foundations: what free dofs do not explain."""
+        """Return the sum of loads, supports, claimed contact forces and foundations: what free dofs
+        do not explain."""
         sums = np.einsum("nd->d", self.left)
         total = float(np.linalg.norm(sums))
         # n roundings of random sign
         rounding = self.rounding * np.sqrt(self.problem.n_nodes)
-        return Condition("balance", float(np.abs(sums).max()), total, "N", _over(total, self.total),
-                         _over(rounding, self.total))
+        return Condition(
+            "balance",
+            float(np.abs(sums).max()),
+            total,
+            "N",
+            _over(total, self.total),
+            _over(rounding, self.total),
+        )
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
-        """Return the relative energy error, estimated with these aggregates or exact, and as much of it as rounding
-        explains."""
+        """Return the relative energy error, estimated with these aggregates or exact, and as much
+        of it as rounding explains."""
         here = AtNodes(self.gap, self.slip, self.pressure, self.friction)
         forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
@@ -314,10 +435,16 @@ class Evidence:
             error = self._with_changed_status(here, error, aggregates)
         return _over(error, self.energy), _over(self.energy_rounding, self.energy)
 
-    def _held(self, here: AtNodes, unknowns: np.ndarray, forces: np.ndarray, aggregates: Aggregates | None,
-              negligible: float = 0.0) -> tuple[float, bool]:
-        """||u - u_h||_A with the contact status held, infinite where it leaves a loaded motion free, and whether the
-        corrected displacement contradicts this status."""
+    def _held(
+        self,
+        here: AtNodes,
+        unknowns: np.ndarray,
+        forces: np.ndarray,
+        aggregates: Aggregates | None,
+        negligible: float = 0.0,
+    ) -> tuple[float, bool]:
+        """||u - u_h||_A with the contact status held, infinite where it leaves a loaded motion
+        free, and whether the corrected displacement contradicts this status."""
         contact, matrix, missed = self.problem.contact, self.problem.matrix, None
         status, change, lawful, closed = self._frozen(here, unknowns)
         images = (matrix @ change.reshape(-1)).reshape(change.shape)
@@ -326,17 +453,22 @@ class Evidence:
         exerted = forces[contact.nodes] + lawful
         if self.problem.volumes is not None:
             missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
-        corrected = correction(self.problem, status, forces, missed, aggregates, negligible, self.rounding)
+        corrected = correction(
+            self.problem, status, forces, missed, aggregates, negligible, self.rounding
+        )
         gap = here.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)
         pressure = -_along(exerted - corrected.forces, contact.normals)
         deepest = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)
         pulled = -_WRONG * max(pressure.max(initial=0.0), here.pressure.max(initial=0.0))
-        wrong = np.where(closed, pressure < pulled, gap < deepest).any() or not np.isfinite(corrected.energy)
+        wrong = np.where(closed, pressure < pulled, gap < deepest).any() or not np.isfinite(
+            corrected.energy
+        )
         return float(moved + np.sqrt(corrected.energy)), bool(wrong)
 
     def _with_changed_status(self, here: AtNodes, held: float, aggregates: Aggregates) -> float:
-        """The energy error where the contact status may change: of the change in the span of the aggregates, and what
-        is missing after it with the status held; ``held``: what is missing without it."""
+        """The energy error where the contact status may change: of the change in the span of the
+        aggregates, and what is missing after it with the status held; ``held``: what is missing
+        without it."""
         problem, contact, matrix = self.problem, self.problem.contact, self.problem.matrix
         residual = problem.under(self.pressures).load - matrix @ self.unknowns.reshape(-1)
         solution = changed_status(problem, residual, here, self.stiffness, self.limit)
@@ -347,8 +479,12 @@ class Evidence:
         size, nodal = np.sqrt(max(_sum(change, images), 0.0)), change.reshape(self.u.shape)
         moved, normals = nodal[contact.nodes], contact.normals
         along, pressure = _along(moved, normals), -_along(exerted, normals)
-        there = AtNodes(here.gap - along, here.slip + moved - along[:, None] * normals, pressure,
-                        exerted + pressure[:, None] * normals)
+        there = AtNodes(
+            here.gap - along,
+            here.slip + moved - along[:, None] * normals,
+            pressure,
+            exerted + pressure[:, None] * normals,
+        )
         forces = (images - residual).reshape(self.u.shape)
         forces[contact.nodes] -= exerted
         after, _ = self._held(there, self.unknowns + nodal, forces, aggregates)
@@ -356,11 +492,13 @@ class Evidence:
         # where much more is missing after the change, the aggregates have not found the status
         return changed if after <= _FOUND * size else min(changed, max(held, size))
 
-    def _frozen(self, here: AtNodes, unknowns: np.ndarray
-                ) -> tuple[FrozenStatus, np.ndarray, np.ndarray, np.ndarray]:
-        """The status that the displacement is nearest to, the change that meets it, the lawful contact forces, and
-        which nodes touch. At each node the cheaper is taken, in the measure of its stiffness: to move onto the obstacle
-        (to zero slip), or to give the force up (to turn it against the slip)."""
+    def _frozen(
+        self, here: AtNodes, unknowns: np.ndarray
+    ) -> tuple[FrozenStatus, np.ndarray, np.ndarray, np.ndarray]:
+        """The status that the displacement is nearest to, the change that meets it, the lawful
+        contact forces, and which nodes touch. At each node the cheaper is taken, in the measure of
+        its stiffness: to move onto the obstacle (to zero slip), or to give the force up (to turn it
+        against the slip)."""
         contact, dim = self.problem.contact, self.problem.dim
         nodes, normals = contact.nodes, contact.normals
         free, d = (~self.fixed[nodes]).astype(float), self.stiffness
@@ -372,7 +510,9 @@ class Evidence:
         against = -_directions(slip)
         excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
         turned = limit[:, None] * against * free
-        stays = (limit > 0) & (d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d)
+        stays = (limit > 0) & (
+            d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d
+        )
         # from no slip at all the node moves as the force drags it
         beyond = stays & (excess > 0)
         against[beyond] = _directions(friction)[beyond]
@@ -384,12 +524,20 @@ class Evidence:
         tangents = np.eye(dim) - along
         others = np.setdiff1d(self.fixed.nonzero()[0], nodes)
         kept = slides[:, None, None] * tangents + ~closed[:, None, None] * along
-        kept = np.concatenate([kept * free[:, :, None] * free[:, None], ~self.fixed[others][:, :, None] * np.eye(dim)])
+        kept = np.concatenate(
+            [kept * free[:, :, None] * free[:, None], ~self.fixed[others][:, :, None] * np.eye(dim)]
+        )
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
         across = (tangents - against[:, :, None] * against[:, None]) * (dim == 3)
-        dragged = (self.coefficient * (slides & closed))[:, None, None] * against[:, :, None] * normals[:, None]
+        dragged = (
+            (self.coefficient * (slides & closed))[:, None, None]
+            * against[:, :, None]
+            * normals[:, None]
+        )
         pressed = -np.where(closed, pressure, 0.0)[:, None] * normals
-        status = FrozenStatus(np.append(nodes, others), kept, nodes, turning[:, None, None] * across, dragged)
+        status = FrozenStatus(
+            np.append(nodes, others), kept, nodes, turning[:, None, None] * across, dragged
+        )
         return status, change, pressed + lawful, closed
 
 

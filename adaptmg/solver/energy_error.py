@@ -1,29 +1,34 @@
-r"""The energy error of a displacement, estimated from the raw matrix by a few steps of a Galerkin method.
+r"""The energy error of a displacement, estimated from the raw matrix by a few steps of a Galerkin
+method.
 
-With the contact status of the displacement held, u is first moved onto its constraints by a change z of constrained
-dofs alone: v = u + z has its prescribed values, touching nodes on the obstacle, sticking nodes at zero slip. What is
-then missing is a correction in the space of the displacements that keep the status,
+With the contact status of the displacement held, u is first moved onto its constraints by a change
+z of constrained dofs alone: v = u + z has its prescribed values, touching nodes on the obstacle,
+sticking nodes at zero slip. What is then missing is a correction in the space of the displacements
+that keep the status,
 
 .. math:: \|u - u_h\|_A \le \|z\|_A + \|v - u_h\|_A,
 
-the solution of :math:`K (I + D) A\,y + K S\,y = e`: e the forces at v that no load, support or lawful contact force
-explains, K the projection onto that space, S the stiffness of friction that turns with the slip, D the friction that
-a change of the pressure brings (Coulomb). Its Galerkin solution in the span of preconditioned residuals is sought,
-without D by conjugate gradients, whose energy grows from step to step and is never too large. The preconditioner:
-forward Gauss-Seidel, the rigid motions of :mod:`adaptmg.solver.aggregates`, backward Gauss-Seidel. A residual r
-holds at most the energy :math:`r\cdot P r / \lambda`, with the least eigenvalue :math:`\lambda` of the preconditioned
-matrix; the least Ritz value of the steps stands for it, which falls towards it. The steps end when this value has
-settled and what the last step may have left is small; it is counted as missing. Where they do not settle, a
-factorisation decides if the matrix is not too large for one.
+the solution of :math:`K (I + D) A\,y + K S\,y = e`: e the forces at v that no load, support or
+lawful contact force explains, K the projection onto that space, S the stiffness of friction that
+turns with the slip, D the friction that a change of the pressure brings (Coulomb). Its Galerkin
+solution in the span of preconditioned residuals is sought, without D by conjugate gradients, whose
+energy grows from step to step and is never too large. The preconditioner: forward Gauss-Seidel, the
+rigid motions of :mod:`adaptmg.solver.aggregates`, backward Gauss-Seidel. A residual r holds at most
+the energy :math:`r\cdot P r / \lambda`, with the least eigenvalue :math:`\lambda` of the
+preconditioned matrix; the least Ritz value of the steps stands for it, which falls towards it. The
+steps end when this value has settled and what the last step may have left is small; it is counted
+as missing. Where they do not settle, a factorisation decides if the matrix is not too large for
+one.
 
-Where a problem has volumes, pressures q of groups are missing, too, and the correction (y, q) solves
+Where a problem has volumes, pressures q of groups are missing, too, and the correction (y, q)
+solves
 
 .. math:: K(I + D)(K' y + B^T q) + K S\,y = e,\qquad -B y + A\,q/\kappa = -A\,(b\,v - p/\kappa);
 
-its energy is :math:`y'K'y + \sum A q^2/\kappa`, that of the whole displacement where :math:`p = \kappa\,b\,u`.
-Directions are z, what the preconditioner of K' makes of the forces, with :math:`(A s + B z)/(A/\kappa + A/(\lambda_1 +
-\mu))`, s the volumes that are missed. The symmetric part of the equations is the energy. The steps end when the last
-two have hardly changed it.
+its energy is :math:`y'K'y + \sum A q^2/\kappa`, that of the whole displacement where :math:`p =
+\kappa\,b\,u`. Directions are z, what the preconditioner of K' makes of the forces, with :math:`(A s
++ B z)/(A/\kappa + A/(\lambda_1 + \mu))`, s the volumes that are missed. The symmetric part of the
+equations is the energy. The steps end when the last two have hardly changed it.
 
 Nothing here comes from the solvers but the arithmetic of small blocks.
 """
@@ -38,7 +43,17 @@ from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
 from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks, remembered_of_structure
-from adaptmg.smoother.blocks import ONE, ZERO, add, increase, read, subtract, times, transposed_times, write
+from adaptmg.smoother.blocks import (
+    ONE,
+    ZERO,
+    add,
+    increase,
+    read,
+    subtract,
+    times,
+    transposed_times,
+    write,
+)
 from adaptmg.smoother.strips import Strips
 from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, at_nodes
 
@@ -63,7 +78,9 @@ FACTORISED = {2: 100_000, 3: 30_000}
 class FrozenStatus:
     """The displacements that keep a contact status."""
 
-    held: np.ndarray  # (m,) int: nodes that may not move freely: in contact, then the others in supports
+    held: (
+        np.ndarray
+    )  # (m,) int: nodes that may not move freely: in contact, then the others in supports
     kept: np.ndarray  # (m, dim, dim): projections there onto what may move
     nodes: np.ndarray  # (n_contact,) int: contact nodes
     stiffening: np.ndarray  # (n_contact, dim, dim): of friction that turns with the slip (3D), N/m
@@ -90,8 +107,9 @@ def _inverses(problem: DiscreteProblem) -> np.ndarray:
 
 @kernel
 def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, rest):
-    """Gauss-Seidel from zero over places of ``order``, and the residual that it leaves in ``rest``, which comes as 0.
-    Of the matrix the half that couples a node with those of lower ``rank`` is read."""
+    """Gauss-Seidel from zero over places of ``order``, and the residual that it leaves in ``rest``,
+    which comes as 0. Of the matrix the half that couples a node with those of lower ``rank`` is
+    read."""
     dim = np.uint64(len(zero))
     size = dim * dim
     for place in range(first, last):
@@ -99,19 +117,28 @@ def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, loa
         own, r = rank[i], read(load, dim * i, zero)
         for p in range(indptr[i], indptr[i + ONE]):
             if rank[indices[p]] < own:
-                r = subtract(r, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero)))
+                r = subtract(
+                    r, times(data, size * np.uint64(p), read(u, dim * np.uint64(indices[p]), zero))
+                )
         value = times(inverse, size * i, r)
         write(u, dim * i, value)
         for p in range(indptr[i], indptr[i + ONE]):
             if rank[indices[p]] < own:
                 at = dim * np.uint64(indices[p])
-                write(rest, at, subtract(read(rest, at, zero), transposed_times(data, size * np.uint64(p), value)))
+                write(
+                    rest,
+                    at,
+                    subtract(
+                        read(rest, at, zero), transposed_times(data, size * np.uint64(p), value)
+                    ),
+                )
 
 
 @kernel
 def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, image):
-    """Gauss-Seidel from u, and the matrix times what it ends with in ``image``, which comes as 0, in one pass. Rows are
-    read from their end: memory that is read in one direction comes in advance, in 3D in a third of the time."""
+    """Gauss-Seidel from u, and the matrix times what it ends with in ``image``, which comes as 0,
+    in one pass. Rows are read from their end: memory that is read in one direction comes in
+    advance, in 3D in a third of the time."""
     dim = np.uint64(len(zero))
     size = dim * dim
     for place in range(last - 1, first - 1, -1):
@@ -130,21 +157,29 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
         # later nodes were multiplied with what was here before
         for p in range(indptr[i], indptr[i + ONE]):
             if rank[indices[p]] > own:
-                increase(image, dim * np.uint64(indices[p]), transposed_times(data, size * np.uint64(p), change))
+                increase(
+                    image,
+                    dim * np.uint64(indices[p]),
+                    transposed_times(data, size * np.uint64(p), change),
+                )
 
 
 class _Preconditioner:
     """Forward Gauss-Seidel, coarse correction, backward Gauss-Seidel on the matrix of a status."""
 
-    def __init__(self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates) -> None:
+    def __init__(
+        self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates
+    ) -> None:
         matrix, dim, held, kept = problem.matrix, problem.dim, status.held, status.kept
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
         motions = aggregates.projected(held, kept)
-        self._coarse = CoarseCorrection(matrix, aggregates, motions, status.nodes, status.stiffening)
+        self._coarse = CoarseCorrection(
+            matrix, aggregates, motions, status.nodes, status.stiffening
+        )
         blocks = nodal_blocks(problem)[held]
-        blocks[:len(status.nodes)] += status.stiffening
+        blocks[: len(status.nodes)] += status.stiffening
         # what is projected away has no stiffness
         stiffness, axes = np.linalg.eigh(kept @ blocks @ kept)
         size = np.abs(stiffness)
@@ -174,12 +209,20 @@ class HeldCorrection:
     forces: np.ndarray  # (n_contact, dim): the matrix times it there, N
 
 
-def correction(problem: DiscreteProblem, status: FrozenStatus, residual: np.ndarray, missed: np.ndarray | None,
-               aggregates: Aggregates | None, negligible: float, rounding: float) -> HeldCorrection:
-    """Return the correction that a residual (n_nodes, dim), and the volumes ``missed`` (n_groups,), bring about in the
-    space of a status. If its energy is at most ``negligible`` after the first step, 36 times that after the second, or
-    81 times after the third, that is the answer. A residual whose norm is at most ``rounding`` loads no motion. Without
-    aggregates by factors; the residual is overwritten."""
+def correction(
+    problem: DiscreteProblem,
+    status: FrozenStatus,
+    residual: np.ndarray,
+    missed: np.ndarray | None,
+    aggregates: Aggregates | None,
+    negligible: float,
+    rounding: float,
+) -> HeldCorrection:
+    """Return the correction that a residual (n_nodes, dim), and the volumes ``missed`` (n_groups,),
+    bring about in the space of a status. If its energy is at most ``negligible`` after the first
+    step, 36 times that after the second, or 81 times after the third, that is the answer. A
+    residual whose norm is at most ``rounding`` loads no motion. Without aggregates by factors; the
+    residual is overwritten."""
     status.project(residual)
     load = residual.reshape(-1)
     if missed is not None:
@@ -215,27 +258,32 @@ class _Direction:
 class _Equations:
     """The equations of a status; the signs of those of volumes make them positive."""
 
-    def __init__(self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates) -> None:
+    def __init__(
+        self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates
+    ) -> None:
         self.n, self.status, self.volumes = problem.n_dofs, status, problem.volumes
         self.precondition = _Preconditioner(problem, status, aggregates)
         self.symmetric = self.volumes is None and not status.dragged.any()
-        self.most = _MOST if self.symmetric else _MOST_COULOMB if self.volumes is None else _MOST_VOLUMES
+        self.most = (
+            _MOST if self.symmetric else _MOST_COULOMB if self.volumes is None else _MOST_VOLUMES
+        )
 
     def direction(self, left: np.ndarray) -> tuple[_Direction, np.ndarray]:
-        """Return the preconditioned residual as a direction, and its products with others in the energy (n,)."""
-        status, (nodal, forces) = self.status, self.precondition(left[:self.n])
+        """Return the preconditioned residual as a direction, and its products with others in the
+        energy (n,)."""
+        status, (nodal, forces) = self.status, self.precondition(left[: self.n])
         values, energetic = nodal, forces
         image = forces.copy()
         if self.volumes is not None:
             soft, areas = self.volumes.areas * self.volumes.compliance, self.volumes.areas
             volumes = self.volumes.rows @ nodal
-            pressures = (left[self.n:] + volumes) / (soft + areas / self.volumes.modulus)
+            pressures = (left[self.n :] + volumes) / (soft + areas / self.volumes.modulus)
             values, energetic = np.append(nodal, pressures), np.append(forces, soft * pressures)
             image += self.volumes.forces(pressures)
         by_node = image.reshape(-1, status.kept.shape[1])
         moved, exerted = nodal.reshape(by_node.shape)[status.nodes], by_node[status.nodes]
         turned = np.einsum("nij,nj->ni", status.stiffening, moved)
-        energetic[:self.n].reshape(by_node.shape)[status.nodes] += turned
+        energetic[: self.n].reshape(by_node.shape)[status.nodes] += turned
         by_node[status.nodes] += turned + np.einsum("nij,nj->ni", status.dragged, exerted)
         status.project(by_node)
         if self.volumes is not None:
@@ -243,7 +291,9 @@ class _Equations:
         return _Direction(values, image, np.stack([moved, exerted])), energetic
 
 
-def _estimated(equations: _Equations, load: np.ndarray, negligible: float) -> tuple[HeldCorrection, bool]:
+def _estimated(
+    equations: _Equations, load: np.ndarray, negligible: float
+) -> tuple[HeldCorrection, bool]:
     """A Galerkin solution, and whether further steps would change it little."""
     n, most, symmetric, left = equations.n, equations.most, equations.symmetric, load.copy()
     span, shares, energies, ritz = list[_Direction](), np.empty(0), [0.0], np.inf
@@ -272,7 +322,9 @@ def _estimated(equations: _Equations, load: np.ndarray, negligible: float) -> tu
             matrix[step - 1, :step] = [new.values @ one.image for one in span]
             loads[step - 1] = new.values @ load
             try:
-                changes = np.linalg.solve(matrix[:step, :step], loads[:step]) - np.append(shares, 0.0)
+                changes = np.linalg.solve(matrix[:step, :step], loads[:step]) - np.append(
+                    shares, 0.0
+                )
             except np.linalg.LinAlgError:
                 return HeldCorrection(float("inf"), *total), False
             shares = np.append(shares, 0.0) + changes
@@ -282,12 +334,17 @@ def _estimated(equations: _Equations, load: np.ndarray, negligible: float) -> tu
             total += change * one.at_contact
         energies.append(energy)
         if equations.volumes is not None:
-            if step >= _LEAST and max(abs(energy - before) for before in energies[-3:-1]) <= _CALM * energy:
+            if (
+                step >= _LEAST
+                and max(abs(energy - before) for before in energies[-3:-1]) <= _CALM * energy
+            ):
                 return HeldCorrection(energy, *total), True
             continue
         if energy <= negligible:
             return HeldCorrection(energy, *total), True
-        basis[step - 1 - len(overlaps):step, step - 1] = np.append(overlaps, np.sqrt(square)) / np.sqrt(product)
+        basis[step - 1 - len(overlaps) : step, step - 1] = np.append(
+            overlaps, np.sqrt(square)
+        ) / np.sqrt(product)
         last, ritz = ritz, np.linalg.svd(basis[:step, :step], compute_uv=False)[-1] ** 2
         whole = max(energies[-2] + product / ritz, energy)
         missing = whole - energy if symmetric else max(whole - energy, abs(energy - energies[-2]))
@@ -297,22 +354,35 @@ def _estimated(equations: _Equations, load: np.ndarray, negligible: float) -> tu
     return HeldCorrection(energies[-1], *total), False
 
 
-def _factorised(problem: DiscreteProblem, status: FrozenStatus, load: np.ndarray, rounding: float) -> HeldCorrection:
-    """The correction by factors of the matrix of a status, with what makes it regular where motions are free."""
+def _factorised(
+    problem: DiscreteProblem, status: FrozenStatus, load: np.ndarray, rounding: float
+) -> HeldCorrection:
+    """The correction by factors of the matrix of a status, with what makes it regular where motions
+    are free."""
     matrix, volumes, n, dim = problem.matrix, problem.volumes, problem.n_dofs, problem.dim
     every = sparse.eye_array(n, format="csr")
     keep = every + at_nodes(status.held, status.kept - np.eye(dim), n)
     taken = keep + keep @ at_nodes(status.nodes, status.dragged, n)
     # what may not move gets a diagonal of the size of the others, and what is free a little
     most = np.abs(matrix.diagonal()).max()
-    whole = (taken @ matrix + keep @ at_nodes(status.nodes, status.stiffening, n)) @ keep + most * (every - keep)
+    whole = (taken @ matrix + keep @ at_nodes(status.nodes, status.stiffening, n)) @ keep + most * (
+        every - keep
+    )
     shift = np.full(len(load), _SHIFT * most)
     if volumes is not None:
         shift[n:] = 0.0
-        whole = sparse.block_array([[whole, taken @ volumes.columns],
-                                    [-volumes.rows @ keep, sparse.diags_array(volumes.areas * volumes.compliance)]])
+        whole = sparse.block_array(
+            [
+                [whole, taken @ volumes.columns],
+                [-volumes.rows @ keep, sparse.diags_array(volumes.areas * volumes.compliance)],
+            ]
+        )
     whole = sparse.csc_array(whole)
-    factors, solution, rest = splu(whole + sparse.diags_array(shift, format="csc")), np.zeros(len(load)), load
+    factors, solution, rest = (
+        splu(whole + sparse.diags_array(shift, format="csc")),
+        np.zeros(len(load)),
+        load,
+    )
     most_left, balanced = max(_BALANCED * np.linalg.norm(load[:n]), rounding), False
     for _ in range(_REFINEMENTS):
         solution += factors.solve(rest)

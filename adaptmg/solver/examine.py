@@ -1,16 +1,17 @@
-r"""Examiner: residual, reactions, contact quantities and certificate of a displacement, whatever method it comes from;
-ContactResult: what it says of each contact node, and of the nodes of masters.
+r"""Examiner: residual, reactions, contact quantities and certificate of a displacement, whatever
+method it comes from; ContactResult: what it says of each contact node, and of the nodes of masters.
 
-One product with the matrix as it was given, and rotations at the contact nodes alone. Sizes are what errors and
-residuals refer to: the energy of the displacement and the forces that act. Unknowns count from the prescribed values
+One product with the matrix as it was given, and rotations at the contact nodes alone. Sizes are
+what errors and residuals refer to: the energy of the displacement and the forces that act. Unknowns
+count from the prescribed values
 :math:`\bar u` (zero elsewhere), :math:`u = w + \bar u`; the energy of :math:`\bar u`, and so :math:`\|w\|_A` and
 :math:`|A\bar u|`, grows as the mesh is refined, and nothing may be related to it. The displacement itself has
 
 .. math:: \|u\|_A^2 = w^T(\bar b - r) + 2\,w^T A\bar u + \bar u^T A\bar u,
 
-with the load :math:`\bar b = b - A\bar u` of the unknowns and their residual r: no pass over the matrix. The forces are
-the loads, the contact forces, and where displacements are prescribed the reactions :math:`A u - b` of the supports.
-"""
+with the load :math:`\bar b = b - A\bar u` of the unknowns and their residual r: no pass over the
+matrix. The forces are the loads, the contact forces, and where displacements are prescribed the
+reactions :math:`A u - b` of the supports."""
 
 from __future__ import annotations
 
@@ -48,8 +49,9 @@ _STATES = {"open": OPEN, "slip": SLIP, "stick": STICK}
 class ContactResult:
     """Contact quantities, one entry a contact node; SI units.
 
-    Between bodies these are displacements of the slave relative to the master (along components that a support fixes
-    at the slave node: its own), and forces on the slave; those on the master balance them.
+    Between bodies these are displacements of the slave relative to the master (along components
+    that a support fixes at the slave node: its own), and forces on the slave; those on the master
+    balance them.
 
     Attributes
     ----------
@@ -63,7 +65,8 @@ class ContactResult:
     u_n : (n,) array
         Normal displacement, m.
     u_t, slip : (n, dim - 1) arrays
-        Tangential displacement and slip (u_t minus its reference), m; in 2D along the normal turned by +90 degrees.
+        Tangential displacement and slip (u_t minus its reference), m; in 2D along the normal turned
+        by +90 degrees.
     force_n : (n,) array
         Compressive nodal force p >= 0, N (2D: N/m).
     force_t : (n, dim - 1) array
@@ -81,8 +84,8 @@ class ContactResult:
     masters : tuple of str
         For each of ``names`` the boundary of the other body, "" for a rigid obstacle.
     master_node : (m,) int array, optional
-        Nodes that contact nodes follow: of the masters, and those of the slaves that carry no contact conditions of
-        their pair. For each pair each node once.
+        Nodes that contact nodes follow: of the masters, and those of the slaves that carry no
+        contact conditions of their pair. For each pair each node once.
     master_force : (m, dim) array, optional
         Contact forces on them, -W' times those on the contact nodes (Cartesian), N (2D: N/m).
     master_boundary : (m,) int array, optional
@@ -116,23 +119,30 @@ class ContactResult:
             object.__setattr__(self, "masters", ("",) * len(self.names))
         if self.master_node is None:
             empty = np.empty(0, dtype=np.int64)
-            for name, value in (("master_node", empty), ("master_force", np.empty((0, self.frames.shape[1]))),
-                                ("master_boundary", empty)):
+            for name, value in (
+                ("master_node", empty),
+                ("master_force", np.empty((0, self.frames.shape[1]))),
+                ("master_boundary", empty),
+            ):
                 object.__setattr__(self, name, value)
 
     @property
     def pair(self) -> np.ndarray:
-        """Return the name of the contact boundary or pair ("slave on master") of each node (n,), str."""
+        """Return the name of the contact boundary or pair ("slave on master") of each node (n,),
+        str."""
         return np.array(self.pair_names)[self.boundary]
 
     @property
     def pair_names(self) -> list[str]:
         """Return for each of ``names`` the contact boundary, or "slave on master"."""
-        return [f"{slave} on {master}" if master else slave
-                for slave, master in zip(self.names, self.masters, strict=True)]
+        return [
+            f"{slave} on {master}" if master else slave
+            for slave, master in zip(self.names, self.masters, strict=True)
+        ]
 
     def on_slaves(self, mesh: MeshArrays | None) -> np.ndarray:
-        """Return which of ``master_node`` (m,) lie on the slave of their pair; without a mesh none."""
+        """Return which of ``master_node`` (m,) lie on the slave of their pair; without a mesh
+        none."""
         result = np.zeros(len(self.master_node), dtype=bool)
         if mesh is not None:
             for k in np.unique(self.master_boundary):
@@ -147,45 +157,65 @@ class ContactResult:
 
     @property
     def units(self) -> tuple[str, str]:
-        """Return the units of forces and of boundary masses: N and m^2, in plane problems N/m and m."""
+        """Return the units of forces and of boundary masses: N and m^2, in plane problems N/m and
+        m."""
         plane = self.frames.shape[1] == 2 and not self.axisymmetric
         return ("N/m", "m") if plane else ("N", "m^2")
 
     def counts(self, own: np.ndarray | None = None) -> dict[str, int]:
-        """Return the number of nodes by state, 'open', 'slip' and 'stick'; of all or of those in the mask ``own``."""
+        """Return the number of nodes by state, 'open', 'slip' and 'stick'; of all or of those in
+        the mask ``own``."""
         states = np.asarray(self.state if own is None else self.state[own])
         return {name: int((states == code).sum()) for name, code in _STATES.items()}
 
     def table(self) -> pandas.DataFrame:
-        """Return one row a contact node, with units in the heads; in 3D with "slip_1 [m]", "slip_2 [m]", and so on."""
+        """Return one row a contact node, with units in the heads; in 3D with "slip_1 [m]", "slip_2
+        [m]", and so on."""
         import pandas
 
-        columns: dict[str, object] = {"node": self.node, "pair": self.pair,
-                                      "state": np.array(list(_STATES))[np.asarray(self.state, dtype=int)]}
+        columns: dict[str, object] = {
+            "node": self.node,
+            "pair": self.pair,
+            "state": np.array(list(_STATES))[np.asarray(self.state, dtype=int)],
+        }
         columns |= {f"{axis} [m]": values for axis, values in zip("xyz", self.x.T, strict=False)}
-        for name, unit in (("gap", "m"), ("u_n", "m"), ("u_t", "m"), ("slip", "m"), ("force_n", self.units[0]),
-                           ("force_t", self.units[0]), ("pressure", "Pa"), ("traction", "Pa")):
+        for name, unit in (
+            ("gap", "m"),
+            ("u_n", "m"),
+            ("u_t", "m"),
+            ("slip", "m"),
+            ("force_n", self.units[0]),
+            ("force_t", self.units[0]),
+            ("pressure", "Pa"),
+            ("traction", "Pa"),
+        ):
             parts = np.atleast_2d(getattr(self, name).T)
-            columns |= {f"{name}_{k} [{unit}]" if len(parts) > 1 else f"{name} [{unit}]": part
-                        for k, part in enumerate(parts, 1)}
+            columns |= {
+                f"{name}_{k} [{unit}]" if len(parts) > 1 else f"{name} [{unit}]": part
+                for k, part in enumerate(parts, 1)
+            }
         return pandas.DataFrame(columns)
 
     def __repr__(self) -> str:
         states = ", ".join(f"{count} {state}" for state, count in self.counts().items())
-        return shortened(f"ContactResult: {len(self)} nodes of {', '.join(self.pair_names)}: {states}; pressure up to "
-                         f"{self.pressure.max(initial=0.0):.3g} Pa; table() lists them")
+        return shortened(
+            f"ContactResult: {len(self)} nodes of {', '.join(self.pair_names)}: {states}; pressure up to "
+            f"{self.pressure.max(initial=0.0):.3g} Pa; table() lists them"
+        )
 
     def _repr_html_(self) -> str:
         return in_html_lines(repr(self)) + html_table(self.table())
 
     @property
     def pressure(self) -> np.ndarray:
-        """Return the compressive nodal force over lumped boundary mass (n,), Pa; 0 at open nodes."""
+        """Return the compressive nodal force over lumped boundary mass (n,), Pa; 0 at open
+        nodes."""
         return np.where(self.closed, self.force_n / self.weights, 0.0)
 
     @property
     def traction(self) -> np.ndarray:
-        """Return the tangential nodal force over lumped boundary mass (n, dim - 1), Pa; 0 at open nodes."""
+        """Return the tangential nodal force over lumped boundary mass (n, dim - 1), Pa; 0 at open
+        nodes."""
         return np.where(self.closed[:, None], self.force_t / self.weights[:, None], 0.0)
 
     @property
@@ -225,50 +255,73 @@ class Examiner:
         self._last: tuple[np.ndarray, np.ndarray | None, Examined] | None = None
 
     def relative_residual(self, solved: np.ndarray, pressures: np.ndarray | None = None) -> float:
-        """Return the natural residual of a displacement (n_dofs,) over the forces that act, in Euclidean norms; 1 if
-        it is all there is."""
+        """Return the natural residual of a displacement (n_dofs,) over the forces that act, in
+        Euclidean norms; 1 if it is all there is."""
         solved = np.asarray(solved, dtype=np.float64).reshape(-1)
-        return self._residual(solved, self.discrete.under(pressures).load - self.discrete.matrix @ solved, pressures)
+        return self._residual(
+            solved, self.discrete.under(pressures).load - self.discrete.matrix @ solved, pressures
+        )
 
     def _at_contact(self, vector: np.ndarray) -> np.ndarray:
         """Local components (n_contact, dim) of a vector (n_dofs,), zero along what is held."""
-        local = to_frames(self.frames, vector.reshape(-1, self.discrete.dim)[self.discrete.contact.nodes])
+        local = to_frames(
+            self.frames, vector.reshape(-1, self.discrete.dim)[self.discrete.contact.nodes]
+        )
         local[:, 1:][self.held] = 0.0
         return local
 
     def _values(self, solved: np.ndarray) -> np.ndarray:
         return self._at_contact(self.discrete.from_prescribed(solved))
 
-    def _residual(self, solved: np.ndarray, residual: np.ndarray, pressures: np.ndarray | None) -> float:
+    def _residual(
+        self, solved: np.ndarray, residual: np.ndarray, pressures: np.ndarray | None
+    ) -> float:
         discrete = self.discrete
         free = np.where(discrete.fixed, 0.0, residual)
         at_contact = self._at_contact(free)
         natural = natural_at_nodes(self.contact, self.blocks, self._values(solved), at_contact)
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
-        scale, size = self.sizes.forces(unknowns, euclidean_norm(at_contact.reshape(-1))), euclidean_norm(free)
+        scale, size = (
+            self.sizes.forces(unknowns, euclidean_norm(at_contact.reshape(-1))),
+            euclidean_norm(free),
+        )
         if discrete.volumes is not None:
-            size = float(np.hypot(size, euclidean_norm(discrete.volumes.scale * discrete.volumes.missed(
-                solved, pressures))))
+            size = float(
+                np.hypot(
+                    size,
+                    euclidean_norm(
+                        discrete.volumes.scale * discrete.volumes.missed(solved, pressures)
+                    ),
+                )
+            )
         if self.sizes.prescribed:
             floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(scale, floor, unknowns):
                 return 0.0
         return 0.0 if size == 0.0 else size / (scale or size)
 
-    def __call__(self, solved: np.ndarray, rtol: float = 0.0, pressures: np.ndarray | None = None) -> Examined:
-        """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative coordinates, m, which is kept
-        and must not change any more; ``rtol``: the tolerance that is asked for; ``pressures`` of volumes, Pa."""
+    def __call__(
+        self, solved: np.ndarray, rtol: float = 0.0, pressures: np.ndarray | None = None
+    ) -> Examined:
+        """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative
+        coordinates, m, which is kept and must not change any more; ``rtol``: the tolerance that is
+        asked for; ``pressures`` of volumes, Pa."""
         solved = np.asarray(solved, dtype=np.float64).reshape(-1)
-        if self._last is not None and np.array_equal(self._last[0], solved) and (
-                pressures is None or np.array_equal(self._last[1], pressures)):
+        if (
+            self._last is not None
+            and np.array_equal(self._last[0], solved)
+            and (pressures is None or np.array_equal(self._last[1], pressures))
+        ):
             return self._last[2]
         discrete, self._last = self.discrete, None
         residual = discrete.under(pressures).load - discrete.matrix @ solved
         displacement = discrete.physical(solved.reshape(discrete.n_nodes, discrete.dim))
         contact = self._contact_result(solved, residual)
         natural = self._residual(solved, residual, pressures)
-        checked = certify(discrete, displacement, contact, rtol=rtol, pressures=pressures, residual=residual)
+        checked = certify(
+            discrete, displacement, contact, rtol=rtol, pressures=pressures, residual=residual
+        )
         residual = -residual
         if discrete.inclined is not None:
             residual += discrete.inclined.reaction(solved)
@@ -279,10 +332,15 @@ class Examiner:
         return examined
 
     def _contact_result(self, solved: np.ndarray, residual: np.ndarray) -> ContactResult:
-        """Contact quantities at a solution (n_dofs,). Where a support holds a tangential component, the equations do
-        not tell friction from the reaction of the support: there it is what the law says for the slip, and nothing if
-        nothing slips."""
-        discrete, frames, held, contact = self.discrete, self.frames, self.held, self.discrete.contact
+        """Contact quantities at a solution (n_dofs,). Where a support holds a tangential component,
+        the equations do not tell friction from the reaction of the support: there it is what the
+        law says for the slip, and nothing if nothing slips."""
+        discrete, frames, held, contact = (
+            self.discrete,
+            self.frames,
+            self.held,
+            self.discrete.contact,
+        )
         small = 1e-12 * np.abs(solved).max(initial=0.0)
         u = to_frames(frames, discrete.at_contact(solved.reshape(discrete.n_nodes, discrete.dim)))
         slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
@@ -297,25 +355,44 @@ class Examiner:
         state[slides & (state == STICK)] = SLIP
         x = discrete.coordinates
         node, on_masters, boundary = _on_followed(
-            discrete, from_frames(frames, np.column_stack([-force_n, force_t])))
+            discrete, from_frames(frames, np.column_stack([-force_n, force_t]))
+        )
         return ContactResult(
-            node=contact.nodes, x=np.full(contact.normals.shape, np.nan) if x is None else x[contact.nodes],
-            frames=frames.copy(), gap=contact.gaps - u[:, 0], u_n=u[:, 0], u_t=u[:, 1:], slip=slip, force_n=force_n,
-            force_t=force_t, weights=contact.weights, limit=limit, state=state, boundary=contact.boundary,
-            names=contact.names, masters=contact.masters, master_node=node, master_force=on_masters,
-            master_boundary=boundary)
+            node=contact.nodes,
+            x=np.full(contact.normals.shape, np.nan) if x is None else x[contact.nodes],
+            frames=frames.copy(),
+            gap=contact.gaps - u[:, 0],
+            u_n=u[:, 0],
+            u_t=u[:, 1:],
+            slip=slip,
+            force_n=force_n,
+            force_t=force_t,
+            weights=contact.weights,
+            limit=limit,
+            state=state,
+            boundary=contact.boundary,
+            names=contact.names,
+            masters=contact.masters,
+            master_node=node,
+            master_force=on_masters,
+            master_boundary=boundary,
+        )
 
 
-def _on_followed(discrete: DiscreteProblem, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes that slave nodes follow, what contact forces (n_contact, dim) exert on them, -W' times them, and their
-    boundaries. Where both bodies are held, held nodes of the other one take all."""
+def _on_followed(
+    discrete: DiscreteProblem, forces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes that slave nodes follow, what contact forces (n_contact, dim) exert on them, -W' times
+    them, and their boundaries. Where both bodies are held, held nodes of the other one take all."""
     contact, dim = discrete.contact, discrete.dim
     parts = [(np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, dtype=np.int64))]
     weights = []
     for at, instead, _ in discrete.held_together():
         place = np.arange(len(contact))
         place[at] = len(contact) + np.arange(len(at))
-        weights.append(sparse.vstack([discrete.coupling.weights[contact.nodes], instead], format="csr")[place])
+        weights.append(
+            sparse.vstack([discrete.coupling.weights[contact.nodes], instead], format="csr")[place]
+        )
     for k in np.unique(contact.boundary) if weights else ():
         mine = np.flatnonzero(contact.boundary == k)
         rows = [of_component[mine] for of_component in weights]
@@ -332,7 +409,8 @@ ROUNDING = 8 * np.finfo(float).eps
 
 def energy_norm(unknowns: np.ndarray, forces: np.ndarray) -> float:
     """Return sqrt(w' A w) from w and A w, 0 where rounding makes it negative."""
-    # not through BLAS: its threads cost more than a short dot product gains, several times over on a busy machine
+    # not through BLAS: its threads cost more than a short dot product gains, several times over on
+    # a busy machine
     return float(np.sqrt(max(float(np.einsum("i,i->", unknowns, forces)), 0.0)))
 
 
@@ -342,10 +420,12 @@ def euclidean_norm(vector: np.ndarray) -> float:
 
 
 def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> float:
-    """Return ||u||_A of the stresses of a displacement (n_dofs,), prescribed values included; between bodies
-    relative."""
+    """Return ||u||_A of the stresses of a displacement (n_dofs,), prescribed values included;
+    between bodies relative."""
     flat = np.asarray(displacement, dtype=np.float64).reshape(-1)
-    return float(np.sqrt(problem.stress_energy(flat, energy_norm(flat, problem.matrix @ flat) ** 2)))
+    return float(
+        np.sqrt(problem.stress_energy(flat, energy_norm(flat, problem.matrix @ flat) ** 2))
+    )
 
 
 class Sizes:
@@ -355,7 +435,11 @@ class Sizes:
 
     def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:
         self.load = euclidean_norm(problem.load)
-        self.prescribed, self._problem, self._frames = bool(problem.fixed_values.any()), problem, frames
+        self.prescribed, self._problem, self._frames = (
+            bool(problem.fixed_values.any()),
+            problem,
+            frames,
+        )
         if not self.prescribed:
             return
         lift = problem.matrix @ problem.fixed_values
@@ -365,25 +449,40 @@ class Sizes:
         self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
 
     def nothing_strains(self, forces: float, rounding: float, unknowns: np.ndarray) -> bool:
-        """Return whether all forces are rounding: bodies that their supports move, and nothing strains or holds.
-        Unknowns that have run away have such forces too, but move further than the supports do."""
+        """Return whether all forces are rounding: bodies that their supports move, and nothing
+        strains or holds. Unknowns that have run away have such forces too, but move further than
+        the supports do."""
         if not self.prescribed or forces > self.IDLE * rounding:
             return False
-        return bool(np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max())
+        return bool(
+            np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max()
+        )
 
     def norm(self, unknowns: np.ndarray, energy: float) -> float:
-        """Return ||u||_A of the stresses, from the unknowns w (n_dofs,), zero at fixed dofs, and w'Aw (N m)."""
+        """Return ||u||_A of the stresses, from the unknowns w (n_dofs,), zero at fixed dofs, and
+        w'Aw (N m)."""
         if self.prescribed:
             energy += 2 * float(np.einsum("i,i->", unknowns, self._lift)) + self._jump
         if self._problem.strain_free is not None:
-            energy = self._problem.stress_energy(self._cartesian(unknowns) + self._problem.fixed_values, energy)
+            energy = self._problem.stress_energy(
+                self._cartesian(unknowns) + self._problem.fixed_values, energy
+            )
         return float(np.sqrt(max(energy, 0.0)))
 
     def forces(self, unknowns: np.ndarray, contact: float) -> float:
-        """Return the largest norm of load, contact forces (norm ``contact``, N) and reactions at prescribed values."""
+        """Return the largest norm of load, contact forces (norm ``contact``, N) and reactions at
+        prescribed values."""
         if not self.prescribed:
             return max(self.load, contact)
-        return max(self.load, contact, euclidean_norm(self._rows @ self._cartesian(unknowns) + self._offset))
+        return max(
+            self.load,
+            contact,
+            euclidean_norm(self._rows @ self._cartesian(unknowns) + self._offset),
+        )
 
     def _cartesian(self, unknowns: np.ndarray) -> np.ndarray:
-        return unknowns if self._frames is None else rotate_back(unknowns, self._frames, self._problem.contact.nodes)
+        return (
+            unknowns
+            if self._frames is None
+            else rotate_back(unknowns, self._frames, self._problem.contact.nodes)
+        )

@@ -1,9 +1,10 @@
 """Fingerprint: what a run depends on, part by part.
 
-From the run function on, functions and classes of the user's modules are followed by what they read: globals, variables
-of closures, defaults, attributes, imports. Of a function the instructions count, those that run and not those of a file
-that was edited since; they contain neither docstrings, comments nor lines. Of a value its pickle counts, of an instance
-of a user's class all that it holds. adaptmg counts by one hash of its numerical sources, an installed package by its
+From the run function on, functions and classes of the user's modules are followed by what they
+read: globals, variables of closures, defaults, attributes, imports. Of a function the instructions
+count, those that run and not those of a file that was edited since; they contain neither
+docstrings, comments nor lines. Of a value its pickle counts, of an instance of a user's class all
+that it holds. adaptmg counts by one hash of its numerical sources, an installed package by its
 version. What cannot be compared is refused; :class:`adaptmg.study.Study` lists what is not seen.
 """
 
@@ -29,7 +30,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, MappingProxyType, MemberDescriptorType, ModuleType
+from types import (
+    BuiltinFunctionType,
+    CodeType,
+    FunctionType,
+    MappingProxyType,
+    MemberDescriptorType,
+    ModuleType,
+)
 
 import numpy as np
 
@@ -38,21 +46,63 @@ PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
 _NOT_NUMERICAL = ("cli", "export", "plot", "study")
 _MAIN, _NAMED = ("__main__", "__mp_main__"), (FunctionType, type, ModuleType)
 #: what runs would share and change, or what only an address stands for
-_REFUSED = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random, ctypes.CDLL)
+_REFUSED = (
+    np.random.Generator,
+    np.random.RandomState,
+    np.random.BitGenerator,
+    random.Random,
+    ctypes.CDLL,
+)
 #: a function that reads one of these may read anything, or what does not count
-_HIDDEN = {"eval", "exec", "globals", "__import__", "import_module", "modules", "__annotations__", "__doc__",
-           "__subclasses__"}
-_GLOBAL, _ATTRIBUTE = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"), ("LOAD_ATTR", "LOAD_METHOD")
+_HIDDEN = {
+    "eval",
+    "exec",
+    "globals",
+    "__import__",
+    "import_module",
+    "modules",
+    "__annotations__",
+    "__doc__",
+    "__subclasses__",
+}
+_GLOBAL, _ATTRIBUTE = (
+    ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"),
+    ("LOAD_ATTR", "LOAD_METHOD"),
+)
 #: names of a class or module that do not count, and objects that stand for the layout of a class
-_BOOKS = {"__abstractmethods__", "__annotate_func__", "__annotations__", "__builtins__", "__cached__", "__dict__",
-          "__doc__", "__file__", "__firstlineno__", "__loader__", "__module__", "__name__", "__package__", "__path__",
-          "__qualname__", "__slotnames__", "__spec__", "__static_attributes__", "__weakref__", "_abc_impl",
-          "_value2member_map_"}
+_BOOKS = {
+    "__abstractmethods__",
+    "__annotate_func__",
+    "__annotations__",
+    "__builtins__",
+    "__cached__",
+    "__dict__",
+    "__doc__",
+    "__file__",
+    "__firstlineno__",
+    "__loader__",
+    "__module__",
+    "__name__",
+    "__package__",
+    "__path__",
+    "__qualname__",
+    "__slotnames__",
+    "__spec__",
+    "__static_attributes__",
+    "__weakref__",
+    "_abc_impl",
+    "_value2member_map_",
+}
 #: objects that cannot be pickled: attributes that stand for them
 _STANDS: dict[type, tuple[str, ...]] = {
-    staticmethod: ("__func__",), classmethod: ("__func__",), property: ("fget", "fset", "fdel"),
-    cached_property: ("func",), typing.TypeVar: ("__name__",), functools._lru_cache_wrapper: ("__wrapped__",),
-    MemberDescriptorType: ("__name__",)}
+    staticmethod: ("__func__",),
+    classmethod: ("__func__",),
+    property: ("fget", "fset", "fdel"),
+    cached_property: ("func",),
+    typing.TypeVar: ("__name__",),
+    functools._lru_cache_wrapper: ("__wrapped__",),
+    MemberDescriptorType: ("__name__",),
+}
 _BASES = (dict, list, tuple, set, frozenset, str, bytes, bytearray, int, float, complex)
 
 
@@ -69,30 +119,46 @@ class Fingerprint:
         return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
     def seen(self) -> Fingerprint:
-        """Return the parts without ``depends``: the same in every process that computes the same."""
-        return Fingerprint({name: value for name, value in self.parts.items() if not name.startswith("depends ")})
+        """Return the parts without ``depends``: the same in every process that computes the
+        same."""
+        return Fingerprint(
+            {name: value for name, value in self.parts.items() if not name.startswith("depends ")}
+        )
 
     def differences(self, other: Mapping[str, str]) -> list[str]:
         """Return the changes from the parts of another, as text."""
-        both = {name: (self.parts.get(name), other.get(name)) for name in sorted({*self.parts, *other})}
-        return [f"{name} {then} -> {now}" if name.startswith("package ") and now and then else
-                f"{name} is {'new' if then is None else 'gone' if now is None else 'changed'}"
-                for name, (now, then) in both.items() if now != then]
+        both = {
+            name: (self.parts.get(name), other.get(name)) for name in sorted({*self.parts, *other})
+        }
+        return [
+            f"{name} {then} -> {now}"
+            if name.startswith("package ") and now and then
+            else f"{name} is {'new' if then is None else 'gone' if now is None else 'changed'}"
+            for name, (now, then) in both.items()
+            if now != then
+        ]
 
 
-def fingerprint(function: Callable[..., object], depends: Mapping[str, object] | None = None) -> Fingerprint:
-    """Return what a plain function depends on; TypeError for what it reads and cannot be compared. ``depends`` has
-    values by name, in place of globals and variables of closures, or for anything else; a :class:`pathlib.Path` in it
-    stands for the content of the file."""
+def fingerprint(
+    function: Callable[..., object], depends: Mapping[str, object] | None = None
+) -> Fingerprint:
+    """Return what a plain function depends on; TypeError for what it reads and cannot be compared.
+    ``depends`` has values by name, in place of globals and variables of closures, or for anything
+    else; a :class:`pathlib.Path` in it stands for the content of the file."""
     if not isinstance(function, FunctionType):
-        raise TypeError(f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}")
+        raise TypeError(
+            f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}"
+        )
     found = _Parts(depends or {}, function.__globals__)
     found.name_of(function, follow=True)
     return Fingerprint(found.complete())
 
 
-def value_parts(values: Mapping[str, object], depends: Mapping[str, object] | None = None) -> dict[str, str]:
-    """Return parts for values by name, with the code in them; TypeError for a value that cannot be compared."""
+def value_parts(
+    values: Mapping[str, object], depends: Mapping[str, object] | None = None
+) -> dict[str, str]:
+    """Return parts for values by name, with the code in them; TypeError for a value that cannot be
+    compared."""
     found = _Parts(depends or {}, vars(sys.modules["__main__"]))
     for name, value in values.items():
         found.value(name, value)
@@ -101,7 +167,10 @@ def value_parts(values: Mapping[str, object], depends: Mapping[str, object] | No
 
 def environment() -> dict[str, str]:
     """Return the versions of Python and of the packages the results depend on."""
-    return {"python": platform.python_version(), **{name: _version(name) or "unknown" for name in PACKAGES}}
+    return {
+        "python": platform.python_version(),
+        **{name: _version(name) or "unknown" for name in PACKAGES},
+    }
 
 
 class _Parts:
@@ -115,7 +184,9 @@ class _Parts:
         self._names: dict[int, str] = {}
         self._found: dict[str, list[object]] = {}
         self._waiting: list[tuple[str, object]] = []  # no recursion, which has a limit
-        self._parts = {f"depends {name}": self._hash(value, files=True) for name, value in depends.items()}
+        self._parts = {
+            f"depends {name}": self._hash(value, files=True) for name, value in depends.items()
+        }
 
     def complete(self) -> dict[str, str]:
         """Examine all functions, classes and modules that were found, and return the parts."""
@@ -135,23 +206,32 @@ class _Parts:
         """Add a part; functions, classes and modules have parts under their own names."""
         bare = where.split(" ")[0].rpartition(".")[2]
         if {bare, where, f"value of {where}"}.intersection(self._depends) or (
-                isinstance(value, _NAMED) and self.name_of(value) == f"own {where}"):
+            isinstance(value, _NAMED) and self.name_of(value) == f"own {where}"
+        ):
             return
         try:
             self._parts[f"value of {where}"] = self._hash(value)
         except Exception as error:  # whatever pickling raises
-            raise TypeError(f"results depend on the value of {where}, which cannot be compared ({error}): build it "
-                            f"where it is used, or name what stands for it: depends={{{bare!r}: ...}}") from error
+            raise TypeError(
+                f"results depend on the value of {where}, which cannot be compared ({error}): build it "
+                f"where it is used, or name what stands for it: depends={{{bare!r}: ...}}"
+            ) from error
 
     def name_of(self, thing: object, follow: bool = False) -> str:
-        """Return what stands for a function, class or module in values; the user's are followed later."""
+        """Return what stands for a function, class or module in values; the user's are followed
+        later."""
         if id(thing) in self._names:
             return self._names[id(thing)]
-        module = thing.__name__ if isinstance(thing, ModuleType) else getattr(thing, "__module__", None)
+        module = (
+            thing.__name__ if isinstance(thing, ModuleType) else getattr(thing, "__module__", None)
+        )
         module = module if isinstance(module, str) else "builtins"
         # classes that are sent to workers lose the name of the function around them
-        name = self._home(module) if isinstance(thing, ModuleType) else \
-            f"{self._home(module)}.{thing.__name__ if isinstance(thing, type) else thing.__qualname__}"
+        name = (
+            self._home(module)
+            if isinstance(thing, ModuleType)
+            else f"{self._home(module)}.{thing.__name__ if isinstance(thing, type) else thing.__qualname__}"
+        )
         if not self.is_own(module) and not follow:
             return f"installed {name}"
         # closures and classes of one name get numbers; the list keeps them alive, and so their id
@@ -166,7 +246,8 @@ class _Parts:
         return self._main if module in _MAIN else module
 
     def is_own(self, module: str) -> bool:
-        """Return whether a module is the user's, and not compiled; of others the version or content becomes a part."""
+        """Return whether a module is the user's, and not compiled; of others the version or content
+        becomes a part."""
         if version := _installed(module):
             top = module.split(".")[0]
             self._parts[top if top == "adaptmg" else f"package {top}"] = version
@@ -187,15 +268,21 @@ class _Parts:
                 values[variable] = f"{variable} around {name}", cell.cell_contents
         chains, imports = _reads(code)
         for first, *attributes in chains:
-            hidden = _HIDDEN.intersection((first, *attributes) if first not in namespace else attributes)
+            hidden = _HIDDEN.intersection(
+                (first, *attributes) if first not in namespace else attributes
+            )
             if hidden - set(self._depends):
-                raise TypeError(f"{name} reads {min(hidden)}, so that it cannot be seen what results depend on: name "
-                                f"what stands for it: depends={{{min(hidden)!r}: ...}}")
+                raise TypeError(
+                    f"{name} reads {min(hidden)}, so that it cannot be seen what results depend on: name "
+                    f"what stands for it: depends={{{min(hidden)!r}: ...}}"
+                )
             if first in values or first in namespace:
                 self._read(*values.get(first) or (f"{home}.{first}", namespace[first]), attributes)
         for level, module, names in imports:
             with contextlib.suppress(ImportError):  # the run will raise it
-                module = importlib.util.resolve_name("." * level + module, namespace.get("__package__") or "")
+                module = importlib.util.resolve_name(
+                    "." * level + module, namespace.get("__package__") or ""
+                )
                 if not self.is_own(module):
                     continue
                 found = importlib.import_module(module)
@@ -203,13 +290,19 @@ class _Parts:
                     if not hasattr(found, item):
                         importlib.import_module(f"{module}.{item}")
                     self._read(self._home(module), found, [item])
-                for part in itertools.accumulate([] if names else module.split("."), "{}.{}".format):
+                for part in itertools.accumulate(
+                    [] if names else module.split("."), "{}.{}".format
+                ):
                     self.value(self._home(part), sys.modules[part])
 
     def _read(self, where: str, value: object, attributes: Sequence[str]) -> None:
         """Add a variable, or of a user's module the attribute that is taken from it."""
         for attribute in attributes:
-            if not isinstance(value, ModuleType) or not self.is_own(value.__name__) or attribute not in vars(value):
+            if (
+                not isinstance(value, ModuleType)
+                or not self.is_own(value.__name__)
+                or attribute not in vars(value)
+            ):
                 break
             self._parts[f"value of {where}"] = self._hash(value.__name__)
             where, value = f"{self._home(value.__name__)}.{attribute}", vars(value)[attribute]
@@ -217,7 +310,8 @@ class _Parts:
 
 
 class _Pickler(pickle.Pickler):
-    """Pickle for comparison: functions, classes and modules by name, some objects by their parts."""
+    """Pickle for comparison: functions, classes and modules by name, some objects by their
+    parts."""
 
     found: _Parts
     files: bool  # whether paths stand for files
@@ -238,17 +332,24 @@ class _Pickler(pickle.Pickler):
         if kind in _STANDS:
             return kind.__name__, [getattr(value, name) for name in _STANDS[kind]]
         module = kind.__module__ if isinstance(kind.__module__, str) else "builtins"
-        if module.startswith("numba.") and hasattr(value, "jit_methods"):  # of a numba.experimental.jitclass
+        if module.startswith("numba.") and hasattr(
+            value, "jit_methods"
+        ):  # of a numba.experimental.jitclass
             return str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
         if module.startswith("numba.") and isinstance(
-                inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType):
+            inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType
+        ):
             return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
         if isinstance(value, _REFUSED):
-            raise pickle.PicklingError("runs share its state, or it has an address alone; random numbers come from a "
-                                       "seed that is a parameter")
+            raise pickle.PicklingError(
+                "runs share its state, or it has an address alone; random numbers come from a "
+                "seed that is a parameter"
+            )
         if self.files and isinstance(value, Path):
             return "file", _content(value)
-        caches = any(type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values())
+        caches = any(
+            type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
+        )
         if not found.is_own(module) and not (caches and kind.__reduce__ is object.__reduce__):
             return None
         if id(value) in self.held:
@@ -258,15 +359,28 @@ class _Pickler(pickle.Pickler):
 
 
 def _held(value: typing.Any, found: _Parts) -> tuple[object, ...]:
-    """Return all that an instance holds, whatever its pickle leaves out; cached properties follow from the rest."""
+    """Return all that an instance holds, whatever its pickle leaves out; cached properties follow
+    from the rest."""
     kind = type(value)
     names = {name: part for owner in reversed(kind.__mro__) for name, part in vars(owner).items()}
-    held = {name: getattr(value, name) for name, part in names.items()
-            if type(part) is MemberDescriptorType and hasattr(value, name)}
-    held |= {name: item for name, item in getattr(value, "__dict__", {}).items()
-             if type(names.get(name)) is not cached_property}
-    reduce = next((vars(base)["__reduce__"] for base in kind.__mro__[:-1]
-                   if "__reduce__" in vars(base) and not found.is_own(base.__module__)), None)
+    held = {
+        name: getattr(value, name)
+        for name, part in names.items()
+        if type(part) is MemberDescriptorType and hasattr(value, name)
+    }
+    held |= {
+        name: item
+        for name, item in getattr(value, "__dict__", {}).items()
+        if type(names.get(name)) is not cached_property
+    }
+    reduce = next(
+        (
+            vars(base)["__reduce__"]
+            for base in kind.__mro__[:-1]
+            if "__reduce__" in vars(base) and not found.is_own(base.__module__)
+        ),
+        None,
+    )
     if reduce is not None:  # of a class below that is not the user's, such as arrays
         return kind, held, reduce(value)
     return kind, held, next((base(value) for base in _BASES if isinstance(value, base)), None)
@@ -275,65 +389,88 @@ def _held(value: typing.Any, found: _Parts) -> tuple[object, ...]:
 def _pickled(value: object, found: _Parts, files: bool = False) -> bytes:
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, 5)
-    # without references to what was pickled before, which depend on whether equal strings are one object; lists and
-    # dictionaries that contain themselves are refused
+    # without references to what was pickled before, which depend on whether equal strings are one
+    # object; lists and dictionaries that contain themselves are refused
     pickler.fast, pickler.found, pickler.files, pickler.held = True, found, files, {}
     pickler.dump(value)
     return buffer.getvalue()
 
 
 def _plain_code(code: CodeType) -> tuple[object, ...]:
-    """Return a code object without file, lines and docstrings: no instruction of a function reads its docstring, and a
-    class stores it under a name that does not count."""
+    """Return a code object without file, lines and docstrings: no instruction of a function reads
+    its docstring, and a class stores it under a name that does not count."""
     steps = [(step.opname, step.argval) for step in dis.get_instructions(code)]
-    kept = [step for step, after in zip(steps, [*steps[1:], ("", None)], strict=True)
-            if not any(name == "STORE_NAME" and value in _BOOKS for name, value in (step, after))]
-    return ("code", code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags & 0x2AC,
-            code.co_varnames, code.co_freevars, code.co_exceptiontable, kept)
+    kept = [
+        step
+        for step, after in zip(steps, [*steps[1:], ("", None)], strict=True)
+        if not any(name == "STORE_NAME" and value in _BOOKS for name, value in (step, after))
+    ]
+    return (
+        "code",
+        code.co_argcount,
+        code.co_posonlyargcount,
+        code.co_kwonlyargcount,
+        code.co_flags & 0x2AC,
+        code.co_varnames,
+        code.co_freevars,
+        code.co_exceptiontable,
+        kept,
+    )
 
 
-def _reads(code: CodeType) -> tuple[list[tuple[str, ...]], list[tuple[int, str, tuple[str, ...] | None]]]:
-    """Return globals and variables of closures that are read, with attributes taken from them, and imports as level,
-    module and names in it."""
+def _reads(
+    code: CodeType,
+) -> tuple[list[tuple[str, ...]], list[tuple[int, str, tuple[str, ...] | None]]]:
+    """Return globals and variables of closures that are read, with attributes taken from them, and
+    imports as level, module and names in it."""
     chains, imports, parts = [], [], [code]
     for part in parts:
         parts += [constant for constant in part.co_consts if isinstance(constant, CodeType)]
         steps = [step for step in dis.get_instructions(part) if step.opname != "EXTENDED_ARG"]
         for place, step in enumerate(steps):
-            if step.opname in _GLOBAL or ("DEREF" in step.opname and step.argval in code.co_freevars):
-                after = itertools.takewhile(lambda one: one.opname in _ATTRIBUTE, steps[place + 1:])
+            if step.opname in _GLOBAL or (
+                "DEREF" in step.opname and step.argval in code.co_freevars
+            ):
+                after = itertools.takewhile(
+                    lambda one: one.opname in _ATTRIBUTE, steps[place + 1 :]
+                )
                 chains.append((step.argval, *(one.argval for one in after)))
             elif step.opname in _ATTRIBUTE and step.argval in _HIDDEN:
                 chains.append((step.argval,))
             elif step.opname == "IMPORT_NAME":
-                level, names = (before.argval for before in steps[place - 2:place])
+                level, names = (before.argval for before in steps[place - 2 : place])
                 imports.append((level, step.argval, names))
     return list(dict.fromkeys(chains)), imports
 
 
 @cache
 def _installed(module: str) -> str | None:
-    """Return the version of an installed module, the hash of a compiled one, "" of Python's, None of the user's."""
+    """Return the version of an installed module, the hash of a compiled one, "" of Python's, None
+    of the user's."""
     if (top := module.split(".")[0]) == "adaptmg":
         return _sources()
     try:
         spec = None if module in _MAIN else importlib.util.find_spec(module)
-    except Exception:  # made by hand, or sent to a worker that lacks it; or its package cannot be imported
+    except (
+        Exception
+    ):  # made by hand, or sent to a worker that lacks it; or its package cannot be imported
         spec = None
     if spec is None:
         return None
     place = Path(spec.origin or next(iter(spec.submodule_search_locations or ()), ""))
     if {"site-packages", "dist-packages"} & set(place.parts):
         return _version(top)
-    if spec.origin in ("built-in", "frozen") or any(Path(sysconfig.get_path(name)) in place.parents
-                                                    for name in ("stdlib", "platstdlib")):
+    if spec.origin in ("built-in", "frozen") or any(
+        Path(sysconfig.get_path(name)) in place.parents for name in ("stdlib", "platstdlib")
+    ):
         return ""
     return _content(place) if place.suffix in (".so", ".pyd") else None
 
 
 @cache
 def _version(package: str) -> str | None:
-    """Return the version of an installed package; None of a file that belongs to none, which counts as the user's."""
+    """Return the version of an installed package; None of a file that belongs to none, which counts
+    as the user's."""
     with contextlib.suppress(importlib.metadata.PackageNotFoundError):
         return importlib.metadata.version(package)
     owners = importlib.metadata.packages_distributions().get(package, ())
@@ -349,12 +486,17 @@ def _content(path: Path) -> str:
 
 @cache
 def _sources() -> str:
-    """Return one hash of adaptmg's numerical sources; RuntimeError for those that were edited after their import."""
+    """Return one hash of adaptmg's numerical sources; RuntimeError for those that were edited after
+    their import."""
     here, content = Path(__file__), hashlib.sha256()
     root = here.parents[1]
     for file in sorted(root.rglob("*.py")):
         if file != here and file.relative_to(root).parts[0] not in _NOT_NUMERICAL:
             if file.stat().st_mtime > sys.modules["adaptmg"]._LOADED:
-                raise RuntimeError(f"{file} was edited after adaptmg was loaded: start Python again")
-            content.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+                raise RuntimeError(
+                    f"{file} was edited after adaptmg was loaded: start Python again"
+                )
+            content.update(
+                file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0"
+            )
     return content.hexdigest()[:16]

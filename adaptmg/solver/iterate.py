@@ -1,8 +1,10 @@
-r"""iterate: the one loop over cycles, sweeps or Newton steps of every method; StopTest and ChangeTest: when it ends.
+r"""iterate: the one loop over cycles, sweeps or Newton steps of every method; StopTest and
+ChangeTest: when it ends.
 
 With :math:`\delta_k` the A-norm of what step k changed, or an estimate of it, the rate is
 :math:`\rho_k = \delta_k/\delta_{k-1}`, and :math:`\rho` the larger of the last ratio and the geometric mean of the last
-three. Where the change itself is known, :math:`\delta_k = \|w_k - w_{k-1}\|_A`, the error that remains is estimated as
+three. Where the change itself is known, :math:`\delta_k = \|w_k - w_{k-1}\|_A`, the error that
+remains is estimated as
 :math:`\delta_k\,\rho/(1-\rho)`. The natural residual must be small too: an iteration that creeps has a small change far
 from the solution.
 """
@@ -31,7 +33,9 @@ class State:
     residual: float | None = None  # Euclidean norm of the natural residual, N; None: not computed
     forces: float = 0.0  # norm of the acting forces, N
     size: float = 0.0  # A-norm of the displacement
-    floor: float = 0.0  # norm of D u, N: times the unit of rounding the least residual; 0: not asked
+    floor: float = (
+        0.0  # norm of D u, N: times the unit of rounding the least residual; 0: not asked
+    )
     idle: bool = False  # whether the acting forces are mere rounding: nothing strains
     change: float | None = None  # A-norm of what the step changed; None: unknown
     relative_change: float | None = None  # Euclidean, relative to the iterate
@@ -43,8 +47,8 @@ class Iteration(Protocol):
     """What a method offers to the loop; it holds its unknowns."""
 
     def step(self) -> State | Status:
-        """Do the next step (the first one: what comes before the first measurement); a status where the method gives
-        up."""
+        """Do the next step (the first one: what comes before the first measurement); a status where
+        the method gives up."""
 
 
 def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status:
@@ -58,9 +62,9 @@ def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status
 
 
 class StopTest:
-    """Judges an iteration by its estimated error and residual. ``shortfall`` says by how many times the certificate
-    finds the last iterate short of a tolerance, ``stalled`` what an iteration is called that no longer improves (None:
-    it goes on)."""
+    """Judges an iteration by its estimated error and residual. ``shortfall`` says by how many times
+    the certificate finds the last iterate short of a tolerance, ``stalled`` what an iteration is
+    called that no longer improves (None: it goes on)."""
 
     #: the natural residual must fall below this multiple of rtol
     RESIDUAL_FACTOR = 10.0
@@ -72,8 +76,13 @@ class StopTest:
     #: iterates without a new smallest change, or residual, after which an iteration counts as stalled
     PATIENCE = 60
 
-    def __init__(self, rtol: float, limit: float, shortfall: Callable[[float], float] | None = None,
-                 stalled: Status | None = Status.STALLED) -> None:
+    def __init__(
+        self,
+        rtol: float,
+        limit: float,
+        shortfall: Callable[[float], float] | None = None,
+        stalled: Status | None = Status.STALLED,
+    ) -> None:
         self.rtol, self.limit, self._ask, self._stalled = rtol, limit, shortfall, stalled
         self._caution, self._asked, self._rounding, self.cycles = 1.0, -1, False, 0
         self.changes: list[float] = []
@@ -88,13 +97,17 @@ class StopTest:
         return self.verdict()
 
     def judge(self, state: State) -> None:
-        """Estimate the error from the norms of a state. A residual at the rounding of the floor is the least; ``idle``:
-        so are the forces."""
+        """Estimate the error from the norms of a state. A residual at the rounding of the floor is
+        the least; ``idle``: so are the forces."""
         self.cycles, self.size = state.cycles, state.size
         if state.change is not None:
             self.changes.append(state.change)
-        residual = 0.0 if state.idle and state.residual <= ROUNDING * state.floor else state.residual
-        self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)  # interference: no forces yet
+        residual = (
+            0.0 if state.idle and state.residual <= ROUNDING * state.floor else state.residual
+        )
+        self.residual = (
+            0.0 if residual == 0 else residual / (state.forces or residual)
+        )  # interference: no forces yet
         self._last = residual
         self._rounding = self.at_rounding(state.floor)
         kept = residual <= self.KEPT * state.floor and self.residual <= self.BALANCED
@@ -116,8 +129,9 @@ class StopTest:
         return Status.LIMIT if self.cycles >= self.limit else None
 
     def at_rounding(self, floor: float) -> bool:
-        """Return whether the last residual is as small as arithmetic allows, ``floor`` being the norm of D u, N. A
-        large residual at the level of rounding is that of unknowns that have run away."""
+        """Return whether the last residual is as small as arithmetic allows, ``floor`` being the
+        norm of D u, N. A large residual at the level of rounding is that of unknowns that have run
+        away."""
         return self._last <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
 
     @property
@@ -140,19 +154,25 @@ class StopTest:
         return ratio > 0.0
 
     def shortfall(self) -> float | None:
-        """Return by how many times the certificate finds the last iterate short of rtol; None if it is not asked."""
+        """Return by how many times the certificate finds the last iterate short of rtol; None if it
+        is not asked."""
         return None if self._ask is None else self._ask(self.rtol)
 
     def certified(self) -> bool:
-        """Return whether the certificate, if it was not asked, finds the last iterate good enough, whatever the
-        estimate says: near rounding no rate shows that any more, and after a refusal it is cautious."""
+        """Return whether the certificate, if it was not asked, finds the last iterate good enough,
+        whatever the estimate says: near rounding no rate shows that any more, and after a refusal
+        it is cautious."""
         if self.cycles == self._asked or not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
         return True
 
     def measures(self) -> dict[str, float]:
-        return {"residual": self.residual, "change": self.change, "error_estimate": self.error_estimate}
+        return {
+            "residual": self.residual,
+            "change": self.change,
+            "error_estimate": self.error_estimate,
+        }
 
     @property
     def change(self) -> float:
@@ -162,7 +182,8 @@ class StopTest:
 
     @property
     def rate(self) -> float:
-        """Return the geometric mean of the last (at most five) ratios of changes; NaN before the second change."""
+        """Return the geometric mean of the last (at most five) ratios of changes; NaN before the
+        second change."""
         return self._mean_ratio(5)
 
     @property
@@ -206,16 +227,19 @@ class StopTest:
         return len(self.changes) > 3 and not self.changes[-1] <= 1e6 * max(self.changes[:3])
 
 
-def true_error(error: np.ndarray, matrix: sparse.sparray | np.ndarray, problem: DiscreteProblem, run: Run) -> float:
-    """Return the A-norm of an error (n_dofs,) over that of the reference of a run; its time is not counted."""
+def true_error(
+    error: np.ndarray, matrix: sparse.sparray | np.ndarray, problem: DiscreteProblem, run: Run
+) -> float:
+    """Return the A-norm of an error (n_dofs,) over that of the reference of a run; its time is not
+    counted."""
     with run.untimed():
         size = displacement_norm(problem, run.reference)
         return energy_norm(error, matrix @ error) / size if size > 0 else np.nan
 
 
 class ChangeTest(StopTest):
-    """The paper's test: the Euclidean change in a cycle or sweep alone, relative to the iterate. The residual at the
-    end confirms convergence or not (:meth:`confirmed`)."""
+    """The paper's test: the Euclidean change in a cycle or sweep alone, relative to the iterate.
+    The residual at the end confirms convergence or not (:meth:`confirmed`)."""
 
     relative_change = np.inf
 
@@ -236,14 +260,24 @@ class ChangeTest(StopTest):
 
     def _record(self, state: State, run: Run) -> None:
         self.judge(state)
-        run.record(cycle=self.cycles, relative_change=self.relative_change, **self.measures() | state.columns)
+        run.record(
+            cycle=self.cycles,
+            relative_change=self.relative_change,
+            **self.measures() | state.columns,
+        )
 
 
 class Measure:
-    """Makes states of the iterates of a problem whose residual is known; ``reference`` (n_dofs,) is the solution."""
+    """Makes states of the iterates of a problem whose residual is known; ``reference`` (n_dofs,) is
+    the solution."""
 
-    def __init__(self, local: LocalProblem, run: Run | None = None, reference: np.ndarray | None = None,
-                 sizes: Sizes | None = None) -> None:
+    def __init__(
+        self,
+        local: LocalProblem,
+        run: Run | None = None,
+        reference: np.ndarray | None = None,
+        sizes: Sizes | None = None,
+    ) -> None:
         self.sizes = Sizes(local.discrete, local.frames) if sizes is None else sizes
         if reference is None and run is not None and run.reference is not None:
             reference = local.to_local(run.reference)
@@ -252,32 +286,49 @@ class Measure:
         self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
         self._last: tuple[np.ndarray, np.ndarray] | None = None
 
-    def __call__(self, cycles: int, unknowns: np.ndarray, r: np.ndarray, settled: bool = True,
-                 **columns: float) -> State:
+    def __call__(
+        self,
+        cycles: int,
+        unknowns: np.ndarray,
+        r: np.ndarray,
+        settled: bool = True,
+        **columns: float,
+    ) -> State:
         """The state of an iterate and its residual r = b - A w (n_dofs,)."""
         system, sizes = self.local.system, self.sizes
         natural = euclidean_norm(natural_residual(self.local, unknowns, r))
         reactions = r.reshape(-1, system.dim)[system.nodes]
         forces = sizes.forces(unknowns, euclidean_norm(reactions.reshape(-1)))
         size = sizes.norm(unknowns, float(np.einsum("i,i->", unknowns, self.local.load - r)))
-        change = None if self._last is None else energy_norm(unknowns - self._last[0], self._last[1] - r)
+        change = (
+            None if self._last is None else energy_norm(unknowns - self._last[0], self._last[1] - r)
+        )
         self._last = unknowns.copy(), r.copy()
         floor = euclidean_norm(self._diagonal * unknowns)
-        idle = natural <= ROUNDING * floor and sizes.nothing_strains(forces, ROUNDING * floor, unknowns)
+        idle = natural <= ROUNDING * floor and sizes.nothing_strains(
+            forces, ROUNDING * floor, unknowns
+        )
         if self.reference is not None:
-            columns["true_error"] = true_error(unknowns - self.reference, system.matrix, self.local.discrete, self.run)
-        return State(cycles, natural, forces, size, floor, idle, change, settled=settled, columns=columns)
+            columns["true_error"] = true_error(
+                unknowns - self.reference, system.matrix, self.local.discrete, self.run
+            )
+        return State(
+            cycles, natural, forces, size, floor, idle, change, settled=settled, columns=columns
+        )
 
 
 @dataclass(eq=False)
 class Smoothing:
-    """Sweeps or cycles from ``unknowns``, in place, measured by the residual after each smoothing."""
+    """Sweeps or cycles from ``unknowns``, in place, measured by the residual after each
+    smoothing."""
 
     measure: Measure
     unknowns: np.ndarray
     smooth: Callable[[int], int]  # after a number of cycles; returns the sweeps that count
     residual: Callable[[], np.ndarray]  # b - A w (n_dofs,)
-    correct: Callable[[np.ndarray], object] | None = None  # a cycle for an iterate with this residual
+    correct: Callable[[np.ndarray], object] | None = (
+        None  # a cycle for an iterate with this residual
+    )
     cycles: int = 0
     _last: np.ndarray | None = None
 
@@ -293,22 +344,33 @@ class Smoothing:
             self.correct(r)
             self.cycles += 1
 
-    def solve(self, stop: str, rtol: float, limit: int, run: Run, shortfall: Callable[[float], float],
-              stalled: Status = Status.STALLED) -> tuple[Status, StopTest]:
-        """Iterate until the error (``stop="error"``) is small, or the change; the residual then confirms it or not."""
+    def solve(
+        self,
+        stop: str,
+        rtol: float,
+        limit: int,
+        run: Run,
+        shortfall: Callable[[float], float],
+        stalled: Status = Status.STALLED,
+    ) -> tuple[Status, StopTest]:
+        """Iterate until the error (``stop="error"``) is small, or the change; the residual then
+        confirms it or not."""
         if stop == "error":
             test = StopTest(rtol, limit, shortfall, stalled)
             return iterate(self, test, run), test
         test = ChangeTest(rtol, limit)
         status = iterate(WholeSteps(self), test, run)
         if status is not Status.DIVERGED:
-            status = test.confirmed(status, self.measure(self.cycles, self.unknowns, self.residual()), run)
+            status = test.confirmed(
+                status, self.measure(self.cycles, self.unknowns, self.residual()), run
+            )
         return status, test
 
 
 @dataclass(eq=False)
 class WholeSteps:
-    """The same measured by what each sweep or cycle changes, the paper's test at the end of step g."""
+    """The same measured by what each sweep or cycle changes, the paper's test at the end of step
+    g."""
 
     smoothing: Smoothing
 
@@ -322,4 +384,6 @@ class WholeSteps:
             one.cycle(r)
         size = euclidean_norm(one.unknowns)
         change = euclidean_norm(one.unknowns - before) / size if size > 0 else 0.0
-        return replace(state, cycles=one.cycles, relative_change=change if np.isfinite(size) else np.inf)
+        return replace(
+            state, cycles=one.cycles, relative_change=change if np.isfinite(size) else np.inf
+        )

@@ -1,11 +1,12 @@
 r"""solve_path: quasi-static load histories, step by step.
 
-Friction acts on increments: at step k the slip is :math:`u_t^k - u_t^{k-1}`, against the displacement of the step
-before (implicit Euler; no time occurs). Every step is a contact problem with other loads, prescribed values and slip
-references; matrices and transfers stay. The truncated multigrid keeps its set-up (:mod:`adaptmg.solver.load_steps`);
-all other methods start from the better of the displacement of the step before and the one extrapolated in the loads,
-which under proportional loading is the solution. A FullMultigrid with another correction goes on as a Multigrid.
-"""
+Friction acts on increments: at step k the slip is :math:`u_t^k - u_t^{k-1}`, against the
+displacement of the step before (implicit Euler; no time occurs). Every step is a contact problem
+with other loads, prescribed values and slip references; matrices and transfers stay. The truncated
+multigrid keeps its set-up (:mod:`adaptmg.solver.load_steps`); all other methods start from the
+better of the displacement of the step before and the one extrapolated in the loads, which under
+proportional loading is the solution. A FullMultigrid with another correction goes on as a
+Multigrid."""
 
 from __future__ import annotations
 
@@ -31,7 +32,14 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_steps import Controls, Past, Start, TruncatedSteps, better_start, coarse_displacements
+from adaptmg.solver.load_steps import (
+    Controls,
+    Past,
+    Start,
+    TruncatedSteps,
+    better_start,
+    coarse_displacements,
+)
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
 from adaptmg.solver.outcome import (
     checked_outcome,
@@ -58,7 +66,8 @@ class PathResult(Sequence[Result]):
     results : tuple of Result
         The finished steps; where a step did not converge it is the last one.
     factors : dict of str to (n_steps,) array
-        Factors of all steps of the path, by the name of the load; "default" where loads have no names.
+        Factors of all steps of the path, by the name of the load; "default" where loads have no
+        names.
     fingerprint : dict
         What the path was solved for, see :mod:`adaptmg.solver.store`; empty without a store.
     n_steps : int
@@ -80,7 +89,9 @@ class PathResult(Sequence[Result]):
     @property
     def complete(self) -> bool:
         """Return whether all steps of the path were solved to their tolerance."""
-        return len(self.results) == self.n_steps and all(result.status.ok for result in self.results)
+        return len(self.results) == self.n_steps and all(
+            result.status.ok for result in self.results
+        )
 
     def __len__(self) -> int:
         return len(self.results)
@@ -101,25 +112,33 @@ class PathResult(Sequence[Result]):
         return in_html_lines(str(self).partition("\n")[0]) + html_table(self.table())
 
     def __str__(self) -> str:
-        about = f" of {self.results[0].solver_name} for {self.results[0].problem_name}" if self.results else ""
-        lines = [f"PathResult{about}: {len(self)} of {self.n_steps} steps",
-                 f"{'step':>4} {'status':>9} {'cycles':>6} {'seconds':>8} {'open':>6} {'slip':>6} {'stick':>6}  "
-                 "factors"]
+        about = (
+            f" of {self.results[0].solver_name} for {self.results[0].problem_name}"
+            if self.results
+            else ""
+        )
+        lines = [
+            f"PathResult{about}: {len(self)} of {self.n_steps} steps",
+            f"{'step':>4} {'status':>9} {'cycles':>6} {'seconds':>8} {'open':>6} {'slip':>6} {'stick':>6}  "
+            "factors",
+        ]
         for k, result in enumerate(self.results):
             n = result.contact.counts()
             factors = ", ".join(f"{name} {values[k]:g}" for name, values in self.factors.items())
-            lines.append(f"{k:>4} {result.status.name:>9} {result.cycles:>6} {result.seconds:>8.3g} {n['open']:>6} "
-                         f"{n['slip']:>6} {n['stick']:>6}  {factors}")
+            lines.append(
+                f"{k:>4} {result.status.name:>9} {result.cycles:>6} {result.seconds:>8.3g} {n['open']:>6} "
+                f"{n['slip']:>6} {n['stick']:>6}  {factors}"
+            )
         return "\n".join(lines)
 
     def table(self) -> pandas.DataFrame:
         """Return one row a step, with units in the heads.
 
-        step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural, relative); open, slip
-        and stick (contact nodes); "force_x [N]", ... (plane problems: [N/m]): resultant of the contact forces;
-        "pressure [Pa]": the largest contact pressure; "slip_size [m]": the largest slip of the step at a node in
-        contact; "slip_path [m]": the largest of :meth:`slip_path`.
-        """
+        step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural,
+        relative); open, slip and stick (contact nodes); "force_x [N]", ... (plane problems: [N/m]):
+        resultant of the contact forces; "pressure [Pa]": the largest contact pressure; "slip_size
+        [m]": the largest slip of the step at a node in contact; "slip_path [m]": the largest of
+        :meth:`slip_path`."""
         import pandas
 
         rows, paths = [], self.slip_path()
@@ -127,20 +146,38 @@ class PathResult(Sequence[Result]):
             force = result.resultant("contact").force
             c = result.contact
             slips = np.linalg.norm(c.slip, axis=1)[c.closed]
-            rows.append({"step": k} | {f"factor {name}": values[k] for name, values in self.factors.items()}
-                        | {"status": result.status.name, "cycles": result.cycles, "work_units": result.work_units,
-                           "seconds": result.seconds, "residual": result.residual} | c.counts()
-                        | {f"force_{'xyz'[d]} [{c.units[0]}]": float(value) for d, value in enumerate(force)}
-                        | {"pressure [Pa]": result.max_pressure, "slip_size [m]": float(slips.max(initial=0.0)),
-                           "slip_path [m]": float(paths[k].max(initial=0.0))})
+            rows.append(
+                {"step": k}
+                | {f"factor {name}": values[k] for name, values in self.factors.items()}
+                | {
+                    "status": result.status.name,
+                    "cycles": result.cycles,
+                    "work_units": result.work_units,
+                    "seconds": result.seconds,
+                    "residual": result.residual,
+                }
+                | c.counts()
+                | {
+                    f"force_{'xyz'[d]} [{c.units[0]}]": float(value)
+                    for d, value in enumerate(force)
+                }
+                | {
+                    "pressure [Pa]": result.max_pressure,
+                    "slip_size [m]": float(slips.max(initial=0.0)),
+                    "slip_path [m]": float(paths[k].max(initial=0.0)),
+                }
+            )
         return pandas.DataFrame(rows)
 
     def slip_path(self) -> np.ndarray:
-        """Return how far each contact node has slipped so far (n_steps, n_contact), m; back and forth add up.
+        """Return how far each contact node has slipped so far (n_steps, n_contact), m; back and
+        forth add up.
 
         The sum of ``|slip|`` over the steps after which it is in contact.
         """
-        ways = [np.linalg.norm(one.contact.slip, axis=1) * one.contact.closed for one in self.results]
+        ways = [
+            np.linalg.norm(one.contact.slip, axis=1) * one.contact.closed for one in self.results
+        ]
         return np.cumsum(ways, axis=0) if ways else np.zeros((0, 0))
 
     def save(self, folder: str | os.PathLike[str]) -> None:
@@ -149,34 +186,54 @@ class PathResult(Sequence[Result]):
         make_folder("folder", target)
         # the norms distinguish paths of the same factors
         norms = [float(np.linalg.norm(result.displacement)) for result in self.results]
-        store = StepStore(target, _HEAD, _head(self.factors, self.n_steps, self.fingerprint, norms), KINDS)
+        store = StepStore(
+            target, _HEAD, _head(self.factors, self.n_steps, self.fingerprint, norms), KINDS
+        )
         if not store.empty:
-            raise ValueError(f"{target} holds a load path already: give another folder, or remove it")
+            raise ValueError(
+                f"{target} holds a load path already: give another folder, or remove it"
+            )
         for k, result in enumerate(self.results):
             store.put(k, _stored(k, result))
         store.write_head()
 
     @classmethod
     def load(cls, folder: str | os.PathLike[str]) -> PathResult:
-        """Read what :meth:`save` wrote, or the steps that :func:`adaptmg.solve_path` has stored so far.
+        """Read what :meth:`save` wrote, or the steps that :func:`adaptmg.solve_path` has stored so
+        far.
 
-        ValueError if the folder holds no load path, or a file in it is damaged, missing, or of another path or step.
-        """
+        ValueError if the folder holds no load path, or a file in it is damaged, missing, or of
+        another path or step."""
         store = StepStore.read(checks.file_path("folder", folder), _HEAD, KINDS)
         with damage(store.file):
             steps = checks.integer("steps", store.head["steps"])
-            factors = {name: checks.vector(f"factors[{name!r}]", values, steps)
-                       for name, values in checks.instance("factors", store.head["factors"], dict).items()}
-        return cls(tuple(result for result, _ in _results(store, steps)), factors, store.head["fingerprint"], steps)
+            factors = {
+                name: checks.vector(f"factors[{name!r}]", values, steps)
+                for name, values in checks.instance("factors", store.head["factors"], dict).items()
+            }
+        return cls(
+            tuple(result for result, _ in _results(store, steps)),
+            factors,
+            store.head["fingerprint"],
+            steps,
+        )
 
 
 _HEAD = "path.json"
 
 
-def _head(factors: Mapping[str, np.ndarray], steps: int, fingerprint: Mapping[str, object],
-          norms: Sequence[float] = ()) -> dict[str, object]:
-    return {"steps": steps, "factors": {name: list(map(float, values)) for name, values in factors.items()},
-            "norms": list(norms), "fingerprint": dict(fingerprint)}
+def _head(
+    factors: Mapping[str, np.ndarray],
+    steps: int,
+    fingerprint: Mapping[str, object],
+    norms: Sequence[float] = (),
+) -> dict[str, object]:
+    return {
+        "steps": steps,
+        "factors": {name: list(map(float, values)) for name, values in factors.items()},
+        "norms": list(norms),
+        "fingerprint": dict(fingerprint),
+    }
 
 
 def _stored(k: int, result: Result) -> Result:
@@ -187,8 +244,10 @@ def _results(store: StepStore, steps: int) -> list[tuple[Result, list[np.ndarray
     """The results, and the displacements of coarse levels that were stored with them."""
     stored = store.steps()
     if len(stored) > steps:
-        raise ValueError(f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
-                         "remove it")
+        raise ValueError(
+            f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
+            "remove it"
+        )
     return [(replace(step.value, mesh=stored[0].value.mesh_or_none), step.more) for step in stored]
 
 
@@ -198,8 +257,10 @@ class StepNotConverged(NotConverged):
     def __init__(self, result: Result, step: int, described: str, partial: PathResult) -> None:
         super().__init__(result)
         self.step, self.described, self.partial = step, described, partial
-        self.args = (f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
-                     "the contact status changes much; the steps before it are in .partial.",)
+        self.args = (
+            f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
+            "the contact status changes much; the steps before it are in .partial.",
+        )
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.result, self.step, self.described, self.partial)
@@ -207,36 +268,44 @@ class StepNotConverged(NotConverged):
 
 @once()
 @one_blas_thread()
-def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solver | None = None, *,
-               store: str | os.PathLike[str] | None = None, depends: Mapping[str, object] | None = None,
-               throw: bool = True,
-               callback: Callable[[int, Result], None] | None = None,
-               progress: Callable[[int, dict[str, float]], None] | bool | None = None) -> PathResult:
+def solve_path(
+    grids: Hierarchy | DiscreteProblem,
+    path: LoadPath,
+    solver: Solver | None = None,
+    *,
+    store: str | os.PathLike[str] | None = None,
+    depends: Mapping[str, object] | None = None,
+    throw: bool = True,
+    callback: Callable[[int, Result], None] | None = None,
+    progress: Callable[[int, dict[str, float]], None] | bool | None = None,
+) -> PathResult:
     """Solve a contact problem along a load path on the finest level of a hierarchy.
 
     Parameters
     ----------
     grids : Hierarchy or DiscreteProblem
-        A bare DiscreteProblem is a hierarchy of one level; its loads have no names, so that ``path`` has ``default``
-        alone.
+        A bare DiscreteProblem is a hierarchy of one level; its loads have no names, so that
+        ``path`` has ``default`` alone.
     path : LoadPath
     solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
-        The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a step;
-        "discretisation" sets it once, in the first step. Multigrid with :class:`adaptmg.Truncated` is set up once.
+        The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a
+        step; "discretisation" sets it once, in the first step. Multigrid with
+        :class:`adaptmg.Truncated` is set up once.
     store : path, optional
-        A folder where every finished step is kept immediately. A path that was interrupted goes on there; a folder with
-        steps of another problem, hierarchy, path or solver is refused. A user-defined solver is compared by its code
-        and the values that it reads.
+        A folder where every finished step is kept immediately. A path that was interrupted goes on
+        there; a folder with steps of another problem, hierarchy, path or solver is refused. A
+        user-defined solver is compared by its code and the values that it reads.
     depends : mapping of str to value, optional
-        For the store: values that stand for what cannot be compared (an open file, a generator of random numbers), by
-        the name of the variable that is read, or "solver".
+        For the store: values that stand for what cannot be compared (an open file, a generator of
+        random numbers), by the name of the variable that is read, or "solver".
     throw : bool
-        Raise :class:`StepNotConverged` if a step does not reach the tolerance. False ends the path with that step,
-        whose status says it; ``complete`` is then False.
+        Raise :class:`StepNotConverged` if a step does not reach the tolerance. False ends the path
+        with that step, whose status says it; ``complete`` is then False.
     callback : callable, optional
         Called with the number and the Result of each step when it is finished, and kept.
     progress : callable or bool, optional
-        Called with the number of the step and each row of its history. True: write a line a step to standard error.
+        Called with the number of the step and each row of its history. True: write a line a step to
+        standard error.
 
     Raises
     ------
@@ -261,12 +330,22 @@ def solve_path(grids: Hierarchy | DiscreteProblem, path: LoadPath, solver: Solve
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "the number and Result of a step")
     if not isinstance(progress, bool):
-        checks.optional_callable("progress", progress, "the number of a step and a row of its history (or a bool)")
+        checks.optional_callable(
+            "progress", progress, "the number of a step and a row of its history (or a bool)"
+        )
     loop = PathLoop(grids, path, solver)
-    mark = {} if store is None else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, depends)
+    mark = (
+        {}
+        if store is None
+        else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, depends)
+    )
     if store is not None and (obstacles := loop.controls.posed()):
         mark["obstacles and preloads"] = obstacles
-    steps = None if store is None else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
+    steps = (
+        None
+        if store is None
+        else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
+    )
     results: list[Result] = []
     for result, coarse in () if steps is None else _results(steps, len(path)):
         loop.take_over(len(results), result, coarse)
@@ -299,9 +378,13 @@ class _Restarted:
     def __init__(self, solver: Solver) -> None:
         self.first = self.later = solver
         if isinstance(solver, FullMultigrid):
-            self.later = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
+            self.later = Multigrid(
+                **{item.name: getattr(solver, item.name) for item in fields(Multigrid)}
+            )
 
-    def run(self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past) -> tuple[Outcome, None]:
+    def run(
+        self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
+    ) -> tuple[Outcome, None]:
         if not past.given:
             return self.first.run(hierarchy, run, None), None
         start = better_start(examiner, past, run)
@@ -327,12 +410,22 @@ class PathLoop:
         self.examiner = Examiner(grids.finest.discrete)
         truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
         self.method = TruncatedSteps(solver) if truncated else _Restarted(solver)
-        self.controls = Controls(grids.problem if _problem_with_names(grids) else None, grids.finest)
+        self.controls = Controls(
+            grids.problem if _problem_with_names(grids) else None, grids.finest
+        )
         #: displacements of the last step on the levels; the method has those of coarse ones, or they are interpolated
-        self.levels = [np.zeros(level.discrete.n_dofs) for level in grids.levels[0 if grids.discretised else -1:]]
+        self.levels = [
+            np.zeros(level.discrete.n_dofs)
+            for level in grids.levels[0 if grids.discretised else -1 :]
+        ]
         self.coarse: list[np.ndarray] | None = None
         #: the ends of the last two steps, and the forces that led there
-        self.recent = [((self.levels[-1], _no_pressures(grids.finest.discrete)), np.zeros_like(self.levels[-1]))]
+        self.recent = [
+            (
+                (self.levels[-1], _no_pressures(grids.finest.discrete)),
+                np.zeros_like(self.levels[-1]),
+            )
+        ]
 
     def described(self, k: int) -> str:
         """Return the factors of a step as text."""
@@ -346,70 +439,105 @@ class PathLoop:
         parts, motions = self.controls.unknowns(factors), self.controls.motions
         if parts:
             result, (grids, forces, coarse), motions = self.controls.find(
-                parts, lambda motions, near: self._solve(k, motions, near, progress))
+                parts, lambda motions, near: self._solve(k, motions, near, progress)
+            )
             self._check_held(grids, k, motions)
         else:
             result, (grids, forces, coarse) = self._solve(k, motions, None, progress)
-        result = replace(result, mesh=result.mesh_or_none,
-                         motions={name: motion.tolist() for name, motion in motions.items()})
+        result = replace(
+            result,
+            mesh=result.mesh_or_none,
+            motions={name: motion.tolist() for name, motion in motions.items()},
+        )
         self.controls.take(factors, motions)
         self._remember(grids, result, forces, coarse)
         _LOG.info(self.report(k, result))
         return result
 
-    def _solve(self, k: int, motions: Mapping[str, np.ndarray], near: Result | None,
-               progress: Callable[[int, dict[str, float]], None] | None
-               ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
-        """The result of step k with the motions of obstacles, from one ``near`` to it; and what the next step needs."""
+    def _solve(
+        self,
+        k: int,
+        motions: Mapping[str, np.ndarray],
+        near: Result | None,
+        progress: Callable[[int, dict[str, float]], None] | None,
+    ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
+        """The result of step k with the motions of obstacles, from one ``near`` to it; and what the
+        next step needs."""
         finest = self.grids.finest.discrete
-        run = Run(unit=finest.matrix.nnz, callback=None if progress is None else partial(progress, k),
-                  pressures=self.recent[-1][0][1])
+        run = Run(
+            unit=finest.matrix.nnz,
+            callback=None if progress is None else partial(progress, k),
+            pressures=self.recent[-1][0][1],
+        )
         with run.phase("setup"):
             grids = self._posed(k, motions)
-            if not self.controls.rigid:  # these move until their forces fit, and may go too far on the way
+            if (
+                not self.controls.rigid
+            ):  # these move until their forces fit, and may go too far on the way
                 self._check_held(grids, k, motions)
             forces = grids.finest.discrete.load_from_prescribed()
             run.examiner = self.examiner = Examiner(grids.finest.discrete)
-            past = Past(self.levels, self.recent[-1][0], self._start(forces, near), len(self.recent) > 1)
+            past = Past(
+                self.levels, self.recent[-1][0], self._start(forces, near), len(self.recent) > 1
+            )
         with run.phase("statics"):
             try:
                 check_statics_of(grids)
             except ValueError as error:
-                raise ValueError(f"step {k} of {len(self.path)} ({self.described(k)}): {error}") from error
+                raise ValueError(
+                    f"step {k} of {len(self.path)} ({self.described(k)}): {error}"
+                ) from error
         if self._at_rest(forces):
             return self._undeformed(k, grids, run, motions), (grids, forces, None)
         outcome, coarse = self.method.run(grids, self.examiner, run, past)
-        outcome = handed_over(checked_outcome(outcome, self.solver, grids.finest.discrete), grids, run)
+        outcome = handed_over(
+            checked_outcome(outcome, self.solver, grids.finest.discrete), grids, run
+        )
         with run.phase("result"):
-            result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions))
+            result = result_of(
+                grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
+            )
         return result, (grids, forces, coarse)
 
     def _check_held(self, grids: Hierarchy, k: int, motions: Mapping[str, np.ndarray]) -> None:
         if self.controls.problem is not None:
             factors = self._loading(k, motions)
-            check_held(self.controls.problem, grids.finest.mesh, grids.finest.discrete, factors,
-                       self.controls.placed(factors, motions))
+            check_held(
+                self.controls.problem,
+                grids.finest.mesh,
+                grids.finest.discrete,
+                factors,
+                self.controls.placed(factors, motions),
+            )
 
     def report(self, k: int, result: Result) -> str:
         """Return how a step ended, as text."""
-        return (f"step {k} of {len(self.path)} ({self.described(k)}): {result.status.name} after {result.cycles} "
-                f"cycles and {result.seconds:.2g} s")
+        return (
+            f"step {k} of {len(self.path)} ({self.described(k)}): {result.status.name} after {result.cycles} "
+            f"cycles and {result.seconds:.2g} s"
+        )
 
     def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
         """Go past a step that was solved before."""
         motions = {name: np.array(motion) for name, motion in result.motions.items()}
         grids = self._posed(k, motions)
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
-            raise ValueError(f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
-                             f"{grids.finest.n_nodes}")
+            raise ValueError(
+                f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
+                f"{grids.finest.n_nodes}"
+            )
         if result.displacement.any():
             self.method.hold(result.rtol)
         self.controls.take(self._factors_at(k), motions)
         self._remember(grids, result, grids.finest.discrete.load_from_prescribed(), coarse)
 
     def _at_rest(self, forces: np.ndarray) -> bool:
-        """Whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b - A u_fixed."""
-        contact, quiet = self.examiner.contact, not (forces.any() or self.examiner.discrete.fixed_values.any())
+        """Whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b - A
+        u_fixed."""
+        contact, quiet = (
+            self.examiner.contact,
+            not (forces.any() or self.examiner.discrete.fixed_values.any()),
+        )
         slid = np.abs(contact.slip_reference).any(axis=1)
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
 
@@ -421,18 +549,29 @@ class PathLoop:
     def _stress_data(self, k: int, motions: Mapping[str, np.ndarray]) -> StressData | None:
         return self.loads[-1].stress_data(self._loading(k, motions))
 
-    def _undeformed(self, k: int, grids: Hierarchy, run: Run, motions: Mapping[str, np.ndarray]) -> Result:
-        """The result of a step in which nothing acts: no method could tell the relative error of its iterates."""
+    def _undeformed(
+        self, k: int, grids: Hierarchy, run: Run, motions: Mapping[str, np.ndarray]
+    ) -> Result:
+        """The result of a step in which nothing acts: no method could tell the relative error of
+        its iterates."""
         rtol = getattr(self.solver, "rtol", None)
-        outcome = Outcome(np.zeros(grids.finest.discrete.n_dofs), Status.CONVERGED, 0,
-                          float(rtol) if isinstance(rtol, float | int) else np.nan, error_estimate=0.0,
-                          pressures=_no_pressures(grids.finest.discrete))
-        result = result_of(grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions))
+        outcome = Outcome(
+            np.zeros(grids.finest.discrete.n_dofs),
+            Status.CONVERGED,
+            0,
+            float(rtol) if isinstance(rtol, float | int) else np.nan,
+            error_estimate=0.0,
+            pressures=_no_pressures(grids.finest.discrete),
+        )
+        result = result_of(
+            grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
+        )
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0, mesh=result.mesh_or_none)
 
     def _posed(self, k: int, motions: Mapping[str, np.ndarray]) -> Hierarchy:
-        """The hierarchy with loads, prescribed values, places of obstacles and slip references of a step."""
+        """The hierarchy with loads, prescribed values, places of obstacles and slip references of a
+        step."""
         factors, levels = self._loading(k, motions), []
         places = self.controls.placed(factors, motions)
         offset = len(self.grids) - len(self.levels)
@@ -443,30 +582,42 @@ class PathLoop:
                     reference = problem.at_contact(self.levels[number - offset])
                 step = loads.step(problem, factors, reference)
                 if places:
-                    step = moved(step, self.controls.problem, level.mesh, places, self.controls.places)
+                    step = moved(
+                        step, self.controls.problem, level.mesh, places, self.controls.places
+                    )
                 level = level.posing(discrete=step)
             levels.append(level)
-        return Hierarchy(tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings))
+        return Hierarchy(
+            tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings)
+        )
 
-    def _remember(self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None) -> None:
+    def _remember(
+        self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None
+    ) -> None:
         discrete, self.coarse = grids.finest.discrete, coarse
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
         self.recent = [*self.recent[-1:], ((displacement, result.pressures), forces)]
-        self.levels = coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
+        self.levels = (
+            coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
+        )
 
     def _start(self, forces: np.ndarray, near: Result | None) -> Start:
-        """A start for a step with these forces: a result near to it, or where all goes on as between the last two
-        steps, least squares in the forces."""
+        """A start for a step with these forces: a result near to it, or where all goes on as
+        between the last two steps, least squares in the forces."""
         if near is not None:
-            return self.grids.finest.discrete.relative(near.displacement).reshape(-1), near.pressures
+            return self.grids.finest.discrete.relative(near.displacement).reshape(
+                -1
+            ), near.pressures
         (earlier, forces_earlier), (last, last_forces) = self.recent[0], self.recent[-1]
         change = last_forces - forces_earlier
         # not through BLAS, whose threads cost more than they gain
         size = float(np.einsum("i,i->", change, change))
         ratio = float(np.einsum("i,i->", forces - last_forces, change)) / size if size else 0.0
-        displacement, pressures = (None if one is None else one + ratio * (one - before)
-                                   for one, before in zip(last, earlier, strict=True))
+        displacement, pressures = (
+            None if one is None else one + ratio * (one - before)
+            for one, before in zip(last, earlier, strict=True)
+        )
         return displacement, pressures
 
 
@@ -475,13 +626,22 @@ def _no_pressures(discrete: DiscreteProblem) -> np.ndarray | None:
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
-    named = all(level.mesh_or_none is not None for level in grids.levels if level.discrete_or_none is not None)
+    named = all(
+        level.mesh_or_none is not None
+        for level in grids.levels
+        if level.discrete_or_none is not None
+    )
     return grids.problem if named else None
 
 
 def _loads(grids: Hierarchy) -> list[LoadSteps | None]:
     """Loads and supports one by one on each level; None where a level is only a space."""
     named = _problem_with_names(grids) is not None
-    return [None if level.discrete_or_none is None
-            else load_steps(grids.problem, level.mesh, level.discrete) if named else whole_load(level.discrete)
-            for level in grids.levels]
+    return [
+        None
+        if level.discrete_or_none is None
+        else load_steps(grids.problem, level.mesh, level.discrete)
+        if named
+        else whole_load(level.discrete)
+        for level in grids.levels
+    ]

@@ -1,14 +1,15 @@
 """Multigrid and FullMultigrid: the multigrid methods from a given start and from a nested one.
 
-The correction chooses between two methods: :class:`~adaptmg.solver.truncated.TruncatedRun` for Truncated(), and
+The correction chooses between two methods: :class:`~adaptmg.solver.truncated.TruncatedRun` for
+Truncated(), and
 :class:`~adaptmg.solver.projected.ProjectedRun` for corrections that transport contact data to coarser levels, whose
 options are None where they are not given.
 
-Where the truncated multigrid does not converge, :func:`handed_over` goes on for the cycles that are left: on problems
-of moderate size with the active set method, which needs the finest level alone and few steps, but factorisations; on
-larger ones with the monotone correction, which is slow but needs no more memory. A Newton step counts as a cycle, and
-its residual as one pass over the finest matrix; factorisations count as seconds.
-"""
+Where the truncated multigrid does not converge, :func:`handed_over` goes on for the cycles that are
+left: on problems of moderate size with the active set method, which needs the finest level alone
+and few steps, but factorisations; on larger ones with the monotone correction, which is slow but
+needs no more memory. A Newton step counts as a cycle, and its residual as one pass over the finest
+matrix; factorisations count as seconds."""
 
 from __future__ import annotations
 
@@ -33,8 +34,13 @@ _LOG = logging.getLogger(__name__)
 
 
 #: the options of the method with projected sweeps on all levels, where they are not given
-PROJECTED: dict[str, Any] = {"cycle": Cycle(), "smoother": ProjectedGaussSeidel(), "coarse": CoarseSolve(),
-                             "coarse_matrices": "galerkin", "stop": "error"}
+PROJECTED: dict[str, Any] = {
+    "cycle": Cycle(),
+    "smoother": ProjectedGaussSeidel(),
+    "coarse": CoarseSolve(),
+    "coarse_matrices": "galerkin",
+    "stop": "error",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,26 +50,29 @@ class Multigrid:
     Parameters
     ----------
     correction : Truncated, Monotone, PaperCorrection or user-defined
-        Anything with ``transport`` and ``needs_initial`` (:class:`~adaptmg.multigrid.cycle.Correction`).
-        Default: Truncated(), which defines cycle, smoother, coarse solve and stopping test itself: the next five
-        options are refused.
-        A correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them by nested
-        iteration first, and starts from zero all the same; the work is counted.
+        Anything with ``transport`` and ``needs_initial``
+        (:class:`~adaptmg.multigrid.cycle.Correction`). Default: Truncated(), which defines cycle,
+        smoother, coarse solve and stopping test itself: the next five options are refused. A
+        correction that keeps the first coarse solutions (the paper's 'initial' choices) makes them
+        by nested iteration first, and starts from zero all the same; the work is counted.
     cycle : Cycle, optional
         Default Cycle(): V, two smoothings.
     smoother : ProjectedGaussSeidel or user-defined, optional
-        Anything with ``smooth(system, contact, load, unknowns, sweeps) -> passes``. Default ProjectedGaussSeidel().
+        Anything with ``smooth(system, contact, load, unknowns, sweeps) -> passes``. Default
+        ProjectedGaussSeidel().
     coarse : CoarseSolve, optional
-        How coarsest problems (with ``Cycle(shape="complete")`` all coarse problems) are solved. Default CoarseSolve().
+        How coarsest problems (with ``Cycle(shape="complete")`` all coarse problems) are solved.
+        Default CoarseSolve().
     coarse_matrices : {"galerkin", "discretised"}, optional
         Default "galerkin".
     stop : {"error", "change"}, optional
-        Test the estimated relative A-norm error (with the natural residual below 10 times the tolerance, the default),
-        or, as the paper, the change at the end of step g alone: Euclidean, relative to the solution.
+        Test the estimated relative A-norm error (with the natural residual below 10 times the
+        tolerance, the default), or, as the paper, the change at the end of step g alone: Euclidean,
+        relative to the solution.
     rtol : float or "discretisation"
-        Tolerance of that test; where initial strains act, relative to u without what expands freely: to the norm of
-        the stresses. "discretisation" (FullMultigrid with Truncated): a tenth of the discretisation error, as
-        the nested start shows it.
+        Tolerance of that test; where initial strains act, relative to u without what expands
+        freely: to the norm of the stresses. "discretisation" (FullMultigrid with Truncated): a
+        tenth of the discretisation error, as the nested start shows it.
     max_cycles : int
         With Truncated also for what takes over where it does not converge (:func:`handed_over`;
         ``Result.fallback`` names it).
@@ -90,29 +99,45 @@ class Multigrid:
     def __post_init__(self) -> None:
         truncated = isinstance(self.correction, Truncated)
         if not truncated:
-            checks.offers("correction", self.correction, "transport",
-                          "Monotone(), Truncated(), PaperCorrection() or offer transport and needs_initial")
-            checks.flag(f"needs_initial of correction {checks.shown(self.correction)}",
-                        getattr(self.correction, "needs_initial", None))
+            checks.offers(
+                "correction",
+                self.correction,
+                "transport",
+                "Monotone(), Truncated(), PaperCorrection() or offer transport and needs_initial",
+            )
+            checks.flag(
+                f"needs_initial of correction {checks.shown(self.correction)}",
+                getattr(self.correction, "needs_initial", None),
+            )
         named = self._named
         if truncated and named:
             name, value = next(iter(named.items()))
-            raise ValueError(f"{name} must not be given with the correction Truncated(), which defines its own, got "
-                             f"{checks.shown(value)}: give correction=am.Monotone()")
+            raise ValueError(
+                f"{name} must not be given with the correction Truncated(), which defines its own, got "
+                f"{checks.shown(value)}: give correction=am.Monotone()"
+            )
         options = PROJECTED | named
         checks.instance("cycle", options["cycle"], Cycle, "a Cycle")
-        checks.offers("smoother", options["smoother"], "smooth",
-                      "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes")
+        checks.offers(
+            "smoother",
+            options["smoother"],
+            "smooth",
+            "a smoother, which offers smooth(system, contact, load, unknowns, sweeps) -> passes",
+        )
         checks.instance("coarse", options["coarse"], CoarseSolve, "a CoarseSolve")
         checks.choice("coarse_matrices", options["coarse_matrices"], ("galerkin", "discretised"))
         checks.choice("stop", options["stop"], ("error", "change"))
         if not isinstance(self.rtol, str):
             object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         elif self.rtol != "discretisation":
-            raise ValueError(f"rtol must be a number > 0 and < 1 or 'discretisation', got {checks.shown(self.rtol)}")
+            raise ValueError(
+                f"rtol must be a number > 0 and < 1 or 'discretisation', got {checks.shown(self.rtol)}"
+            )
         elif not (isinstance(self, FullMultigrid) and truncated):
-            raise ValueError("rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
-                             "shows the discretisation error")
+            raise ValueError(
+                "rtol='discretisation' needs FullMultigrid(correction=Truncated()): the nested start "
+                "shows the discretisation error"
+            )
         checks.integer("max_cycles", self.max_cycles, 1)
 
     @property
@@ -126,8 +151,14 @@ class Multigrid:
     def _method(self, hierarchy: Hierarchy, run: Run) -> TruncatedRun | ProjectedRun:
         if isinstance(self.correction, Truncated):
             return TruncatedRun(self.correction, hierarchy, run, self.rtol, self.max_cycles)
-        return ProjectedRun(hierarchy=hierarchy, run=run, correction=self.correction, rtol=self.rtol,
-                            max_cycles=self.max_cycles, **PROJECTED | self._named)
+        return ProjectedRun(
+            hierarchy=hierarchy,
+            run=run,
+            correction=self.correction,
+            rtol=self.rtol,
+            max_cycles=self.max_cycles,
+            **PROJECTED | self._named,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +189,9 @@ class FullMultigrid(Multigrid):
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         if start is not None:
-            raise ValueError("start: FullMultigrid makes its own start; use Multigrid to continue from a given one")
+            raise ValueError(
+                "start: FullMultigrid makes its own start; use Multigrid to continue from a given one"
+            )
         return self._method(hierarchy, run).from_nested(self.start)
 
 
@@ -171,8 +204,11 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
     problem = hierarchy.finest.discrete
     start = outcome.displacement if outcome.better else None
     if outcome.left and factorisable(problem):
-        solver = ActiveSet(rtol=outcome.rtol, max_steps=max(outcome.left, 1),
-                           condensed=problem.dim * len(problem.contact.nodes) <= CONDENSED)
+        solver = ActiveSet(
+            rtol=outcome.rtol,
+            max_steps=max(outcome.left, 1),
+            condensed=problem.dim * len(problem.contact.nodes) <= CONDENSED,
+        )
         outcome = _continued(outcome, solver, "ActiveSet", start, hierarchy, run)
         if outcome.status.ok or outcome.status is Status.ROUNDING:
             return outcome
@@ -182,13 +218,26 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
     return outcome
 
 
-def _continued(before: Outcome, solver: ActiveSet | Multigrid, method: str, start: np.ndarray | None,
-               hierarchy: Hierarchy, run: Run) -> Outcome:
+def _continued(
+    before: Outcome,
+    solver: ActiveSet | Multigrid,
+    method: str,
+    start: np.ndarray | None,
+    hierarchy: Hierarchy,
+    run: Run,
+) -> Outcome:
     if not before.left:
         return before
-    _LOG.info("cycle %d: the truncated multigrid does not converge; going on with %s", before.cycles, method)
+    _LOG.info(
+        "cycle %d: the truncated multigrid does not converge; going on with %s",
+        before.cycles,
+        method,
+    )
     run.first_cycle, run.fallback = before.cycles, f"{method} from cycle {before.cycles}"
-    start_work_units, run.pressures = run.start_work_units, None if start is None else before.pressures
+    start_work_units, run.pressures = (
+        run.start_work_units,
+        None if start is None else before.pressures,
+    )
     try:
         outcome = solver.run(hierarchy, run, start)
     except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
@@ -199,5 +248,9 @@ def _continued(before: Outcome, solver: ActiveSet | Multigrid, method: str, star
     finally:
         run.start_work_units = start_work_units
     # Newton steps have no rate of a cycle
-    return replace(outcome, cycles=before.cycles + outcome.cycles, left=before.left - outcome.cycles,
-                   rate=np.nan if isinstance(solver, ActiveSet) else outcome.rate)
+    return replace(
+        outcome,
+        cycles=before.cycles + outcome.cycles,
+        left=before.left - outcome.cycles,
+        rate=np.nan if isinstance(solver, ActiveSet) else outcome.rate,
+    )

@@ -1,11 +1,11 @@
 """What solve and solve_path share: their arguments, and the Result of what a solver returns.
 
-Of one mesh the quickest method is the default: the active set method, whose factorisation grows faster than the
-unknowns, or multigrid on coarse spaces that are made from the matrix. CPU seconds of the one and the other: bar of 33k
-unknowns .75 and .53, of 132k 5.5 and 2.7; block (3D) of 15k 3.9 and .57. Levels of a large coarsest one that are too
-close to each other are left out: block of 54k unknowns on meshes of 1264, 2612, 5883 and 17 914 nodes 6.2 s on all, 1.3
-on the first and the last; sector of the bolted junction on 1575 and 2560 nodes 1.3, by the active set method .5.
-"""
+Of one mesh the quickest method is the default: the active set method, whose factorisation grows
+faster than the unknowns, or multigrid on coarse spaces that are made from the matrix. CPU seconds
+of the one and the other: bar of 33k unknowns .75 and .53, of 132k 5.5 and 2.7; block (3D) of 15k
+3.9 and .57. Levels of a large coarsest one that are too close to each other are left out: block of
+54k unknowns on meshes of 1264, 2612, 5883 and 17 914 nodes 6.2 s on all, 1.3 on the first and the
+last; sector of the bolted junction on 1575 and 2560 nodes 1.3, by the active set method .5."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ LARGE_COARSEST, WIDE = 1500, {2: 2, 3: 4}
 
 
 def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
-    """Return a solver and the grids for it; for None the quickest, and why if it is not full multigrid on all."""
+    """Return a solver and the grids for it; for None the quickest, and why if it is not full
+    multigrid on all."""
     if solver is not None:
         words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer run()"
         return grids, checks.offers("solver", solver, "run", words), ""
@@ -60,14 +61,28 @@ def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy,
 
 
 def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
-    """The default on several discretised levels. Those that are too close to each other have Galerkin matrices with as
-    many entries as the finest one, down to the coarsest, whose factors then cost more than all the rest."""
-    finest, nodes, wide = grids.finest, [level.n_nodes for level in grids.levels], WIDE[grids.finest.discrete.dim]
+    """The default on several discretised levels. Those that are too close to each other have
+    Galerkin matrices with as many entries as the finest one, down to the coarsest, whose factors
+    then cost more than all the rest."""
+    finest, nodes, wide = (
+        grids.finest,
+        [level.n_nodes for level in grids.levels],
+        WIDE[grids.finest.discrete.dim],
+    )
     if finest.discrete.dim * nodes[0] <= LARGE_COARSEST:
         return grids, FullMultigrid(), ""
-    if nodes[-1] < wide * nodes[0] and finest.discrete.dim * len(finest.discrete.contact) <= LARGE_COARSEST:
-        return grids, ActiveSet(), (f"from {nodes[0]} to {nodes[-1]} nodes multigrid gains little, the quickest is the "
-                                    "active set method")
+    if (
+        nodes[-1] < wide * nodes[0]
+        and finest.discrete.dim * len(finest.discrete.contact) <= LARGE_COARSEST
+    ):
+        return (
+            grids,
+            ActiveSet(),
+            (
+                f"from {nodes[0]} to {nodes[-1]} nodes multigrid gains little, the quickest is the "
+                "active set method"
+            ),
+        )
     last, out = 0, []
     for level in range(1, len(grids) - 1):
         if wide * nodes[last] <= nodes[level] <= nodes[-1] / wide:
@@ -77,11 +92,20 @@ def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
     for level in reversed(out if grids.problem is not None else ()):
         grids = grids.without(level)
     left_out = ", ".join(str(nodes[level]) for level in out)
-    return grids, FullMultigrid(), (f"without the meshes of {left_out} nodes, too close to others"
-                                    if len(grids) < len(nodes) else "")
+    return (
+        grids,
+        FullMultigrid(),
+        (
+            f"without the meshes of {left_out} nodes, too close to others"
+            if len(grids) < len(nodes)
+            else ""
+        ),
+    )
 
 
-def displacement_argument(name: str, value: ArrayLike | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:
+def displacement_argument(
+    name: str, value: ArrayLike | Result | None, discrete: DiscreteProblem
+) -> np.ndarray | None:
     """Return a displacement (n_nodes, dim) or a Result as unknowns of the problem, checked."""
     if value is None:
         return None
@@ -93,7 +117,9 @@ def displacement_argument(name: str, value: ArrayLike | Result | None, discrete:
     return np.array(discrete.relative(array))
 
 
-def pressures_argument(start: ArrayLike | Result | None, discrete: DiscreteProblem) -> np.ndarray | None:
+def pressures_argument(
+    start: ArrayLike | Result | None, discrete: DiscreteProblem
+) -> np.ndarray | None:
     """Return the pressures of the volumes of a problem at a start, if it has them."""
     if discrete.volumes is None or not isinstance(start, Result) or start.pressures is None:
         return None
@@ -108,60 +134,114 @@ def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
 
 
 def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem) -> Outcome:
-    """Return what a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers are not finite."""
-    name, shape = f"solver: of the Outcome of {type(solver).__name__}", (discrete.n_nodes, discrete.dim)
+    """Return what a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers
+    are not finite."""
+    name, shape = (
+        f"solver: of the Outcome of {type(solver).__name__}",
+        (discrete.n_nodes, discrete.dim),
+    )
     checks.instance(f"solver: what {type(solver).__name__} returns", outcome, Outcome)
     displacement = checks.real_array(outcome.displacement)
     if displacement is None or displacement.size != discrete.n_dofs:
-        raise TypeError(f"{name} displacement must be a real array {shape}, got {checks.shown(outcome.displacement)}")
+        raise TypeError(
+            f"{name} displacement must be a real array {shape}, got {checks.shown(outcome.displacement)}"
+        )
     checks.instance(f"{name} status", outcome.status, Status, "one of am.Status")
-    cycles, rtol = checks.integer(f"{name} cycles", outcome.cycles), checks.nonnegative(f"{name} rtol", outcome.rtol)
+    cycles, rtol = (
+        checks.integer(f"{name} cycles", outcome.cycles),
+        checks.nonnegative(f"{name} rtol", outcome.rtol),
+    )
     for what in ("error_estimate", "rate"):
         number = checks.real_array(getattr(outcome, what))
         if number is None or number.ndim or number < 0:
-            raise TypeError(f"{name} {what} must be a number >= 0 or NaN, got {checks.shown(getattr(outcome, what))}")
+            raise TypeError(
+                f"{name} {what} must be a number >= 0 or NaN, got {checks.shown(getattr(outcome, what))}"
+            )
     if not rtol < 1:
         raise ValueError(f"{name} rtol must be < 1, got {rtol:g}")
-    if discrete.volumes is not None and np.shape(cast("Any", outcome.pressures)) != (len(discrete.volumes),):
-        raise TypeError(f"{name} pressures must be those of {len(discrete.volumes)} volumes, got "
-                        f"{checks.shown(outcome.pressures)}")
+    if discrete.volumes is not None and np.shape(cast("Any", outcome.pressures)) != (
+        len(discrete.volumes),
+    ):
+        raise TypeError(
+            f"{name} pressures must be those of {len(discrete.volumes)} volumes, got "
+            f"{checks.shown(outcome.pressures)}"
+        )
     finite = bool(np.isfinite(displacement).all())
-    return replace(outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED)
+    return replace(
+        outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED
+    )
 
 
-def result_of(grids: Hierarchy, examiner: Examiner, run: Run, outcome: Outcome, solver: Solver,
-              stress_data: StressData | None, choice: str = "") -> Result:
-    """Return the Result on the finest level; the certificate and the natural residual confirm the status."""
+def result_of(
+    grids: Hierarchy,
+    examiner: Examiner,
+    run: Run,
+    outcome: Outcome,
+    solver: Solver,
+    stress_data: StressData | None,
+    choice: str = "",
+) -> Result:
+    """Return the Result on the finest level; the certificate and the natural residual confirm the
+    status."""
     with run.phase("certificate"):
         # a solver of the user may go on with its array
         examined = examiner(np.array(outcome.displacement), outcome.rtol, outcome.pressures)
     volumes = grids.finest.discrete.volumes
     if volumes is not None and stress_data is not None and outcome.pressures is not None:
-        stress_data = replace(stress_data, pressure=volumes.of_elements(outcome.pressures),
-                              volume_energy=0.5 * volumes.energy(outcome.pressures))
+        stress_data = replace(
+            stress_data,
+            pressure=volumes.of_elements(outcome.pressures),
+            volume_energy=0.5 * volumes.energy(outcome.pressures),
+        )
     mesh, problem, supports, springs = cast("Any", grids.finest.mesh_or_none), grids.problem, {}, {}
     if problem is not None and grids.finest.mesh_or_none is not None:
-        supports = {name: rows.tolist() for name, rows in held_directions(mesh, problem.supports).items()}
-        springs = spring_resultants(mesh, problem.supports, examined.displacement, problem.axisymmetric)
+        supports = {
+            name: rows.tolist() for name, rows in held_directions(mesh, problem.supports).items()
+        }
+        springs = spring_resultants(
+            mesh, problem.supports, examined.displacement, problem.axisymmetric
+        )
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
-    return Result(displacement=examined.displacement, reaction=examined.reaction, checked=examined.checked,
-                  status=_confirmed(outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")),
-                  cycles=outcome.cycles,
-                  contact=replace(examined.contact, axisymmetric=stress_data is not None and stress_data.axisymmetric),
-                  work_units=run.work_units, residual=examined.residual,
-                  error_estimate=float(np.fmax(outcome.error_estimate, examined.checked.energy_error)),
-                  rate=outcome.rate, rtol=outcome.rtol, history=history,
-                  timings=run.timings, path=run.path, levels=grids.table(),
-                  problem_name=problem_name(grids), solver_name=label(solver), fallback=run.fallback,
-                  choice=choice, mesh=mesh, start_work_units=run.start_work_units,
-                  versions=dict(versions()), stress_data=stress_data, supports=supports, springs=springs,
-                  ties=examined.ties, pressures=outcome.pressures)
+    return Result(
+        displacement=examined.displacement,
+        reaction=examined.reaction,
+        checked=examined.checked,
+        status=_confirmed(
+            outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")
+        ),
+        cycles=outcome.cycles,
+        contact=replace(
+            examined.contact, axisymmetric=stress_data is not None and stress_data.axisymmetric
+        ),
+        work_units=run.work_units,
+        residual=examined.residual,
+        error_estimate=float(np.fmax(outcome.error_estimate, examined.checked.energy_error)),
+        rate=outcome.rate,
+        rtol=outcome.rtol,
+        history=history,
+        timings=run.timings,
+        path=run.path,
+        levels=grids.table(),
+        problem_name=problem_name(grids),
+        solver_name=label(solver),
+        fallback=run.fallback,
+        choice=choice,
+        mesh=mesh,
+        start_work_units=run.start_work_units,
+        versions=dict(versions()),
+        stress_data=stress_data,
+        supports=supports,
+        springs=springs,
+        ties=examined.ties,
+        pressures=outcome.pressures,
+    )
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
-    """The status of a solver, unless the natural residual or the certificate contradicts it. With the paper's test rtol
-    is that of a change: the error is compared with the multiple that the residual has."""
+    """The status of a solver, unless the natural residual or the certificate contradicts it. With
+    the paper's test rtol is that of a change: the error is compared with the multiple that the
+    residual has."""
     if not np.isfinite(residual):
         return Status.DIVERGED
     line = checked["equilibrium"]

@@ -1,5 +1,5 @@
-"""Projected methods: SingleGrid, projected SOR on one grid, the paper's 'regular resolution'; and ProjectedRun, cycles
-of contact problems on all levels, for corrections that transport contact data.
+"""Projected methods: SingleGrid, projected SOR on one grid, the paper's 'regular resolution'; and
+ProjectedRun, cycles of contact problems on all levels, for corrections that transport contact data.
 
 The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.cycle`.
 """
@@ -53,9 +53,13 @@ class ProjectedRun:
     def __post_init__(self) -> None:
         need_levels(self.hierarchy)
         self.hierarchy.need_discretised(f"the correction {type(self.correction).__name__}")
-        self.hierarchy.finest.discrete.need_no_volumes(f"the correction {type(self.correction).__name__}")
+        self.hierarchy.finest.discrete.need_no_volumes(
+            f"the correction {type(self.correction).__name__}"
+        )
         with self.run.phase("setup"):
-            self.problems: list[LocalProblem] = [local_system(level.discrete) for level in self.hierarchy.levels]
+            self.problems: list[LocalProblem] = [
+                local_system(level.discrete) for level in self.hierarchy.levels
+            ]
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
         if self.correction.needs_initial:
@@ -80,8 +84,16 @@ class ProjectedRun:
                 # where the next mesh is locally the coarser one, some coarse functions vanish on it
                 condensed = condense(coarsest, lenient=True)
                 condensed = condensed if condensed.by_nodes else None
-        return MultigridCycle(levels, self.cycle, self.smoother, self.correction, self.coarse, self.run, self.initial,
-                              condensed)
+        return MultigridCycle(
+            levels,
+            self.cycle,
+            self.smoother,
+            self.correction,
+            self.coarse,
+            self.run,
+            self.initial,
+            condensed,
+        )
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest (steps a and b of the paper)."""
@@ -95,10 +107,17 @@ class ProjectedRun:
                     multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
                     multigrid.solve_coarsest(local.contact, local.load, unknowns)
                 elif start.cycles == "complete":
-                    iterate(self._cycles(multigrid, level, unknowns), StopTest(start.rtol, self.max_cycles))
+                    iterate(
+                        self._cycles(multigrid, level, unknowns),
+                        StopTest(start.rtol, self.max_cycles),
+                    )
                 else:
-                    for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
-                        multigrid.cycle(level, local.contact, local.load, unknowns, self.cycle.shape)
+                    for _ in range(
+                        start.cycles_on(local.discrete, self.problems[level + 1].discrete)
+                    ):
+                        multigrid.cycle(
+                            level, local.contact, local.load, unknowns, self.cycle.shape
+                        )
                 if self.correction.needs_initial:
                     r = multigrid.residual(level, local.load, unknowns)
                     self.initial.append(initial_contact(local, unknowns, r))
@@ -114,11 +133,25 @@ class ProjectedRun:
         multigrid = self.multigrid(len(self.hierarchy) - 1)
         with self.run.phase("cycles"):
             cycles = self._cycles(multigrid, len(self.hierarchy) - 1, unknowns, self.run)
-            status, stop = cycles.solve(self.stop, self.rtol, self.max_cycles, self.run,
-                                        lambda rtol: self.run.shortfall(local.to_cartesian(unknowns), rtol))
-        return Outcome(local.to_cartesian(unknowns), status, cycles.cycles, self.rtol, stop.error_estimate, stop.rate)
+            status, stop = cycles.solve(
+                self.stop,
+                self.rtol,
+                self.max_cycles,
+                self.run,
+                lambda rtol: self.run.shortfall(local.to_cartesian(unknowns), rtol),
+            )
+        return Outcome(
+            local.to_cartesian(unknowns),
+            status,
+            cycles.cycles,
+            self.rtol,
+            stop.error_estimate,
+            stop.rate,
+        )
 
-    def _cycles(self, multigrid: MultigridCycle, level: int, unknowns: np.ndarray, run: Run | None = None) -> Smoothing:
+    def _cycles(
+        self, multigrid: MultigridCycle, level: int, unknowns: np.ndarray, run: Run | None = None
+    ) -> Smoothing:
         """Cycles, measured after the first smoothing, where the cycle has its residual."""
         local = self.problems[level]
 
@@ -130,14 +163,21 @@ class ProjectedRun:
             multigrid.correct(level, local.contact, unknowns, r)
             sweep(self.cycle.post)
 
-        return Smoothing(Measure(local, run), unknowns, lambda cycles: sweep(self.cycle.pre),
-                         lambda: multigrid.residual(level, local.load, unknowns), correct)
+        return Smoothing(
+            Measure(local, run),
+            unknowns,
+            lambda cycles: sweep(self.cycle.pre),
+            lambda: multigrid.residual(level, local.load, unknowns),
+            correct,
+        )
 
 
 def need_levels(hierarchy: Hierarchy) -> None:
     """Refuse a single level."""
     if len(hierarchy) < 2:
-        raise ValueError("grids must have at least two levels for multigrid, got one: use SingleGrid or ActiveSet")
+        raise ValueError(
+            "grids must have at least two levels for multigrid, got one: use SingleGrid or ActiveSet"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,13 +189,14 @@ class SingleGrid:
     omega : float
         Over-relaxation, 0 < omega < 2; the best value depends on the mesh.
     condensed : bool
-        Eliminate all but the contact dofs first (one factorisation, reported as time, not as work units) and sweep
-        on the dense Schur complement, whose entries are counted.
+        Eliminate all but the contact dofs first (one factorisation, reported as time, not as work
+        units) and sweep on the dense Schur complement, whose entries are counted.
     stop : {"error", "change"}
-        Test the estimated relative A-norm error and the natural residual, or (as the paper) the relative Euclidean
-        change in one sweep alone.
+        Test the estimated relative A-norm error and the natural residual, or (as the paper) the
+        relative Euclidean change in one sweep alone.
     rtol : float
-        Tolerance of that test; where initial strains act, relative to u without what expands freely.
+        Tolerance of that test; where initial strains act, relative to u without what expands
+        freely.
     max_sweeps : int
 
     Examples
@@ -191,21 +232,28 @@ class SingleGrid:
             with run.phase("factorise"):
                 condensed = condense(local)
                 if not condensed.by_nodes:
-                    raise ValueError("condensed=True needs more contact nodes: with all but one fixed, a body that "
-                                     "only contact holds can still move; use condensed=False")
+                    raise ValueError(
+                        "condensed=True needs more contact nodes: with all but one fixed, a body that "
+                        "only contact holds can still move; use condensed=False"
+                    )
                 problem, sizes = condensed.problem, _CondensedSizes(condensed)
                 restrict, recover = condensed.restrict, condensed.recover
-        unknowns = restrict(np.zeros(local.system.n_dofs) if start is None else local.to_local(start))
+        unknowns = restrict(
+            np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
+        )
         project(problem, unknowns)
         # the Schur complement measures the energy of the error of the recovered solution
         reference = None if run.reference is None else restrict(local.to_local(run.reference))
         batches = []
 
         def smooth(done: int) -> int:
-            batches.append(max(self.FIRST_CHECK, int(self.CHECK_SHARE * done)) if self.stop == "error" else 1)
+            batches.append(
+                max(self.FIRST_CHECK, int(self.CHECK_SHARE * done)) if self.stop == "error" else 1
+            )
             times = min(batches[-1], self.max_sweeps - done)
-            passes = ProjectedGaussSeidel(omega=self.omega).smooth(problem.system, problem.contact, problem.load,
-                                                                   unknowns, times)
+            passes = ProjectedGaussSeidel(omega=self.omega).smooth(
+                problem.system, problem.contact, problem.load, unknowns, times
+            )
             run.count(passes, problem.system.nonzeros)
             return times
 
@@ -213,16 +261,30 @@ class SingleGrid:
             run.count(1, problem.system.nonzeros)
             return problem.residual(unknowns)
 
-        sweeps = Smoothing(Measure(problem, run=run, reference=reference, sizes=sizes), unknowns, smooth, residual)
+        sweeps = Smoothing(
+            Measure(problem, run=run, reference=reference, sizes=sizes), unknowns, smooth, residual
+        )
         with run.phase("sweeps"):
             # batches that reach no new smallest change are cycling
-            status, stop = sweeps.solve(self.stop, self.rtol, self.max_sweeps, run, lambda rtol: run.shortfall(
-                local.to_cartesian(recover(unknowns)), rtol), stalled=Status.CYCLING)
+            status, stop = sweeps.solve(
+                self.stop,
+                self.rtol,
+                self.max_sweeps,
+                run,
+                lambda rtol: run.shortfall(local.to_cartesian(recover(unknowns)), rtol),
+                stalled=Status.CYCLING,
+            )
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):
             solved = local.to_cartesian(recover(unknowns))
-        return Outcome(solved, status, sweeps.cycles, self.rtol, stop.error_estimate,
-                       stop.rate ** (1 / batches[-1]) if np.isfinite(stop.rate) else np.nan)
+        return Outcome(
+            solved,
+            status,
+            sweeps.cycles,
+            self.rtol,
+            stop.error_estimate,
+            stop.rate ** (1 / batches[-1]) if np.isfinite(stop.rate) else np.nan,
+        )
 
 
 class _CondensedSizes(Sizes):

@@ -1,4 +1,5 @@
-"""Run: what a solver writes while it runs. Outcome: what it returns. Status: how it ended. Solver: what it offers."""
+"""Run: what a solver writes while it runs. Outcome: what it returns. Status: how it ended. Solver:
+what it offers."""
 
 from __future__ import annotations
 
@@ -19,10 +20,11 @@ from adaptmg.solver.examine import Examined
 class Status(Enum):
     """How a solver ended; the value is advice.
 
-    CONVERGED: the certificate finds an energy error of at most rtol, relative, and the natural residual is at most 10
-    rtol; or both are rounding. The certificate's estimate was .25 to 2 times the true error in 98.5 % of 1396 random
-    runs; it may be .2 times where Poisson's ratio is nearly .5, or one body is far stiffer than the next. A
-    user-defined solver is trusted up to 3 rtol, and one that stops by its change (``stop="change"``) up to 10.
+    CONVERGED: the certificate finds an energy error of at most rtol, relative, and the natural
+    residual is at most 10 rtol; or both are rounding. The certificate's estimate was .25 to 2 times
+    the true error in 98.5 % of 1396 random runs; it may be .2 times where Poisson's ratio is nearly
+    .5, or one body is far stiffer than the next. A user-defined solver is trusted up to 3 rtol, and
+    one that stops by its change (``stop="change"``) up to 10.
 
     Examples
     --------
@@ -32,17 +34,27 @@ class Status(Enum):
     """
 
     CONVERGED = "converged to the tolerance asked for"
-    LIMIT = ("the limit on cycles or sweeps was reached before the tolerance: raise it, take a better start "
-             "(FullMultigrid), more smoothing, or a looser rtol")
-    STALLED = ("the iterates no longer improve, or the certificate contradicts the last one, short of the "
-               "tolerance: take am.Monotone() (the frozen choices of the paper's correction are known to stall), or "
-               "am.ActiveSet()")
-    CYCLING = ("the contact status repeats without converging: reduce the friction or the load step, start from a "
-               "nested iteration, or solve with am.Multigrid()")
-    ROUNDING = ("the residual is rounding: in double precision no smaller error than the estimated one can be reached; "
-                "take an rtol above it")
-    DIVERGED = ("the iterates grow without bound: check supports and loads (am.solve checks rigid motions), take "
-                "am.Monotone() or omega <= 1")
+    LIMIT = (
+        "the limit on cycles or sweeps was reached before the tolerance: raise it, take a better start "
+        "(FullMultigrid), more smoothing, or a looser rtol"
+    )
+    STALLED = (
+        "the iterates no longer improve, or the certificate contradicts the last one, short of the "
+        "tolerance: take am.Monotone() (the frozen choices of the paper's correction are known to stall), or "
+        "am.ActiveSet()"
+    )
+    CYCLING = (
+        "the contact status repeats without converging: reduce the friction or the load step, start from a "
+        "nested iteration, or solve with am.Multigrid()"
+    )
+    ROUNDING = (
+        "the residual is rounding: in double precision no smaller error than the estimated one can be reached; "
+        "take an rtol above it"
+    )
+    DIVERGED = (
+        "the iterates grow without bound: check supports and loads (am.solve checks rigid motions), take "
+        "am.Monotone() or omega <= 1"
+    )
 
     @property
     def ok(self) -> bool:
@@ -58,7 +70,9 @@ class Run:
     reference: np.ndarray | None = None  # (n_nodes, dim)
     work_units: float = 0.0  # passes over matrices, weighted by nonzeros over unit
     history: list[dict[str, float]] = field(default_factory=list)
-    timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, and those of compiling
+    timings: dict[str, float] = field(
+        default_factory=dict
+    )  # seconds by phase, and those of compiling
     path: list[tuple[int, str, int]] = field(default_factory=list)  # (level, action, times)
     started: float = field(default_factory=clock)
     start_work_units: float = 0.0  # the part of work_units of the nested start
@@ -66,7 +80,9 @@ class Run:
     first_cycle: int = 0  # cycles done by another method before the one that records now
     fallback: str = ""  # the method that took over, and from which cycle; empty if none did
     examiner: Callable[[np.ndarray, float, np.ndarray | None], Examined] | None = None
-    pressures: np.ndarray | None = None  # (n_groups,): of the start, where the problem has volumes, Pa
+    pressures: np.ndarray | None = (
+        None  # (n_groups,): of the start, where the problem has volumes, Pa
+    )
     _nested_seconds: float = 0.0
     _compiled: float = field(default_factory=compiling_seconds)
 
@@ -74,8 +90,11 @@ class Run:
     PATH_LIMIT = 100_000
 
     def count(self, passes: float, nonzeros: int) -> None:
-        """Count ``passes`` over a matrix of ``nonzeros`` stored entries, checked here for user-defined parts."""
-        passes = checks.nonnegative("the passes over the matrix that a smoother or linear solver returns", passes)
+        """Count ``passes`` over a matrix of ``nonzeros`` stored entries, checked here for
+        user-defined parts."""
+        passes = checks.nonnegative(
+            "the passes over the matrix that a smoother or linear solver returns", passes
+        )
         self.work_units += passes * nonzeros / self.unit
 
     def visit(self, level: int, action: str, times: int = 1) -> None:
@@ -85,14 +104,20 @@ class Run:
 
     def record(self, *, cycle: int, **values: float) -> None:
         seconds = clock() - self.started - self.untimed_seconds
-        row = {"cycle": self.first_cycle + cycle, "work_units": self.work_units, "seconds": seconds, **values}
+        row = {
+            "cycle": self.first_cycle + cycle,
+            "work_units": self.work_units,
+            "seconds": seconds,
+            **values,
+        }
         self.history.append(row)
         if self.callback is not None:
             self.callback(row)
 
     @contextmanager
     def untimed(self) -> Iterator[None]:
-        """Keep a block (comparison with the reference) out of the seconds of the history and of its phase."""
+        """Keep a block (comparison with the reference) out of the seconds of the history and of its
+        phase."""
         begin = clock()
         try:
             yield
@@ -101,7 +126,8 @@ class Run:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...; inner ones apart."""
+        """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...;
+        inner ones apart."""
         begin, untimed, outside = clock(), self.untimed_seconds, self._nested_seconds
         self._nested_seconds = 0.0
         try:
@@ -114,9 +140,12 @@ class Run:
             self.timings[name] = self.timings.get(name, 0.0) + seconds - self._nested_seconds
             self._nested_seconds = outside + seconds
 
-    def shortfall(self, solved: np.ndarray, rtol: float, pressures: np.ndarray | None = None) -> float:
-        """Return by how many times the certificate finds a displacement (n_dofs,) short of ``rtol``; 0 if it does not.
-        Between bodies in relative coordinates; with the pressures of volumes. Rounding is not a shortfall."""
+    def shortfall(
+        self, solved: np.ndarray, rtol: float, pressures: np.ndarray | None = None
+    ) -> float:
+        """Return by how many times the certificate finds a displacement (n_dofs,) short of
+        ``rtol``; 0 if it does not. Between bodies in relative coordinates; with the pressures of
+        volumes. Rounding is not a shortfall."""
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):
@@ -134,8 +163,12 @@ class Outcome:
     status: Status
     cycles: int  # cycles, sweeps or Newton steps on the finest level
     rtol: float  # the tolerance asked for
-    error_estimate: float = float("nan")  # estimated relative A-norm error; NaN if the solver has none
-    rate: float = float("nan")  # asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown
+    error_estimate: float = float(
+        "nan"
+    )  # estimated relative A-norm error; NaN if the solver has none
+    rate: float = float(
+        "nan"
+    )  # asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown
     left: int = 0  # cycles for a method that takes over where this one fails
     better: bool = False  # whether that begins at the displacement, not at zero
     pressures: np.ndarray | None = None  # (n_groups,): where the problem has volumes, Pa
@@ -145,4 +178,5 @@ class Solver(Protocol):
     """What :func:`adaptmg.solve` needs of a solver."""
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level of ``hierarchy`` from ``start`` (n_nodes, dim) or zero, writing to ``run``."""
+        """Solve on the finest level of ``hierarchy`` from ``start`` (n_nodes, dim) or zero, writing
+        to ``run``."""

@@ -1,4 +1,5 @@
-"""solve: one entry for every method: it checks the arguments, runs the solver and confirms the status of its result."""
+"""solve: one entry for every method: it checks the arguments, runs the solver and confirms the
+status of its result."""
 
 from __future__ import annotations
 
@@ -35,9 +36,16 @@ _LOG = logging.getLogger(__name__)
 
 @once()
 @one_blas_thread()
-def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, start: ArrayLike | Result | None = None,
-          reference: ArrayLike | Result | None = None, throw: bool = True,
-          callback: Callable[[dict[str, float]], None] | None = None, progress: bool = False) -> Result:
+def solve(
+    grids: Hierarchy | DiscreteProblem,
+    solver: Solver | None = None,
+    *,
+    start: ArrayLike | Result | None = None,
+    reference: ArrayLike | Result | None = None,
+    throw: bool = True,
+    callback: Callable[[dict[str, float]], None] | None = None,
+    progress: bool = False,
+) -> Result:
     """Solve a contact problem on the finest level of a hierarchy.
 
     Parameters
@@ -45,17 +53,20 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     grids : Hierarchy or DiscreteProblem
         A bare DiscreteProblem is a hierarchy of one level.
     solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
-        A user-defined one offers ``run`` (:class:`adaptmg.solver.record.Solver`). Default ``FullMultigrid()``, where
-        coarse levels are only spaces ``Multigrid()``. On one level the quickest: ``ActiveSet()``, or for large problems
-        ``Multigrid()`` on coarse spaces made from the matrix. Where the coarsest level has more than 1500 unknowns:
-        without levels of less than 4 (2D: 2) times the nodes of the next coarser one, and ``ActiveSet()`` where none
-        is left and contact nodes are few. Printing the result says which and why.
+        A user-defined one offers ``run`` (:class:`adaptmg.solver.record.Solver`). Default
+        ``FullMultigrid()``, where coarse levels are only spaces ``Multigrid()``. On one level the
+        quickest: ``ActiveSet()``, or for large problems ``Multigrid()`` on coarse spaces made from
+        the matrix. Where the coarsest level has more than 1500 unknowns: without levels of less
+        than 4 (2D: 2) times the nodes of the next coarser one, and ``ActiveSet()`` where none is
+        left and contact nodes are few. Printing the result says which and why.
     start : (n_nodes, dim) array or Result, optional
-        Where to start, m; default zero. Of smoothed elements with Poisson's ratios above .4 a Result has the pressures,
-        too, an array begins with none. FullMultigrid makes its own start and refuses one. With Coulomb friction there
-        may be several solutions (:func:`~adaptmg.cases.leaning_strut` has three), which other starts show.
+        Where to start, m; default zero. Of smoothed elements with Poisson's ratios above .4 a
+        Result has the pressures, too, an array begins with none. FullMultigrid makes its own start
+        and refuses one. With Coulomb friction there may be several solutions
+        (:func:`~adaptmg.cases.leaning_strut` has three), which other starts show.
     reference : (n_nodes, dim) array or Result, optional
-        The exact discrete solution, m: the history then has the true relative A-norm error (``true_error``).
+        The exact discrete solution, m: the history then has the true relative A-norm error
+        (``true_error``).
     throw : bool
         Raise :class:`NotConverged`, which carries the result, if the tolerance is not reached.
     callback : callable, optional
@@ -72,18 +83,19 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
     Warns
     -----
     UserWarning
-        Of Poisson's ratios above .45 (linear elements lock), lengths that look like mm, strains above 5 %, bodies that
-        cannot meet, slaves far stiffer than their masters, and slips between bodies beyond an element: theory and
-        elements are linear, strains and slips small.
+        Of Poisson's ratios above .45 (linear elements lock), lengths that look like mm, strains
+        above 5 %, bodies that cannot meet, slaves far stiffer than their masters, and slips between
+        bodies beyond an element: theory and elements are linear, strains and slips small.
     RuntimeWarning
         Of friction so large that there may be several solutions.
 
     Notes
     -----
-    Forces that are prescribed (:class:`adaptmg.Rigid`, :class:`adaptmg.Preload`) are met by several contact problems,
-    as in a load path of one step; ``start`` and ``reference`` are then refused.
+    Forces that are prescribed (:class:`adaptmg.Rigid`, :class:`adaptmg.Preload`) are met by several
+    contact problems, as in a load path of one step; ``start`` and ``reference`` are then refused.
 
-    A solve takes one thread, or those of :func:`adaptmg.set_threads`; several run at the same time as a
+    A solve takes one thread, or those of :func:`adaptmg.set_threads`; several run at the same time
+    as a
     :class:`adaptmg.Study`.
 
     Examples
@@ -102,53 +114,92 @@ def solve(grids: Hierarchy | DiscreteProblem, solver: Solver | None = None, *, s
 
         for name, value in (("start", start), ("reference", reference)):
             if value is not None:
-                raise ValueError(f"{name} must be None: a Rigid obstacle or a Preload is found by several contact "
-                                 "problems")
+                raise ValueError(
+                    f"{name} must be None: a Rigid obstacle or a Preload is found by several contact "
+                    "problems"
+                )
         watched = _watched(callback, progress)
-        path = solve_path(posed_grids, LoadPath(), solver, throw=False,
-                          progress=None if watched is None else lambda _, row: watched(row))
+        path = solve_path(
+            posed_grids,
+            LoadPath(),
+            solver,
+            throw=False,
+            progress=None if watched is None else lambda _, row: watched(row),
+        )
         if throw and not path[0].status.ok:
             raise NotConverged(path[0])
         return path[0]
     discrete = grids.finest.discrete
     exact = displacement_argument("reference", reference, discrete)
     first = displacement_argument("start", start, discrete)
-    run = Run(unit=discrete.matrix.nnz, callback=_watched(callback, progress), reference=exact,
-              timings={} if grids is posed_grids else dict(grids.timings),
-              pressures=pressures_argument(start, discrete))
-    _LOG.debug("nodes of the levels: %s (%s)", ", ".join(str(level.n_nodes) for level in grids.levels), grids.origin)
+    run = Run(
+        unit=discrete.matrix.nnz,
+        callback=_watched(callback, progress),
+        reference=exact,
+        timings={} if grids is posed_grids else dict(grids.timings),
+        pressures=pressures_argument(start, discrete),
+    )
+    _LOG.debug(
+        "nodes of the levels: %s (%s)",
+        ", ".join(str(level.n_nodes) for level in grids.levels),
+        grids.origin,
+    )
     with run.phase("statics"):
         check_statics_of(grids)
     with run.phase("setup"):
         run.examiner = examiner = Examiner(discrete)
         warn_of_several_solutions(grids)
         advise_on_problem(grids.problem, grids.finest.mesh_or_none)
-    outcome = handed_over(checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run)
+    outcome = handed_over(
+        checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run
+    )
     with run.phase("result"):
         posed, mesh = grids.problem, grids.finest.mesh_or_none
-        stress_data = None if posed is None or mesh is None else StressData.of(mesh, posed.material, posed.loads,
-                                                                               posed.elements)
+        stress_data = (
+            None
+            if posed is None or mesh is None
+            else StressData.of(mesh, posed.material, posed.loads, posed.elements)
+        )
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
         advise_on_results(posed, [result])
-    _LOG.info("%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)", result.problem_name,
-              discrete.n_nodes, result.status.name, result.cycles, result.work_units, result.seconds, result.method)
-    _LOG.debug("seconds: %s", ", ".join(f"{name} {value:.3g}" for name, value in result.timings.items()))
+    _LOG.info(
+        "%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)",
+        result.problem_name,
+        discrete.n_nodes,
+        result.status.name,
+        result.cycles,
+        result.work_units,
+        result.seconds,
+        result.method,
+    )
+    _LOG.debug(
+        "seconds: %s", ", ".join(f"{name} {value:.3g}" for name, value in result.timings.items())
+    )
     if throw and not result.status.ok:
         raise NotConverged(result)
     return result
 
 
-def _watched(callback: Callable[[dict[str, float]], None] | None, progress: bool
-             ) -> Callable[[dict[str, float]], None] | None:
+def _watched(
+    callback: Callable[[dict[str, float]], None] | None, progress: bool
+) -> Callable[[dict[str, float]], None] | None:
     """A callback that also logs each row of the history, and writes it to standard error."""
     if not progress and not _LOG.isEnabledFor(logging.DEBUG):
         return callback
 
     def take(row: dict[str, float]) -> None:
-        errors = [f"{name.removesuffix('_estimate')} {row[name]:.1e}" for name in ("error_estimate", "residual")
-                 if np.isfinite(row.get(name, np.nan))]
-        line = ", ".join([f"cycle {row['cycle']}: {row['work_units']:.1f} work units", *errors,
-                          f"{row['seconds']:.2f} s"])
+        errors = [
+            f"{name.removesuffix('_estimate')} {row[name]:.1e}"
+            for name in ("error_estimate", "residual")
+            if np.isfinite(row.get(name, np.nan))
+        ]
+        line = ", ".join(
+            [
+                f"cycle {row['cycle']}: {row['work_units']:.1f} work units",
+                *errors,
+                f"{row['seconds']:.2f} s",
+            ]
+        )
         _LOG.debug(line)
         if progress:
             say(line)

@@ -1,20 +1,22 @@
-r"""Rigid-body statics: can contact hold the motions that the supports leave free, and is friction too large?
+r"""Rigid-body statics: can contact hold the motions that the supports leave free, and is friction
+too large?
 
-Rigid motions m of a body that vanish at its fixed dofs cost no energy. A solution exists only if admissible contact
-forces balance the load on each of them,
+Rigid motions m of a body that vanish at its fixed dofs cost no energy. A solution exists only if
+admissible contact forces balance the load on each of them,
 
 .. math:: \sum_i (-p_i n_i + t_i)\cdot m(x_i) + b\cdot m = 0,\qquad p_i \ge 0,\quad |t_i| \le s_i + \mu_i p_i,
 
-a linear programme in the forces with one row per free motion. In 2D the friction cone is exact; in 3D it is replaced by
-a circumscribed regular polygon of 16 sides (the condition is necessary, not sufficient): the Tresca part is a sum of
-eight segments, the Coulomb part a cone over the corners, so that every inequality bounds one variable. The
-multipliers of the least unbalanced force are a motion that nothing holds.
+a linear programme in the forces with one row per free motion. In 2D the friction cone is exact; in
+3D it is replaced by a circumscribed regular polygon of 16 sides (the condition is necessary, not
+sufficient): the Tresca part is a sum of eight segments, the Coulomb part a cone over the corners,
+so that every inequality bounds one variable. The multipliers of the least unbalanced force are a
+motion that nothing holds.
 
-Where one node touches alone, with C the compliance of the body at that node and :math:`K = C^{-1}`, pressing and
-slipping balance in one way only if :math:`\mu\,|K_{nt}| < K_{tt}`. Beyond, open, slip and stick may all be equilibria
-of the same load (A. Klarbring, Ingenieur-Archiv 60, 1990, doi:10.1007/BF00541909). This is an estimate: with several
-nodes in contact the bound is another one.
-"""
+Where one node touches alone, with C the compliance of the body at that node and :math:`K = C^{-1}`,
+pressing and slipping balance in one way only if :math:`\mu\,|K_{nt}| < K_{tt}`. Beyond, open, slip
+and stick may all be equilibria of the same load (A. Klarbring, Ingenieur-Archiv 60, 1990,
+doi:10.1007/BF00541909). This is an estimate: with several nodes in contact the bound is another
+one."""
 
 from __future__ import annotations
 
@@ -44,30 +46,42 @@ _LIMIT = 1e6  # Tresca limits beyond this multiple of the load count as this: ke
 
 @remembered
 def check_statics(problem: DiscreteProblem) -> None:
-    """Raise ValueError if a rigid motion is left free by the supports and contact cannot hold it."""
+    """Raise ValueError if a rigid motion is left free by the supports and contact cannot hold
+    it."""
     for nodes, motions, several in _free_parts(problem) or ():
         _check_body(_Body(problem, nodes, motions, several))
 
 
 @remembered_of_structure
 def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, bool]] | None:
-    """Nodes and free motions of the connected parts that have any, whether there are several parts; None if unknown."""
+    """Nodes and free motions of the connected parts that have any, whether there are several parts;
+    None if unknown."""
     if problem.near_nullspace is None:
         return None
-    graph = sparse.csr_array((np.ones(len(problem.matrix.indices), dtype=np.int8), problem.matrix.indices,
-                              problem.matrix.indptr), shape=(problem.n_nodes, problem.n_nodes))
+    graph = sparse.csr_array(
+        (
+            np.ones(len(problem.matrix.indices), dtype=np.int8),
+            problem.matrix.indices,
+            problem.matrix.indptr,
+        ),
+        shape=(problem.n_nodes, problem.n_nodes),
+    )
     n_bodies, body_of = connected_components(graph, directed=True, connection="weak")
     stiff = problem.matrix @ problem.near_nullspace
     bodies = np.split(np.argsort(body_of, kind="stable"), np.cumsum(np.bincount(body_of))[:-1])
     # a single node is not an elastic body: only its diagonal block can hold it
-    parts = [(nodes, _free_motions(problem, stiff, nodes), n_bodies > 1) for nodes in bodies if len(nodes) > 1]
+    parts = [
+        (nodes, _free_motions(problem, stiff, nodes), n_bodies > 1)
+        for nodes in bodies
+        if len(nodes) > 1
+    ]
     return [part for part in parts if part[1].shape[1]]
 
 
 def check_statics_of(grids: Hierarchy) -> None:
-    """Call :func:`check_statics` on the finest level; where the coarsest one can be held the finest is not asked. A
-    coarse grid has the same rigid motions, loads and directions of contact and costs nothing; what it cannot hold the
-    finest one may (on a curved surface, say)."""
+    """Call :func:`check_statics` on the finest level; where the coarsest one can be held the finest
+    is not asked. A coarse grid has the same rigid motions, loads and directions of contact and
+    costs nothing; what it cannot hold the finest one may (on a curved surface, say)."""
     coarsest = grids[0].discrete_or_none
     if len(grids) > 1 and coarsest is not None and _free_parts(coarsest) is not None:
         try:
@@ -80,7 +94,8 @@ def check_statics_of(grids: Hierarchy) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A connected part: its nodes, and its free rigid motions (n_nodes * dim, k) with amplitudes about 1."""
+    """A connected part: its nodes, and its free rigid motions (n_nodes * dim, k) with amplitudes
+    about 1."""
 
     problem: DiscreteProblem
     nodes: np.ndarray
@@ -91,20 +106,36 @@ class _Body:
     def pieces(self) -> list[tuple[str, np.ndarray]]:
         """Return the bodies of this part, by what they are called, and their nodes."""
         bodies = self.problem.bodies or {}
-        inside = [(f"body {name!r}", nodes) for name, nodes in bodies.items() if np.isin(nodes[0], self.nodes)]
+        inside = [
+            (f"body {name!r}", nodes)
+            for name, nodes in bodies.items()
+            if np.isin(nodes[0], self.nodes)
+        ]
         if inside and (self.several or len(inside) > 1):
             return inside
-        return [(f"the body of node {self.nodes[0]} ({len(self.nodes)} nodes)" if self.several else "", self.nodes)]
+        return [
+            (
+                f"the body of node {self.nodes[0]} ({len(self.nodes)} nodes)"
+                if self.several
+                else "",
+                self.nodes,
+            )
+        ]
 
     def describe(self, coefficients: np.ndarray) -> str:
         problem = self.problem
         relative = np.zeros((problem.n_nodes, problem.dim))
         relative[self.nodes] = (self.motions @ coefficients).reshape(len(self.nodes), -1)
         field = problem.physical(relative)
-        moving = [(whose, nodes) for whose, nodes in self.pieces
-                  if np.abs(field[nodes]).max() > 1e-6 * np.abs(field).max()]
-        return " and ".join(self._words(nodes, field[nodes]) + (f" of {whose}" if whose else "")
-                            for whose, nodes in moving)
+        moving = [
+            (whose, nodes)
+            for whose, nodes in self.pieces
+            if np.abs(field[nodes]).max() > 1e-6 * np.abs(field).max()
+        ]
+        return " and ".join(
+            self._words(nodes, field[nodes]) + (f" of {whose}" if whose else "")
+            for whose, nodes in moving
+        )
 
     def _words(self, nodes: np.ndarray, field: np.ndarray) -> str:
         """A motion (n, dim) of some nodes as text."""
@@ -117,18 +148,22 @@ class _Body:
         if size * np.abs(turn).max(initial=0.0) <= most:
             return f"translation along {_axis(shift)}"
         if dim == 2:
-            return f"rotation about {_vector(centre + np.array([-shift[1], shift[0]]) / turn, size)}"
+            return (
+                f"rotation about {_vector(centre + np.array([-shift[1], shift[0]]) / turn, size)}"
+            )
         pole = centre + np.cross(turn, shift) / (turn @ turn)
         kind = "screw motion" if abs(shift @ turn) > most * np.linalg.norm(turn) else "rotation"
         return f"{kind} about the axis along {_axis(turn)} through {_vector(pole, size)}"
 
 
 def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Rigid motions (n_nodes * dim, k) of a part that vanish at its fixed dofs and cause no force."""
+    """Rigid motions (n_nodes * dim, k) of a part that vanish at its fixed dofs and cause no
+    force."""
     dim = problem.dim
     dofs = (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
     modes, forces = problem.near_nullspace[dofs], stiff[dofs] / np.abs(problem.matrix.data).max()
-    # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram matrix
+    # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram
+    # matrix
     values, vectors = np.linalg.eigh(modes.T @ modes)
     independent = values > 1e-12 * values[-1]
     if not independent.any():
@@ -138,7 +173,10 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     strained = np.abs(forces).max(axis=1) > 1e-9
     # springs far softer than the body hold it too
     scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
-    return modes @ _null_combinations(np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])).T
+    return (
+        modes
+        @ _null_combinations(np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])).T
+    )
 
 
 def _null_combinations(rows: np.ndarray) -> np.ndarray:
@@ -159,38 +197,58 @@ def _check_body(body: _Body) -> None:
     unbalanced, motion = forces.least_unbalanced(work)
     if unbalanced > _UNBALANCED:
         motion = _culprit(body, forces, work, motion)
-        raise ValueError(f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact forces "
-                         "cannot balance the load on it. Add a support that fixes this motion, or change load, "
-                         "obstacle or friction so that contact resists it")
+        raise ValueError(
+            f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact forces "
+            "cannot balance the load on it. Add a support that fixes this motion, or change load, "
+            "obstacle or friction so that contact resists it"
+        )
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if len(neutral):
-        plain = [c for c in _plain_motions(body) if np.linalg.norm(c - neutral.T @ (neutral @ c)) <= _STILL]
-        raise ValueError(f"the solution is not unique: a {body.describe((plain or neutral)[0])} is left free by the "
-                         "supports, moves no contact node towards or away from the obstacle, meets no friction and no "
-                         "work of the load. Add a support that fixes it")
+        plain = [
+            c
+            for c in _plain_motions(body)
+            if np.linalg.norm(c - neutral.T @ (neutral @ c)) <= _STILL
+        ]
+        raise ValueError(
+            f"the solution is not unique: a {body.describe((plain or neutral)[0])} is left free by the "
+            "supports, moves no contact node towards or away from the obstacle, meets no friction and no "
+            "work of the load. Add a support that fixes it"
+        )
     if np.abs(work).max() <= _UNBALANCED:
-        # no load on the free motions: only bodies that contact encloses are held, whose pressures balance each other
-        away, forces = forces.edges.mean(axis=1), replace(forces, limits=np.zeros_like(forces.limits))
+        # no load on the free motions: only bodies that contact encloses are held, whose pressures
+        # balance each other
+        away, forces = (
+            forces.edges.mean(axis=1),
+            replace(forces, limits=np.zeros_like(forces.limits)),
+        )
         unbalanced, motion = forces.least_unbalanced(away)
         if unbalanced > _UNBALANCED:
             motion = _plainest(body, forces, away, motion)
-            raise ValueError(f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
-                             "by the supports, and the load does no work on it. Add a load, or a support that fixes "
-                             "this motion")
+            raise ValueError(
+                f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
+                "by the supports, and the load does no work on it. Add a load, or a support that fixes "
+                "this motion"
+            )
 
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    """Admissible contact forces, by their work on the k free motions; forces in units of the load."""
+    """Admissible contact forces, by their work on the k free motions; forces in units of the
+    load."""
 
-    edges: np.ndarray  # (k, n_edges): of the Coulomb cones (without friction: unit pressures), times factors >= 0
+    edges: (
+        np.ndarray
+    )  # (k, n_edges): of the Coulomb cones (without friction: unit pressures), times factors >= 0
     segments: np.ndarray  # (k, n_segments): of the Tresca part, times factors within +-limits
     limits: np.ndarray  # (n_segments,)
 
     def least_unbalanced(self, work: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it is done."""
+        """Return the smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it
+        is done."""
         k, n_edges = self.edges.shape
-        if k == 1:  # without the library of linear programmes, whose import takes a tenth of a first small solve
+        if (
+            k == 1
+        ):  # without the library of linear programmes, whose import takes a tenth of a first small solve
             balanced = (self.edges[0] * np.sign(work) < -_STILL).any()
             left = abs(work[0]) - np.abs(self.segments[0]) @ self.limits
             return 0.0 if balanced else max(float(left), 0.0), np.sign(work)
@@ -199,22 +257,28 @@ class _Forces:
         columns = np.hstack([self.edges, self.segments, np.eye(k), -np.eye(k)])
         bounds = np.zeros((columns.shape[1], 2))
         bounds[:, 1] = np.inf
-        bounds[n_edges:n_edges + len(self.limits)] = np.column_stack([-self.limits, self.limits])
+        bounds[n_edges : n_edges + len(self.limits)] = np.column_stack([-self.limits, self.limits])
         cost = np.zeros(columns.shape[1])
-        cost[-2 * k:] = 1.0
+        cost[-2 * k :] = 1.0
         result = linprog(cost, A_eq=columns, b_eq=-work, bounds=bounds, method="highs-ds")
         if not result.success:
-            raise RuntimeError(f"the linear programme of the rigid-body statics failed: {result.message}")
+            raise RuntimeError(
+                f"the linear programme of the rigid-body statics failed: {result.message}"
+            )
         return float(result.fun), -result.eqlin.marginals
 
     def let_go(self, motion: np.ndarray, work: np.ndarray) -> bool:
         """Return whether no admissible force balances ``work`` on this very motion."""
         resisted = (motion @ self.edges < -_STILL).any()
-        return not resisted and motion @ work - np.abs(motion @ self.segments) @ self.limits > _UNBALANCED
+        return (
+            not resisted
+            and motion @ work - np.abs(motion @ self.segments) @ self.limits > _UNBALANCED
+        )
 
 
 def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Forces:
-    """The forces that nodal Tresca limits (units of the load) and friction coefficients (n_contact,) admit."""
+    """The forces that nodal Tresca limits (units of the load) and friction coefficients
+    (n_contact,) admit."""
     problem = body.problem
     dim, contact = problem.dim, problem.contact
     position = np.searchsorted(body.nodes, contact.nodes)
@@ -235,7 +299,8 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
 
 
 def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """The plainest free motion (k,) to blame for unbalanced work: of opening or tipping, else of sliding."""
+    """The plainest free motion (k,) to blame for unbalanced work: of opening or tipping, else of
+    sliding."""
     plain = _plainest(body, forces, work, motion)
     if plain is not motion:
         return plain
@@ -244,15 +309,17 @@ def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray)
     unbalanced, opening = stuck.least_unbalanced(work)
     if unbalanced > _UNBALANCED:
         return _plainest(body, stuck, work, opening)
-    # unlimited friction would hold it, so it slides. The multipliers of a friction cone open while they slide (they
-    # move along its edge): only the part that stays in contact is the motion to blame
+    # unlimited friction would hold it, so it slides. The multipliers of a friction cone open while
+    # they slide (they move along its edge): only the part that stays in contact is the motion to
+    # blame
     sliding = _null_combinations(stuck.edges.T)
     slide = sliding.T @ (sliding @ motion)
     return slide if slide @ work > _UNBALANCED else motion
 
 
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Corners (n, dim - 1) of the polygon about the unit disc; directions and half length of the segments it sums."""
+    """Corners (n, dim - 1) of the polygon about the unit disc; directions and half length of the
+    segments it sums."""
     if dim == 2:
         return np.array([[1.0], [-1.0]]), np.array([[1.0]]), 1.0
     angle = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
@@ -262,7 +329,8 @@ def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def _plain_motions(body: _Body) -> np.ndarray:
-    """Coefficients (n, k) of those plain motions, both ways, that are free: along and about the coordinate axes."""
+    """Coefficients (n, k) of those plain motions, both ways, that are free: along and about the
+    coordinate axes."""
     problem, columns = body.problem, []
     for _, nodes in body.pieces:
         for motion in _axis_motions(problem, nodes)[0].T:
@@ -275,9 +343,11 @@ def _plain_motions(body: _Body) -> np.ndarray:
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
 
 
-def _axis_motions(problem: DiscreteProblem, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Motions (n * dim, m) of some nodes along, and where there are coordinates about, axes through their centre; this
-    centre and the size over which turns are."""
+def _axis_motions(
+    problem: DiscreteProblem, nodes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Motions (n * dim, m) of some nodes along, and where there are coordinates about, axes through
+    their centre; this centre and the size over which turns are."""
     dim, centre, size = problem.dim, np.zeros(problem.dim), 1.0
     columns = [np.tile(axis, (len(nodes), 1)) for axis in np.eye(dim)]
     if problem.coordinates is not None:
@@ -315,7 +385,8 @@ _SMALL, _SMALL_CONTACT = 1500, 200
 
 @remembered_of_structure
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
-    """Return the critical coefficient of each contact node if it touches alone; NaN for bodies that contact holds."""
+    """Return the critical coefficient of each contact node if it touches alone; NaN for bodies that
+    contact holds."""
     dim, n = problem.dim, len(problem.contact)
     condensed = condense_problem(problem, lenient=True)
     values, vectors = np.linalg.eigh(condensed.matrix)
@@ -331,20 +402,31 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
 
 
 def _critical(stiffness: np.ndarray) -> np.ndarray:
-    """The critical coefficients (n,) of nodes with these stiffnesses (n, dim, dim) in their frames."""
+    """The critical coefficients (n,) of nodes with these stiffnesses (n, dim, dim) in their
+    frames."""
     tangential = stiffness[:, 1:, 1:].copy()
     tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
-    along, across = np.linalg.eigvalsh(tangential)[:, 0], np.linalg.norm(stiffness[:, 0, 1:], axis=1)
+    along, across = (
+        np.linalg.eigvalsh(tangential)[:, 0],
+        np.linalg.norm(stiffness[:, 0, 1:], axis=1),
+    )
     return np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
 
 
 def warn_of_several_solutions(grids: Hierarchy) -> None:
-    """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is not cheap, or bodies
-    are held by contact, the one with all other nodes of the finest held, which is larger."""
+    """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is
+    not cheap, or bodies are held by contact, the one with all other nodes of the finest held, which
+    is larger."""
     problem, critical = grids[0].discrete_or_none, np.array([np.nan])
-    if problem is not None and problem.law.bounds(len(problem.contact))[1].any() and problem.n_dofs <= _SMALL and (
-            len(problem.contact) * problem.dim <= _SMALL_CONTACT):
-        with suppress(ValueError, np.linalg.LinAlgError):  # a singular interior is refused elsewhere
+    if (
+        problem is not None
+        and problem.law.bounds(len(problem.contact))[1].any()
+        and problem.n_dofs <= _SMALL
+        and (len(problem.contact) * problem.dim <= _SMALL_CONTACT)
+    ):
+        with suppress(
+            ValueError, np.linalg.LinAlgError
+        ):  # a singular interior is refused elsewhere
             critical = critical_friction(problem)
     if np.isnan(critical).any():
         problem = grids.finest.discrete
@@ -353,6 +435,10 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
     beyond = friction >= critical
     if beyond.any():
         i = int(np.argmax(np.where(beyond, friction - critical, -np.inf)))
-        advise("friction", f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
-               f"may open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes): the solution "
-               "may not be unique; compare am.solve(..., start=...) from several starts", RuntimeWarning)
+        advise(
+            "friction",
+            f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
+            f"may open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes): the solution "
+            "may not be unique; compare am.solve(..., start=...) from several starts",
+            RuntimeWarning,
+        )

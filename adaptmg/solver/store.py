@@ -1,17 +1,19 @@
 """Objects in files, and the steps of a computation in a folder; what was killed goes on there.
 
-A file is an ``.npz`` archive of arrays, one of which is JSON text; nothing is pickled. Dataclasses of listed kinds are
-written field by field, what occurs twice once. The text has a hash of all that was written, so that damage and changes
-are recognised. The unpacked size is checked before anything is unpacked: a small archive may declare terabytes.
+A file is an ``.npz`` archive of arrays, one of which is JSON text; nothing is pickled. Dataclasses
+of listed kinds are written field by field, what occurs twice once. The text has a hash of all that
+was written, so that damage and changes are recognised. The unpacked size is checked before anything
+is unpacked: a small archive may declare terabytes.
 
-A :class:`StepStore` is a folder with a head (``path.json``, ``loop.json``), which states what the steps belong to, and
-a file a step (``step_0003.npz``) with its number and the key of the head, a hash of its content: files that were
-swapped, or come from another folder, are recognised. No file that is there is written again or removed.
+A :class:`StepStore` is a folder with a head (``path.json``, ``loop.json``), which states what the
+steps belong to, and a file a step (``step_0003.npz``) with its number and the key of the head, a
+hash of its content: files that were swapped, or come from another folder, are recognised. No file
+that is there is written again or removed.
 
-In a head a fingerprint identifies the computation. Of each array on the meshes it has the length, the norm and the
-product with a fixed wave, compared to a relative 1e-8: another mesh, material, load or law shows, the rounding of
-another machine does not. Objects are compared by value, with the code of the user's functions and classes in them
-(:func:`adaptmg.solver.fingerprint.value_parts`).
+In a head a fingerprint identifies the computation. Of each array on the meshes it has the length,
+the norm and the product with a fixed wave, compared to a relative 1e-8: another mesh, material,
+load or law shows, the rounding of another machine does not. Objects are compared by value, with the
+code of the user's functions and classes in them (:func:`adaptmg.solver.fingerprint.value_parts`).
 """
 
 from __future__ import annotations
@@ -51,7 +53,8 @@ _TOLERANCE = 1e-8
 
 
 class _Writer:
-    """Objects as arrays by name, and values that JSON has: an object of JSON has one entry, whose name is its kind."""
+    """Objects as arrays by name, and values that JSON has: an object of JSON has one entry, whose
+    name is its kind."""
 
     def __init__(self, kinds: Kinds) -> None:
         self.kinds, self.arrays = kinds, {}
@@ -67,11 +70,21 @@ class _Writer:
             written = {"array": self._array(name, value)}
         elif kind is not None:
             # the source of a mesh is made when it is read
-            written = {kind.__name__: value.name if isinstance(value, Enum) else {
-                one.name: self.plain(_joined(name, one.name), vars(value).get(one.name))
-                for one in fields(kind) if one.init and one.name != "source"}}
+            written = {
+                kind.__name__: value.name
+                if isinstance(value, Enum)
+                else {
+                    one.name: self.plain(_joined(name, one.name), vars(value).get(one.name))
+                    for one in fields(kind)
+                    if one.init and one.name != "source"
+                }
+            }
         elif isinstance(value, Mapping):
-            return {"dict": {str(key): self.plain(_joined(name, key), part) for key, part in value.items()}}
+            return {
+                "dict": {
+                    str(key): self.plain(_joined(name, key), part) for key, part in value.items()
+                }
+            }
         elif isinstance(value, tuple):
             return {"tuple": self.plain(name, list(value))}
         elif isinstance(value, list):
@@ -79,14 +92,18 @@ class _Writer:
         elif value is None or isinstance(value, bool | int | float | str):
             return value
         else:
-            raise TypeError(f"{name} must be a number, text, or a list or dict of these to be saved, "
-                            f"got {checks.described(value)}")
+            raise TypeError(
+                f"{name} must be a number, text, or a list or dict of these to be saved, "
+                f"got {checks.described(value)}"
+            )
         self.seen[id(value)] = (len(self.seen), value)
         return written
 
     def _array(self, name: str, array: np.ndarray) -> str:
         if array.dtype.kind not in "biuf":
-            raise TypeError(f"{name} must be an array of numbers to be saved, got an array of {array.dtype}")
+            raise TypeError(
+                f"{name} must be an array of numbers to be saved, got an array of {array.dtype}"
+            )
         if name in self.arrays or not re.fullmatch(r"[A-Za-z0-9_.\[\]]+", name):
             name = f"array {len(self.arrays)}"
         self.arrays[name] = array.astype(array.dtype.newbyteorder("="), copy=False)
@@ -136,11 +153,17 @@ class Stored:
     part_of: dict[str, object]
 
 
-def packed(value: object, kinds: Kinds, more: object = None, part_of: Mapping[str, object] | None = None) -> bytes:
+def packed(
+    value: object, kinds: Kinds, more: object = None, part_of: Mapping[str, object] | None = None
+) -> bytes:
     """Return the content of a file: an object, more next to it, and what it is a part of."""
     writer = _Writer(kinds)
-    text = {"format": _FORMAT, "value": writer.plain("", value), "more": writer.plain("more", more),
-            "part_of": dict(part_of or {})}
+    text = {
+        "format": _FORMAT,
+        "value": writer.plain("", value),
+        "more": writer.plain("more", more),
+        "part_of": dict(part_of or {}),
+    }
     meta = json.dumps(text | {"hash": _hash(text, writer.arrays)}).encode()
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **writer.arrays, **{_META: np.frombuffer(meta, dtype=np.uint8)})
@@ -148,14 +171,17 @@ def packed(value: object, kinds: Kinds, more: object = None, part_of: Mapping[st
 
 
 def read(path: str | os.PathLike[str], kinds: Kinds, *, more: bool = False) -> Stored:
-    """Read an object of the first of ``kinds``; ValueError, which names the file, if it is something else or damaged.
+    """Read an object of the first of ``kinds``; ValueError, which names the file, if it is
+    something else or damaged.
 
-    ``more``: with what was written next to it, which may be of other kinds than those that are listed.
-    """
+    ``more``: with what was written next to it, which may be of other kinds than those that are
+    listed."""
     file = checks.file_path("path", path)
     with opened(file) as stream, damage(file):
         arrays = _arrays(stream)
-        text = json.loads(arrays.pop(_META, np.zeros(0, dtype=np.uint8)).tobytes() or b'{"format": null}')
+        text = json.loads(
+            arrays.pop(_META, np.zeros(0, dtype=np.uint8)).tobytes() or b'{"format": null}'
+        )
         if text["format"] == _FORMAT:
             if text.pop("hash") != _hash(text, arrays):
                 raise ValueError("its content is not what was written")
@@ -164,7 +190,9 @@ def read(path: str | os.PathLike[str], kinds: Kinds, *, more: bool = False) -> S
             return Stored(value, reader.value(text["more"]) if more else None, text["part_of"])
     if text["format"] is None:
         raise ValueError(f"{printable(os.fspath(file))} was not saved by adaptmg")
-    raise ValueError(f"{printable(os.fspath(file))} was saved by another version of adaptmg; solve again")
+    raise ValueError(
+        f"{printable(os.fspath(file))} was saved by another version of adaptmg; solve again"
+    )
 
 
 def _hash(text: Mapping[str, object], arrays: Mapping[str, np.ndarray] | None = None) -> str:
@@ -182,7 +210,11 @@ def damage(file: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # zipfile, zlib, struct, numpy and json have their own
-        what = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else error or type(error).__name__
+        what = (
+            f"{error.args[0]!r} is missing"
+            if isinstance(error, KeyError)
+            else error or type(error).__name__
+        )
         raise ValueError(f"{printable(os.fspath(file))} is damaged: {what}") from error
 
 
@@ -192,7 +224,9 @@ def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
         listed = archive.infolist()
     size, unpacked = os.fstat(file.fileno()).st_size, sum(entry.file_size for entry in listed)
     if len(listed) > _MOST_ARRAYS or len({entry.filename for entry in listed}) < len(listed):
-        raise ValueError(f"it lists {len(listed)} arrays, some of them twice or more than {_MOST_ARRAYS}")
+        raise ValueError(
+            f"it lists {len(listed)} arrays, some of them twice or more than {_MOST_ARRAYS}"
+        )
     if unpacked > max(_SMALL, _MOST_SHRINKING * size):
         raise ValueError(f"{size} bytes would unpack to {unpacked}: that is not a result")
     checks.fits("its arrays", unpacked, "unpacked they")
@@ -215,8 +249,11 @@ class StepStore:
         self.key = _hash(self.head)
 
     @classmethod
-    def resumed(cls, folder: str | os.PathLike[str], name: str, head: Mapping[str, object], kinds: Kinds) -> StepStore:
-        """Open the store in a folder, or make it; ValueError if it holds steps of another computation."""
+    def resumed(
+        cls, folder: str | os.PathLike[str], name: str, head: Mapping[str, object], kinds: Kinds
+    ) -> StepStore:
+        """Open the store in a folder, or make it; ValueError if it holds steps of another
+        computation."""
         store = cls(checks.file_path("store", folder), name, head, kinds)
         if store.folder.exists() and not store.folder.is_dir():
             raise ValueError(f"store must be a folder, {store.folder} is a file")
@@ -226,13 +263,19 @@ class StepStore:
             return store
         stored = cls.read(store.folder, name, kinds)
         if not stored.head["fingerprint"]:
-            raise ValueError(f"{store.folder} was written by save, without what it was solved for: give another folder "
-                             "as store")
+            raise ValueError(
+                f"{store.folder} was written by save, without what it was solved for: give another folder "
+                "as store"
+            )
         # as it comes back from JSON
-        different = differences(stored.head["fingerprint"], json.loads(json.dumps(head["fingerprint"])))
+        different = differences(
+            stored.head["fingerprint"], json.loads(json.dumps(head["fingerprint"]))
+        )
         if different:
-            raise ValueError(f"the store {store.folder} belongs to another run: {', '.join(different)} "
-                             f"differ{'s' if len(different) == 1 else ''}; give another folder, or remove this one")
+            raise ValueError(
+                f"the store {store.folder} belongs to another run: {', '.join(different)} "
+                f"differ{'s' if len(different) == 1 else ''}; give another folder, or remove this one"
+            )
         return stored  # steps go by the key of the head that is there
 
     @classmethod
@@ -250,7 +293,9 @@ class StepStore:
             if version == _FORMAT:
                 checks.instance("fingerprint", head["fingerprint"], dict)
                 return store
-        raise ValueError(f"{store.file} was written by another version of adaptmg; solve again in another folder")
+        raise ValueError(
+            f"{store.file} was written by another version of adaptmg; solve again in another folder"
+        )
 
     @property
     def empty(self) -> bool:
@@ -263,7 +308,8 @@ class StepStore:
         write_bytes(self.file, json.dumps(text, indent=1).encode())
 
     def put(self, number: int, value: object, more: object = None) -> None:
-        """Write a step, unless another process has; ValueError if a file of that name is something else."""
+        """Write a step, unless another process has; ValueError if a file of that name is something
+        else."""
         if os.path.lexists(self._step_file(number)):
             self._read(number)
         else:
@@ -274,8 +320,10 @@ class StepStore:
         numbers = self._numbers()
         for expected, number in enumerate(numbers):
             if number != expected:
-                raise ValueError(f"{self._step_file(expected)} is missing, though {self._step_file(number).name} is "
-                                 "there: put it back, or remove the steps after it")
+                raise ValueError(
+                    f"{self._step_file(expected)} is missing, though {self._step_file(number).name} is "
+                    "there: put it back, or remove the steps after it"
+                )
         return [self._read(number) for number in numbers]
 
     def _read(self, number: int) -> Stored:
@@ -285,49 +333,83 @@ class StepStore:
         except ValueError as error:
             raise ValueError(f"{error}: {_AGAIN}") from error
         if step.part_of.get("key") != self.key:
-            raise ValueError(f"{file} belongs to another computation than {self.file.name} next to it: {_AGAIN}")
+            raise ValueError(
+                f"{file} belongs to another computation than {self.file.name} next to it: {_AGAIN}"
+            )
         if step.part_of.get("step") != number:
-            raise ValueError(f"{file} holds step {checks.shown(step.part_of.get('step'))}, not step {number}: {_AGAIN}")
+            raise ValueError(
+                f"{file} holds step {checks.shown(step.part_of.get('step'))}, not step {number}: {_AGAIN}"
+            )
         return step
 
     def _numbers(self) -> list[int]:
-        return sorted(int(match[1]) for name in os.listdir(self.folder)
-                      if (match := re.fullmatch(r"step_(\d+)\.npz", name)))
+        return sorted(
+            int(match[1])
+            for name in os.listdir(self.folder)
+            if (match := re.fullmatch(r"step_(\d+)\.npz", name))
+        )
 
     def _step_file(self, number: int) -> Path:
         return self.folder / f"step_{number:04d}.npz"
 
 
-def fingerprint(grids: Hierarchy, loads: Sequence[LoadSteps | None], factors: Mapping[str, np.ndarray], steps: int,
-                parts: Mapping[str, object], depends: Mapping[str, object] | None = None) -> dict[str, object]:
+def fingerprint(
+    grids: Hierarchy,
+    loads: Sequence[LoadSteps | None],
+    factors: Mapping[str, np.ndarray],
+    steps: int,
+    parts: Mapping[str, object],
+    depends: Mapping[str, object] | None = None,
+) -> dict[str, object]:
     """Return what the steps depend on, as plain values by the names that messages give them."""
-    depends = checks.instance("depends", {} if depends is None else depends, Mapping, "a mapping of names to values")
+    depends = checks.instance(
+        "depends", {} if depends is None else depends, Mapping, "a mapping of names to values"
+    )
     finest, contact = grids.finest.discrete, grids.finest.discrete.contact
     coordinates = [] if finest.coordinates is None else [_sums(finest.coordinates)]
     return {
         "problem": grids.problem.name if grids.problem is not None else "",
-        "grids": [[level.n_nodes, *_sums(level.matrix.data)] for level in grids.levels] + coordinates,
-        "volumes": [] if finest.volumes is None else [_sums(finest.volumes.rows.data),
-                                                      _sums(finest.volumes.compliance)],
+        "grids": [[level.n_nodes, *_sums(level.matrix.data)] for level in grids.levels]
+        + coordinates,
+        "volumes": []
+        if finest.volumes is None
+        else [_sums(finest.volumes.rows.data), _sums(finest.volumes.compliance)],
         "transfers": [_sums(level.prolongation.data) for level in grids.levels[1:]],
-        "loads": [{name: _sums(load) for name, load in part.loads.items()} for part in loads if part is not None],
-        "supports": {name: [*_sums(dofs), *_sums(values)] for name, (dofs, values) in loads[-1].prescribed.items()},
-        "contact": [_sums(part) for part in (contact.nodes, contact.normals, contact.gaps, contact.weights)],
+        "loads": [
+            {name: _sums(load) for name, load in part.loads.items()}
+            for part in loads
+            if part is not None
+        ],
+        "supports": {
+            name: [*_sums(dofs), *_sums(values)]
+            for name, (dofs, values) in loads[-1].prescribed.items()
+        },
+        "contact": [
+            _sums(part) for part in (contact.nodes, contact.normals, contact.gaps, contact.weights)
+        ],
         "law": [_sums(part) for part in finest.law.bounds(len(contact))],
-        "path": {"steps": steps} | {name: list(map(float, values)) for name, values in factors.items()},
+        "path": {"steps": steps}
+        | {name: list(map(float, values)) for name, values in factors.items()},
     } | value_parts(parts, depends)
 
 
 def _sums(values: np.ndarray) -> list[float]:
     flat = np.asarray(values, dtype=np.float64).reshape(-1)
     # not through BLAS, whose sums depend on the number of threads
-    return [float(flat.size), float(np.sqrt(np.einsum("i,i->", flat, flat))),
-            float(np.einsum("i,i->", flat, np.cos(np.arange(flat.size))))]
+    return [
+        float(flat.size),
+        float(np.sqrt(np.einsum("i,i->", flat, flat))),
+        float(np.einsum("i,i->", flat, np.cos(np.arange(flat.size)))),
+    ]
 
 
 def differences(stored: Mapping[str, object], requested: Mapping[str, object]) -> list[str]:
     """Return the names under which two fingerprints differ, numbers by more than rounding."""
-    return [name for name in {**requested, **stored} if not _same(stored.get(name, ...), requested.get(name, ...))]
+    return [
+        name
+        for name in {**requested, **stored}
+        if not _same(stored.get(name, ...), requested.get(name, ...))
+    ]
 
 
 def _same(a: object, b: object) -> bool:

@@ -1,19 +1,22 @@
-r"""TruncatedRun: the truncated nonsmooth Newton multigrid: nested start, cycles on the finest level.
+r"""TruncatedRun: the truncated nonsmooth Newton multigrid: nested start, cycles on the finest
+level.
 
-Truncated are the options of its parts. TruncatedRun solves the coarsest level by the active set method, the levels
-above it by a few cycles each, and the finest to the tolerance. Where that does not converge (friction of 3, say)
+Truncated are the options of its parts. TruncatedRun solves the coarsest level by the active set
+method, the levels above it by a few cycles each, and the finest to the tolerance. Where that does
+not converge (friction of 3, say)
 :func:`adaptmg.solver.multigrid.handed_over` gives another method the cycles that are left.
 
-The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level proposes estimates the
-error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger of the last ratio and the mean of the last
-three) the error after the next smoothing is :math:`\rho\,\eta_k`. Together with the natural residual, which every
-smoothing leaves behind, it decides when to stop, without a further pass over a matrix.
+The energy :math:`\eta_k^2 = \tilde r_k \cdot e_k` of the correction that the next coarser level
+proposes estimates the error it removes; with the rate :math:`\rho = \eta_k/\eta_{k-1}` (the larger
+of the last ratio and the mean of the last three) the error after the next smoothing is
+:math:`\rho\,\eta_k`. Together with the natural residual, which every smoothing leaves behind, it
+decides when to stop, without a further pass over a matrix.
 
-Where the contact status is not yet known (from zero, or while corrections are large) a contact problem on a coarse
-level comes before the cycle (:mod:`adaptmg.multigrid.truncated_step`), and the linear correction ends where its first
-open node closes. Cycles with frozen friction and a line search ("safe" ones) are taken where the residual no longer
-falls. If that does not help, the iteration has stalled.
-"""
+Where the contact status is not yet known (from zero, or while corrections are large) a contact
+problem on a coarse level comes before the cycle (:mod:`adaptmg.multigrid.truncated_step`), and the
+linear correction ends where its first open node closes. Cycles with frozen friction and a line
+search ("safe" ones) are taken where the residual no longer falls. If that does not help, the
+iteration has stalled."""
 
 from __future__ import annotations
 
@@ -45,10 +48,11 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 
 class TruncatedIteration(StopTest):
-    """Cycles on one level, measured after the smoothing, and their test. ``start``: "zero", "nested" or "given".
-    ``coarse`` makes the contact problem on a coarse level; ``costly``: that has more unknowns than it should.
-    ``nested`` is the start (n_dofs,) from which ``rtol="discretisation"`` is measured. ``hands_over``: end where the
-    tolerance is out of reach at the present speed."""
+    """Cycles on one level, measured after the smoothing, and their test. ``start``: "zero",
+    "nested" or "given". ``coarse`` makes the contact problem on a coarse level; ``costly``: that
+    has more unknowns than it should. ``nested`` is the start (n_dofs,) from which
+    ``rtol="discretisation"`` is measured. ``hands_over``: end where the tolerance is out of reach
+    at the present speed."""
 
     #: the energy of the coarse correction misses what the smoothing removes, and all the corrections that follow: the
     #: error is up to the larger of SAFETY and TAIL / (1 - rate) times larger
@@ -72,10 +76,20 @@ class TruncatedIteration(StopTest):
     #: changed, from zero and from the third cycle on after other starts
     MOVES, SMALL, LARGE, MIDDLE, LATE = 8, 3e-3, 0.05, 1e-3, 2e-3
 
-    def __init__(self, multigrid: TruncatedStep, problem: DiscreteProblem, rtol: float | str, limit: float, *,
-                 run: Run | None = None, start: str = "given", nested: np.ndarray | None = None,
-                 hands_over: bool = False, coarse: Callable[[], CoarseContact] | None = None,
-                 costly: bool = False) -> None:
+    def __init__(
+        self,
+        multigrid: TruncatedStep,
+        problem: DiscreteProblem,
+        rtol: float | str,
+        limit: float,
+        *,
+        run: Run | None = None,
+        start: str = "given",
+        nested: np.ndarray | None = None,
+        hands_over: bool = False,
+        coarse: Callable[[], CoarseContact] | None = None,
+        costly: bool = False,
+    ) -> None:
         super().__init__(0.0 if rtol == "discretisation" else rtol, limit)
         self.multigrid, self.problem, self.run, self.sizes = multigrid, problem, run, Sizes(problem)
         self.residuals: list[float] = []
@@ -83,7 +97,13 @@ class TruncatedIteration(StopTest):
         self._safe, self._was_safe = 0, False
         self._first, self._since = np.nan, 0
         self._costly = costly
-        self._coarse, self._start, self._moves, self._changed, self._shorten = coarse, start, list[float](), 0, False
+        self._coarse, self._start, self._moves, self._changed, self._shorten = (
+            coarse,
+            start,
+            list[float](),
+            0,
+            False,
+        )
 
     def step(self) -> State | Status:
         """Correct, unless it is the first step, and measure what the smoothing leaves."""
@@ -93,7 +113,10 @@ class TruncatedIteration(StopTest):
         multigrid, sizes, cycles = self.multigrid, self.sizes, len(self.changes)
         # each cycle only where the displacement has to grow into prescribed values
         measured = cycles % 4 == 0 or sizes.prescribed
-        self._shorten, moved = self._coarse is not None and self._start != "given" and cycles == 0, None
+        self._shorten, moved = (
+            self._coarse is not None and self._start != "given" and cycles == 0,
+            None,
+        )
         if self._seeks_status():
             multigrid.smooth()
             moved, measured = self._coarse()(), True
@@ -107,12 +130,23 @@ class TruncatedIteration(StopTest):
         early = cycles < 2
         # an exact start has no rate to measure, and needs none
         floor = multigrid.rounding() if early or sizes.prescribed else 0.0
-        forces, columns = sizes.forces(multigrid.unknowns, state.reactions), {"status_changes": float(state.changed)}
+        forces, columns = (
+            sizes.forces(multigrid.unknowns, state.reactions),
+            {"status_changes": float(state.changed)},
+        )
         idle = sizes.nothing_strains(forces, ROUNDING * floor, multigrid.unknowns)
         if self.run is not None and self.run.reference is not None:
             error = multigrid.unknowns - self.problem.from_prescribed(self.run.reference)
             columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
-        return State(cycles, state.residual, forces, size, floor if early or idle else 0.0, idle, columns=columns)
+        return State(
+            cycles,
+            state.residual,
+            forces,
+            size,
+            floor if early or idle else 0.0,
+            idle,
+            columns=columns,
+        )
 
     def judge(self, state: State) -> None:
         super().judge(state)
@@ -121,7 +155,11 @@ class TruncatedIteration(StopTest):
 
     def _seeks_status(self) -> bool:
         """Whether a contact problem on a coarse level comes first."""
-        if self._coarse is None or len(self._moves) >= self.MOVES or (self._moves and self._moves[-1] < self.SMALL):
+        if (
+            self._coarse is None
+            or len(self._moves) >= self.MOVES
+            or (self._moves and self._moves[-1] < self.SMALL)
+        ):
             return False
         if not self.changes:
             return self._start == "zero"
@@ -144,8 +182,9 @@ class TruncatedIteration(StopTest):
         return None
 
     def take_discretisation_error(self, change: float) -> None:
-        r"""Set rtol from the A-norm of what the first cycle changed in the nested start. By orthogonality and an error
-        that halves with the mesh size, :math:`|u - u_h| = |u_h - u_{2h}|/\sqrt 3`; a tenth of it is the tolerance."""
+        r"""Set rtol from the A-norm of what the first cycle changed in the nested start. By
+        orthogonality and an error that halves with the mesh size, :math:`|u - u_h| = |u_h -
+        u_{2h}|/\sqrt 3`; a tenth of it is the tolerance."""
         if self.size > 0:
             self.rtol = min(self.SHARE * change / np.sqrt(3.0) / self.size, self.COARSEST)
 
@@ -162,7 +201,8 @@ class TruncatedIteration(StopTest):
         return self._no_new_minimum(self.residuals)
 
     def shortfall(self) -> float | None:
-        """Return the shortfall, see :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate can be better."""
+        """Return the shortfall, see :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate
+        can be better."""
         if self.run is None:
             return None
         if self.rests():
@@ -170,7 +210,9 @@ class TruncatedIteration(StopTest):
         # mostly this iterate is the last
         self.multigrid.set_aside(self.problem.matrix, self.problem.fixed)
         pressures = None if self.multigrid.pressures is None else self.multigrid.pressures.values
-        return self.run.shortfall(self.problem.with_prescribed(self.multigrid.unknowns), self.rtol, pressures)
+        return self.run.shortfall(
+            self.problem.with_prescribed(self.multigrid.unknowns), self.rtol, pressures
+        )
 
     def _estimate(self) -> float:
         rate = self.safe_rate
@@ -183,27 +225,34 @@ class TruncatedIteration(StopTest):
         return max(self.SAFETY, self.TAIL / (1 - rate)) * self.changes[-1] * rate / self.size
 
     def _ran_away(self) -> bool:
-        """Whether the absolute norm has grown: reactions, to which it is related elsewhere, grow with it."""
+        """Whether the absolute norm has grown: reactions, to which it is related elsewhere, grow
+        with it."""
         return self._last > 1e6 * max(self._first, 1e-300)
 
     def _in_trouble(self) -> bool:
-        """Whether the residual has reached no new minimum for a while; then the count begins again."""
+        """Whether the residual has reached no new minimum for a while; then the count begins
+        again."""
         self._since += 1
-        window = self.residuals[-self.TROUBLE:]
+        window = self.residuals[-self.TROUBLE :]
         if self._since < self.TROUBLE or window[0] > min(window[1:]):
             return False
         self._since = 0
         return True
 
     def _too_slow(self, left: float) -> bool:
-        """Whether, as fast as the last cycles went, the tolerance is not reached in most of the cycles ``left``. (The
-        last ratio alone says nothing: recombined corrections fall unevenly.)"""
+        """Whether, as fast as the last cycles went, the tolerance is not reached in most of the
+        cycles ``left``. (The last ratio alone says nothing: recombined corrections fall
+        unevenly.)"""
         if len(self.changes) <= 2 * self.WINDOW or not (self.rtol > 0 and self.size > 0):
             return False
         rate = self._mean_ratio(self.WINDOW)
         if not 0 < rate < 1:
             return True
-        gap = max(self._remaining(rate) / self.rtol, self.residual / (self.RESIDUAL_FACTOR * self.rtol), 1.0)
+        gap = max(
+            self._remaining(rate) / self.rtol,
+            self.residual / (self.RESIDUAL_FACTOR * self.rtol),
+            1.0,
+        )
         return bool(np.log(gap) > self.MOST * left * -np.log(rate))
 
 
@@ -214,25 +263,28 @@ _LOG = logging.getLogger(__name__)
 class Truncated:
     """Truncated nonsmooth Newton multigrid: the fast method.
 
-    One symmetric sweep on the finest level, and after the first cycle one on the next coarser level, after its
-    correction alone; on the others one before and after the correction where the matrix has more than 1.25 times the
-    entries a row of the finest one (Galerkin products of independent meshes), else two. Where bodies touch each other,
-    two sweeps over the nodes within two elements of the interface follow each smoothing of the finest level, backward
-    and forward: where a joint is soft they bring the rate from .6 or .7 to .4, for a few per cent of a cycle on large
-    meshes and a tenth on small graded ones.
+    One symmetric sweep on the finest level, and after the first cycle one on the next coarser
+    level, after its correction alone; on the others one before and after the correction where the
+    matrix has more than 1.25 times the entries a row of the finest one (Galerkin products of
+    independent meshes), else two. Where bodies touch each other, two sweeps over the nodes within
+    two elements of the interface follow each smoothing of the finest level, backward and forward:
+    where a joint is soft they bring the rate from .6 or .7 to .4, for a few per cent of a cycle on
+    large meshes and a tenth on small graded ones.
 
     Parameters
     ----------
     recombine : int
-        Past iterates recombined with the present one, 0 to 4, in turns recombined ones and those that they were made
-        from.
+        Past iterates recombined with the present one, 0 to 4, in turns recombined ones and those
+        that they were made from.
     coarse_solve : LinearSolve, optional
-        A user-defined solver of the coarsest linear problems, anything with ``setup(matrix) -> object with solve(rhs)``
-        (:class:`~adaptmg.multigrid.linear_cycle.LinearSolve`). Default: LU factors.
+        A user-defined solver of the coarsest linear problems, anything with ``setup(matrix) ->
+        object with solve(rhs)`` (:class:`~adaptmg.multigrid.linear_cycle.LinearSolve`). Default: LU
+        factors.
     coarse_smoother : LinearSmoother, optional
-        A user-defined smoother of the linear problems between the coarsest level and the finest, anything with
-        ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default: Gauss-Seidel sweeps. The smoother of the
-        finest level, projected sweeps that leave the residual behind, is part of the method.
+        A user-defined smoother of the linear problems between the coarsest level and the finest,
+        anything with ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default:
+        Gauss-Seidel sweeps. The smoother of the finest level, projected sweeps that leave the
+        residual behind, is part of the method.
 
     Examples
     --------
@@ -254,11 +306,19 @@ class Truncated:
         if checks.integer("recombine", self.recombine) > 4:
             raise ValueError(f"recombine must be 0 to 4, got {self.recombine!r}")
         if self.coarse_solve is not None:
-            checks.offers("coarse_solve", self.coarse_solve, "setup",
-                          "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution")
+            checks.offers(
+                "coarse_solve",
+                self.coarse_solve,
+                "setup",
+                "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution",
+            )
         if self.coarse_smoother is not None:
-            checks.offers("coarse_smoother", self.coarse_smoother, "setup",
-                          "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes")
+            checks.offers(
+                "coarse_smoother",
+                self.coarse_smoother,
+                "setup",
+                "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes",
+            )
 
     def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
         """Return the sweeps on each of the levels, coarsest first."""
@@ -272,15 +332,31 @@ class TruncatedRun:
     #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
 
-    def __init__(self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int) -> None:
+    def __init__(
+        self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int
+    ) -> None:
         need_levels(hierarchy)
-        self.parts, self.hierarchy, self.run, self.rtol, self.max_cycles = parts, hierarchy, run, rtol, max_cycles
+        self.parts, self.hierarchy, self.run, self.rtol, self.max_cycles = (
+            parts,
+            hierarchy,
+            run,
+            rtol,
+            max_cycles,
+        )
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
             levels = galerkin_levels(hierarchy, prolongations)
-            self.cycle = LinearCycle(levels, prolongations, run, parts.sweeps(levels), parts.coarse_solve,
-                                     parts.coarse_smoother)
-        self.problems: list[DiscreteProblem | None] = [level.discrete_or_none for level in hierarchy.levels]
+            self.cycle = LinearCycle(
+                levels,
+                prolongations,
+                run,
+                parts.sweeps(levels),
+                parts.coarse_solve,
+                parts.coarse_smoother,
+            )
+        self.problems: list[DiscreteProblem | None] = [
+            level.discrete_or_none for level in hierarchy.levels
+        ]
         self._coarse: CoarseContact | None = None
         #: of the volumes of the level that comes next, at its start
         self.pressures = run.pressures
@@ -288,20 +364,26 @@ class TruncatedRun:
     def from_given(self, start: np.ndarray | None) -> Outcome:
         """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
         problem = self.problems[-1]
-        return self.finish(np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start),
-                           "zero" if start is None else "given")
+        return self.finish(
+            np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start),
+            "zero" if start is None else "given",
+        )
 
     def from_nested(self, start: NestedStart) -> Outcome:
         return self.finish(self.nested_start(start), "nested")
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
-        """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,), Cartesian."""
+        """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,),
+        Cartesian."""
         unknowns, before = self._solve_coarsest(start), None
         for number in range(len(self.hierarchy) - 1):
             if number > 0:
                 unknowns = self._start_cycles(number, unknowns, start)
             with self.run.phase("start"):
-                coarse, fine, finer = *self.problems[number:number + 2], self.cycle.levels[number + 1]
+                coarse, fine, finer = (
+                    *self.problems[number : number + 2],
+                    self.cycle.levels[number + 1],
+                )
                 solution, displacement = coarse.with_prescribed(unknowns), np.zeros(fine.n_dofs)
                 finer.prolong(solution, displacement)
                 prolonged = displacement.copy() if self._extrapolation(number + 1) > 0 else None
@@ -309,17 +391,21 @@ class TruncatedRun:
                     change = self._extrapolation(number) * (solution - before)
                     finer.prolong(change, displacement)
                 unknowns, before = fine.from_prescribed(displacement), prolonged
-                self.pressures = prolonged_pressures(coarse, fine, finer.prolongation, self.pressures)
+                self.pressures = prolonged_pressures(
+                    coarse, fine, finer.prolongation, self.pressures
+                )
             self.run.visit(number + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns
 
     def _extrapolation(self, number: int) -> float:
-        """Richardson's share of the last change of the solution that the next level will add: discretisation errors
-        fall like 1/n on uniform plane grids of n nodes. 0 elsewhere."""
-        levels = self.hierarchy.levels[number - 1:number + 2] if number > 0 else ()
+        """Richardson's share of the last change of the solution that the next level will add:
+        discretisation errors fall like 1/n on uniform plane grids of n nodes. 0 elsewhere."""
+        levels = self.hierarchy.levels[number - 1 : number + 2] if number > 0 else ()
         meshes = [level.mesh_or_none for level in levels]
-        if len(meshes) < 3 or not all(mesh is not None and mesh.dim == 2 and mesh.lattices for mesh in meshes):
+        if len(meshes) < 3 or not all(
+            mesh is not None and mesh.dim == 2 and mesh.lattices for mesh in meshes
+        ):
             return 0.0
         before, here, after = (1 / mesh.n_nodes for mesh in meshes)
         return (here - after) / (before - here)
@@ -330,32 +416,65 @@ class TruncatedRun:
         step = self._step(len(self.hierarchy) - 1, unknowns)
         del unknowns  # long vectors limit the size of a problem
         with self.run.phase("cycles"):
-            cycles = TruncatedIteration(step, problem, self.rtol, self.max_cycles, run=self.run, start=start,
-                                        nested=nested, hands_over=factorisable(problem),
-                                        coarse=partial(self._coarse_contact, step) if len(problem.contact) else None,
-                                        costly=self.cycle.levels[0].matrix.n_dofs > CoarseContact.MOST)
+            cycles = TruncatedIteration(
+                step,
+                problem,
+                self.rtol,
+                self.max_cycles,
+                run=self.run,
+                start=start,
+                nested=nested,
+                hands_over=factorisable(problem),
+                coarse=partial(self._coarse_contact, step) if len(problem.contact) else None,
+                costly=self.cycle.levels[0].matrix.n_dofs > CoarseContact.MOST,
+            )
             status = iterate(cycles, cycles, self.run)
         displacement = problem.with_prescribed(step.unknowns).reshape(-1, problem.dim)
-        failed = status in (Status.STALLED, Status.DIVERGED) and cycles.rtol > 0 and not cycles.rests()
-        return Outcome(displacement, status, cycles.cycles, cycles.rtol, cycles.error_estimate, cycles.rate,
-                       left=self.max_cycles - cycles.cycles if failed else 0, better=cycles.better,
-                       pressures=None if step.pressures is None else step.pressures.values)
+        failed = (
+            status in (Status.STALLED, Status.DIVERGED) and cycles.rtol > 0 and not cycles.rests()
+        )
+        return Outcome(
+            displacement,
+            status,
+            cycles.cycles,
+            cycles.rtol,
+            cycles.error_estimate,
+            cycles.rate,
+            left=self.max_cycles - cycles.cycles if failed else 0,
+            better=cycles.better,
+            pressures=None if step.pressures is None else step.pressures.values,
+        )
 
     def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         """Steps on level ``number`` from ``unknowns`` (n_dofs,), which become admissible."""
         with self.run.phase("setup"):
             problem, parts = self.problems[number], self.parts
             levels = [level.matrix for level in self.cycle.levels]
-            contact, load = TruncatedContact.of(problem, levels[number]), problem.load_from_prescribed()
+            contact, load = (
+                TruncatedContact.of(problem, levels[number]),
+                problem.load_from_prescribed(),
+            )
             contact.start(unknowns)
             interface = None
             if problem.coupling is not None and parts.INTERFACE_SWEEPS:
                 interface = Interface(levels[number], problem.coupling, problem.fixed)
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
-            pressures = None if problem.volumes is None else VolumePressures(problem, self.pressures)
-            step = TruncatedStep(self.cycle, number, contact, load, unknowns, parts.recombine,
-                                 RigidMotions.of(problem, contact, load), interface, parts.INTERFACE_SWEEPS, pressures)
+            pressures = (
+                None if problem.volumes is None else VolumePressures(problem, self.pressures)
+            )
+            step = TruncatedStep(
+                self.cycle,
+                number,
+                contact,
+                load,
+                unknowns,
+                parts.recombine,
+                RigidMotions.of(problem, contact, load),
+                interface,
+                parts.INTERFACE_SWEEPS,
+                pressures,
+            )
             if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:-1]:
@@ -366,17 +485,21 @@ class TruncatedRun:
     def _coarse_contact(self, step: TruncatedStep) -> CoarseContact:
         """The coarse contact problem of the finest level, made when it is first asked for."""
         if self._coarse is None or self._coarse.step is not step:
-            self._coarse = CoarseContact(step, [None if one is None else one.coordinates for one in self.problems])
+            self._coarse = CoarseContact(
+                step, [None if one is None else one.coordinates for one in self.problems]
+            )
         return self._coarse
 
     def _solve_coarsest(self, start: NestedStart, near: np.ndarray | None = None) -> np.ndarray:
-        """Solve the coarsest level by semismooth Newton steps, of load steps from the step before (``near``); each
-        counts a pass, its factorisation as seconds."""
+        """Solve the coarsest level by semismooth Newton steps, of load steps from the step before
+        (``near``); each counts a pass, its factorisation as seconds."""
         self.hierarchy.need_discretised("the nested start of FullMultigrid")
         problem = self.problems[0]
         with self.run.phase("start"):
             try:
-                solution, self.pressures, steps, passes = coarsest_solution(problem, start.rtol, near)
+                solution, self.pressures, steps, passes = coarsest_solution(
+                    problem, start.rtol, near
+                )
             except (np.linalg.LinAlgError, ValueError) as error:
                 _LOG.info("coarsest level: the active set method gives up: %s", error)
                 return np.zeros(problem.n_dofs)
@@ -394,8 +517,12 @@ class TruncatedRun:
                 sizes, enough = Sizes(problem), start.cycles_on(problem, self.problems[number + 1])
                 for cycle in range(max(enough, TruncatedIteration.START_CYCLES)):
                     # the next level takes over no iterate with a large residual
-                    state = step.measure(trusted=lambda u: TruncatedIteration.TRUSTED * sizes.forces(u, 0.0))
-                    trusted = TruncatedIteration.TRUSTED * sizes.forces(step.unknowns, state.reactions)
+                    state = step.measure(
+                        trusted=lambda u: TruncatedIteration.TRUSTED * sizes.forces(u, 0.0)
+                    )
+                    trusted = TruncatedIteration.TRUSTED * sizes.forces(
+                        step.unknowns, state.reactions
+                    )
                     step.correct()
                     if cycle + 1 >= enough and state.residual <= trusted:
                         break

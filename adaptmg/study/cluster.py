@@ -1,14 +1,15 @@
 """Runs on workers of dask.distributed: on processes of this machine, or on a cluster of the user.
 
-A run is sent when a worker is free, so that the run of a worker that dies is identified; dask tries it again. Results
-come back through dask: workers need no disk in common with this process. This process decides that a run is over its
-time, from when the worker reports that it begins; dask's nanny kills the worker, even in compiled code, and starts
-another, as it does for a worker that holds too much memory.
+A run is sent when a worker is free, so that the run of a worker that dies is identified; dask tries
+it again. Results come back through dask: workers need no disk in common with this process. This
+process decides that a run is over its time, from when the worker reports that it begins; dask's
+nanny kills the worker, even in compiled code, and starts another, as it does for a worker that
+holds too much memory.
 
-Processes of this machine are a scheduler in this process, and a ``dask worker`` with its nannies: a process of its own,
-so that the workers run no script of the user again. They accept only who has the certificate that is made for them, and
-end when this process does, which closes their standard input.
-"""
+Processes of this machine are a scheduler in this process, and a ``dask worker`` with its nannies: a
+process of its own, so that the workers run no script of the user again. They accept only who has
+the certificate that is made for them, and end when this process does, which closes their standard
+input."""
 
 from __future__ import annotations
 
@@ -53,20 +54,33 @@ _log = logging.getLogger(__name__)
 #: seconds that a cluster may take to have a worker, and for a scheduler to answer
 PATIENCE_S, CONNECT_S = 60.0, 10.0
 #: set before a worker imports anything: one thread everywhere
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS",
-                             "VECLIB_MAXIMUM_THREADS", "NGS_NUM_THREADS"), "1")
+_ONE_THREAD = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+        "NGS_NUM_THREADS",
+    ),
+    "1",
+)
 _FOLDER = "ADAPTMG_WORKERS_FOLDER"
 _CONFIG = {
     # a run is started once more where its worker dies
     "distributed.scheduler.allowed-failures": 1,
     # a worker that waits because memory is short would wait for ever: runs hand nothing on
-    "distributed.worker.memory.target": False, "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False, "distributed.worker.memory.terminate": 1.0,
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 1.0,
     "distributed.worker.multiprocessing-method": "spawn",
     # dask's web servers, which know no certificate, have no pages
-    "distributed.scheduler.http.routes": [], "distributed.worker.http.routes": [],
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
     # no samples of the running code a hundred times a second
-    "distributed.worker.profile.enabled": False, "distributed.admin.system-monitor.interval": "5s",
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.system-monitor.interval": "5s",
 }
 
 
@@ -74,48 +88,96 @@ _CONFIG = {
 def local_cluster(workers: int, *, memory_limit: float | None = None) -> Iterator[Client]:
     """Start ``workers`` processes on this machine, and end them.
 
-    Yields the distributed.Client for :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies can share it.
-    ``memory_limit`` is the number of bytes that each process may hold.
-    """
+    Yields the distributed.Client for :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies
+    can share it. ``memory_limit`` is the number of bytes that each process may hold."""
     count = checks.integer("workers", workers, minimum=1)
     limit = 0 if memory_limit is None else int(checks.positive("memory_limit", memory_limit))
     if multiprocessing.current_process().daemon:
-        raise RuntimeError("a process that computes runs cannot start workers: leave workers= out of a study inside a "
-                           "run")
+        raise RuntimeError(
+            "a process that computes runs cannot start workers: leave workers= out of a study inside a "
+            "run"
+        )
     # reports connections to processes that were ended
     logging.getLogger("distributed.batched").setLevel(logging.CRITICAL)
     security = Security.temporary()
-    with waiting_folder() as folder, dask.config.set(_CONFIG | {"temporary-directory": str(folder)}), \
-            LocalCluster(n_workers=0, host="127.0.0.1", protocol="tls://", security=security,
-                         dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-                         silence_logs=logging.CRITICAL) as cluster, \
-            Client(cluster, set_as_default=False) as client, \
-            _processes(cluster.scheduler_address, count, limit, folder, security) as process:
+    with (
+        waiting_folder() as folder,
+        dask.config.set(_CONFIG | {"temporary-directory": str(folder)}),
+        LocalCluster(
+            n_workers=0,
+            host="127.0.0.1",
+            protocol="tls://",
+            security=security,
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+        _processes(cluster.scheduler_address, count, limit, folder, security) as process,
+    ):
         while len(client.nthreads()) < count:
             if process.poll() is not None:
                 words = " ".join((folder / "log.txt").read_text("utf-8", "replace")[-300:].split())
-                raise OSError(f"workers: {count} processes could not be started ({words}): give fewer workers, or free "
-                              "memory")
+                raise OSError(
+                    f"workers: {count} processes could not be started ({words}): give fewer workers, or free "
+                    "memory"
+                )
             time.sleep(0.05)
         yield client
 
 
 @contextmanager
-def _processes(address: str, count: int, limit: int, folder: Path, security: Security) -> Iterator[subprocess.Popen]:
+def _processes(
+    address: str, count: int, limit: int, folder: Path, security: Security
+) -> Iterator[subprocess.Popen]:
     """Start a ``dask worker`` with nannies and workers; end all of them, whatever they compute."""
     keys = security.get_tls_config_for_role("worker")
-    config = _CONFIG | {"distributed.comm.require-encryption": True, "distributed.comm.tls.ca-file": keys["ca_file"],
-                        "distributed.comm.tls.worker.cert": keys["cert"],
-                        "distributed.comm.tls.worker.key": keys["key"]}
+    config = _CONFIG | {
+        "distributed.comm.require-encryption": True,
+        "distributed.comm.tls.ca-file": keys["ca_file"],
+        "distributed.comm.tls.worker.cert": keys["cert"],
+        "distributed.comm.tls.worker.key": keys["key"],
+    }
     # only this user can read the environment of the process
-    environment = os.environ | _ONE_THREAD | {
-        _FOLDER: str(folder), "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))} | {
-        f"DASK_{name.replace('.', '__').replace('-', '_').upper()}": str(value) for name, value in config.items()}
-    command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nworkers", str(count), "--nthreads",
-               "1", "--host", "127.0.0.1", "--no-dashboard", "--memory-limit", str(limit), "--local-directory",
-               str(folder), "--preload-nanny", __name__]
-    with open(folder / "log.txt", "wb") as log, subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=log, stderr=log, env=environment, start_new_session=True) as process:
+    environment = (
+        os.environ
+        | _ONE_THREAD
+        | {_FOLDER: str(folder), "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
+        | {
+            f"DASK_{name.replace('.', '__').replace('-', '_').upper()}": str(value)
+            for name, value in config.items()
+        }
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_worker",
+        address,
+        "--nworkers",
+        str(count),
+        "--nthreads",
+        "1",
+        "--host",
+        "127.0.0.1",
+        "--no-dashboard",
+        "--memory-limit",
+        str(limit),
+        "--local-directory",
+        str(folder),
+        "--preload-nanny",
+        __name__,
+    ]
+    with (
+        open(folder / "log.txt", "wb") as log,
+        subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=log,
+            stderr=log,
+            env=environment,
+            start_new_session=True,
+        ) as process,
+    ):
         try:
             yield process
         finally:
@@ -131,7 +193,9 @@ def _kill_children(process: int) -> None:
 
 
 def dask_setup(nanny: Nanny) -> None:
-    """End this process and its workers when standard input is closed. dask calls this for each nanny."""
+    """End this process and its workers when standard input is closed. dask calls this for each
+    nanny."""
+
     def watch() -> None:
         sys.stdin.buffer.read()
         _kill_children(os.getpid())
@@ -143,36 +207,51 @@ def dask_setup(nanny: Nanny) -> None:
 
 
 @contextmanager
-def opened(workers: int | None, scheduler: str | Client | Cluster | None, runs: int, memory_limit: int | None
-           ) -> Iterator[Execute]:
+def opened(
+    workers: int | None,
+    scheduler: str | Client | Cluster | None,
+    runs: int,
+    memory_limit: int | None,
+) -> Iterator[Execute]:
     """Yield an executor on new processes of this machine, or on the cluster of the user."""
     if scheduler is None:
         clients = local_cluster(min(workers, runs), memory_limit=memory_limit)
     elif isinstance(scheduler, Client):
         clients = contextlib.nullcontext(scheduler)
     else:
-        checks.instance("scheduler", scheduler, (str, Cluster), "an address such as 'tcp://host:8786', a "
-                        "distributed.Client or a cluster of dask")
+        checks.instance(
+            "scheduler",
+            scheduler,
+            (str, Cluster),
+            "an address such as 'tcp://host:8786', a distributed.Client or a cluster of dask",
+        )
         # a client that cannot read the address blocks for a while when it is collected
         if isinstance(scheduler, str) and not re.fullmatch(r"\S+:\d+", scheduler):
-            raise ValueError(f"scheduler must be an address such as 'tcp://host:8786', got {checks.shown(scheduler)}")
+            raise ValueError(
+                f"scheduler must be an address such as 'tcp://host:8786', got {checks.shown(scheduler)}"
+            )
         try:
             clients = Client(scheduler, set_as_default=False, timeout=CONNECT_S)
         except (OSError, TimeoutError, ValueError) as error:
-            raise OSError(f"scheduler: nobody answers at {scheduler}: start 'dask scheduler' ({error})") from error
+            raise OSError(
+                f"scheduler: nobody answers at {scheduler}: start 'dask scheduler' ({error})"
+            ) from error
     with clients as client:
         yield functools.partial(on_cluster, client)
 
 
 def on_cluster(client: Client, task: Task, points: Iterator[Point | None]) -> Done:
     """Compute runs on the workers of a client."""
-    order = Order(execute.sent(task.function), execute.identity(), task.fingerprint.seen(), task.depends)
+    order = Order(
+        execute.sent(task.function), execute.identity(), task.fingerprint.seen(), task.depends
+    )
     check_workers(client, order, limited=task.limit_s is not None)
     yield from _Runs(client, order, points, task.limit_s).finished()
 
 
 def check_workers(client: Client, order: Order, limited: bool) -> None:
-    """Raise ValueError or RuntimeError for workers that cannot compute the runs, or would compute others."""
+    """Raise ValueError or RuntimeError for workers that cannot compute the runs, or would compute
+    others."""
     address = client.scheduler.address
     while True:
         try:
@@ -181,19 +260,30 @@ def check_workers(client: Client, order: Order, limited: bool) -> None:
         except TimeoutError:
             # jobs that were submitted may wait in a queue for hours
             if not getattr(client.cluster, "worker_spec", None):
-                raise OSError(f"the scheduler {address} has no workers after {PATIENCE_S:g} s: start some with 'dask "
-                              f"worker {address} --nthreads 1', or, where they come later, wait for the first "
-                              "(client.wait_for_workers(1)); a cluster that adapts needs a minimum of them") from None
-            _log.warning("the scheduler %s has no workers yet: %d were requested", address,
-                         len(client.cluster.worker_spec))
+                raise OSError(
+                    f"the scheduler {address} has no workers after {PATIENCE_S:g} s: start some with 'dask "
+                    f"worker {address} --nthreads 1', or, where they come later, wait for the first "
+                    "(client.wait_for_workers(1)); a cluster that adapts needs a minimum of them"
+                ) from None
+            _log.warning(
+                "the scheduler %s has no workers yet: %d were requested",
+                address,
+                len(client.cluster.worker_spec),
+            )
     for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
         if worker["nthreads"] != 1:
-            raise ValueError(f"the worker {name} has {worker['nthreads']} threads: start workers with one each ('dask "
-                             f"worker {address} --nthreads 1 --nworkers N'), as libraries below are not safe for more")
+            raise ValueError(
+                f"the worker {name} has {worker['nthreads']} threads: start workers with one each ('dask "
+                f"worker {address} --nthreads 1 --nworkers N'), as libraries below are not safe for more"
+            )
         if limited and not worker["nanny"]:
-            raise ValueError(f"the worker {name} has no nanny, which limit_s needs: start it without --no-nanny")
+            raise ValueError(
+                f"the worker {name} has no nanny, which limit_s needs: start it without --no-nanny"
+            )
     for name, error in client.run(execute.check, order, on_error="return").items():
-        if error is not None and not isinstance(error, CommClosedError):  # that of a worker that left meanwhile
+        if error is not None and not isinstance(
+            error, CommClosedError
+        ):  # that of a worker that left meanwhile
             words = error if isinstance(error, UnfitWorker) else execute.error_text(error)
             raise RuntimeError(f"the worker {name} cannot compute this study: {words}")
 
@@ -206,10 +296,24 @@ def _ready(order: bytes) -> tuple[RunFunction, bool]:
 
 
 def _on_worker(order: bytes, point: Point, name: str, topic: str) -> Finished:
-    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before it starts."""
-    worker = get_worker()  # sync: a function that holds Python's lock would keep a report that is on its way
-    return execute.perform(*_ready(order), point, lambda: topic and sync(
-        worker.loop, worker.scheduler.log_event, topic=topic, msg={"run": name, "worker": worker.address}))
+    """Compute one run on a worker; with a topic, the scheduler knows that its clock starts before
+    it starts."""
+    worker = (
+        get_worker()
+    )  # sync: a function that holds Python's lock would keep a report that is on its way
+    return execute.perform(
+        *_ready(order),
+        point,
+        lambda: (
+            topic
+            and sync(
+                worker.loop,
+                worker.scheduler.log_event,
+                topic=topic,
+                msg={"run": name, "worker": worker.address},
+            )
+        ),
+    )
 
 
 def _kill_worker(dask_worker: Nanny) -> None:
@@ -229,8 +333,15 @@ class _Run:
 
     def failed(self, error: str, exception: BaseException | None = None) -> Finished:
         """Return the outcome of a run that gave none."""
-        return Finished(Record(parameters=self.point, status="failed", error=error,
-                               seconds=time.monotonic() - self.sent), exception=exception)
+        return Finished(
+            Record(
+                parameters=self.point,
+                status="failed",
+                error=error,
+                seconds=time.monotonic() - self.sent,
+            ),
+            exception=exception,
+        )
 
 
 #: what stands for a point after the last one
@@ -240,8 +351,14 @@ _END: Point = {}
 class _Runs:
     """All runs of one call."""
 
-    def __init__(self, client: Client, order: Order, points: Iterator[Point | None], limit_s: float | None) -> None:
-        self._client, self._order, self._limit_s = client, pickle.dumps(order), math.inf if limit_s is None else limit_s
+    def __init__(
+        self, client: Client, order: Order, points: Iterator[Point | None], limit_s: float | None
+    ) -> None:
+        self._client, self._order, self._limit_s = (
+            client,
+            pickle.dumps(order),
+            math.inf if limit_s is None else limit_s,
+        )
         self._name, self._numbers = f"adaptmg-{uuid.uuid4().hex[:12]}", itertools.count()
         self._points, self._open = points, True
         self._out: dict[str, _Run] = {}
@@ -251,12 +368,18 @@ class _Runs:
 
     def finished(self) -> Done:
         """Yield runs as they finish, those of one moment together."""
-        self._client.subscribe_topic("worker-restart-memory", lambda event: self._large.add(event[1]["worker"]))
+        self._client.subscribe_topic(
+            "worker-restart-memory", lambda event: self._large.add(event[1]["worker"])
+        )
         self._client.subscribe_topic(self._name, self._begun)
         try:
             self._send()
             while self._out or self._open:
-                done = [run for name, result in self._come_back() if (run := self._outcome(name, result)) is not None]
+                done = [
+                    run
+                    for name, result in self._come_back()
+                    if (run := self._outcome(name, result)) is not None
+                ]
                 # before the rows are stored, so that workers need not wait for the disk
                 self._send()
                 if done:
@@ -275,22 +398,35 @@ class _Runs:
                 self._open = point is None
                 return
             name = f"{self._name}-{next(self._numbers)}"
-            future = self._client.submit(_on_worker, self._order, point, name,
-                                         self._name * (self._limit_s < math.inf), key=name, pure=False)
+            future = self._client.submit(
+                _on_worker,
+                self._order,
+                point,
+                name,
+                self._name * (self._limit_s < math.inf),
+                key=name,
+                pure=False,
+            )
             self._out[name] = _Run(point, time.monotonic(), future)
             future.add_done_callback(functools.partial(self._fetch, name))
 
     def _slots(self) -> int:
-        """Return the number of workers; OSError if the processes of this machine are gone for good."""
+        """Return the number of workers; OSError if the processes of this machine are gone for
+        good."""
         count = len(self._client.nthreads())
         if count or time.monotonic() - self._seen > PATIENCE_S:
             self._seen = time.monotonic()
             if not count:
-                _log.warning("the scheduler %s has no workers: %d runs wait", self._client.scheduler.address,
-                             len(self._out))
+                _log.warning(
+                    "the scheduler %s has no workers: %d runs wait",
+                    self._client.scheduler.address,
+                    len(self._out),
+                )
                 if isinstance(self._client.cluster, LocalCluster):
-                    raise OSError("the processes of runs ended, and dask does not start them again: run the study "
-                                  "again, with fewer workers")
+                    raise OSError(
+                        "the processes of runs ended, and dask does not start them again: run the study "
+                        "again, with fewer workers"
+                    )
         return max(count, 1)
 
     def _fetch(self, name: str, future: Future) -> None:
@@ -302,7 +438,8 @@ class _Runs:
         self._back.put((name, result))
 
     def _begun(self, event: tuple[float, dict[str, str]]) -> None:
-        """A worker reports that a run begins, perhaps again, as dask started it on another worker."""
+        """A worker reports that a run begins, perhaps again, as dask started it on another
+        worker."""
         if (run := self._out.get(event[1]["run"])) is not None:
             run.worker, run.began = event[1]["worker"], time.monotonic()
 
@@ -315,16 +452,23 @@ class _Runs:
             if name not in self._client.processing().get(run.worker, ()):
                 continue  # its worker died, and dask starts it again on another one, with a new clock
             # cancelled first, so that dask does not start it elsewhere
-            self._back.put((name, run.failed(f"TimeLimit: stopped after limit_s={self._limit_s:g} s")))
+            self._back.put(
+                (name, run.failed(f"TimeLimit: stopped after limit_s={self._limit_s:g} s"))
+            )
             self._stop([run], [run.worker])
 
     def _drop(self) -> None:
-        """Cancel the runs that are out; on a cluster that goes on, nannies restart the workers that compute them."""
+        """Cancel the runs that are out; on a cluster that goes on, nannies restart the workers that
+        compute them."""
         if not self._out:
             return
         # the scheduler does not know yet where a run of a moment ago is
         time.sleep(0.2)
-        busy = [address for address, keys in self._client.processing().items() if set(keys) & set(self._out)]
+        busy = [
+            address
+            for address, keys in self._client.processing().items()
+            if set(keys) & set(self._out)
+        ]
         self._stop(self._out.values(), busy)
 
     def _stop(self, runs: Iterable[_Run], workers: list[str]) -> None:
@@ -350,12 +494,18 @@ class _Runs:
         if isinstance(result, Finished):
             return result
         if isinstance(result, concurrent.futures.CancelledError):
-            raise OSError(f"scheduler: the connection to {self._client.scheduler.address} was lost; finished runs are "
-                          "stored") from result
+            raise OSError(
+                f"scheduler: the connection to {self._client.scheduler.address} was lost; finished runs are "
+                "stored"
+            ) from result
         if isinstance(result, UnfitWorker | ImportError | AttributeError):
-            raise RuntimeError(f"a worker that joined cannot compute this study: {result}") from result
+            raise RuntimeError(
+                f"a worker that joined cannot compute this study: {result}"
+            ) from result
         if not isinstance(result, KilledWorker):
             return run.failed(execute.error_text(result), result)
         if result.last_worker is not None and result.last_worker.address in self._large:
             return run.failed("MemoryLimit: stopped as its process held more than its limit")
-        return run.failed(f"WorkerDied: worker died {result.allowed_failures + 1} times during this run")
+        return run.failed(
+            f"WorkerDied: worker died {result.allowed_failures + 1} times during this run"
+        )

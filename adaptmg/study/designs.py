@@ -1,12 +1,13 @@
-"""Designs: the points of a study, each a dictionary of parameters, and the text that identifies a point.
+"""Designs: the points of a study, each a dictionary of parameters, and the text that identifies a
+point.
 
-A grid has every combination of values; other designs are an explicit list, and samples of ranges (independent, Latin
-hypercube, Sobol sequence; :mod:`scipy.stats.qmc`).
+A grid has every combination of values; other designs are an explicit list, and samples of ranges
+(independent, Latin hypercube, Sobol sequence; :mod:`scipy.stats.qmc`).
 
-A point is identified by the JSON of its parameters with sorted keys: the order of the parameters does not matter.
-Values are equal where their texts are: 1, 1.0, True and "1" are four values (``1``, ``1.0``, ``true``, ``"1"``), a
-number of numpy is Python's number of the same kind, NaN is itself (``NaN``), and 0.0 is not -0.0.
-"""
+A point is identified by the JSON of its parameters with sorted keys: the order of the parameters
+does not matter. Values are equal where their texts are: 1, 1.0, True and "1" are four values
+(``1``, ``1.0``, ``true``, ``"1"``), a number of numpy is Python's number of the same kind, NaN is
+itself (``NaN``), and 0.0 is not -0.0."""
 
 from __future__ import annotations
 
@@ -47,11 +48,15 @@ def parameter_value(name: str, value: object) -> Value:
     if isinstance(value, tuple):
         return tuple(parameter_value(name, v) for v in value)
     if isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value):
-        raise ValueError(f"parameter {name!r} must be text that can be stored, got lone surrogates: {value!a}")
+        raise ValueError(
+            f"parameter {name!r} must be text that can be stored, got lone surrogates: {value!a}"
+        )
     if value is None or type(value) in (bool, int, float, str):
         return cast(Value, value)
-    raise TypeError(f"parameter {name!r} must be a number, string, bool, None or a tuple of those, got "
-                    f"{checks.shown(value)}; pass a name or a number and build the object in the run function")
+    raise TypeError(
+        f"parameter {name!r} must be a number, string, bool, None or a tuple of those, got "
+        f"{checks.shown(value)}; pass a name or a number and build the object in the run function"
+    )
 
 
 class Design:
@@ -76,28 +81,39 @@ DesignLike = Design | Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Valu
 
 
 def as_design(name: str, design: DesignLike) -> Design:
-    """Return a design unchanged, a mapping of names to sequences as :class:`Grid`, a list as :class:`Points`."""
+    """Return a design unchanged, a mapping of names to sequences as :class:`Grid`, a list as
+    :class:`Points`."""
     if isinstance(design, Design):
         return design
     if isinstance(design, Mapping) and design:
         return Grid(design)
-    if isinstance(design, Sequence) and not isinstance(design, str) and design \
-            and all(isinstance(p, Mapping) for p in design[:10]):
+    if (
+        isinstance(design, Sequence)
+        and not isinstance(design, str)
+        and design
+        and all(isinstance(p, Mapping) for p in design[:10])
+    ):
         return Points(design)
-    raise TypeError(f"{name} must be a mapping of names to sequences of values, a list of points, or a design "
-                    f"(adaptmg.study.Grid, Points, Random ...), got {checks.described(design)}")
+    raise TypeError(
+        f"{name} must be a mapping of names to sequences of values, a list of points, or a design "
+        f"(adaptmg.study.Grid, Points, Random ...), got {checks.described(design)}"
+    )
 
 
 def _check_length(length: int) -> int:
     if length > MOST:
-        raise ValueError(f"the design has {length} points, at most {MOST} are run in one study: take fewer values, "
-                         "or a sample (adaptmg.study.Sobol)")
+        raise ValueError(
+            f"the design has {length} points, at most {MOST} are run in one study: take fewer values, "
+            "or a sample (adaptmg.study.Sobol)"
+        )
     return length
 
 
 def _mapping(name: str, mapping: object, words: str) -> Mapping[str, object]:
     if not isinstance(mapping, Mapping) or not mapping:
-        raise TypeError(f"{name} must be a mapping of names to {words}, got {checks.shown(mapping)}")
+        raise TypeError(
+            f"{name} must be a mapping of names to {words}, got {checks.shown(mapping)}"
+        )
     for key in mapping:
         checks.instance("the name of a parameter", key, str, "a string")
     return mapping
@@ -121,16 +137,22 @@ class Grid(Design):
         columns = {}
         for name, values in _mapping("parameters", parameters, "sequences of values").items():
             if isinstance(values, str | Mapping) or not hasattr(values, "__len__"):
-                raise TypeError(f"parameters[{name!r}] must be a sequence of values, such as a list, got "
-                                f"{checks.shown(values)}: others may have no end")
+                raise TypeError(
+                    f"parameters[{name!r}] must be a sequence of values, such as a list, got "
+                    f"{checks.shown(values)}: others may have no end"
+                )
             values = cast(Sequence[Value], values)
             if not _check_length(len(values)):
                 raise ValueError(f"parameters[{name!r}] is empty: give at least one value")
             columns[name] = [parameter_value(name, value) for value in values]
             if len(set(map(json.dumps, columns[name]))) < len(values):
-                raise ValueError(f"parameters[{name!r}] holds a value twice: {checks.shown(values)}")
+                raise ValueError(
+                    f"parameters[{name!r}] holds a value twice: {checks.shown(values)}"
+                )
         _check_length(math.prod(map(len, columns.values())))
-        super().__init__([dict(zip(columns, row, strict=True)) for row in itertools.product(*columns.values())])
+        super().__init__(
+            [dict(zip(columns, row, strict=True)) for row in itertools.product(*columns.values())]
+        )
 
 
 class Points(Design):
@@ -139,7 +161,8 @@ class Points(Design):
     Parameters
     ----------
     points : sequence of mappings, or pandas.DataFrame
-        All with the same names. A point may stand there once: runs with other random numbers have a parameter ``seed``.
+        All with the same names. A point may stand there once: runs with other random numbers have a
+        parameter ``seed``.
 
     Examples
     --------
@@ -149,17 +172,25 @@ class Points(Design):
 
     def __init__(self, points: Sequence[Mapping[str, Value]] | pd.DataFrame) -> None:
         if hasattr(points, "to_dict") and hasattr(points, "columns"):
-            points = cast(Sequence[Mapping[str, Value]], cast("pd.DataFrame", points).to_dict("records"))
+            points = cast(
+                Sequence[Mapping[str, Value]], cast("pd.DataFrame", points).to_dict("records")
+            )
         if isinstance(points, str | Mapping) or not isinstance(points, Sequence) or not points:
-            raise TypeError(f"points must be a list of mappings of names to values, got {checks.shown(points)}")
+            raise TypeError(
+                f"points must be a list of mappings of names to values, got {checks.shown(points)}"
+            )
         _check_length(len(points))
         rows: dict[str, Point] = {}
         for k, point in enumerate(points):
-            row = {name: parameter_value(name, value)
-                   for name, value in _mapping(f"points[{k}]", point, "values").items()}
+            row = {
+                name: parameter_value(name, value)
+                for name, value in _mapping(f"points[{k}]", point, "values").items()
+            }
             if set(row) != set(points[0]):
-                raise ValueError(f"points[{k}] has the parameters {', '.join(row)}, the first {', '.join(points[0])}: "
-                                 "give all points the same")
+                raise ValueError(
+                    f"points[{k}] has the parameters {', '.join(row)}, the first {', '.join(points[0])}: "
+                    "give all points the same"
+                )
             if canonical(row) in rows:
                 raise ValueError(f"points[{k}] is the same as one before it: {checks.shown(row)}")
             rows[canonical(row)] = row
@@ -169,16 +200,26 @@ class Points(Design):
 class _Sample(Design):
     """Points from numbers in the unit cube."""
 
-    def __init__(self, ranges: Mapping[str, Sequence[float]], runs: int, *, seed: int = 0,
-                 log: str | Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        ranges: Mapping[str, Sequence[float]],
+        runs: int,
+        *,
+        seed: int = 0,
+        log: str | Iterable[str] = (),
+    ) -> None:
         mapping = _mapping("ranges", ranges, "(low, high)")
         count = _check_length(checks.integer("runs", runs, minimum=1))
         logarithmic = set(checks.strings("log", (log,) if isinstance(log, str) else log))
         if unknown := sorted(logarithmic - set(mapping)):
             raise ValueError(f"log names {unknown}, but the ranges are {list(mapping)}")
-        cube = self._unit_cube(count, len(mapping), np.random.default_rng(checks.integer("seed", seed)))
-        columns = [_scaled(u, f"ranges[{name!r}]", ends, name in logarithmic)
-                   for u, (name, ends) in zip(cube.T, mapping.items(), strict=True)]
+        cube = self._unit_cube(
+            count, len(mapping), np.random.default_rng(checks.integer("seed", seed))
+        )
+        columns = [
+            _scaled(u, f"ranges[{name!r}]", ends, name in logarithmic)
+            for u, (name, ends) in zip(cube.T, mapping.items(), strict=True)
+        ]
         rows = [dict(zip(mapping, row, strict=True)) for row in zip(*columns, strict=True)]
         # points of whole numbers may coincide
         super().__init__(list({canonical(row): row for row in rows}.values()))
@@ -191,15 +232,25 @@ def _scaled(u: np.ndarray, name: str, ends: object, logarithmic: bool) -> list[V
     """Return numbers between 0 and 1 as numbers of a range, whole ones between whole ends."""
     pair = checks.listed(name, cast(Iterable[float], ends), "two numbers, (low, high)")
     if len(pair) != 2 or not checks.number(name, pair[0]) < checks.number(name, pair[1]):
-        raise ValueError(f"{name} must be two numbers that go up, (low, high), got {checks.shown(ends)}")
+        raise ValueError(
+            f"{name} must be two numbers that go up, (low, high), got {checks.shown(ends)}"
+        )
     low, high = pair
     whole = all(isinstance(end, int | np.integer) for end in pair)
     if logarithmic and (whole or not low > 0):
-        raise ValueError(f"{name} must be two floats > 0 for a logarithmic scale, got {checks.shown(ends)}")
+        raise ValueError(
+            f"{name} must be two floats > 0 for a logarithmic scale, got {checks.shown(ends)}"
+        )
     if whole:
-        return cast(list[Value], np.minimum(low + np.floor(u * (high - low + 1)), high).astype(int).tolist())
-    return cast(list[Value], np.clip(low * (high / low)**u if logarithmic else low + u * (high - low), low,
-                                     high).tolist())
+        return cast(
+            list[Value], np.minimum(low + np.floor(u * (high - low + 1)), high).astype(int).tolist()
+        )
+    return cast(
+        list[Value],
+        np.clip(
+            low * (high / low) ** u if logarithmic else low + u * (high - low), low, high
+        ).tolist(),
+    )
 
 
 class Random(_Sample):
@@ -228,7 +279,8 @@ class Random(_Sample):
 
 
 class LatinHypercube(_Sample):
-    """A Latin hypercube: each of ``runs`` slices of each range holds one point. Parameters as :class:`Random`.
+    """A Latin hypercube: each of ``runs`` slices of each range holds one point. Parameters as
+    :class:`Random`.
 
     Examples
     --------
@@ -259,4 +311,4 @@ class Sobol(_Sample):
         from scipy.stats import qmc
 
         # a power of 2, without which it warns
-        return qmc.Sobol(dim, rng=rng, bits=30).random(2**math.ceil(math.log2(count)))[:count]
+        return qmc.Sobol(dim, rng=rng, bits=30).random(2 ** math.ceil(math.log2(count)))[:count]

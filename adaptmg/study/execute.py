@@ -1,10 +1,10 @@
 """Execution of one run, in this process or on a worker of dask.
 
-An executor takes a task (the run function and its limits) and the points to compute, and yields what is finished as
-lists of outcomes, in any order; the study stores each list when it comes. :func:`in_turn` computes in this
-process, :mod:`adaptmg.study.cluster` on workers by :func:`perform`. A worker is checked once for each run function: it
-must have the same versions, and the run function must have the same fingerprint there.
-"""
+An executor takes a task (the run function and its limits) and the points to compute, and yields
+what is finished as lists of outcomes, in any order; the study stores each list when it comes.
+:func:`in_turn` computes in this process, :mod:`adaptmg.study.cluster` on workers by
+:func:`perform`. A worker is checked once for each run function: it must have the same versions, and
+the run function must have the same fingerprint there."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ def in_turn(task: Task, points: Iterator[Point | None]) -> Done:
 
 
 def compute(function: RunFunction, point: Point, interruptible: bool = True) -> Finished:
-    """Compute one run; what the function raises, and results that cannot be stored, are part of the outcome.
-    KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user."""
+    """Compute one run; what the function raises, and results that cannot be stored, are part of the
+    outcome. KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user."""
     started = now()
     reset_peak_memory()
     begin = time.perf_counter()
@@ -90,11 +90,24 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
         if interruptible and isinstance(error, KeyboardInterrupt):
             raise
         exception = error
-    failed = {} if exception is None else {
-        "error": error_text(exception), "traceback": "".join(traceback.format_exception(exception))[-_MOST_TRACEBACK:]}
-    record = Record(parameters=point, status="failed" if failed else "done", results=results, started=started,
-                    seconds=(end or time.perf_counter()) - begin, peak_memory=peak_memory(), machine=platform.node(),
-                    **failed)
+    failed = (
+        {}
+        if exception is None
+        else {
+            "error": error_text(exception),
+            "traceback": "".join(traceback.format_exception(exception))[-_MOST_TRACEBACK:],
+        }
+    )
+    record = Record(
+        parameters=point,
+        status="failed" if failed else "done",
+        results=results,
+        started=started,
+        seconds=(end or time.perf_counter()) - begin,
+        peak_memory=peak_memory(),
+        machine=platform.node(),
+        **failed,
+    )
     return Finished(record, packed, exception, isinstance(exception, WrongResults))
 
 
@@ -103,30 +116,38 @@ class WrongResults(TypeError):
 
 
 def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict[str, Packed]]:
-    """Return the results of a run function, checked: numbers, strings, bools and None for the row, the rest packed."""
+    """Return the results of a run function, checked: numbers, strings, bools and None for the row,
+    the rest packed."""
     if not isinstance(returned, Mapping):
-        raise WrongResults(f"the run function must return a dict of numbers, strings and bools, got "
-                           f"{checks.shown(returned)}")
+        raise WrongResults(
+            f"the run function must return a dict of numbers, strings and bools, got "
+            f"{checks.shown(returned)}"
+        )
     results, packed = {}, {}
     for name, value in returned.items():
         if not isinstance(name, str):
             raise WrongResults(f"the names of results must be strings, got {checks.shown(name)}")
         if name in point or name in RESERVED:
             taken = "a parameter" if name in point else "a column of the study"
-            raise WrongResults(f"result {name!r} has the name of {taken}: rename it (e.g. 'solver_{name}')")
+            raise WrongResults(
+                f"result {name!r} has the name of {taken}: rename it (e.g. 'solver_{name}')"
+            )
         value = plain(value)
         if (kept := pack(value)) is not None:
             packed[name], value = kept, kept.kind
         if value is not None and type(value) not in (bool, int, float, str):
-            raise WrongResults(f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "
-                               "reduce arrays to numbers, or return a numpy array, which is kept")
+            raise WrongResults(
+                f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "
+                "reduce arrays to numbers, or return a numpy array, which is kept"
+            )
         results[name] = value
     json.dumps(results)  # whole numbers of thousands of digits fail here, not in the store
     return results, packed
 
 
 def study_fingerprint(function: RunFunction, depends: Mapping[str, object]) -> Fingerprint:
-    """Return what rows depend on: the fingerprint of the run function, and versions of Python and packages."""
+    """Return what rows depend on: the fingerprint of the run function, and versions of Python and
+    packages."""
     versions = {f"package {name}": version for name, version in environment().items()}
     return Fingerprint(versions | fingerprint(function, depends).parts)
 
@@ -147,13 +168,15 @@ def error_text(error: BaseException) -> str:
 
 @cache
 def commit() -> str:
-    """Return the commit of adaptmg; empty where it does not lie in a git repository, or git is not installed."""
+    """Return the commit of adaptmg; empty where it does not lie in a git repository, or git is not
+    installed."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return ""
     try:
-        return subprocess.run(["git", "-C", root, "rev-parse", "HEAD"], capture_output=True, text=True,
-                              timeout=10).stdout.strip()
+        return subprocess.run(
+            ["git", "-C", root, "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10
+        ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
 
@@ -178,27 +201,36 @@ class Order:
 @cache
 def identity() -> dict[str, str]:
     """Return the versions on which a run depends, and those of the packages that send it."""
-    return environment() | {name: importlib.metadata.version(name) for name in ("cloudpickle", "dask", "distributed")}
+    return environment() | {
+        name: importlib.metadata.version(name) for name in ("cloudpickle", "dask", "distributed")
+    }
 
 
 def readied(order: Order) -> RunFunction:
-    """Check this process against the one of the study, and unpack the run function. Modules that are loaded here may
-    have been edited since, and values that a script set in a module are not here: the function would compute something
-    else under the fingerprint of the study."""
+    """Check this process against the one of the study, and unpack the run function. Modules that
+    are loaded here may have been edited since, and values that a script set in a module are not
+    here: the function would compute something else under the fingerprint of the study."""
     here = identity()
-    if different := [f"{name} {here.get(name, 'none')} instead of {value}" for name, value in order.identity.items()
-                     if here.get(name) != value]:
+    if different := [
+        f"{name} {here.get(name, 'none')} instead of {value}"
+        for name, value in order.identity.items()
+        if here.get(name) != value
+    ]:
         raise UnfitWorker(f"it has {', '.join(different)}")
     try:
         function = pickle.loads(order.function)
     except Exception as error:
-        raise UnfitWorker(f"it cannot unpack the run function ({error_text(error)}): install what it lacks there, put "
-                          "it on PYTHONPATH, or send it with client.upload_file") from error
+        raise UnfitWorker(
+            f"it cannot unpack the run function ({error_text(error)}): install what it lacks there, put "
+            "it on PYTHONPATH, or send it with client.upload_file"
+        ) from error
     here = study_fingerprint(function, dict.fromkeys(order.depends)).seen()
     if changes := here.differences(order.fingerprint.parts):
-        raise UnfitWorker(f"it would compute something else than this process ({', '.join(changes[:5])}): bring the "
-                          "same files there and start the worker again; give values that a script sets in a module as "
-                          "parameters or fixed={...}")
+        raise UnfitWorker(
+            f"it would compute something else than this process ({', '.join(changes[:5])}): bring the "
+            "same files there and start the worker again; give values that a script sets in a module as "
+            "parameters or fixed={...}"
+        )
     return function
 
 
@@ -209,15 +241,22 @@ def check(order: Order) -> None:
 
 @cache
 def warm() -> None:
-    """Compile the kernels of the default method, or read them from the cache, before a clock starts."""
+    """Compile the kernels of the default method, or read them from the cache, before a clock
+    starts."""
     import adaptmg as am
     from adaptmg._threads import one_blas_thread
 
     with one_blas_thread():
-        am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)), am.FullMultigrid(), throw=False)
+        am.solve(
+            am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)),
+            am.FullMultigrid(),
+            throw=False,
+        )
 
 
-def perform(function: RunFunction, uses_adaptmg: bool, point: Point, begin: Callable[[], None]) -> Finished:
+def perform(
+    function: RunFunction, uses_adaptmg: bool, point: Point, begin: Callable[[], None]
+) -> Finished:
     """Compute one run on a worker; ``begin`` is called when its clock starts."""
     import cloudpickle
 
@@ -238,14 +277,19 @@ def _cached_again(function: RunFunction, parameters: dict[str, int | bool]) -> R
 
 
 def sent(function: RunFunction) -> bytes:
-    """Return a function as bytes: by value what has no module on a worker (scripts, closures), else by name."""
+    """Return a function as bytes: by value what has no module on a worker (scripts, closures), else
+    by name."""
     import cloudpickle
 
     class Pickler(cloudpickle.Pickler):
-        """Cached functions of ``__main__`` too, which cloudpickle would look for in the worker's ``__main__``."""
+        """Cached functions of ``__main__`` too, which cloudpickle would look for in the worker's
+        ``__main__``."""
 
         def reducer_override(self, obj: object) -> object:
-            if isinstance(obj, functools._lru_cache_wrapper) and getattr(obj, "__module__", None) == "__main__":
+            if (
+                isinstance(obj, functools._lru_cache_wrapper)
+                and getattr(obj, "__module__", None) == "__main__"
+            ):
                 return _cached_again, (obj.__wrapped__, obj.cache_parameters())
             return super().reducer_override(obj)
 
@@ -253,6 +297,8 @@ def sent(function: RunFunction) -> bytes:
     try:
         Pickler(buffer).dump(function)
     except Exception as error:  # whatever the objects it carries raise
-        raise TypeError(f"the run function {function.__qualname__} cannot be sent to a worker, as something it reads "
-                        f"cannot ({type(error).__name__}: {error}): build that inside the function") from error
+        raise TypeError(
+            f"the run function {function.__qualname__} cannot be sent to a worker, as something it reads "
+            f"cannot ({type(error).__name__}: {error}): build that inside the function"
+        ) from error
     return buffer.getvalue()

@@ -1,14 +1,14 @@
 """Store: the runs of studies in one SQLite file, one transaction for runs that finish together.
 
-SQLite keeps its rollback journal with full synchronisation: a stored run survives a killed process and a power cut, and
-a half-written one does not exist. (Its write-ahead log does not work on the network file systems of clusters.) Several
-processes may write to one store.
+SQLite keeps its rollback journal with full synchronisation: a stored run survives a killed process
+and a power cut, and a half-written one does not exist. (Its write-ahead log does not work on the
+network file systems of clusters.) Several processes may write to one store.
 
-Table ``runs`` has a row a run: its parameters (the text that identifies it) and a :class:`Record` as JSON. ``kept`` has
-results that are not numbers or texts: arrays, meshes, solutions and figures, packed into bytes where the run
-function runs; nothing is pickled. ``origins`` has the parts of each fingerprint, so that a study can say why a row is
-stale. ``claims`` has the runs that are being computed, each with the process that does.
-"""
+Table ``runs`` has a row a run: its parameters (the text that identifies it) and a :class:`Record`
+as JSON. ``kept`` has results that are not numbers or texts: arrays, meshes, solutions and figures,
+packed into bytes where the run function runs; nothing is pickled. ``origins`` has the parts of each
+fingerprint, so that a study can say why a row is stale. ``claims`` has the runs that are being
+computed, each with the process that does."""
 
 from __future__ import annotations
 
@@ -51,14 +51,18 @@ class Record:
 
     parameters: dict[str, Value]  # the fixed ones too
     status: str  # "done" or "failed"
-    results: dict[str, Scalar] = field(default_factory=dict)  # the kind of result where it is kept in ``kept``
+    results: dict[str, Scalar] = field(
+        default_factory=dict
+    )  # the kind of result where it is kept in ``kept``
     error: str = ""  # type and text of the exception of a failed run
     seconds: float = 0.0  # wall time
     code: str = ""  # fingerprint, see :mod:`adaptmg.solver.fingerprint`
     versions: dict[str, str] = field(default_factory=dict)  # of Python and of the packages
     finished: str = ""  # UTC, ISO 8601
     traceback: str = ""  # of a failed run
-    peak_memory: int = 0  # largest memory of the process during the run, bytes; 0 where the system does not say
+    peak_memory: int = (
+        0  # largest memory of the process during the run, bytes; 0 where the system does not say
+    )
     started: str = ""  # UTC, ISO 8601
     machine: str = ""
     commit: str = ""  # of adaptmg, where it lies in a git repository
@@ -86,13 +90,17 @@ def pack(value: object) -> Packed | None:
         from adaptmg.solver.result import KINDS
         from adaptmg.solver.store import packed as pack_fields
 
-        packed = Packed("mesh" if isinstance(value, MeshArrays) else "result", pack_fields(value, KINDS))
+        packed = Packed(
+            "mesh" if isinstance(value, MeshArrays) else "result", pack_fields(value, KINDS)
+        )
     elif isinstance(value, _loaded("matplotlib.figure", "Figure")):
         buffer = io.BytesIO()
         value.savefig(buffer, format="svg", bbox_inches="tight")
         packed = Packed("figure", buffer.getvalue())
     if packed is not None and len(packed.content) > _MOST_BYTES:
-        raise ValueError(f"a result of {len(packed.content):.3g} bytes cannot be kept, at most {_MOST_BYTES:.3g}")
+        raise ValueError(
+            f"a result of {len(packed.content):.3g} bytes cannot be kept, at most {_MOST_BYTES:.3g}"
+        )
     return packed
 
 
@@ -103,7 +111,9 @@ def _loaded(module: str, name: str) -> tuple[type, ...]:
 
 def _array(array: np.ndarray) -> bytes:
     if isinstance(array, np.ma.MaskedArray):
-        raise TypeError("a masked array cannot be kept, as its mask would be lost: return its data and mask")
+        raise TypeError(
+            "a masked array cannot be kept, as its mask would be lost: return its data and mask"
+        )
     if array.dtype.kind not in "biufcUSMm":
         raise TypeError(f"an array of {array.dtype} cannot be kept: return numbers or texts")
     buffer = io.BytesIO()
@@ -129,34 +139,46 @@ _FORMAT = 3
 _TABLES = {
     "runs": "CREATE TABLE runs (study TEXT, parameters TEXT, record TEXT, PRIMARY KEY (study, parameters))",
     "kept": "CREATE TABLE kept (study TEXT, parameters TEXT, name TEXT, kind TEXT, content BLOB, "
-            "PRIMARY KEY (study, parameters, name))",
+    "PRIMARY KEY (study, parameters, name))",
     "origins": "CREATE TABLE origins (code TEXT PRIMARY KEY, parts TEXT)",
-    "claims": "CREATE TABLE claims (study TEXT, parameters TEXT, owner TEXT, PRIMARY KEY (study, parameters))"}
+    "claims": "CREATE TABLE claims (study TEXT, parameters TEXT, owner TEXT, PRIMARY KEY (study, parameters))",
+}
 #: seconds after which the claim of a process on another machine, which may have died, is taken over
 _LEASE_S = 86400.0
 #: seconds to wait for another process that writes
 _PATIENCE_S = 60.0
 #: remedies by a part of SQLite's message
-_FIXES = {"locked": "another process holds it; wait, or end that process",
-          "readonly": "it or its folder is write-protected", "full": "make room",
-          "unable to open": "it cannot be opened; check the permissions of file and folder"}
+_FIXES = {
+    "locked": "another process holds it; wait, or end that process",
+    "readonly": "it or its folder is write-protected",
+    "full": "make room",
+    "unable to open": "it cannot be opened; check the permissions of file and folder",
+}
 
 
 class Store:
-    """Runs by study and parameters, in a SQLite file or (path None) in memory; errors name the file."""
+    """Runs by study and parameters, in a SQLite file or (path None) in memory; errors name the
+    file."""
 
     def __init__(self, path: str | os.PathLike[str] | None) -> None:
         # SQLite keeps its journal next to the file itself, so links are followed
-        self.path = None if path is None else Path(os.path.realpath(checks.file_path("store", path)))
-        self._called = "the store in memory" if self.path is None else printable(os.fspath(self.path))
+        self.path = (
+            None if path is None else Path(os.path.realpath(checks.file_path("store", path)))
+        )
+        self._called = (
+            "the store in memory" if self.path is None else printable(os.fspath(self.path))
+        )
         self._lock = threading.RLock()
         if self.path is not None:
             make_folder("store", self.path.parent)
             if self.path.exists() and not self.path.is_file():
                 raise ValueError(f"{self._called} is a folder or a device: store must be a file")
         with self._explained():
-            self._connection = sqlite3.connect(":memory:" if self.path is None else self.path, timeout=_PATIENCE_S,
-                                               check_same_thread=False)
+            self._connection = sqlite3.connect(
+                ":memory:" if self.path is None else self.path,
+                timeout=_PATIENCE_S,
+                check_same_thread=False,
+            )
         weakref.finalize(self, self._connection.close)
         with self._explained():
             self._prepare()
@@ -171,13 +193,19 @@ class Store:
                         connection.execute(statement)
 
     def _is_store(self) -> bool:
-        """Whether there are tables of this version; False for an empty file, ValueError for other databases, also for
-        those with views and triggers."""
-        tables = dict(self._connection.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL UNION ALL "
-                                               "SELECT 'version', user_version FROM pragma_user_version"))
+        """Whether there are tables of this version; False for an empty file, ValueError for other
+        databases, also for those with views and triggers."""
+        tables = dict(
+            self._connection.execute(
+                "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL UNION ALL "
+                "SELECT 'version', user_version FROM pragma_user_version"
+            )
+        )
         if tables not in ({"version": 0}, _TABLES | {"version": _FORMAT}):
-            raise ValueError(f"{self._called} is a database, but not a store of this version of adaptmg (version "
-                             f"{tables['version']}, tables {checks.shown(list(tables))}): give another file")
+            raise ValueError(
+                f"{self._called} is a database, but not a store of this version of adaptmg (version "
+                f"{tables['version']}, tables {checks.shown(list(tables))}): give another file"
+            )
         return len(tables) > 1
 
     @contextmanager
@@ -189,16 +217,24 @@ class Store:
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
-        """Errors of SQLite, and of content that is not what was written, become ones that name the file."""
+        """Errors of SQLite, and of content that is not what was written, become ones that name the
+        file."""
         try:
             with self._lock:
                 yield
-        except (sqlite3.Error, UnicodeDecodeError, json.JSONDecodeError, TypeError, AttributeError,
-                RecursionError) as error:
+        except (
+            sqlite3.Error,
+            UnicodeDecodeError,
+            json.JSONDecodeError,
+            TypeError,
+            AttributeError,
+            RecursionError,
+        ) as error:
             if fix := next((words for sign, words in _FIXES.items() if sign in str(error)), ""):
                 raise OSError(f"{self._called}: {error}: {fix}") from error
-            raise ValueError(f"{self._called} is not a store of a study, or damaged ({error}): give another "
-                             "file") from error
+            raise ValueError(
+                f"{self._called} is not a store of a study, or damaged ({error}): give another file"
+            ) from error
 
     def _identity(self) -> tuple[int, int] | None:
         try:
@@ -208,56 +244,88 @@ class Store:
         return None if status is None else (status.st_dev, status.st_ino)
 
     def _check_there(self) -> None:
-        """SQLite goes on writing into a file that was removed: the path must still name the file that was opened."""
+        """SQLite goes on writing into a file that was removed: the path must still name the file
+        that was opened."""
         now = self._identity()
         if now != self._opened:
             how = "removed" if now is None else "replaced by another file"
             raise OSError(f"{self._called} was {how} while it was in use: run the study again")
 
-    def put(self, study: str, records: Sequence[Record], parts: dict[str, str] | None = None,
-            kept: Sequence[dict[str, Packed]] = ()) -> None:
-        """Write runs in one transaction, which Ctrl-C does not prevent, in place of earlier ones with the same
-        parameters; ``parts`` are those of their fingerprint, ``kept`` has for each what is kept by name."""
+    def put(
+        self,
+        study: str,
+        records: Sequence[Record],
+        parts: dict[str, str] | None = None,
+        kept: Sequence[dict[str, Packed]] = (),
+    ) -> None:
+        """Write runs in one transaction, which Ctrl-C does not prevent, in place of earlier ones
+        with the same parameters; ``parts`` are those of their fingerprint, ``kept`` has for each
+        what is kept by name."""
         try:
             self._write(study, records, parts, kept)
         except KeyboardInterrupt:  # it undid the transaction
             self._write(study, records, parts, kept)
             raise
 
-    def _write(self, study: str, records: Sequence[Record], parts: dict[str, str] | None,
-               kept: Sequence[dict[str, Packed]]) -> None:
+    def _write(
+        self,
+        study: str,
+        records: Sequence[Record],
+        parts: dict[str, str] | None,
+        kept: Sequence[dict[str, Packed]],
+    ) -> None:
         keys = [(study, canonical(record.parameters)) for record in records]
         rows = [json.dumps({name: getattr(record, name) for name in _FIELDS}) for record in records]
         with self._explained():
             self._check_there()
             with self._transaction() as connection:
                 for table in ("claims", "kept"):
-                    connection.executemany(f"DELETE FROM {table} WHERE study = ? AND parameters = ?", keys)
-                connection.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?)",
-                                       [(*key, row) for key, row in zip(keys, rows, strict=True)])
-                connection.executemany("INSERT INTO kept VALUES (?, ?, ?, ?, ?)",
-                                       [(*key, name, one.kind, one.content) for key, packed in
-                                        zip(keys, kept, strict=bool(kept)) for name, one in packed.items()])
+                    connection.executemany(
+                        f"DELETE FROM {table} WHERE study = ? AND parameters = ?", keys
+                    )
+                connection.executemany(
+                    "INSERT OR REPLACE INTO runs VALUES (?, ?, ?)",
+                    [(*key, row) for key, row in zip(keys, rows, strict=True)],
+                )
+                connection.executemany(
+                    "INSERT INTO kept VALUES (?, ?, ?, ?, ?)",
+                    [
+                        (*key, name, one.kind, one.content)
+                        for key, packed in zip(keys, kept, strict=bool(kept))
+                        for name, one in packed.items()
+                    ],
+                )
                 if parts is not None:
-                    connection.executemany("INSERT OR IGNORE INTO origins VALUES (?, ?)",
-                                           [(code, json.dumps(parts)) for code in {record.code for record in records}])
+                    connection.executemany(
+                        "INSERT OR IGNORE INTO origins VALUES (?, ?)",
+                        [(code, json.dumps(parts)) for code in {record.code for record in records}],
+                    )
 
     def claim(self, study: str, keys: Sequence[str], owner: str) -> list[bool]:
-        """Claim runs, in one transaction; whether each is claimed: not where a process that may live has claimed it."""
+        """Claim runs, in one transaction; whether each is claimed: not where a process that may
+        live has claimed it."""
         with self._explained():
             self._check_there()
             with self._transaction() as connection:
-                held = [connection.execute("SELECT owner FROM claims WHERE study = ? AND parameters = ?",
-                                           (study, key)).fetchone() for key in keys]
+                held = [
+                    connection.execute(
+                        "SELECT owner FROM claims WHERE study = ? AND parameters = ?", (study, key)
+                    ).fetchone()
+                    for key in keys
+                ]
                 claimed = [other is None or not _may_live(other[0]) for other in held]
-                connection.executemany("INSERT OR REPLACE INTO claims VALUES (?, ?, ?)",
-                                       [(study, key, owner) for key, ours in zip(keys, claimed, strict=True) if ours])
+                connection.executemany(
+                    "INSERT OR REPLACE INTO claims VALUES (?, ?, ?)",
+                    [(study, key, owner) for key, ours in zip(keys, claimed, strict=True) if ours],
+                )
         return claimed
 
     def release(self, owner: str, key: str = "%") -> None:
         """Give up the claims of an owner, or that on one run."""
         with self._explained(), self._transaction() as connection:
-            connection.execute("DELETE FROM claims WHERE owner = ? AND ? IN (parameters, '%')", (owner, key))
+            connection.execute(
+                "DELETE FROM claims WHERE owner = ? AND ? IN (parameters, '%')", (owner, key)
+            )
 
     def get(self, study: str) -> dict[str, Record]:
         """Return all runs of a study in the order of storing, by their canonical parameters."""
@@ -270,33 +338,58 @@ class Store:
 
     def _records(self, condition: str, *values: str) -> dict[str, Record]:
         with self._explained():
-            rows = self._connection.execute(f"SELECT parameters, record FROM runs {condition}", values).fetchall()
-            return {key: Record(parameters={name: _restored(value) for name, value in json.loads(key).items()},
-                                **json.loads(record)) for key, record in rows}
+            rows = self._connection.execute(
+                f"SELECT parameters, record FROM runs {condition}", values
+            ).fetchall()
+            return {
+                key: Record(
+                    parameters={name: _restored(value) for name, value in json.loads(key).items()},
+                    **json.loads(record),
+                )
+                for key, record in rows
+            }
 
     def kept(self, study: str, key: str) -> dict[str, Packed]:
         """Return what a run keeps, by name."""
         with self._explained():
-            rows = self._connection.execute("SELECT name, kind, content FROM kept WHERE study = ? AND parameters = ?",
-                                            (study, key)).fetchall()
+            rows = self._connection.execute(
+                "SELECT name, kind, content FROM kept WHERE study = ? AND parameters = ?",
+                (study, key),
+            ).fetchall()
         return {name: Packed(kind, content) for name, kind, content in rows}
 
     def studies(self) -> list[str]:
         """Return the names of the studies."""
         with self._explained():
-            return [name for (name,) in self._connection.execute("SELECT DISTINCT study FROM runs ORDER BY study")]
+            return [
+                name
+                for (name,) in self._connection.execute(
+                    "SELECT DISTINCT study FROM runs ORDER BY study"
+                )
+            ]
 
     def origins(self) -> dict[str, dict[str, str]]:
         """Return the parts of the stored fingerprints, by the fingerprint."""
         with self._explained():
-            return {code: json.loads(parts) for code, parts in self._connection.execute("SELECT * FROM origins")}
+            return {
+                code: json.loads(parts)
+                for code, parts in self._connection.execute("SELECT * FROM origins")
+            }
 
 
 def new_owner() -> str:
     """Return the name of this process, and of one study in it, for claims."""
     import psutil
 
-    return json.dumps([platform.node(), os.getpid(), psutil.Process().create_time(), time.time(), uuid.uuid4().hex])
+    return json.dumps(
+        [
+            platform.node(),
+            os.getpid(),
+            psutil.Process().create_time(),
+            time.time(),
+            uuid.uuid4().hex,
+        ]
+    )
 
 
 def _may_live(owner: str) -> bool:

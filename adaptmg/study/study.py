@@ -23,7 +23,16 @@ from adaptmg import _checks as checks
 from adaptmg._text import printable
 from adaptmg.solver.fingerprint import Fingerprint, environment
 from adaptmg.study.designs import DesignLike, Point, Value, as_design, canonical, parameter_value
-from adaptmg.study.execute import RESERVED, Done, RunFunction, Task, commit, in_turn, now, study_fingerprint
+from adaptmg.study.execute import (
+    RESERVED,
+    Done,
+    RunFunction,
+    Task,
+    commit,
+    in_turn,
+    now,
+    study_fingerprint,
+)
 from adaptmg.study.store import Record, Store, new_owner, unpack
 from adaptmg.study.tables import DETAILS, frame
 
@@ -69,49 +78,58 @@ class StudyStatus:
         return self.done + self.failed + self.stale + self.missing
 
     def __repr__(self) -> str:
-        lines = [f"Study {self.name!r}: {self.total} runs: {self.done} done, {self.failed} failed, {self.stale} stale, "
-                 f"{self.missing} missing"]
+        lines = [
+            f"Study {self.name!r}: {self.total} runs: {self.done} done, {self.failed} failed, {self.stale} stale, "
+            f"{self.missing} missing"
+        ]
         for title, counts in (("stale", self.reasons), ("failed", self.errors)):
-            lines += [f"  {title}: {text} ({count})" for text, count in Counter(counts).most_common(_MOST)]
+            lines += [
+                f"  {title}: {text} ({count})" for text, count in Counter(counts).most_common(_MOST)
+            ]
         return "\n".join(lines)
 
 
 class Study:
     """A parameter sweep.
 
-    Each run is stored when it ends. A study that is run again computes only points that are missing, that failed, and
-    that are stale (:meth:`status` says why). A row is stale when one of these changed: the instructions of a
-    function or class of the user's modules that the run function reaches; a value that it reads (globals, closures,
-    defaults, attributes); a name of a module that it imports inside or passes on; the numerical sources of adaptmg; the
-    version of a package. Comments and docstrings do not count. What cannot be compared (locks, generators, ``eval``,
-    docstrings that are read) is refused: ``depends`` names what stands for it. Not seen are data files, the
-    environment, time, the state of libraries, packages edited at run time, and classes registered with an ABC:
-    ``depends`` can name these, too. A run must not change what it reads: a UserWarning names the value.
+    Each run is stored when it ends. A study that is run again computes only points that are
+    missing, that failed, and that are stale (:meth:`status` says why). A row is stale when one of
+    these changed: the instructions of a function or class of the user's modules that the run
+    function reaches; a value that it reads (globals, closures, defaults, attributes); a name of a
+    module that it imports inside or passes on; the numerical sources of adaptmg; the version of a
+    package. Comments and docstrings do not count. What cannot be compared (locks, generators,
+    ``eval``, docstrings that are read) is refused: ``depends`` names what stands for it. Not seen
+    are data files, the environment, time, the state of libraries, packages edited at run time, and
+    classes registered with an ABC: ``depends`` can name these, too. A run must not change what it
+    reads: a UserWarning names the value.
 
-    Several processes may run a study on one store: each claims a point before it computes it. Claims of processes that
-    ended are taken over (of another machine after a day).
+    Several processes may run a study on one store: each claims a point before it computes it.
+    Claims of processes that ended are taken over (of another machine after a day).
 
-    Runs share nothing. Where only law, loads or material vary, ``grids.with_problem(problem)`` on grids that are made
-    once saves meshes and transfers (:meth:`adaptmg.Hierarchy.with_problem`).
+    Runs share nothing. Where only law, loads or material vary, ``grids.with_problem(problem)`` on
+    grids that are made once saves meshes and transfers (:meth:`adaptmg.Hierarchy.with_problem`).
 
     Parameters
     ----------
     run : function
-        Called with the parameters by name; returns a flat dict of numbers, strings and bools. Arrays,
+        Called with the parameters by name; returns a flat dict of numbers, strings and bools.
+        Arrays,
         :class:`adaptmg.MeshArrays`, :class:`adaptmg.Result`, and figures of matplotlib are kept apart in the store,
         see :meth:`load`. An exception makes a failed row, and the study goes on.
     parameters : mapping of str to sequence, list of points, or design
-        A mapping is a grid: every combination, the last parameter changing fastest. Values are numbers, strings,
-        bools, None or tuples of those.
+        A mapping is a grid: every combination, the last parameter changing fastest. Values are
+        numbers, strings, bools, None or tuples of those.
     store : path, optional
-        SQLite file, made where missing; several studies can share one. Default: in memory, gone with the study.
+        SQLite file, made where missing; several studies can share one. Default: in memory, gone
+        with the study.
     name : str, optional
         Under which the rows are stored; default the name of the function.
     fixed : mapping, optional
         Parameters that are the same in every run.
     depends : mapping, optional
-        Values by name for dependencies that cannot be seen: a :class:`pathlib.Path` for the content of a file, a
-        value in place of a global or a variable of a closure of that name, a text for anything else.
+        Values by name for dependencies that cannot be seen: a :class:`pathlib.Path` for the content
+        of a file, a value in place of a global or a variable of a closure of that name, a text for
+        anything else.
 
     Examples
     --------
@@ -122,13 +140,26 @@ class Study:
     [2.5, 4.5]
     """
 
-    def __init__(self, run: RunFunction, parameters: DesignLike,
-                 store: str | os.PathLike[str] | None = None, *, name: str | None = None,
-                 fixed: Mapping[str, Value] | None = None, depends: Mapping[str, object] | None = None) -> None:
+    def __init__(
+        self,
+        run: RunFunction,
+        parameters: DesignLike,
+        store: str | os.PathLike[str] | None = None,
+        *,
+        name: str | None = None,
+        fixed: Mapping[str, Value] | None = None,
+        depends: Mapping[str, object] | None = None,
+    ) -> None:
         self._function, self._depends = run, dict(depends or {})
         self._fingerprint()
-        if inspect.iscoroutinefunction(run) or inspect.isgeneratorfunction(run) or inspect.isasyncgenfunction(run):
-            raise TypeError(f"run must return a dict, but {run.__name__} is a generator or a coroutine")
+        if (
+            inspect.iscoroutinefunction(run)
+            or inspect.isgeneratorfunction(run)
+            or inspect.isasyncgenfunction(run)
+        ):
+            raise TypeError(
+                f"run must return a dict, but {run.__name__} is a generator or a coroutine"
+            )
         self.fixed = {key: parameter_value(key, value) for key, value in (fixed or {}).items()}
         self.name = run.__name__ if name is None else checks.boundary_name("name", name)
         self.design = as_design("parameters", parameters)
@@ -150,25 +181,37 @@ class Study:
         """Return the parameters of every run, the fixed ones too, in the order of the design."""
         return [{**self.fixed, **point} for point in self.design.points()]
 
-    def run(self, progress: Progress = None, *, workers: int | None = None,
-            scheduler: str | Client | Cluster | None = None, rerun: bool = False, retry_failed: bool = True,
-            throw: bool = False, limit_s: float | None = None, memory_limit: float | None = None,
-            cost: Cost | None = None) -> pd.DataFrame:
+    def run(
+        self,
+        progress: Progress = None,
+        *,
+        workers: int | None = None,
+        scheduler: str | Client | Cluster | None = None,
+        rerun: bool = False,
+        retry_failed: bool = True,
+        throw: bool = False,
+        limit_s: float | None = None,
+        memory_limit: float | None = None,
+        cost: Cost | None = None,
+    ) -> pd.DataFrame:
         """Compute the runs that the store does not have, and return the table.
 
-        As of :meth:`table`. On Ctrl-C finished runs are stored, and no process is left. OSError or ValueError if the
-        store cannot be written, RuntimeError for a worker with other packages or without a module.
+        As of :meth:`table`. On Ctrl-C finished runs are stored, and no process is left. OSError or
+        ValueError if the store cannot be written, RuntimeError for a worker with other packages or
+        without a module.
 
         Parameters
         ----------
         progress : bool or callable, optional
-            Show a progress bar on standard error; default: where that is a terminal. Each run is a line of the log,
-            too (``adaptmg.study``, INFO). A function is called after each run with an
-            object that has ``name``, ``total``, ``done``, ``failed`` and ``words()``.
+            Show a progress bar on standard error; default: where that is a terminal. Each run is a
+            line of the log, too (``adaptmg.study``, INFO). A function is called after each run with
+            an object that has ``name``, ``total``, ``done``, ``failed`` and ``words()``.
         workers : int, optional
-            Processes on this machine that compute runs, one thread each (dask.distributed). Default: this process.
+            Processes on this machine that compute runs, one thread each (dask.distributed).
+            Default: this process.
         scheduler : str, distributed.Client or cluster, optional
-            A cluster of dask, such as ``"tcp://host:8786"``, or the client of :func:`adaptmg.study.local_cluster`.
+            A cluster of dask, such as ``"tcp://host:8786"``, or the client of
+            :func:`adaptmg.study.local_cluster`.
         rerun : bool
             Compute every point again.
         retry_failed : bool
@@ -178,29 +221,44 @@ class Study:
         limit_s : float, optional
             Seconds after which a run is stopped and recorded as failed. Needs workers.
         memory_limit : float, optional
-            Bytes that the process of a run may hold until it is stopped and recorded as failed. Needs ``workers``; the
-            workers of a cluster have their own (``dask worker --memory-limit``).
+            Bytes that the process of a run may hold until it is stopped and recorded as failed.
+            Needs ``workers``; the workers of a cluster have their own (``dask worker
+            --memory-limit``).
         cost : callable or str, optional
-            Long runs first: a function of a point that grows with the time its run takes, the name of a parameter that
-            does, or of a result or ``"seconds"`` of an earlier call.
+            Long runs first: a function of a point that grows with the time its run takes, the name
+            of a parameter that does, or of a result or ``"seconds"`` of an earlier call.
         """
         if not (progress is None or isinstance(progress, bool) or callable(progress)):
-            raise TypeError(f"progress must be True, False, None or a function, got {checks.shown(progress)}")
+            raise TypeError(
+                f"progress must be True, False, None or a function, got {checks.shown(progress)}"
+            )
         if workers is not None and scheduler is not None:
-            raise ValueError("give workers (processes of this machine) or scheduler (a cluster), not both")
+            raise ValueError(
+                "give workers (processes of this machine) or scheduler (a cluster), not both"
+            )
         limit_s = None if limit_s is None else checks.positive("limit_s", limit_s)
-        memory = None if memory_limit is None else int(checks.positive("memory_limit", memory_limit))
+        memory = (
+            None if memory_limit is None else int(checks.positive("memory_limit", memory_limit))
+        )
         if workers is None and (memory is not None or (limit_s is not None and scheduler is None)):
-            raise ValueError("limit_s and memory_limit need workers=1 or more: runs in this process cannot be stopped, "
-                             "and workers of a cluster have their own limit (dask worker --memory-limit)")
+            raise ValueError(
+                "limit_s and memory_limit need workers=1 or more: runs in this process cannot be stopped, "
+                "and workers of a cluster have their own limit (dask worker --memory-limit)"
+            )
         if workers is not None:
             checks.integer("workers", workers, minimum=1)
         for name, flag in (("rerun", rerun), ("retry_failed", retry_failed), ("throw", throw)):
             checks.flag(name, flag)
         code = self._fingerprint()
         rows, valid = self._rows(code), ("done",) if retry_failed else ("done", "failed")
-        todo = in_order({canonical(point): (point, record) for point, record, state in rows
-                         if rerun or state not in valid}, cost)
+        todo = in_order(
+            {
+                canonical(point): (point, record)
+                for point, record, state in rows
+                if rerun or state not in valid
+            },
+            cost,
+        )
         _log.info("study %s: %d of %d runs to compute", self.name, len(todo), len(rows))
         if todo:
             if workers is None and scheduler is None:
@@ -212,24 +270,34 @@ class Study:
             task, owner = Task(self._function, code, tuple(self._depends), limit_s), new_owner()
             try:
                 with executor as execute:
-                    self._compute(execute(task, self._claimed(todo, owner)), code, len(todo), progress, throw)
+                    self._compute(
+                        execute(task, self._claimed(todo, owner)), code, len(todo), progress, throw
+                    )
             finally:
-                with contextlib.suppress(OSError, ValueError):  # of a store that has gone, say: what is raised says so
+                with contextlib.suppress(
+                    OSError, ValueError
+                ):  # of a store that has gone, say: what is raised says so
                     self._store.release(owner)
         return self._table(code, False)
 
     def table(self, details: bool = False) -> pd.DataFrame:
-        """Return the runs in the store, without computing any: one row a run in the order of the design.
+        """Return the runs in the store, without computing any: one row a run in the order of the
+        design.
 
         Columns are parameters, results (its kind where one is kept apart), ``status`` ('done',
-        'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also peak_memory (bytes),
-        started, finished (UTC), machine, commit, traceback. ``attrs`` has the study's name and fixed parameters.
-        """
+        'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also peak_memory
+        (bytes), started, finished (UTC), machine, commit, traceback. ``attrs`` has the study's name
+        and fixed parameters."""
         return self._table(self._fingerprint(), details)
 
     def status(self) -> StudyStatus:
         """Return how many runs are done, failed, stale and missing, and why runs are stale."""
-        code, reasons, errors, origins = self._fingerprint(), Counter(), Counter(), self._store.origins()
+        code, reasons, errors, origins = (
+            self._fingerprint(),
+            Counter(),
+            Counter(),
+            self._store.origins(),
+        )
         rows = self._rows(code)
         for _, record, state in rows:
             if state == "stale" and record is not None:
@@ -237,17 +305,26 @@ class Study:
             elif state == "failed" and record is not None:
                 errors[record.error] += 1
         counts = Counter(state for _, _, state in rows)
-        return StudyStatus(name=self.name, errors=dict(errors), reasons=dict(reasons),
-                           **{state: counts[state] for state in ("done", "failed", "stale", "missing")})
+        return StudyStatus(
+            name=self.name,
+            errors=dict(errors),
+            reasons=dict(reasons),
+            **{state: counts[state] for state in ("done", "failed", "stale", "missing")},
+        )
 
-    def load(self, row: int | Mapping[str, Value] | pd.Series, name: str | None = None) -> Kept | dict[str, Kept]:
-        """Return the results of a run that are kept apart from its row, by name, or the one called ``name``.
+    def load(
+        self, row: int | Mapping[str, Value] | pd.Series, name: str | None = None
+    ) -> Kept | dict[str, Kept]:
+        """Return the results of a run that are kept apart from its row, by name, or the one called
+        ``name``.
 
-        ``row`` is the number of the row in :meth:`table`, the row itself, or the parameters of the run. Of a figure the
-        text of its SVG is returned.
-        """
+        ``row`` is the number of the row in :meth:`table`, the row itself, or the parameters of the
+        run. Of a figure the text of its SVG is returned."""
         if isinstance(row, Mapping | pd.Series):
-            point = {**self.fixed, **{key: parameter_value(key, row[key]) for key in self.design.names}}
+            point = {
+                **self.fixed,
+                **{key: parameter_value(key, row[key]) for key in self.design.names},
+            }
         else:
             points = self.points()
             point = points[checks.integer("row", row, maximum=len(points) - 1)]
@@ -255,32 +332,55 @@ class Study:
         if name is None and kept:
             return {key: unpack(item) for key, item in kept.items()}
         if name not in kept:
-            raise ValueError(f"the run {checks.shown(canonical(point))} keeps {', '.join(kept) or 'nothing'}, not "
-                             f"{name}{checks.suggestion(name or '', kept)}")
+            raise ValueError(
+                f"the run {checks.shown(canonical(point))} keeps {', '.join(kept) or 'nothing'}, not "
+                f"{name}{checks.suggestion(name or '', kept)}"
+            )
         return unpack(kept[name])
 
-    def _compute(self, runs: Done, code: Fingerprint, count: int, progress: Progress, throw: bool) -> None:
+    def _compute(
+        self, runs: Done, code: Fingerprint, count: int, progress: Progress, throw: bool
+    ) -> None:
         """Store each run when it ends."""
         watch = Watch(self.name, len(self), len(self) - count)
         try:
             with _shown(watch, progress) as show:
                 for number, batch in enumerate(runs):
                     for refused in (outcome for outcome in batch if outcome.refused and not number):
-                        raise ValueError(f"the run function of study {self.name} cannot be used: "
-                                         f"{refused.record.error}")
-                    origin = {"code": code.code, "versions": environment(), "finished": now(), "commit": commit()}
-                    self._store.put(self.name, [replace(outcome.record, **origin) for outcome in batch], code.parts,
-                                    [outcome.packed for outcome in batch])
+                        raise ValueError(
+                            f"the run function of study {self.name} cannot be used: "
+                            f"{refused.record.error}"
+                        )
+                    origin = {
+                        "code": code.code,
+                        "versions": environment(),
+                        "finished": now(),
+                        "commit": commit(),
+                    }
+                    self._store.put(
+                        self.name,
+                        [replace(outcome.record, **origin) for outcome in batch],
+                        code.parts,
+                        [outcome.packed for outcome in batch],
+                    )
                     for outcome in batch:
                         record = outcome.record
                         watch.done += 1
                         watch.failed += bool(record.error)
                         show()
-                        _log.log(logging.WARNING if record.error else logging.INFO, "study %s: [%d/%d] %s %s",
-                                 self.name, watch.done, watch.total,
-                                 ", ".join(f"{name}={record.parameters[name]!r}" for name in self.design.names),
-                                 f"failed: {printable(record.error)}" if record.error else
-                                 f"done in {record.seconds:.3g} s; {watch.words()}")
+                        _log.log(
+                            logging.WARNING if record.error else logging.INFO,
+                            "study %s: [%d/%d] %s %s",
+                            self.name,
+                            watch.done,
+                            watch.total,
+                            ", ".join(
+                                f"{name}={record.parameters[name]!r}" for name in self.design.names
+                            ),
+                            f"failed: {printable(record.error)}"
+                            if record.error
+                            else f"done in {record.seconds:.3g} s; {watch.words()}",
+                        )
                         if throw and record.error:
                             raise outcome.exception or RuntimeError(record.error)
         finally:
@@ -288,13 +388,13 @@ class Study:
             self._warn_of_changes(code)
 
     def _claimed(self, todo: Mapping[str, Stored], owner: str) -> Iterator[Point | None]:
-        """Yield the points that this process claims, None while others compute the rest. What another has stored
-        meanwhile is left out."""
+        """Yield the points that this process claims, None while others compute the rest. What
+        another has stored meanwhile is left out."""
         left, count = list(todo.items()), 1
         while left:
             held, at = [], 0
             while at < len(left):
-                batch, at, begin = left[at:at + count], at + count, time.perf_counter()
+                batch, at, begin = left[at : at + count], at + count, time.perf_counter()
                 claims = self._store.claim(self.name, [key for key, _ in batch], owner)
                 for item, ours in zip(batch, claims, strict=True):
                     key, (point, stored) = item
@@ -314,20 +414,40 @@ class Study:
         return study_fingerprint(self._function, self._depends)
 
     def _warn_of_changes(self, before: Fingerprint) -> None:
-        """Warn of values that changed while runs went on in this process: rows depend on the order of the runs."""
+        """Warn of values that changed while runs went on in this process: rows depend on the order
+        of the runs."""
         with contextlib.suppress(TypeError):
-            changes = [text for text in self._fingerprint().differences(before.parts) if text.startswith("value of ")]
+            changes = [
+                text
+                for text in self._fingerprint().differences(before.parts)
+                if text.startswith("value of ")
+            ]
             if changes:
-                warnings.warn(f"study {self.name}: {', '.join(changes)} while the runs went on, so that their rows are "
-                              "stale: a run must not change what it reads; if the results do not depend on it (a "
-                              "cache), name it in depends", UserWarning, stacklevel=4)
+                warnings.warn(
+                    f"study {self.name}: {', '.join(changes)} while the runs went on, so that their rows are "
+                    "stale: a run must not change what it reads; if the results do not depend on it (a "
+                    "cache), name it in depends",
+                    UserWarning,
+                    stacklevel=4,
+                )
 
     def _rows(self, code: Fingerprint) -> list[tuple[Point, Record | None, str]]:
-        """Return the points in the order of the design, with what is stored of them and its state."""
+        """Return the points in the order of the design, with what is stored of them and its
+        state."""
         stored = self._store.get(self.name)
         records = [(point, stored.get(canonical(point))) for point in self.points()]
-        return [(point, record, "missing" if record is None else record.status if record.code == code.code else "stale")
-                for point, record in records]
+        return [
+            (
+                point,
+                record,
+                "missing"
+                if record is None
+                else record.status
+                if record.code == code.code
+                else "stale",
+            )
+            for point, record in records
+        ]
 
     def _table(self, code: Fingerprint, details: bool) -> pd.DataFrame:
         table = frame(self.design.names, self._rows(code), details)
@@ -345,16 +465,21 @@ def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Val
     try:
         inspect.signature(run).bind(**dict.fromkeys(arguments))
     except TypeError as error:
-        raise TypeError(f"the run function {run.__name__}{inspect.signature(run)} does not take the parameters "
-                        f"{', '.join(arguments)}: {error}") from None
+        raise TypeError(
+            f"the run function {run.__name__}{inspect.signature(run)} does not take the parameters "
+            f"{', '.join(arguments)}: {error}"
+        ) from None
 
 
 def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
-    """Return the points, the most expensive first, so that none of them is started when the others are done."""
+    """Return the points, the most expensive first, so that none of them is started when the others
+    are done."""
     if cost is None:
         return todo
     if not (callable(cost) or isinstance(cost, str)):
-        raise TypeError(f"cost must be a function of a point, or the name of a column, got {checks.described(cost)}")
+        raise TypeError(
+            f"cost must be a function of a point, or the name of a column, got {checks.described(cost)}"
+        )
 
     def of(item: tuple[str, Stored]) -> float:
         point, record = item[1]
@@ -362,9 +487,17 @@ def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
             return checks.number("cost", cost(dict(point)))
         if cost in point:
             return checks.number(f"cost: parameter {cost!r}", point[cost])
-        value = None if record is None else record.seconds if cost == "seconds" else record.results.get(cost)
+        value = (
+            None
+            if record is None
+            else record.seconds
+            if cost == "seconds"
+            else record.results.get(cost)
+        )
         # a run without a record may be long
-        return float(value) if isinstance(value, int | float) and not math.isnan(value) else math.inf
+        return (
+            float(value) if isinstance(value, int | float) and not math.isnan(value) else math.inf
+        )
 
     return dict(sorted(todo.items(), key=of, reverse=True))
 
@@ -386,18 +519,25 @@ class Watch:
 
 @contextmanager
 def _shown(watch: Watch, progress: Progress) -> Iterator[Callable[[], None]]:
-    """Yield what is to be called after each run: the function of the user, or one that updates a bar on standard error;
-    by default only where that is a terminal."""
+    """Yield what is to be called after each run: the function of the user, or one that updates a
+    bar on standard error; by default only where that is a terminal."""
     if callable(progress):
         yield lambda: progress(watch)
     elif sys.stderr is not None and (sys.stderr.isatty() if progress is None else progress):
         from rich import progress as shown
         from rich.console import Console
 
-        with shown.Progress(shown.TextColumn("{task.description}", markup=False), shown.BarColumn(24),
-                            shown.MofNCompleteColumn(), shown.TimeElapsedColumn(),
-                            shown.TextColumn("{task.fields[words]}"), console=Console(stderr=True)) as bar:
-            task = bar.add_task(watch.name, total=watch.total, completed=watch.done, words=watch.words())
+        with shown.Progress(
+            shown.TextColumn("{task.description}", markup=False),
+            shown.BarColumn(24),
+            shown.MofNCompleteColumn(),
+            shown.TimeElapsedColumn(),
+            shown.TextColumn("{task.fields[words]}"),
+            console=Console(stderr=True),
+        ) as bar:
+            task = bar.add_task(
+                watch.name, total=watch.total, completed=watch.done, words=watch.words()
+            )
             yield lambda: bar.update(task, completed=watch.done, words=watch.words())
     else:
         yield lambda: None

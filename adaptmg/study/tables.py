@@ -1,4 +1,5 @@
-"""Tables: the runs of a study as a table of pandas, and tables as aligned text with units in the headers."""
+"""Tables: the runs of a study as a table of pandas, and tables as aligned text with units in the
+headers."""
 
 from __future__ import annotations
 
@@ -24,26 +25,55 @@ if TYPE_CHECKING:
 DETAILS = ("peak_memory", "started", "finished", "machine", "commit", "traceback")
 
 
-def frame(names: Sequence[str], rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],
-          details: bool = False) -> pd.DataFrame:
-    """Return a table of runs: parameters by ``names``, results, status, seconds, error, and details."""
+def frame(
+    names: Sequence[str],
+    rows: Sequence[tuple[Mapping[str, Value], Record | None, str]],
+    details: bool = False,
+) -> pd.DataFrame:
+    """Return a table of runs: parameters by ``names``, results, status, seconds, error, and
+    details."""
     import pandas as pd
 
     more, lines = DETAILS if details else (), []
     for point, record, status in rows:
-        own = {} if record is None else {name: getattr(record, name) for name in ("seconds", "error", *more)}
-        lines.append({"error": "", **{name: point.get(name) for name in names}, **own,
-                      **(record.results if record else {}), "status": status})
+        own = (
+            {}
+            if record is None
+            else {name: getattr(record, name) for name in ("seconds", "error", *more)}
+        )
+        lines.append(
+            {
+                "error": "",
+                **{name: point.get(name) for name in names},
+                **own,
+                **(record.results if record else {}),
+                "status": status,
+            }
+        )
     results = (name for _, record, _ in rows if record is not None for name in record.results)
-    columns = {name: [line.get(name, math.nan) for line in lines]
-               for name in dict.fromkeys((*names, *results, *RESERVED, *more))}
+    columns = {
+        name: [line.get(name, math.nan) for line in lines]
+        for name in dict.fromkeys((*names, *results, *RESERVED, *more))
+    }
     # texts that are not UTF-8 are refused by the text columns of pandas with pyarrow
-    return pd.DataFrame({name: pd.Series(column, dtype=object if any(isinstance(v, str) for v in column) else None)
-                         for name, column in columns.items()})
+    return pd.DataFrame(
+        {
+            name: pd.Series(
+                column, dtype=object if any(isinstance(v, str) for v in column) else None
+            )
+            for name, column in columns.items()
+        }
+    )
 
 
-def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[str, str] | None = None,
-            formats: Mapping[str, str] | None = None) -> str:
+def as_text(
+    table: Table,
+    *,
+    caption: str = "",
+    note: str = "",
+    units: Mapping[str, str] | None = None,
+    formats: Mapping[str, str] | None = None,
+) -> str:
     """Return a table as text in aligned columns.
 
     Parameters
@@ -65,12 +95,17 @@ def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
     True
     """
     headers, columns = cells(table, units, formats)
-    widths = [max(map(len, (header, *column)), default=0) for header, column in zip(headers, columns, strict=True)]
+    widths = [
+        max(map(len, (header, *column)), default=0)
+        for header, column in zip(headers, columns, strict=True)
+    ]
     right = [numeric(column) for _, column in table.items()]
 
     def line(row: Sequence[str]) -> str:
-        padded = (cell.rjust(width) if is_right else cell.ljust(width)
-                  for cell, width, is_right in zip(row, widths, right, strict=True))
+        padded = (
+            cell.rjust(width) if is_right else cell.ljust(width)
+            for cell, width, is_right in zip(row, widths, right, strict=True)
+        )
         return "  ".join(padded).rstrip()
 
     rows = [line(row) for row in zip(*columns, strict=True)]
@@ -78,8 +113,9 @@ def as_text(table: Table, *, caption: str = "", note: str = "", units: Mapping[s
     return printable("\n".join([caption] * bool(caption) + body + [note] * bool(note)))
 
 
-def cells(table: Table, units: Mapping[str, str] | None = None,
-          formats: Mapping[str, str] | None = None) -> tuple[list[str], list[list[str]]]:
+def cells(
+    table: Table, units: Mapping[str, str] | None = None, formats: Mapping[str, str] | None = None
+) -> tuple[list[str], list[list[str]]]:
     """Return headers, and the texts of each column."""
     units, formats, columns = units or {}, formats or {}, list(table.items())
     names = [name for name, _ in columns]
@@ -87,13 +123,24 @@ def cells(table: Table, units: Mapping[str, str] | None = None,
         raise ValueError(f"table has columns of the same name: {names}")
     for what, mapping in (("units", units), ("formats", formats)):
         if unknown := sorted(set(mapping) - set(names)):
-            raise ValueError(f"{what} names columns the table does not have: {unknown}; it has {names}")
-    headers = [f"{_line(name)} [{_line(units[name])}]" if units.get(name) else _line(name) for name in names]
-    return headers, [[_cell(value, formats.get(name)) for value in column] for name, column in columns]
+            raise ValueError(
+                f"{what} names columns the table does not have: {unknown}; it has {names}"
+            )
+    headers = [
+        f"{_line(name)} [{_line(units[name])}]" if units.get(name) else _line(name)
+        for name in names
+    ]
+    return headers, [
+        [_cell(value, formats.get(name)) for value in column] for name, column in columns
+    ]
 
 
 def _cell(value: object, spec: str | None) -> str:
-    if value is None or type(value).__name__ == "NAType" or (isinstance(value, numbers.Real) and math.isnan(value)):
+    if (
+        value is None
+        or type(value).__name__ == "NAType"
+        or (isinstance(value, numbers.Real) and math.isnan(value))
+    ):
         return "-"
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
@@ -114,4 +161,6 @@ def _line(value: object) -> str:
 def numeric(column: Iterable[object]) -> bool:
     """Return whether a column holds numbers, apart from missing values."""
     values = [v for v in column if v is not None]
-    return bool(values) and all(isinstance(v, numbers.Real) and not isinstance(v, bool) for v in values)
+    return bool(values) and all(
+        isinstance(v, numbers.Real) and not isinstance(v, bool) for v in values
+    )

@@ -1,47 +1,53 @@
-r"""Prolongations between two levels of a contact problem, and transport of contact data to the coarser one.
+r"""Prolongations between two levels of a contact problem, and transport of contact data to the
+coarser one.
 
-On curved or non-nested contact boundaries a fine contact node lies inside or outside the coarse mesh, and a
-prolongation between the volumes gives it weights of inner coarse nodes, without contact conditions. Here it
-is projected onto the nearest coarse contact facet and takes the weights there:
+On curved or non-nested contact boundaries a fine contact node lies inside or outside the coarse
+mesh, and a prolongation between the volumes gives it weights of inner coarse nodes, without contact
+conditions. Here it is projected onto the nearest coarse contact facet and takes the weights there:
 
 .. math:: P_{ik} \ge 0, \qquad \sum_k P_{ik} = 1, \qquad k \text{ coarse contact nodes only},
 
-which is what the proof of the monotone correction below needs. Affine fields are reproduced at the projected points, so
-on curved boundaries up to O(h_coarse^2).
+which is what the proof of the monotone correction below needs. Affine fields are reproduced at the
+projected points, so on curved boundaries up to O(h_coarse^2).
 
-With the nodal prolongation P of displacements and the couplings W_f, W_c of the two levels there are two forms for
-relative values w: :math:`P_w = (I - W_f)\,P\,(I - W_c)^{-1}`, which spans the same space as P, rigid motions of all
-bodies included; and the same with the rows of the slave nodes replaced by interpolation of relative values along the
-coarse slave surface, weights >= 0 with sums 1 over the coarse slave nodes of the pair, for the monotone correction.
-Other coarse nodes of the surface (where it hangs over, or belongs to another pair) have no values relative to this
-master: those next to them take over their weights.
+With the nodal prolongation P of displacements and the couplings W_f, W_c of the two levels there
+are two forms for relative values w: :math:`P_w = (I - W_f)\,P\,(I - W_c)^{-1}`, which spans the
+same space as P, rigid motions of all bodies included; and the same with the rows of the slave nodes
+replaced by interpolation of relative values along the coarse slave surface, weights >= 0 with sums
+1 over the coarse slave nodes of the pair, for the monotone correction. Other coarse nodes of the
+surface (where it hangs over, or belongs to another pair) have no values relative to this master:
+those next to them take over their weights.
 
-The two faces of a crack lie at one place. Nodes on a face are interpolated along the coarse one, whatever the transfer
-does elsewhere and whether they are in contact; so are inner nodes between the meshes of a curved face, which lie inside
-the fine one and outside the coarse one, that is on the other side of the coarse crack.
+The two faces of a crack lie at one place. Nodes on a face are interpolated along the coarse one,
+whatever the transfer does elsewhere and whether they are in contact; so are inner nodes between the
+meshes of a curved face, which lie inside the fine one and outside the coarse one, that is on the
+other side of the coarse crack.
 
-``P_cc`` (n_fine_contact, n_coarse_contact) are the contact rows and columns of the prolongation, >= 0 with row sums at
-most 1 (1 unless coarse dofs are fixed), and :math:`S_k = \{i : P_{ik} > 0\}`. The correction E has normal and
-tangential components in the contact frames.
+``P_cc`` (n_fine_contact, n_coarse_contact) are the contact rows and columns of the prolongation, >=
+0 with row sums at most 1 (1 unless coarse dofs are fixed), and :math:`S_k = \{i : P_{ik} > 0\}`.
+The correction E has normal and tangential components in the contact frames.
 
-**The monotone guarantee.** With the smallest gap :math:`D_k = \min_{S_k} (g_0 - u_n)_i`, the minmod slip
+**The monotone guarantee.** With the smallest gap :math:`D_k = \min_{S_k} (g_0 - u_n)_i`, the minmod
+slip
 :math:`U_k` (0 unless all slips :math:`t_i = (u_t - u_t^{prev})_i`, i in S_k, point one way; else the shortest) and the
 summed limit :math:`G = P^T g`: for every E with :math:`E_{n,k} \le D_k`
 
 .. math:: (g_0 - u_n)_i - (P E_n)_i \ge 0, \qquad
           \sum_i g_i |t_i + (P E_t)_i| - \sum_i g_i |t_i| \le \sum_k G_k \big(|U_k + E_{t,k}| - |U_k|\big).
 
-*Proof.* :math:`\sum_k P_{ik} E_{n,k} \le \sum_k P_{ik} D_k \le (g_0 - u_n)_i`, as the opening is >= 0. By convexity
+*Proof.* :math:`\sum_k P_{ik} E_{n,k} \le \sum_k P_{ik} D_k \le (g_0 - u_n)_i`, as the opening is >=
+0. By convexity
 :math:`|t_i + \sum_k P_{ik} E_k| - |t_i| \le \sum_k P_{ik} (|t_i + E_k| - |t_i|)`, and :math:`|s e + E| - s` does not
-increase with :math:`s \ge 0` for a unit vector e, so that it is largest at the shortest slip of :math:`S_k`; sum over i
-with the weights :math:`g_i`. So the coarse functional majorises the change of the fine one: with coarse matrices
+increase with :math:`s \ge 0` for a unit vector e, so that it is largest at the shortest slip of
+:math:`S_k`; sum over i with the weights :math:`g_i`. So the coarse functional majorises the change
+of the fine one: with coarse matrices
 :math:`P^T A P` the Tresca energy cannot rise. It needs one normal (and in 3D one pair of tangents) over :math:`S_k`,
 and contact rows that interpolate from coarse contact nodes only.
 
-Source of the setting: the paper's correction problem, steps a-g; its other choices are here too, under the names
-``largest_gap`` and ``injected_...``, and guarantee nothing. A nodal limit is a force and is summed, never
-interpolated; a pressure is interpolated, from coarse to fine, in nested iteration.
-"""
+Source of the setting: the paper's correction problem, steps a-g; its other choices are here too,
+under the names ``largest_gap`` and ``injected_...``, and guarantee nothing. A nodal limit is a
+force and is summed, never interpolated; a pressure is interpolated, from coarse to fine, in nested
+iteration."""
 
 from __future__ import annotations
 
@@ -59,26 +65,38 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.transfer.interpolation import CLIP, Transfer, csr_from_weights, nodes_of_bodies
 
 
-def surface_interpolation(coarse: MeshArrays, fine: MeshArrays, coarse_boundary_facets: np.ndarray,
-                          fine_nodes: np.ndarray) -> sparse.csr_array:
+def surface_interpolation(
+    coarse: MeshArrays, fine: MeshArrays, coarse_boundary_facets: np.ndarray, fine_nodes: np.ndarray
+) -> sparse.csr_array:
     """Interpolate at fine contact nodes (n,) from the nearest coarse contact facet.
 
-    Entries are >= 0, with row sums 1, at most dim in a row. The facets (n_facets, dim) hold coarse nodes, as
-    ``coarse.boundary_facets(name)`` does; the nearest is exact, on graded boundaries too.
+    Entries are >= 0, with row sums 1, at most dim in a row. The facets (n_facets, dim) hold coarse
+    nodes, as ``coarse.boundary_facets(name)`` does; the nearest is exact, on graded boundaries too.
     """
     facets = coarse_boundary_facets
-    if facets.ndim != 2 or not len(facets) or not 0 <= facets.min() <= facets.max() < coarse.n_nodes:
-        raise ValueError(f"coarse_boundary_facets must hold nodes of coarse, a row a facet, got shape {facets.shape}")
+    if (
+        facets.ndim != 2
+        or not len(facets)
+        or not 0 <= facets.min() <= facets.max() < coarse.n_nodes
+    ):
+        raise ValueError(
+            f"coarse_boundary_facets must hold nodes of coarse, a row a facet, got shape {facets.shape}"
+        )
     facet, weights, _ = BoxTree(coarse.points, facets).nearest(fine.points[fine_nodes])
     return csr_from_weights(facets[facet], weights, coarse.n_nodes)
 
 
-def with_contact_rows(P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.csr_array) -> sparse.csr_array:
-    """Return a nodal prolongation (n_fine, n_coarse) with other rows (n, n_coarse) for distinct fine nodes (n,)."""
+def with_contact_rows(
+    P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.csr_array
+) -> sparse.csr_array:
+    """Return a nodal prolongation (n_fine, n_coarse) with other rows (n, n_coarse) for distinct
+    fine nodes (n,)."""
     nodes = checks.array("fine_nodes", fine_nodes, (None,), integer=True)
     if rows.shape != (len(nodes), P.shape[1]) or len(np.unique(nodes)) < len(nodes):
-        raise ValueError(f"rows must have shape ({len(nodes)}, {P.shape[1]}), one for each of distinct fine_nodes, got "
-                         f"{rows.shape}")
+        raise ValueError(
+            f"rows must have shape ({len(nodes)}, {P.shape[1]}), one for each of distinct fine_nodes, got "
+            f"{rows.shape}"
+        )
     row_of = np.arange(P.shape[0])
     row_of[nodes] = P.shape[0] + np.arange(len(nodes))
     return checks.narrowed(sparse.csr_array(sparse.vstack([P, rows], format="csr")[row_of]))
@@ -88,34 +106,54 @@ def with_contact_rows(P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.
 class LevelTransfer:
     """Nodal prolongations from a level to the next finer."""
 
-    prolongation: sparse.csr_array  # (n_nodes, n_nodes coarse) csr_array: of relative values where there is a coupling
+    prolongation: (
+        sparse.csr_array
+    )  # (n_nodes, n_nodes coarse) csr_array: of relative values where there is a coupling
     surface: sparse.csr_array | None = None
 
 
-def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coarse_problem: DiscreteProblem,
-                   fine_problem: DiscreteProblem, contact_rows: bool = True) -> LevelTransfer:
+def between_levels(
+    transfer: Transfer,
+    coarse: MeshArrays,
+    fine: MeshArrays,
+    coarse_problem: DiscreteProblem,
+    fine_problem: DiscreteProblem,
+    contact_rows: bool = True,
+) -> LevelTransfer:
     """Return prolongations between the discretisations of one problem on two meshes."""
     nodal = _built(transfer, coarse, fine)
     contact, coupling = fine_problem.contact, fine_problem.coupling
     if coupling is not None:
         _check_bodies(nodal, coarse, fine, transfer)
-    slave_rows = [_along(coarse, fine, name, contact.nodes[contact.boundary == k])
-                  for k, name in enumerate(contact.names)]
+    slave_rows = [
+        _along(coarse, fine, name, contact.nodes[contact.boundary == k])
+        for k, name in enumerate(contact.names)
+    ]
     for face, other in _crack_faces(fine, contact):
-        nodal = with_contact_rows(nodal, *_along(coarse, fine, face, _on_side(nodal, coarse, fine, face, other)))
+        nodal = with_contact_rows(
+            nodal, *_along(coarse, fine, face, _on_side(nodal, coarse, fine, face, other))
+        )
     if contact_rows:
-        master_rows = [_along(coarse, fine, name, fine.boundary_nodes(name)) for name in contact.masters if name]
+        master_rows = [
+            _along(coarse, fine, name, fine.boundary_nodes(name))
+            for name in contact.masters
+            if name
+        ]
         for nodes, rows in (*master_rows, *slave_rows):
             if (abs(nodal[nodes] - rows) > CLIP).nnz:  # not on nested meshes
                 nodal = with_contact_rows(nodal, nodes, rows)
     relative = nodal if coupling is None else coupling.prolongation(nodal, coarse_problem.coupling)
     surface, above = relative, coarse_problem.contact
     # others are held: no coarse bound limits what they would pass to fine contact nodes
-    passes = np.isin(np.arange(coarse.n_nodes), above.nodes) | coarse_problem.fixed.reshape(-1, coarse.dim).all(axis=1)
+    passes = np.isin(np.arange(coarse.n_nodes), above.nodes) | coarse_problem.fixed.reshape(
+        -1, coarse.dim
+    ).all(axis=1)
     for k, (nodes, rows) in enumerate(slave_rows):
         known = above.nodes[above.boundary == k]
         if contact.masters[k]:
-            surface = with_contact_rows(surface, nodes, _among(known, rows, fine.points[nodes], coarse.points))
+            surface = with_contact_rows(
+                surface, nodes, _among(known, rows, fine.points[nodes], coarse.points)
+            )
         elif contact_rows and not passes[rows.indices].all():
             data = np.where(passes[rows.indices], rows.data, 0.0)
             rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
@@ -124,70 +162,111 @@ def between_levels(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays, coa
 
 
 def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str]]:
-    """Each face of a crack, and the other one: pairs, or called left and right, that share nodes."""
-    pairs = [*zip(contact.names, contact.masters, strict=True),
-             *((name, name.removesuffix("left") + "right") for name in mesh.boundaries if name.endswith(".left"))]
-    shared = [pair for pair in dict.fromkeys(pairs) if set(pair) <= set(mesh.boundaries)
-              and len(np.intersect1d(*map(mesh.boundary_nodes, pair)))]
+    """Each face of a crack, and the other one: pairs, or called left and right, that share
+    nodes."""
+    pairs = [
+        *zip(contact.names, contact.masters, strict=True),
+        *(
+            (name, name.removesuffix("left") + "right")
+            for name in mesh.boundaries
+            if name.endswith(".left")
+        ),
+    ]
+    shared = [
+        pair
+        for pair in dict.fromkeys(pairs)
+        if set(pair) <= set(mesh.boundaries)
+        and len(np.intersect1d(*map(mesh.boundary_nodes, pair)))
+    ]
     return [faces for pair in shared for faces in (pair, pair[::-1])]
 
 
-def _on_side(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, face: str, other: str) -> np.ndarray:
-    """Fine nodes on a face, and inner ones between it and the coarse one, of those that follow the other coarse one."""
-    near = np.flatnonzero(abs(nodal) @ np.isin(np.arange(coarse.n_nodes), coarse.boundary_nodes(other)))
+def _on_side(
+    nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, face: str, other: str
+) -> np.ndarray:
+    """Fine nodes on a face, and inner ones between it and the coarse one, of those that follow the
+    other coarse one."""
+    near = np.flatnonzero(
+        abs(nodal) @ np.isin(np.arange(coarse.n_nodes), coarse.boundary_nodes(other))
+    )
     between = np.ones(len(near), dtype=bool)
     for mesh, sign in ((coarse, 1), (fine, -1)):
         surface = mesh.surface(face)
         facet, weights, _ = BoxTree(mesh.points, surface.facets).nearest(fine.points[near])
         foot = np.einsum("nk,nkd->nd", weights, mesh.points[surface.facets[facet]])
-        between &= sign * np.einsum("nd,nd->n", fine.points[near] - foot, surface.normals[facet]) > 0
+        between &= (
+            sign * np.einsum("nd,nd->n", fine.points[near] - foot, surface.normals[facet]) > 0
+        )
         # a node ahead of a tip is on neither side
-        between &= (weights * np.isin(surface.facets[facet], mesh.boundary_nodes(other))).sum(axis=1) < 1
+        between &= (weights * np.isin(surface.facets[facet], mesh.boundary_nodes(other))).sum(
+            axis=1
+        ) < 1
     return np.union1d(fine.boundary_nodes(face), near[between])
 
 
 def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
     returned, wanted = transfer.build(coarse, fine), (fine.n_nodes, coarse.n_nodes)
     if sparse.issparse(returned) and returned.shape != wanted:
-        raise ValueError(f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
-                         f"got {returned.shape}")
-    nodal = checks.sparse_matrix(f"what transfer.build of {checks.shown(transfer)} returns", returned)
+        raise ValueError(
+            f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
+            f"got {returned.shape}"
+        )
+    nodal = checks.sparse_matrix(
+        f"what transfer.build of {checks.shown(transfer)} returns", returned
+    )
     nodal = sparse.csr_array(nodal, dtype=np.float64)
     if not nodal.has_sorted_indices:  # products sort in place, and prolongations are read-only
         nodal = nodal.sorted_indices()
     largest = largest_entry(nodal.data)
     if not 1 / checks.VAST <= largest <= checks.VAST:
-        raise ValueError(f"transfer.build of {checks.shown(transfer)} must return weights of about 1, the largest is "
-                         f"{largest:.3g}")
+        raise ValueError(
+            f"transfer.build of {checks.shown(transfer)} must return weights of about 1, the largest is "
+            f"{largest:.3g}"
+        )
     return nodal
 
 
-def _check_bodies(nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, transfer: Transfer) -> None:
+def _check_bodies(
+    nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, transfer: Transfer
+) -> None:
     """No fine node may follow coarse nodes of a body that its own does not hang together with."""
     body = np.repeat(coarse.element_body, coarse.elements.shape[1])
-    incidence = sparse.csr_array((np.ones(coarse.elements.size), (coarse.elements.ravel(), body)),
-                                 shape=(coarse.n_nodes, len(coarse.bodies)))
+    incidence = sparse.csr_array(
+        (np.ones(coarse.elements.size), (coarse.elements.ravel(), body)),
+        shape=(coarse.n_nodes, len(coarse.bodies)),
+    )
     _, part = connected_components(incidence.T @ incidence, directed=False)
     rows = np.repeat(np.arange(fine.n_nodes), np.diff(nodal.indptr))
     below, above = nodes_of_bodies(fine)[rows], nodes_of_bodies(coarse, "coarse")[nodal.indices]
     wrong = np.flatnonzero((part[below] != part[above]) & (nodal.data != 0.0))
     if wrong.size:
-        node, own, other = rows[wrong[0]], fine.bodies[below[wrong[0]]], coarse.bodies[above[wrong[0]]]
-        raise ValueError(f"transfer.build of {transfer!r} lets node {node} of body {own!r} follow body {other!r}: "
-                         "build the rows of each body from its own nodes (mesh.element_body tells which they are)")
+        node, own, other = (
+            rows[wrong[0]],
+            fine.bodies[below[wrong[0]]],
+            coarse.bodies[above[wrong[0]]],
+        )
+        raise ValueError(
+            f"transfer.build of {transfer!r} lets node {node} of body {own!r} follow body {other!r}: "
+            "build the rows of each body from its own nodes (mesh.element_body tells which they are)"
+        )
 
 
-def _along(coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarray
-           ) -> tuple[np.ndarray, sparse.csr_array]:
+def _along(
+    coarse: MeshArrays, fine: MeshArrays, boundary: str, nodes: np.ndarray
+) -> tuple[np.ndarray, sparse.csr_array]:
     return nodes, surface_interpolation(coarse, fine, coarse.boundary_facets(boundary), nodes)
 
 
-def _among(known: np.ndarray, rows: sparse.csr_array, points: np.ndarray, coarse_points: np.ndarray
-           ) -> sparse.csr_array:
-    """Rows with sum 1 over the columns ``known`` alone: scaled, or 1 at the nearest; zero without any."""
+def _among(
+    known: np.ndarray, rows: sparse.csr_array, points: np.ndarray, coarse_points: np.ndarray
+) -> sparse.csr_array:
+    """Rows with sum 1 over the columns ``known`` alone: scaled, or 1 at the nearest; zero without
+    any."""
     if not len(known):
         return sparse.csr_array(rows.shape)
-    kept = sparse.csr_array(rows @ sparse.diags_array(np.isin(np.arange(rows.shape[1]), known).astype(float)))
+    kept = sparse.csr_array(
+        rows @ sparse.diags_array(np.isin(np.arange(rows.shape[1]), known).astype(float))
+    )
     sums = np.asarray(kept.sum(axis=1)).ravel()
     lost = np.flatnonzero(sums <= 1e-10)
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
@@ -227,18 +306,22 @@ class Supports:
 
     def _over_fine(self, values: np.ndarray) -> np.ndarray:
         if len(values) != self.n_fine:
-            raise ValueError(f"one value a fine contact node is needed, {self.n_fine}, got {len(values)}")
+            raise ValueError(
+                f"one value a fine contact node is needed, {self.n_fine}, got {len(values)}"
+            )
         return values
 
 
 def supports(P_cc: sparse.csr_array) -> Supports:
-    """Return the sets S_k of P_cc (n_fine_contact, n_coarse_contact); ValueError if an entry is negative or not
-    finite."""
+    """Return the sets S_k of P_cc (n_fine_contact, n_coarse_contact); ValueError if an entry is
+    negative or not finite."""
     columns = sparse.csc_array(P_cc, dtype=np.float64, copy=True)
     columns.sum_duplicates()
     if not (np.isfinite(columns.data) & (columns.data >= 0)).all():
-        raise ValueError("P_cc must be >= 0 (and finite): use Interpolation, or put contact rows in with "
-                         "surface_interpolation and with_contact_rows")
+        raise ValueError(
+            "P_cc must be >= 0 (and finite): use Interpolation, or put contact rows in with "
+            "surface_interpolation and with_contact_rows"
+        )
     columns.eliminate_zeros()
     n = columns.shape[1]
     coarse = np.repeat(np.arange(n), np.diff(columns.indptr))
@@ -246,13 +329,18 @@ def supports(P_cc: sparse.csr_array) -> Supports:
     order = np.lexsort((-columns.indices, columns.data, coarse))
     main = np.full(n, -1, dtype=np.int64)
     main[coarse[order]] = columns.indices[order]
-    return Supports(n_fine=columns.shape[0], indptr=columns.indptr, nodes=columns.indices, weights=columns.data,
-                    main=main)
+    return Supports(
+        n_fine=columns.shape[0],
+        indptr=columns.indptr,
+        nodes=columns.indices,
+        weights=columns.data,
+        main=main,
+    )
 
 
 def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
-    """Return safe bounds D_k (n_coarse_contact,) of the normal correction from the opening g0 - u_n (n_fine_contact,),
-    m.
+    """Return safe bounds D_k (n_coarse_contact,) of the normal correction from the opening g0 - u_n
+    (n_fine_contact,), m.
 
     +inf where S_k is empty.
     """
@@ -260,13 +348,14 @@ def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
 
 
 def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
-    """Return the paper's bound read literally ('smallest u_n'): max over S_k; as :func:`smallest_gap`. Stalls or
-    cycles."""
+    """Return the paper's bound read literally ('smallest u_n'): max over S_k; as
+    :func:`smallest_gap`. Stalls or cycles."""
     return sets.reduced(np.maximum, opening, np.inf)
 
 
 def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
-    """Return the opening of the fine node with the largest weight in S_k; as :func:`smallest_gap`. No guarantee."""
+    """Return the opening of the fine node with the largest weight in S_k; as :func:`smallest_gap`.
+    No guarantee."""
     return sets.injected(opening, np.inf)
 
 
@@ -277,10 +366,10 @@ _PARALLEL = 1e-6
 def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = None) -> np.ndarray:
     """Return safe reference slips U_k (n_coarse_contact, dim - 1) of the tangential correction, m.
 
-    0 unless all slips u_t - u_t^previous (n_fine_contact, dim - 1) in S_k have one sign (3D: one direction) and none is
-    zero or in ``stick`` (n_fine_contact,), else the shortest; 0 where S_k is empty. In 3D slips within 1e-6 rad of the
-    shortest count as parallel to it; the guarantee then holds up to 1e-6 ``sum_i g_i sum_k P_ik |E_k|``.
-    """
+    0 unless all slips u_t - u_t^previous (n_fine_contact, dim - 1) in S_k have one sign (3D: one
+    direction) and none is zero or in ``stick`` (n_fine_contact,), else the shortest; 0 where S_k is
+    empty. In 3D slips within 1e-6 rad of the shortest count as parallel to it; the guarantee then
+    holds up to 1e-6 ``sum_i g_i sum_k P_ik |E_k|``."""
     slip = slip if stick is None else np.where(stick[:, None], 0.0, slip)
     if slip.shape[1] == 1:
         # one of the two is 0 unless all have one sign
@@ -296,28 +385,35 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     this, best = slip[sets.nodes], slip[shortest[coarse]]
     dot = this[:, 0] * best[:, 0] + this[:, 1] * best[:, 1]
     cross = this[:, 0] * best[:, 1] - this[:, 1] * best[:, 0]
-    other = ~(dot > 0.0) | (np.abs(cross) > np.sin(_PARALLEL) * (size[shortest[coarse]] * size[sets.nodes]))
+    other = ~(dot > 0.0) | (
+        np.abs(cross) > np.sin(_PARALLEL) * (size[shortest[coarse]] * size[sets.nodes])
+    )
     parallel = filled & (np.bincount(coarse[other], minlength=len(sets.main)) == 0)
     return np.where(parallel[:, None], slip[shortest], 0.0)
 
 
 def injected_slip(sets: Supports, slip: np.ndarray) -> np.ndarray:
-    """Return the slip of the fine node with the largest weight in S_k; shapes as :func:`minmod_slip`. No guarantee."""
+    """Return the slip of the fine node with the largest weight in S_k; shapes as
+    :func:`minmod_slip`. No guarantee."""
     return sets.injected(slip, 0.0)
 
 
 def summed_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
-    """Return nodal friction limits g (n_fine_contact,) summed with the transpose, G = P'g (n_coarse_contact,), N; dual.
+    """Return nodal friction limits g (n_fine_contact,) summed with the transpose, G = P'g
+    (n_coarse_contact,), N; dual.
 
     The total is that of g where the rows sum to 1.
     """
     coarse = np.repeat(np.arange(len(sets.main)), np.diff(sets.indptr))
-    return np.bincount(coarse, weights=sets.weights * limit[sets.nodes], minlength=len(sets.main)).astype(np.float64)
+    return np.bincount(
+        coarse, weights=sets.weights * limit[sets.nodes], minlength=len(sets.main)
+    ).astype(np.float64)
 
 
 def injected_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
-    """Return the nodal limit of the fine node with the largest weight in S_k, N; 0 where S_k is empty.
+    """Return the nodal limit of the fine node with the largest weight in S_k, N; 0 where S_k is
+    empty.
 
-    As :func:`summed_limit`, but what one fine node bears is less than the force on a coarse one. No guarantee.
-    """
+    As :func:`summed_limit`, but what one fine node bears is less than the force on a coarse one. No
+    guarantee."""
     return sets.injected(limit, 0.0)

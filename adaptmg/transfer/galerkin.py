@@ -1,6 +1,5 @@
-r"""Galerkin coarse matrices :math:`P^T A P` of a block matrix and a nodal prolongation; coarse spaces of a bare matrix
-from pyamg's smoothed aggregation.
-"""
+r"""Galerkin coarse matrices :math:`P^T A P` of a block matrix and a nodal prolongation; coarse
+spaces of a bare matrix from pyamg's smoothed aggregation."""
 
 from __future__ import annotations
 
@@ -16,16 +15,19 @@ _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is t
 
 
 def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
-    """Return P'AP (n_dofs coarse, n_dofs coarse) of a matrix of square blocks, with P = nodal on every component.
+    """Return P'AP (n_dofs coarse, n_dofs coarse) of a matrix of square blocks, with P = nodal on
+    every component.
 
-    Sorted columns; every coarse node has a diagonal block, that of a node which nothing reaches is the mean of the
-    others' diagonals.
-    """
+    Sorted columns; every coarse node has a diagonal block, that of a node which nothing reaches is
+    the mean of the others' diagonals."""
     dim, coarse = matrix.blocksize[0], nodal.shape[1]
-    # products of scalars would drop entries that vanish, and truncation needs the whole pattern: a column of zeros more
+    # products of scalars would drop entries that vanish, and truncation needs the whole pattern: a
+    # column of zeros more
     wide = max(dim, 2)
-    prolongation = sparse.bsr_array((nodal.data[:, None, None] * np.eye(dim, wide), nodal.indices, nodal.indptr),
-                                    shape=(nodal.shape[0] * dim, coarse * wide))
+    prolongation = sparse.bsr_array(
+        (nodal.data[:, None, None] * np.eye(dim, wide), nodal.indices, nodal.indptr),
+        shape=(nodal.shape[0] * dim, coarse * wide),
+    )
     product = sparse.bsr_array(prolongation.T @ (matrix @ prolongation), blocksize=(wide, wide))
     blocks = np.ascontiguousarray(product.data[:, :dim, :dim])
     indptr, indices, data = _with_diagonal_blocks(product.indptr, product.indices, blocks)
@@ -37,16 +39,19 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
         # in place: a sum would drop blocks that vanish
         node, component = np.nonzero(empty.reshape(-1, dim))
         on = np.flatnonzero(np.repeat(np.arange(coarse), np.diff(indptr)) == result.indices)
-        result.data[on[node], component, component] = diagonal[~empty].mean() if not empty.all() else 1.0
+        result.data[on[node], component, component] = (
+            diagonal[~empty].mean() if not empty.all() else 1.0
+        )
     # scipy would look through them again
     result.has_canonical_format = True
     return result
 
 
 def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
-    """Return a prolongation without what it gives to nodes of which the next finer level takes nothing. The diagonal
-    that :func:`galerkin_product` lends such a node (where a mesh is locally finer than the next) is not stiffness: in
-    the next product it would hold the coarser functions at zero there."""
+    """Return a prolongation without what it gives to nodes of which the next finer level takes
+    nothing. The diagonal that :func:`galerkin_product` lends such a node (where a mesh is locally
+    finer than the next) is not stiffness: in the next product it would hold the coarser functions
+    at zero there."""
     if finer is None:
         return nodal
     idle = np.bincount(finer.indices, weights=np.abs(finer.data), minlength=finer.shape[1]) == 0
@@ -56,9 +61,11 @@ def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_
     return sparse.csr_array((data, nodal.indices, nodal.indptr), shape=nodal.shape)
 
 
-def _with_diagonal_blocks(indptr: np.ndarray, indices: np.ndarray, data: np.ndarray
-                          ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks (indptr, indices, data) of a square matrix with the missing diagonal ones added as zeros."""
+def _with_diagonal_blocks(
+    indptr: np.ndarray, indices: np.ndarray, data: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks (indptr, indices, data) of a square matrix with the missing diagonal ones added as
+    zeros."""
     n = len(indptr) - 1
     rows = np.repeat(np.arange(n), np.diff(indptr))
     has = np.zeros(n, dtype=bool)
@@ -68,8 +75,11 @@ def _with_diagonal_blocks(indptr: np.ndarray, indices: np.ndarray, data: np.ndar
         return indptr, indices, data
     at = indptr[missing + 1]
     counts = np.diff(indptr) + ~has
-    return (np.append(0, np.cumsum(counts)).astype(indptr.dtype), np.insert(indices, at, missing),
-            np.insert(data, at, 0.0, axis=0))
+    return (
+        np.append(0, np.cumsum(counts)).astype(indptr.dtype),
+        np.insert(indices, at, missing),
+        np.insert(data, at, 0.0, axis=0),
+    )
 
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:
@@ -82,8 +92,9 @@ def _prolongation(name: str, value: object) -> sparse.csr_array:
     return P
 
 
-def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[sparse.csr_array]
-                  ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
+def coarse_spaces(
+    matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[sparse.csr_array]
+) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
     """Check prolongations against a matrix and form the Galerkin matrices."""
     listed = checks.listed("prolongations", prolongations, "scipy sparse matrices, coarse to fine")
     checked = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
@@ -91,8 +102,10 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
         raise ValueError("prolongations is empty: give at least one, or use Hierarchy.single")
     dim, n = matrix.blocksize[0], matrix.shape[0]
     if checked[-1].shape[0] not in (n, n // dim):
-        raise ValueError(f"prolongations[{len(checked) - 1}] must have {n // dim} rows (nodes) or {n} (dofs), got "
-                         f"{checked[-1].shape[0]}")
+        raise ValueError(
+            f"prolongations[{len(checked) - 1}] must have {n // dim} rows (nodes) or {n} (dofs), got "
+            f"{checked[-1].shape[0]}"
+        )
     of_dofs = checked[-1].shape[0] == n
     current = without_fixed(matrix, fixed)
     if of_dofs:
@@ -102,8 +115,10 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
     for k in range(len(checked) - 1, -1, -1):
         P = checked[k]
         if P.shape[0] != rows or not 0 < P.shape[1] < rows:
-            raise ValueError(f"prolongations[{k}] must have {rows} rows and fewer columns, one at least, got "
-                             f"{P.shape}: they go from coarse to fine")
+            raise ValueError(
+                f"prolongations[{k}] must have {rows} rows and fewer columns, one at least, got "
+                f"{P.shape}: they go from coarse to fine"
+            )
         rows = P.shape[1]
         finer = seen(P, finer)
         current = galerkin_product(current, finer)
@@ -111,12 +126,16 @@ def coarse_spaces(matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Se
     return checked, matrices
 
 
-def without_fixed(matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = True) -> sparse.bsr_array:
-    """Return the matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal; the pattern
-    stays."""
+def without_fixed(
+    matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = True
+) -> sparse.bsr_array:
+    """Return the matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal;
+    the pattern stays."""
     dim = matrix.blocksize[0]
     if copy:
-        matrix = sparse.bsr_array((matrix.data.copy(), matrix.indices, matrix.indptr), shape=matrix.shape)
+        matrix = sparse.bsr_array(
+            (matrix.data.copy(), matrix.indices, matrix.indptr), shape=matrix.shape
+        )
     free = (~fixed).astype(np.float64).reshape(-1, dim)
     held = ~free.all(axis=1)
     rows = np.repeat(np.arange(len(free)), np.diff(matrix.indptr))
@@ -128,13 +147,14 @@ def without_fixed(matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = T
     return matrix
 
 
-def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarray | None, fixed: np.ndarray,
-                             max_coarse: int) -> list[sparse.csr_array]:
-    """Return prolongations of dofs by smoothed aggregation (Vanek, Mandel, Brezina 1996, doi:10.1007/BF02238511).
+def aggregated_prolongations(
+    matrix: sparse.bsr_array, near_nullspace: np.ndarray | None, fixed: np.ndarray, max_coarse: int
+) -> list[sparse.csr_array]:
+    """Return prolongations of dofs by smoothed aggregation (Vanek, Mandel, Brezina 1996,
+    doi:10.1007/BF02238511).
 
-    Coarse to fine, (n_dofs, n_dofs coarse) each, none if the matrix is small. Without modes the translations are taken;
-    ``max_coarse`` bounds the nodes of the coarsest level.
-    """
+    Coarse to fine, (n_dofs, n_dofs coarse) each, none if the matrix is small. Without modes the
+    translations are taken; ``max_coarse`` bounds the nodes of the coarsest level."""
     import pyamg
 
     dim = matrix.blocksize[0]
@@ -143,7 +163,11 @@ def aggregated_prolongations(matrix: sparse.bsr_array, near_nullspace: np.ndarra
     modes = np.where(fixed[:, None], 0.0, near_nullspace)
     with one_blas_thread(), seeded():
         made = pyamg.smoothed_aggregation_solver(
-            sparse.bsr_matrix(without_fixed(matrix, fixed)), B=modes, strength=("symmetric", {"theta": 0.0}),
-            max_coarse=max_coarse, max_levels=10)
+            sparse.bsr_matrix(without_fixed(matrix, fixed)),
+            B=modes,
+            strength=("symmetric", {"theta": 0.0}),
+            max_coarse=max_coarse,
+            max_levels=10,
+        )
     found = [sparse.csr_array(level.P) for level in made.levels[:-1]]
     return found[::-1]

@@ -2,19 +2,19 @@ r"""What a transfer is, and point interpolation: the coarse function evaluated a
 
 .. math:: u_f(x_i) \leftarrow \sum_j P_{ij}\, u_c(x_j), \qquad P_{ij} = \varphi^c_j(x_i), \qquad \sum_j P_{ij} = 1
 
-P acts on nodal values (primal), component by component; its transpose restricts residuals (dual). A fine node outside
-the coarse mesh takes the value at the closest point of the coarse mesh.
+P acts on nodal values (primal), component by component; its transpose restricts residuals (dual). A
+fine node outside the coarse mesh takes the value at the closest point of the coarse mesh.
 
-After entries have been dropped, the rest :math:`p_j` of a row is changed by the smallest :math:`\delta_j` (least
-squares) that restores the sum and the first moments :math:`m` the row had before:
+After entries have been dropped, the rest :math:`p_j` of a row is changed by the smallest
+:math:`\delta_j` (least squares) that restores the sum and the first moments :math:`m` the row had
+before:
 
 .. math:: \min \sum_j \delta_j^2 \quad\text{with}\quad \sum_j (p_j + \delta_j)\, q_j = m, \qquad
           q_j = (1, (x_j - x_i)/h_i), \qquad \delta_j = q_j \cdot G^{-1} \Big(m - \sum_j p_j q_j\Big),\;
           G = \sum_j q_j q_j^T ,
 
-where :math:`h_i` is a size of the mesh: a single coarse node that is left may equal the fine node up to rounding, and
-its distance is not a scale.
-"""
+where :math:`h_i` is a size of the mesh: a single coarse node that is left may equal the fine node
+up to rounding, and its distance is not a scale."""
 
 from __future__ import annotations
 
@@ -35,16 +35,17 @@ class Transfer(Protocol):
     """Anything with this method can be given as ``transfer=``."""
 
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-        """Return the nodal prolongation (n_fine, n_coarse); rows should sum to 1, or rigid translations are not
-        reproduced."""
+        """Return the nodal prolongation (n_fine, n_coarse); rows should sum to 1, or rigid
+        translations are not reproduced."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Interpolation:
     """Point interpolation: the cheapest transfer, and the default.
 
-    Entries are >= 0 with row sums 1. Reproduces constants always, and affine fields at every fine node that lies in
-    the coarse mesh. On nested meshes it is the canonical embedding. Bodies are matched by name and interpolated apart.
+    Entries are >= 0 with row sums 1. Reproduces constants always, and affine fields at every fine
+    node that lies in the coarse mesh. On nested meshes it is the canonical embedding. Bodies are
+    matched by name and interpolated apart.
 
     Examples
     --------
@@ -58,8 +59,8 @@ class Interpolation:
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Return the nodal prolongation (n_fine, n_coarse), at most dim + 1 entries a row.
 
-        ValueError if a fine node lies outside by more than a quarter of an element, or bodies or dimensions differ.
-        """
+        ValueError if a fine node lies outside by more than a quarter of an element, or bodies or
+        dimensions differ."""
         _check_meshes(coarse, fine)
         if (rows := _between_lattices(coarse, fine)) is not None:
             return rows
@@ -70,28 +71,34 @@ class Interpolation:
 class PointLocator(SimplexLocator):
     """Finds points in a mesh; see :class:`~adaptmg.geometry.location.SimplexLocator`.
 
-    With ``body``, an index into ``mesh.bodies``, only in the elements of this body: where two bodies touch, a point
-    lies in both. ValueError if there are no elements (of that body), or one without volume.
-    """
+    With ``body``, an index into ``mesh.bodies``, only in the elements of this body: where two
+    bodies touch, a point lies in both. ValueError if there are no elements (of that body), or one
+    without volume."""
 
     def __init__(self, mesh: MeshArrays, body: int | None = None) -> None:
         checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
         chosen = None if body is None else np.flatnonzero(mesh.element_body == body)
         if len(mesh.elements if chosen is None else chosen) == 0:
-            whose = "mesh has no elements" if body is None else f"body {body} of the mesh has no elements"
+            whose = (
+                "mesh has no elements"
+                if body is None
+                else f"body {body} of the mesh has no elements"
+            )
             raise ValueError(f"mesh: {whose}")
         super().__init__(mesh.points, mesh.elements, chosen)
         self.mesh = mesh
 
 
 def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
-    """Return the body of each node (n_nodes,), the first where bodies share one; ValueError if a node belongs to no
-    element."""
+    """Return the body of each node (n_nodes,), the first where bodies share one; ValueError if a
+    node belongs to no element."""
     body = np.full(mesh.n_nodes, -1, dtype=np.int64)
     corners = mesh.elements.shape[1]
     body[mesh.elements.ravel()[::-1]] = np.repeat(mesh.element_body, corners)[::-1]
     if (body < 0).any():
-        raise ValueError(f"{name}: node {np.argmax(body < 0)} belongs to no element; remove unused nodes")
+        raise ValueError(
+            f"{name}: node {np.argmax(body < 0)} belongs to no element; remove unused nodes"
+        )
     return body
 
 
@@ -99,11 +106,14 @@ def _check_meshes(coarse: MeshArrays, fine: MeshArrays) -> None:
     for name, mesh in (("coarse", coarse), ("fine", fine)):
         checks.instance(name, mesh, MeshArrays, "MeshArrays")
     if coarse.dim != fine.dim:
-        raise ValueError(f"coarse and fine must have the same dimension, got {coarse.dim} and {fine.dim}")
+        raise ValueError(
+            f"coarse and fine must have the same dimension, got {coarse.dim} and {fine.dim}"
+        )
 
 
 def body_locators(coarse: MeshArrays, fine: MeshArrays) -> list[tuple[int | None, PointLocator]]:
-    """Return pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of the same body."""
+    """Return pairs of a body of ``fine`` (None: all of it) and the locator in the coarse mesh of
+    the same body."""
     _check_meshes(coarse, fine)
     if len(fine.bodies) == len(coarse.bodies) == 1:
         return [(None, PointLocator(coarse))]
@@ -111,7 +121,9 @@ def body_locators(coarse: MeshArrays, fine: MeshArrays) -> list[tuple[int | None
     for index in np.unique(fine.element_body):
         body = fine.bodies[index]
         if body not in coarse.bodies:
-            raise ValueError(f"coarse: no body {body!r}, which fine has; its bodies are {', '.join(coarse.bodies)}")
+            raise ValueError(
+                f"coarse: no body {body!r}, which fine has; its bodies are {', '.join(coarse.bodies)}"
+            )
         pairs.append((int(index), PointLocator(coarse, coarse.bodies.index(body))))
     return pairs
 
@@ -130,21 +142,29 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
     for body, locator in locators:
         nodes = slice(None) if body is None else np.flatnonzero(body_of == body)
         found = locator.locate(fine.points[nodes])
-        element[nodes], weights[nodes], distance[nodes] = found.element, found.weights, found.distance
+        element[nodes], weights[nodes], distance[nodes] = (
+            found.element,
+            found.weights,
+            found.distance,
+        )
     relative, outside = np.zeros(fine.n_nodes), np.flatnonzero(distance)
-    relative[outside] = distance[outside] / longest_edges(coarse.points[coarse.elements[element[outside]]])
+    relative[outside] = distance[outside] / longest_edges(
+        coarse.points[coarse.elements[element[outside]]]
+    )
     if (relative > OUTSIDE_TOLERANCE).any():
         node = int(np.argmax(relative))
         raise ValueError(
             f"fine node {node} at {tuple(float(c) for c in fine.points[node])} lies {distance[node]:.3g} m outside the "
             f"coarse mesh, {relative[node]:.3g} of the element size there "
             f"({np.count_nonzero(relative > OUTSIDE_TOLERANCE)} nodes exceed {OUTSIDE_TOLERANCE:g}). Both meshes must "
-            "describe the same body in the same units; if they do, refine the coarse mesh at the curved boundary")
+            "describe the same body in the same units; if they do, refine the coarse mesh at the curved boundary"
+        )
     return Location(element=element, weights=weights, distance=distance)
 
 
 def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
-    """Rows of interpolation between structured meshes of the same bodies, to rounding; None for other meshes."""
+    """Rows of interpolation between structured meshes of the same bodies, to rounding; None for
+    other meshes."""
     if not (coarse.bodies == fine.bodies and len(coarse.lattices) == len(fine.lattices) > 0):
         return None
     node, column, weights = 0, 0, np.empty((fine.n_nodes, fine.dim + 1))
@@ -163,22 +183,34 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
         # from the largest share to the smallest: the corners of the simplex that holds the node
         for last_pair in range(fine.dim - 1, 0, -1):
             for k in range(last_pair):
-                (one, other), behind = shares[k:k + 2], shares[k] < shares[k + 1]
-                shares[k:k + 2] = np.maximum(one, other), np.minimum(one, other)
-                steps[k:k + 2] = np.where(behind, steps[k + 1], steps[k]), np.where(behind, steps[k], steps[k + 1])
+                (one, other), behind = shares[k : k + 2], shares[k] < shares[k + 1]
+                shares[k : k + 2] = np.maximum(one, other), np.minimum(one, other)
+                steps[k : k + 2] = (
+                    np.where(behind, steps[k + 1], steps[k]),
+                    np.where(behind, steps[k], steps[k + 1]),
+                )
         ends = [1.0, *shares, 0.0]
         for k in range(fine.dim + 1):
-            weights[node:end, k], columns[node:end, k] = (ends[k] - ends[k + 1]).reshape(-1), at.reshape(-1)
+            weights[node:end, k], columns[node:end, k] = (
+                (ends[k] - ends[k + 1]).reshape(-1),
+                at.reshape(-1),
+            )
             at = at + steps[k] if k < fine.dim else at
         node, column = end, last
     return _rows(columns, weights, weights >= CLIP, coarse.n_nodes)
 
 
-def _rows(columns: np.ndarray, weights: np.ndarray, stored: np.ndarray, n_columns: int) -> sparse.csr_array:
+def _rows(
+    columns: np.ndarray, weights: np.ndarray, stored: np.ndarray, n_columns: int
+) -> sparse.csr_array:
     """Sparse rows of those of a fixed number of weights each that are stored."""
     entries = np.flatnonzero(stored)
-    indptr = np.append(0, np.cumsum(stored)[stored.shape[1] - 1::stored.shape[1]]).astype(np.int32)
-    return sparse.csr_array((weights.take(entries), columns.take(entries), indptr), shape=(len(stored), n_columns))
+    indptr = np.append(0, np.cumsum(stored)[stored.shape[1] - 1 :: stored.shape[1]]).astype(
+        np.int32
+    )
+    return sparse.csr_array(
+        (weights.take(entries), columns.take(entries), indptr), shape=(len(stored), n_columns)
+    )
 
 
 CLIP = 1e-10
@@ -189,7 +221,8 @@ _REACHED = 1e-10
 
 
 def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
-    """Return sparse rows from a fixed number of weights each: sorted, without those below ``CLIP``, with sums 1."""
+    """Return sparse rows from a fixed number of weights each: sorted, without those below ``CLIP``,
+    with sums 1."""
     order = np.argsort(columns, axis=1)
     weights = np.where(weights < CLIP, 0.0, weights)
     weights = weights / weights.sum(axis=1, keepdims=True)
@@ -205,13 +238,15 @@ def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
     return sparse.csr_array((matrix.data[kept], matrix.indices[kept], indptr), shape=matrix.shape)
 
 
-def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
-                  ) -> tuple[sparse.csr_array, np.ndarray]:
-    """The matrix with other sums and moments of its rows, and whether each row has reached them; no row is empty."""
+def _with_moments(
+    matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
+) -> tuple[sparse.csr_array, np.ndarray]:
+    """The matrix with other sums and moments of its rows, and whether each row has reached them; no
+    row is empty."""
     row, starts = np.repeat(np.arange(fine.n_nodes), np.diff(matrix.indptr)), matrix.indptr[:-1]
     apart = coarse.points[matrix.indices] - fine.points[row]
     scale = np.empty(fine.n_nodes)
-    scale[fine.elements] = fine.element_sizes[:, None]      # that of one of its elements will do
+    scale[fine.elements] = fine.element_sizes[:, None]  # that of one of its elements will do
     scale = np.maximum(scale, np.maximum.reduceat(np.abs(apart).max(axis=1), starts))[:, None]
     q = np.column_stack([np.ones(len(row)), apart / scale[row]])
     residual = np.column_stack([moments[:, 0], moments[:, 1:] / scale])
@@ -227,11 +262,18 @@ def _with_moments(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape), reached
 
 
-def clipped_rows(matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, *, tolerance: float = CLIP,
-                 moments: np.ndarray | None = None) -> tuple[sparse.csr_array, np.ndarray]:
-    """Drop small entries, and restore row sums 1 and first moments; return also which rows have reached them."""
+def clipped_rows(
+    matrix: sparse.csr_array,
+    coarse: MeshArrays,
+    fine: MeshArrays,
+    *,
+    tolerance: float = CLIP,
+    moments: np.ndarray | None = None,
+) -> tuple[sparse.csr_array, np.ndarray]:
+    """Drop small entries, and restore row sums 1 and first moments; return also which rows have
+    reached them."""
     if moments is None:
-        centre = coarse.points.mean(axis=0)             # far from the origin the differences would lose digits
+        centre = coarse.points.mean(axis=0)  # far from the origin the differences would lose digits
         moments = matrix @ np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])
         moments /= moments[:, :1]
         moments[:, 1:] -= fine.points - centre
@@ -251,7 +293,11 @@ def _size_ratios(coarse: MeshArrays, fine: MeshArrays, step: int) -> np.ndarray:
     """h_coarse / h_fine at the centroids of every ``step``-th fine element of each body."""
     ratios = []
     for body, locator in body_locators(coarse, fine):
-        elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
+        elements = (
+            np.arange(len(fine.elements))
+            if body is None
+            else np.flatnonzero(fine.element_body == body)
+        )
         corners = fine.points[fine.elements[elements[::step]]]
         found = locator.locate(corners.mean(axis=1))
         ratios.append(coarse.element_sizes[found.element] / longest_edges(corners))
@@ -261,15 +307,17 @@ def _size_ratios(coarse: MeshArrays, fine: MeshArrays, step: int) -> np.ndarray:
 def mesh_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
     """Return the largest local ratio h_coarse / h_fine; two-level rates suffer above about 3.
 
-    For each fine element: the longest edge of the coarse element that holds its centroid, over its own longest edge.
-    """
+    For each fine element: the longest edge of the coarse element that holds its centroid, over its
+    own longest edge."""
     return float(_size_ratios(coarse, fine, 1).max())
 
 
 def size_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
-    """Return the 99 % quantile of what :func:`mesh_ratio` is the largest of, of large meshes over a sample of the
-    elements.
+    """Return the 99 % quantile of what :func:`mesh_ratio` is the largest of, of large meshes over a
+    sample of the elements.
 
     Levels of an adaptive hierarchy are kept by it: at most about 4.
     """
-    return float(np.quantile(_size_ratios(coarse, fine, max(1, len(fine.elements) // _SAMPLE)), 0.99))
+    return float(
+        np.quantile(_size_ratios(coarse, fine, max(1, len(fine.elements) // _SAMPLE)), 0.99)
+    )

@@ -1,12 +1,15 @@
-r"""Projections between two meshes: L2, lumped, with the dual basis, and onto affine functions on patches.
+r"""Projections between two meshes: L2, lumped, with the dual basis, and onto affine functions on
+patches.
 
-All are sums of the integrals :math:`B^e_{ij} = \int_e \varphi^f_i\, \varphi^c_j` over fine elements e,
+All are sums of the integrals :math:`B^e_{ij} = \int_e \varphi^f_i\, \varphi^c_j` over fine elements
+e,
 
 .. math:: (P u)_i = \sum_{e \ni i} \sum_k a_{iek} \sum_j B^e_{kj} u_j .
 
-Elements that the coarse mesh covers are integrated exactly, by clipping (:mod:`adaptmg.geometry.clipping`); those that
-stick out of it (curved boundaries) by a positive rule, exact for degree 6, whose points outside take the coarse value
-at the closest point: no part of the fine mesh is lost, and :math:`\sum_j B^e_{ij} = \int_e \varphi^f_i`.
+Elements that the coarse mesh covers are integrated exactly, by clipping
+(:mod:`adaptmg.geometry.clipping`); those that stick out of it (curved boundaries) by a positive
+rule, exact for degree 6, whose points outside take the coarse value at the closest point: no part
+of the fine mesh is lost, and :math:`\sum_j B^e_{ij} = \int_e \varphi^f_i`.
 
 Dickopf and Krause compare them in Numer. Math. Theory Methods Appl. 7 (2014) 288-316.
 """
@@ -36,7 +39,8 @@ Rows = TypeVar("Rows", np.ndarray, sparse.csr_array)
 
 class _Projection(ABC):
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-        """Return the nodal prolongation (n_fine, n_coarse); errors as :meth:`adaptmg.transfer.Interpolation.build`."""
+        """Return the nodal prolongation (n_fine, n_coarse); errors as
+        :meth:`adaptmg.transfer.Interpolation.build`."""
         return self._rows(mixed_mass(coarse, fine))
 
     @abstractmethod
@@ -49,8 +53,9 @@ class LumpedL2(_Projection):
     r"""Averages of the coarse function, weighted by the fine shape functions.
 
     :math:`P = D^{-1} B` with :math:`D_{ii} = \int \varphi^f_i`: entries >= 0, row sums 1. Reproduces constants only: an
-    affine field is evaluated at the centre of gravity of the shape function, which on the boundary is never the node.
-    For comparison; :class:`adaptmg.transfer.PseudoL2` costs the same and does better.
+    affine field is evaluated at the centre of gravity of the shape function, which on the boundary
+    is never the node. For comparison; :class:`adaptmg.transfer.PseudoL2` costs the same and does
+    better.
 
     Examples
     --------
@@ -70,13 +75,15 @@ class LumpedL2(_Projection):
 class PseudoL2(_Projection):
     r"""The local projection closest to the true L2 projection.
 
-    It is tested with the dual basis, so that no mass matrix is solved for: on a simplex in d dimensions
+    It is tested with the dual basis, so that no mass matrix is solved for: on a simplex in d
+    dimensions
     :math:`\psi_i = (d + 2)\,\varphi^f_i - 1` has :math:`\int_e \psi_i\, \varphi^f_k = \delta_{ik} \int_e \varphi^f_i`
     (Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989-1012, doi:10.1137/S0036142999350929).
 
-    Row sums 1; entries may be negative, so that it proves nothing for the monotone correction (interpolate the contact
-    rows there: :func:`adaptmg.transfer.with_contact_rows`). Reproduces constants always, and affine fields at fine
-    nodes whose elements the coarse mesh covers. On nested meshes it is the canonical embedding.
+    Row sums 1; entries may be negative, so that it proves nothing for the monotone correction
+    (interpolate the contact rows there: :func:`adaptmg.transfer.with_contact_rows`). Reproduces
+    constants always, and affine fields at fine nodes whose elements the coarse mesh covers. On
+    nested meshes it is the canonical embedding.
 
     Examples
     --------
@@ -87,21 +94,24 @@ class PseudoL2(_Projection):
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
         coefficients = (integrals.fine.dim + 2) * integrals.shape_coefficients() - 1.0
         coefficients /= integrals.lumped_mass[integrals.patches[0]][:, None]
-        return interpolation.clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
+        return interpolation.clipped_rows(
+            integrals.assemble(coefficients), integrals.coarse, integrals.fine
+        )[0]
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuasiInterpolation(_Projection):
     r"""Clement quasi-interpolation (RAIRO Anal. Numer. 9 (1975) 77-84) on fine patches.
 
-    It projects onto affine functions on the patch :math:`\omega_i` of the fine node :math:`x_i` and evaluates there:
-    with :math:`q(x) = (1, (x - x_i)/h_i)` and :math:`G_i = \int_{\omega_i} q\, q^T`,
+    It projects onto affine functions on the patch :math:`\omega_i` of the fine node :math:`x_i` and
+    evaluates there: with :math:`q(x) = (1, (x - x_i)/h_i)` and :math:`G_i = \int_{\omega_i} q\,
+    q^T`,
 
     .. math:: (Pu)_i = c_i\cdot\int_{\omega_i} q\, u, \qquad G_i c_i = (1, 0, \dots, 0).
 
-    Row sums 1; entries may be negative. Reproduces constants always, and affine fields at fine nodes whose patch the
-    coarse mesh covers. Unlike the other affine transfers it is not a projection: on nested meshes it smooths the kinks
-    of the coarse function.
+    Row sums 1; entries may be negative. Reproduces constants always, and affine fields at fine
+    nodes whose patch the coarse mesh covers. Unlike the other affine transfers it is not a
+    projection: on nested meshes it smooths the kinks of the coarse function.
 
     Examples
     --------
@@ -111,7 +121,9 @@ class QuasiInterpolation(_Projection):
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
         coefficients = _patch_coefficients(integrals.fine, *integrals.patches[:2])
-        return interpolation.clipped_rows(integrals.assemble(coefficients), integrals.coarse, integrals.fine)[0]
+        return interpolation.clipped_rows(
+            integrals.assemble(coefficients), integrals.coarse, integrals.fine
+        )[0]
 
 
 def _patch_coefficients(fine: MeshArrays, node: np.ndarray, element: np.ndarray) -> np.ndarray:
@@ -139,13 +151,14 @@ class L2(_Projection):
     r"""The L2 projection: the densest matrices, and the most expensive.
 
     :math:`M P = B` with the consistent mass matrix M. P is full, but its entries decay exponentially with distance. It
-    is found by the Chebyshev semi-iteration with the diagonal of M, whose spectrum lies in [1/2, (d + 2)/2] on every
-    mesh (Wathen, IMA J. Numer. Anal. 7 (1987) 449-457, doi:10.1093/imanum/7.4.449), on sparse iterates from which small
-    entries are dropped.
+    is found by the Chebyshev semi-iteration with the diagonal of M, whose spectrum lies in [1/2, (d
+    + 2)/2] on every mesh (Wathen, IMA J. Numer. Anal. 7 (1987) 449-457,
+    doi:10.1093/imanum/7.4.449), on sparse iterates from which small entries are dropped.
 
-    Row sums 1; entries may be negative. Reproduces constants always and, as the moments of a row are restored after
-    entries were dropped, affine fields where the coarse mesh covers the fine one. On nested meshes it is the canonical
-    embedding. A row that cannot have its moments so, of a node next to a coarse one, is that of :class:`PseudoL2`.
+    Row sums 1; entries may be negative. Reproduces constants always and, as the moments of a row
+    are restored after entries were dropped, affine fields where the coarse mesh covers the fine
+    one. On nested meshes it is the canonical embedding. A row that cannot have its moments so, of a
+    node next to a coarse one, is that of :class:`PseudoL2`.
 
     Examples
     --------
@@ -166,21 +179,31 @@ class L2(_Projection):
         inner = 0.01 * _DROP
         rows = _chebyshev(mass, rhs, fine.dim, inner, inner)
         rows.sort_indices()
-        result, reached = interpolation.clipped_rows(rows, coarse, fine, tolerance=_DROP, moments=moments)
+        result, reached = interpolation.clipped_rows(
+            rows, coarse, fine, tolerance=_DROP, moments=moments
+        )
         missed = np.flatnonzero(~reached)
-        return with_contact_rows(result, missed, PseudoL2()._rows(integrals)[missed]) if len(missed) else result
+        return (
+            with_contact_rows(result, missed, PseudoL2()._rows(integrals)[missed])
+            if len(missed)
+            else result
+        )
 
 
 def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
     """Return the P1 mass matrix (n_nodes, n_nodes), m^2 or m^3."""
     k = mesh.elements.shape[1]
     blocks = (np.eye(k) + 1.0) * (mesh.volumes / (k * (k + 1)))[:, None, None]
-    rows, columns = np.repeat(mesh.elements, k, axis=1).ravel(), np.tile(mesh.elements, (1, k)).ravel()
+    rows, columns = (
+        np.repeat(mesh.elements, k, axis=1).ravel(),
+        np.tile(mesh.elements, (1, k)).ravel(),
+    )
     return sparse.csr_array((blocks.ravel(), (rows, columns)), shape=(mesh.n_nodes, mesh.n_nodes))
 
 
 def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, drop: float) -> Rows:
-    """Solve M X = B to ``tolerance`` relative in the norm of M; sparse iterates lose entries below ``drop``."""
+    """Solve M X = B to ``tolerance`` relative in the norm of M; sparse iterates lose entries below
+    ``drop``."""
     inverse = sparse.diags_array(1.0 / mass.diagonal()).tocsr()
     low, high = 0.5, (dim + 2) / 2
     middle, half = (high + low) / 2, (high - low) / 2
@@ -196,7 +219,10 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
         step = rho * previous * step + 2 * rho / half * residual
         solution = solution + step
         if drop > 0:
-            step, solution = interpolation.dropped(step, drop), interpolation.dropped(solution, drop)
+            step, solution = (
+                interpolation.dropped(step, drop),
+                interpolation.dropped(solution, drop),
+            )
     return solution
 
 
@@ -212,30 +238,41 @@ class MixedMass:
     fine: MeshArrays
     elements: np.ndarray  # (n_entries,): fine elements
     columns: np.ndarray  # (n_entries,): coarse nodes; one may occur more than once in an element
-    values: np.ndarray  # (n_entries, dim + 1): integrals with the shape functions of the corners, m^2 or m^3
+    values: (
+        np.ndarray
+    )  # (n_entries, dim + 1): integrals with the shape functions of the corners, m^2 or m^3
 
     @cached_property
     def patches(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each corner of a fine element, node by node: the node, the element and the number of the corner."""
+        """Of each corner of a fine element, node by node: the node, the element and the number of
+        the corner."""
         k = self.fine.dim + 1
         order = np.argsort(self.fine.elements, axis=None, kind="stable")
         return self.fine.elements.ravel()[order], order // k, order % k
 
     def assemble(self, coefficients: np.ndarray) -> sparse.csr_array:
-        """Sum over patches: the product of the coefficients and the integrals, whose rows are corners of elements."""
+        """Sum over patches: the product of the coefficients and the integrals, whose rows are
+        corners of elements."""
         k, (nodes, elements, _) = self.fine.dim + 1, self.patches
         rows, corners = k * len(self.fine.elements), k * self.elements[:, None] + np.arange(k)
-        integrals = sparse.csr_array((self.values.ravel(), (corners.ravel(), np.repeat(self.columns, k))),
-                                     shape=(rows, self.coarse.n_nodes))
-        tests = sparse.csr_array((coefficients.ravel(), (np.repeat(nodes, k),
-                                                         (k * elements[:, None] + np.arange(k)).ravel())),
-                                 shape=(self.fine.n_nodes, rows))
+        integrals = sparse.csr_array(
+            (self.values.ravel(), (corners.ravel(), np.repeat(self.columns, k))),
+            shape=(rows, self.coarse.n_nodes),
+        )
+        tests = sparse.csr_array(
+            (
+                coefficients.ravel(),
+                (np.repeat(nodes, k), (k * elements[:, None] + np.arange(k)).ravel()),
+            ),
+            shape=(self.fine.n_nodes, rows),
+        )
         result = tests @ integrals
         result.sort_indices()
         return narrowed(result)
 
     def shape_coefficients(self) -> np.ndarray:
-        """Return coefficients that test with the shape function of the node: a_iek = 1 at the corner i of e, else 0."""
+        """Return coefficients that test with the shape function of the node: a_iek = 1 at the
+        corner i of e, else 0."""
         return np.eye(self.fine.dim + 1)[self.patches[2]]
 
     @cached_property
@@ -251,27 +288,54 @@ def mixed_mass(coarse: MeshArrays, fine: MeshArrays) -> MixedMass:
     interpolation.nodes_of_bodies(fine)
     parts = []
     for body, locator in interpolation.body_locators(coarse, fine):
-        elements = np.arange(len(fine.elements)) if body is None else np.flatnonzero(fine.element_body == body)
+        elements = (
+            np.arange(len(fine.elements))
+            if body is None
+            else np.flatnonzero(fine.element_body == body)
+        )
         parts += _body_entries(locator, fine, elements)
     return MixedMass(coarse, fine, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
-def _body_entries(locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray
-                  ) -> list[tuple[np.ndarray, ...]]:
-    """Entries (element, coarse node, values) of clipped elements, then of those that need quadrature."""
+def _body_entries(
+    locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray
+) -> list[tuple[np.ndarray, ...]]:
+    """Entries (element, coarse node, values) of clipped elements, then of those that need
+    quadrature."""
     k = fine.dim + 1
     covered, fine_points, tree = np.empty(len(elements)), padded(fine.points), locator.tree
     fine_maps = affine_maps(fine_points, fine.elements)
     marker = np.full(locator.mesh.n_nodes, -1, dtype=np.int64)
     capacity = 8 * k * len(elements) + 64
-    element, columns, values = np.empty(capacity, np.int64), np.empty(capacity, np.int32), np.empty((capacity, k))
+    element, columns, values = (
+        np.empty(capacity, np.int64),
+        np.empty(capacity, np.int32),
+        np.empty((capacity, k)),
+    )
     done = count = 0
     while True:
-        done, count = clip_elements(fine_points, fine.elements, fine_maps, elements, done, count, tree.points,
-                                    tree.simplices, locator.maps, tree.boxes, marker, covered, element, columns, values)
+        done, count = clip_elements(
+            fine_points,
+            fine.elements,
+            fine_maps,
+            elements,
+            done,
+            count,
+            tree.points,
+            tree.simplices,
+            locator.maps,
+            tree.boxes,
+            marker,
+            covered,
+            element,
+            columns,
+            values,
+        )
         if done == len(elements):
             break
-        element, columns, values = (np.concatenate([a, np.empty_like(a)]) for a in (element, columns, values))
+        element, columns, values = (
+            np.concatenate([a, np.empty_like(a)]) for a in (element, columns, values)
+        )
     whole = np.zeros(len(fine.elements), dtype=bool)
     whole[elements] = np.abs(covered - 1.0) <= COVERED
     entries = np.flatnonzero(whole[element[:count]])
@@ -280,27 +344,56 @@ def _body_entries(locator: interpolation.PointLocator, fine: MeshArrays, element
     return [clipped, _quadrature(locator, fine, elements[~whole[elements]])]
 
 
-def _quadrature(locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray) -> tuple[np.ndarray, ...]:
+def _quadrature(
+    locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray
+) -> tuple[np.ndarray, ...]:
     shape, weights = simplex_rule(fine.dim, 4)
     points = np.einsum("qv,evc->eqc", shape, fine.points[fine.elements[elements]])
     location = locator.locate(points.reshape(-1, fine.dim))
     columns = locator.mesh.elements[location.element]
-    scaled = location.weights.reshape(len(elements), len(weights), fine.dim + 1) * fine.volumes[elements][:, None, None]
+    scaled = (
+        location.weights.reshape(len(elements), len(weights), fine.dim + 1)
+        * fine.volumes[elements][:, None, None]
+    )
     values = np.einsum("eqj,q,qv->eqjv", scaled, weights, shape)
-    return (np.repeat(elements, len(weights) * columns.shape[1]), columns.ravel(), values.reshape(-1, columns.shape[1]))
+    return (
+        np.repeat(elements, len(weights) * columns.shape[1]),
+        columns.ravel(),
+        values.reshape(-1, columns.shape[1]),
+    )
 
 
 @kernel
-def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_points, coarse, maps, boxes, marker, covered,
-                  element, columns, values):
-    """Compute integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each scaled to volume 1.
-    Entries are written from position ``count`` on: fine element, coarse node and the integrals with the shape functions
-    of the corners. ``covered`` gets the share of each element that the coarse mesh covers; ``marker`` (n_coarse,) is -1
-    throughout on entry and exit."""
+def clip_elements(
+    points,
+    elements,
+    fine_maps,
+    chosen,
+    done,
+    count,
+    coarse_points,
+    coarse,
+    maps,
+    boxes,
+    marker,
+    covered,
+    element,
+    columns,
+    values,
+):
+    """Compute integrals over the ``chosen`` fine elements from the one numbered ``done`` on, each
+    scaled to volume 1. Entries are written from position ``count`` on: fine element, coarse node
+    and the integrals with the shape functions of the corners. ``covered`` gets the share of each
+    element that the coarse mesh covers; ``marker`` (n_coarse,) is -1 throughout on entry and
+    exit."""
     k = elements.shape[1]
     mu, moments = np.empty((k, k)), np.empty((k, k))
     pieces, levels = np.empty((PIECES, 1 + 2 * k * k)), np.empty(PIECES, dtype=np.int64)
-    stack, box, candidates = np.empty(STACK, dtype=np.int64), np.empty(2 * (k - 1)), np.empty(len(coarse), np.int64)
+    stack, box, candidates = (
+        np.empty(STACK, dtype=np.int64),
+        np.empty(2 * (k - 1)),
+        np.empty(len(coarse), np.int64),
+    )
     for c in range(done, len(chosen)):
         e = chosen[c]
         start = count
@@ -309,7 +402,9 @@ def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_point
         full = False
         for at in range(overlapping(boxes, box, coarse_points, coarse, stack, candidates)):
             s = candidates[at]
-            if (_apart(coarse_points, coarse[s], fine_maps, e, mu) or _apart(points, elements[e], maps, s, mu)):
+            if _apart(coarse_points, coarse[s], fine_maps, e, mu) or _apart(
+                points, elements[e], maps, s, mu
+            ):
                 continue
             share = common_moments(mu, k, pieces, levels, moments)
             full = count + k > len(columns)
@@ -328,8 +423,8 @@ def clip_elements(points, elements, fine_maps, chosen, done, count, coarse_point
 
 @kernel
 def _apart(points, corners, maps, e, mu):
-    """Whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``. Writes the barycentric
-    coordinate m of corner v at ``mu[v, m]``, snapped to zero."""
+    """Whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``. Writes the
+    barycentric coordinate m of corner v at ``mu[v, m]``, snapped to zero."""
     # the same as ``barycentric``, but face by face: most pairs are parted by one of the first
     k = len(corners)
     dim = k - 1

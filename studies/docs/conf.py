@@ -14,16 +14,21 @@ from sphinx_gallery.scrapers import figure_rst
 import adaptmg as am
 
 matplotlib.use("Agg")
-logging.getLogger("adaptmg").setLevel(logging.WARNING)       # an extension prints what solvers log
+logging.getLogger("adaptmg").setLevel(logging.WARNING)  # an extension prints what solvers log
 project, author, version = "adaptmg", "adaptmg contributors", am.__version__
 release, project_copyright = version, "adaptmg contributors, MIT licence"
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc",
-              "sphinx_gallery.gen_gallery"]
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "sphinx_gallery.gen_gallery",
+]
 exclude_patterns = ["scripts/*"]
 templates_path = ["_templates"]
 default_role = "literal"
 nitpicky = True
-nitpick_ignore = [("py:class", "pathlib.Path")]             # Python's pages are not here
+nitpick_ignore = [("py:class", "pathlib.Path")]  # Python's pages are not here
 math_numfig = True
 autosummary_generate = True
 autodoc_typehints = "none"
@@ -39,12 +44,13 @@ html_show_search_summary = False
 html_copy_source = False
 html_theme_options = {"light_css_variables": {"font-stack": "system-ui, sans-serif"}}
 
-suppress_warnings = ["config.cache"]                         # the function below cannot be pickled
+suppress_warnings = ["config.cache"]  # the function below cannot be pickled
 _shown = []
 
 
 def _pictures(block, names, settings):
-    """Save the figure that a block of a tutorial ends with; pyplot does not keep those of adaptmg."""
+    """Save the figure that a block of a tutorial ends with; pyplot does not keep those of
+    adaptmg."""
     value, paths = names["example_globals"].get("___"), []
     if isinstance(value, Figure) and value not in _shown:
         _shown.append(value)
@@ -54,29 +60,40 @@ def _pictures(block, names, settings):
 
 
 sphinx_gallery_conf = {
-    "examples_dirs": "scripts", "gallery_dirs": "tutorials", "filename_pattern": r"\.py$",
-    "within_subsection_order": "FileNameSortKey", "abort_on_example_error": True, "capture_repr": ("_repr_html_",),
+    "examples_dirs": "scripts",
+    "gallery_dirs": "tutorials",
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "capture_repr": ("_repr_html_",),
     "image_scrapers": ("matplotlib", _pictures),
-    "write_computation_times": False, "show_memory": False, "min_reported_time": 1e9, "download_all_examples": False,
-    "remove_config_comments": True, "plot_gallery": True,
+    "write_computation_times": False,
+    "show_memory": False,
+    "min_reported_time": 1e9,
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "plot_gallery": True,
 }
 
 _pages = {}
 
 
 def _resolve(app, environment, node, content):
-    """Lead a reference to the page of the public name; a name inside the package that has no page stays text."""
+    """Lead a reference to the page of the public name; a name inside the package that has no page
+    stays text."""
     objects = environment.get_domain("py").objects
     if not _pages:
         for name in objects:
             _pages.setdefault(name.rpartition(".")[2], name)
     target = node.get("reftarget", "")
     parts = target.split(".")
-    for length in (1, 2):                                    # a name, or an attribute of a name
+    for length in (1, 2):  # a name, or an attribute of a name
         name = _pages.get(parts[-length]) if length <= len(parts) else None
-        if name and (length == 1 or name[len("adaptmg."):][0].isupper()):
+        if name and (length == 1 or name[len("adaptmg.") :][0].isupper()):
             entry = objects[name]
-            return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, content, name)
+            return make_refnode(
+                app.builder, node["refdoc"], entry.docname, entry.node_id, content, name
+            )
     return content if _exists(parts) else None
 
 
@@ -99,10 +116,17 @@ def _exists(parts):
 def setup(app):
     """Copy MathJax, and connect the references."""
     app.connect("missing-reference", _resolve)
-    root = Path(str(distribution("sphinx-mathjax-offline").locate_file("sphinx-mathjax-offline/static/mathjax")))
+    root = Path(
+        str(
+            distribution("sphinx-mathjax-offline").locate_file(
+                "sphinx-mathjax-offline/static/mathjax"
+            )
+        )
+    )
 
     def mathjax(app, error):
         from sphinx.util.fileutil import copy_asset
+
         if error is None:
             target = app.outdir / "_static" / "mathjax"
             target.mkdir(parents=True, exist_ok=True)

@@ -2,9 +2,8 @@
 The bar in ten lines
 ====================
 
-A square bar is pressed on a rigid plane and pushed along it, with Coulomb friction 1. A problem, grids, a solve, a
-result: every session has these four parts.
-"""
+A square bar is pressed on a rigid plane and pushed along it, with Coulomb friction 1. A problem,
+grids, a solve, a result: every session has these four parts."""
 
 import adaptmg as am
 
@@ -13,8 +12,9 @@ grids = am.Hierarchy.graded(problem, sizes=(10e-3, 6e-3, 3.6e-3, 2.2e-3), contac
 grids
 
 # %%
-# The four meshes are independent of one another, and four times finer at contact. The default method is truncated
-# multigrid with a nested start. Printing a result shows its status, cycles, work and estimated error.
+# The four meshes are independent of one another, and four times finer at contact. The default
+# method is truncated multigrid with a nested start. Printing a result shows its status, cycles,
+# work and estimated error.
 
 result = am.solve(grids)
 result

@@ -2,15 +2,16 @@
 A friction sweep on one set of meshes
 =====================================
 
-A study is a function and a design. Meshes, matrices and transfers do not depend on friction: they are made once, and
-each run takes them with another law.
-"""
+A study is a function and a design. Meshes, matrices and transfers do not depend on friction: they
+are made once, and each run takes them with another law."""
 
 import matplotlib.pyplot as plt
 
 import adaptmg as am
 
-grids = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 6e-3, 3.6e-3, 2.2e-3), contact_ratio=4)
+grids = am.Hierarchy.graded(
+    am.cases.greco_bar(), sizes=(10e-3, 6e-3, 3.6e-3, 2.2e-3), contact_ratio=4
+)
 
 
 def run(friction):
@@ -24,7 +25,8 @@ table = study.run()
 table[["friction", "cycles", "work_units", "slipping"]]
 
 # %%
-# Each run is stored when it ends. The same script computes nothing again, unless its code or adaptmg has changed.
+# Each run is stored when it ends. The same script computes nothing again, unless its code or
+# adaptmg has changed.
 
 figure, ax = plt.subplots(layout="constrained")
 ax.plot(table["friction"], 100 * table["slipping"], "o-")

@@ -2,22 +2,35 @@
 Two bodies, and who is slave
 ============================
 
-The contact conditions of a pair are posed on the first boundary, the slave. Meshes need not match. Take the softer body
-and the smaller surface as slave; the other choice is solved as well, with more cycles.
-A pair with ``sides="auto"`` chooses by itself.
-"""
+The contact conditions of a pair are posed on the first boundary, the slave. Meshes need not match.
+Take the softer body and the smaller surface as slave; the other choice is solved as well, with more
+cycles. A pair with ``sides="auto"`` chooses by itself."""
 
 import adaptmg as am
 
 
 def pair(slave, master):
     return am.ContactProblem(
-        name=f"slave {slave}", law=am.Coulomb(0.3), contact=am.ContactPair(slave, master),
-        domain=am.Assembly(parts={"bar": am.Rectangle(width=40e-3, height=40e-3),
-                                  "block": am.Rectangle(width=60e-3, height=30e-3, origin=(-20e-3, -30e-3))}),
-        material={"bar": am.PlaneStrain(young=7e10, poisson=0.3), "block": am.PlaneStrain(young=2.1e11, poisson=0.3)},
+        name=f"slave {slave}",
+        law=am.Coulomb(0.3),
+        contact=am.ContactPair(slave, master),
+        domain=am.Assembly(
+            parts={
+                "bar": am.Rectangle(width=40e-3, height=40e-3),
+                "block": am.Rectangle(width=60e-3, height=30e-3, origin=(-20e-3, -30e-3)),
+            }
+        ),
+        material={
+            "bar": am.PlaneStrain(young=7e10, poisson=0.3),
+            "block": am.PlaneStrain(young=2.1e11, poisson=0.3),
+        },
         loads=(am.Pressure("bar.top", 5e7), am.Pressure("bar.left", 15e7)),
-        supports=(am.Support("bar.right", x=0.0), am.Support("block.right", x=0.0), am.Support("block.bottom", y=0.0)))
+        supports=(
+            am.Support("bar.right", x=0.0),
+            am.Support("block.right", x=0.0),
+            am.Support("block.bottom", y=0.0),
+        ),
+    )
 
 
 results = {}
@@ -30,7 +43,7 @@ for names in (("bar.bottom", "block.top"), ("block.top", "bar.bottom")):
 # Both sides of the pair carry the same force, with opposite signs.
 
 result = results["slave bar.bottom"]
-print(result.resultant("bar.bottom").force + result.resultant("block.top").force)     # N/m
+print(result.resultant("bar.bottom").force + result.resultant("block.top").force)  # N/m
 am.plot.deformation(result, amplify=100, stress=True)
 
 # %%

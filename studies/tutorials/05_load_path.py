@@ -2,9 +2,8 @@
 A load path and its hysteresis
 ==============================
 
-Friction depends on the history. A load path gives each load a factor in each step; friction acts on the slip of the
-step. The bar is pressed down, pushed, let go, and pushed again.
-"""
+Friction depends on the history. A load path gives each load a factor in each step; friction acts on
+the slip of the step. The bar is pressed down, pushed, let go, and pushed again."""
 
 import numpy as np
 
@@ -12,7 +11,7 @@ import adaptmg as am
 
 grids = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 6e-3, 3.6e-3), contact_ratio=4)
 push = np.array([0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0, 0.5, 1.0])
-path = am.LoadPath({"left": push})                                    # the pressure on top stays
+path = am.LoadPath({"left": push})  # the pressure on top stays
 steps = am.solve_path(grids, path)
 steps
 

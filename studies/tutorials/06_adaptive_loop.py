@@ -2,9 +2,9 @@
 The adaptive loop
 =================
 
-Solve, estimate, mark, refine. The foot of this block is singular where it ends; uniform meshes converge slowly there.
-Every mesh becomes the finest level of those before it, and the solution on the last mesh is the start.
-"""
+Solve, estimate, mark, refine. The foot of this block is singular where it ends; uniform meshes
+converge slowly there. Every mesh becomes the finest level of those before it, and the solution on
+the last mesh is the start."""
 
 import adaptmg as am
 
@@ -13,7 +13,8 @@ for step in steps:
     print(step)
 
 # %%
-# The error falls as the inverse square root of the number of nodes, the best that linear elements do.
+# The error falls as the inverse square root of the number of nodes, the best that linear elements
+# do.
 
 print(steps[-1].outcome)
 am.plot.adaptation(steps)

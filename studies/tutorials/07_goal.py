@@ -2,22 +2,25 @@
 A goal: one number, with its error
 ==================================
 
-Often one number matters: here the displacement of the bar's corner. A dual problem says which elements the number
-depends on. The estimate has a sign, and the corrected value is usually closer than the value.
-"""
+Often one number matters: here the displacement of the bar's corner. A dual problem says which
+elements the number depends on. The estimate has a sign, and the corrected value is usually closer
+than the value."""
 
 import adaptmg as am
 
 problem = am.cases.greco_bar()
-exact = problem.reference["values"]["converged"]["A"]                 # m
+exact = problem.reference["values"]["converged"]["A"]  # m
 goal = am.Goal(am.Displacement(problem.reference["points"]["A"], "x"))
 steps = list(am.adapt(problem, start=10e-3, indicator=goal, max_nodes=4000))
 for step in steps:
     error, corrected = step.estimate.value / exact - 1, step.estimate.corrected[0] / exact - 1
-    print(f"{step.nodes:5d} nodes: error {error:+.1e}, corrected {corrected:+.1e}, settled: {step.settled}")
+    print(
+        f"{step.nodes:5d} nodes: error {error:+.1e}, corrected {corrected:+.1e}, settled: {step.settled}"
+    )
 
 # %%
-# Believe the estimate when ``step.settled`` says so: on coarse meshes the contact state itself is wrong.
+# Believe the estimate when ``step.settled`` says so: on coarse meshes the contact state itself is
+# wrong.
 
 am.plot.adaptation(steps)
 

@@ -2,9 +2,8 @@
 Several solutions
 =================
 
-With large friction one load may have several equilibria. The leaning strut has three: its foot sticks, slips, or has
-lifted off. A solver finds one of them; which one depends on the start.
-"""
+With large friction one load may have several equilibria. The leaning strut has three: its foot
+sticks, slips, or has lifted off. A solver finds one of them; which one depends on the start."""
 
 import matplotlib.pyplot as plt
 
@@ -18,9 +17,11 @@ def near(law):
     return am.solve(grids.with_problem(am.cases.leaning_strut(law=law)), am.ActiveSet())
 
 
-results = {"zero": am.solve(grids, am.Multigrid()),
-           "frictionless": am.solve(grids, am.Multigrid(), start=near(am.Frictionless())),
-           "limit of 1 MPa": am.solve(grids, am.Multigrid(), start=near(am.Tresca(1e6)))}
+results = {
+    "zero": am.solve(grids, am.Multigrid()),
+    "frictionless": am.solve(grids, am.Multigrid(), start=near(am.Frictionless())),
+    "limit of 1 MPa": am.solve(grids, am.Multigrid(), start=near(am.Tresca(1e6))),
+}
 figure, axes = plt.subplots(1, 3, figsize=(11, 4), layout="constrained")
 for ax, (start, result) in zip(axes, results.items(), strict=True):
     closed = result.contact.state[result.contact.state != am.OPEN]
@@ -30,6 +31,7 @@ for ax, (start, result) in zip(axes, results.items(), strict=True):
     print(f"the foot {state}: residual {result.residual:.0e}")
 
 # %%
-# All three satisfy every condition. ``am.solve`` warns where friction exceeds an estimate of the critical coefficient.
+# All three satisfy every condition. ``am.solve`` warns where friction exceeds an estimate of the
+# critical coefficient.
 #
 # **Next:** a load path decides physically which solution is reached. **It depends on** the bar in ten lines.

@@ -1,4 +1,5 @@
-"""Kernels as plain Python: results do not depend on the compiler, and reads outside of arrays, silent there, raise."""
+"""Kernels as plain Python: results do not depend on the compiler, and reads outside of arrays,
+silent there, raise."""
 
 import sys
 from dataclasses import replace
@@ -32,28 +33,44 @@ def solved(problem, divisions, *solvers):
 
 def one_body(dim):
     case = am.cases.greco_bar() if dim == 2 else am.cases.greco_block()
-    return solved(case, (2, 4, 8) if dim == 2 else (1, 2, 4), am.Multigrid(max_cycles=3),
-                  am.FullMultigrid(correction=am.Monotone(), max_cycles=2))
+    return solved(
+        case,
+        (2, 4, 8) if dim == 2 else (1, 2, 4),
+        am.Multigrid(max_cycles=3),
+        am.FullMultigrid(correction=am.Monotone(), max_cycles=2),
+    )
 
 
 def pair(dim):
     if dim == 2:
-        return solved(bar_on_block(am.Coulomb(0.3), LOWER_ON_UPPER),
-                      [{"upper": k, "lower": (k + 1, k)} for k in (2, 4)])
-    return solved(am.cases.two_block_patch(law=am.Coulomb(0.3), dim=3),
-                  [{"upper": k, "lower": (2, k, 1)} for k in (1, 2)], am.FullMultigrid(max_cycles=1))
+        return solved(
+            bar_on_block(am.Coulomb(0.3), LOWER_ON_UPPER),
+            [{"upper": k, "lower": (k + 1, k)} for k in (2, 4)],
+        )
+    return solved(
+        am.cases.two_block_patch(law=am.Coulomb(0.3), dim=3),
+        [{"upper": k, "lower": (2, k, 1)} for k in (1, 2)],
+        am.FullMultigrid(max_cycles=1),
+    )
 
 
 def rubber():
-    return solved(replace(am.cases.greco_bar(), material=am.PlaneStrain(young=1e6, poisson=0.45), elements="smoothed"),
-                  (2, 4))
+    return solved(
+        replace(
+            am.cases.greco_bar(),
+            material=am.PlaneStrain(young=1e6, poisson=0.45),
+            elements="smoothed",
+        ),
+        (2, 4),
+    )
 
 
 def smoothed(dim, law):
     problem = network(dim, law, seed=9)
     w = np.random.default_rng(9).normal(size=problem.system.n_dofs) * ~problem.system.fixed
     am.ProjectedGaussSeidel(omega=1.2, order="symmetric").smooth(
-        problem.system, problem.contact, problem.load, w, 4)
+        problem.system, problem.contact, problem.load, w, 4
+    )
     return w, natural_residual(problem, w, problem.residual(w))
 
 
@@ -81,22 +98,48 @@ def transferred():
 
 def stiff(kind):
     mesh = crooked(SQUARE if kind.dim == 2 else cube(2))
-    return [am.discretise(am.ContactProblem(
-        material=kind(young=1e9, poisson=0.3), law=am.Frictionless(), contact=am.Contact(
-            "bottom", am.GapFunction(lambda x: 0 * x[:, 0]))), mesh).matrix.toarray()]
+    return [
+        am.discretise(
+            am.ContactProblem(
+                material=kind(young=1e9, poisson=0.3),
+                law=am.Frictionless(),
+                contact=am.Contact("bottom", am.GapFunction(lambda x: 0 * x[:, 0])),
+            ),
+            mesh,
+        ).matrix.toarray()
+    ]
 
 
-CASES = {"one body": lambda: one_body(2), "rubber": rubber, "solid": lambda: one_body(3), "pair": lambda: pair(2),
-         "solid pair": lambda: pair(3), "meshes": meshed, "transfers": transferred,
-         "bisection": lambda: bisected(crooked(SQUARE)), "bisection in space": lambda: bisected(crooked(cube(2))),
-         **{f"smoother {dim}D {law}": lambda dim=dim, law=law: smoothed(dim, law)
-            for dim in (2, 3) for law in ("frictionless", "tresca", "coulomb")},
-         **{kind.__name__: lambda kind=kind: stiff(kind) for kind in (am.PlaneStress, am.Axisymmetric, am.Solid)}}
+CASES = {
+    "one body": lambda: one_body(2),
+    "rubber": rubber,
+    "solid": lambda: one_body(3),
+    "pair": lambda: pair(2),
+    "solid pair": lambda: pair(3),
+    "meshes": meshed,
+    "transfers": transferred,
+    "bisection": lambda: bisected(crooked(SQUARE)),
+    "bisection in space": lambda: bisected(crooked(cube(2))),
+    **{
+        f"smoother {dim}D {law}": lambda dim=dim, law=law: smoothed(dim, law)
+        for dim in (2, 3)
+        for law in ("frictionless", "tresca", "coulomb")
+    },
+    **{
+        kind.__name__: lambda kind=kind: stiff(kind)
+        for kind in (am.PlaneStress, am.Axisymmetric, am.Solid)
+    },
+}
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_kernels_are_plain_python(case, monkeypatch):
     compiled = list(CASES[case]())
-    uncompile(monkeypatch, *(module for name, module in list(sys.modules.items()) if name.startswith("adaptmg.")))
+    uncompile(
+        monkeypatch,
+        *(module for name, module in list(sys.modules.items()) if name.startswith("adaptmg.")),
+    )
     for plain, expected in zip(CASES[case](), compiled, strict=True):
-        np.testing.assert_allclose(plain, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max(initial=0.0))
+        np.testing.assert_allclose(
+            plain, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max(initial=0.0)
+        )

@@ -1,8 +1,9 @@
-"""Random outlines, three meshes each: none hangs, none is unsound, none takes more than two seconds.
+"""Random outlines, three meshes each: none hangs, none is unsound, none takes more than two
+seconds.
 
-Polygons of 3 to 12 edges, turned, some of them arcs, with holes, slits, tiny edges; stretched, from 1e-6 to 1e6 m, up
-to 1e8 diameters from the origin. `python tests/campaigns/random_outlines.py [--count N]`
-"""
+Polygons of 3 to 12 edges, turned, some of them arcs, with holes, slits, tiny edges; stretched, from
+1e-6 to 1e6 m, up to 1e8 diameters from the origin. `python tests/campaigns/random_outlines.py
+[--count N]`"""
 
 from __future__ import annotations
 
@@ -26,8 +27,12 @@ def cut_corner(places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A corner replaced by a tiny edge."""
     i, part = int(rng.integers(len(places))), 10 ** rng.uniform(-6, -1)
     before, after = places[i - 1], places[(i + 1) % len(places)]
-    return np.insert(np.delete(places, i, axis=0), i, [(1 - part) * places[i] + part * end for end in (before, after)],
-                     axis=0)
+    return np.insert(
+        np.delete(places, i, axis=0),
+        i,
+        [(1 - part) * places[i] + part * end for end in (before, after)],
+        axis=0,
+    )
 
 
 def slit(places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -36,16 +41,22 @@ def slit(places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     a, b = places[i], places[(i + 1) % len(places)]
     mouth = [a + t * (b - a) for t in (0.5 - width, 0.5 + width)]
     depth = rng.uniform(0.2, 0.8)
-    return np.insert(places, i + 1, [mouth[0], mouth[0] * (1 - depth), mouth[1] * (1 - depth), mouth[1]], axis=0)
+    return np.insert(
+        places, i + 1, [mouth[0], mouth[0] * (1 - depth), mouth[1] * (1 - depth), mouth[1]], axis=0
+    )
 
 
-def loop_of(places: np.ndarray, rng: np.random.Generator, straight: bool) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+def loop_of(
+    places: np.ndarray, rng: np.random.Generator, straight: bool
+) -> tuple[np.ndarray, dict[int, np.ndarray]]:
     """Vertices and centres of arcs."""
     arcs = {}
     for i, (a, b) in enumerate(pairwise([*places, places[0]])):
         if not straight and rng.random() < 0.4:
             chord = b - a
-            arcs[i] = 0.5 * (a + b) + rng.choice([-1, 1]) * 10 ** rng.uniform(-0.9, 1) * np.array([-chord[1], chord[0]])
+            arcs[i] = 0.5 * (a + b) + rng.choice([-1, 1]) * 10 ** rng.uniform(-0.9, 1) * np.array(
+                [-chord[1], chord[0]]
+            )
     return places, arcs
 
 
@@ -65,7 +76,9 @@ def attempt(rng: np.random.Generator) -> tuple[am.Outline, str]:
     if rng.random() < 0.3:
         m, radius = int(rng.integers(3, 7)), rng.uniform(0.01, 0.3)
         directions = -2 * np.pi * np.arange(m) / m + rng.uniform(0, 6)
-        hole = rng.uniform(-0.2, 0.2, 2) + radius * np.column_stack([np.cos(directions), np.sin(directions)])
+        hole = rng.uniform(-0.2, 0.2, 2) + radius * np.column_stack(
+            [np.cos(directions), np.sin(directions)]
+        )
         loops.append(loop_of(hole, rng, straight=far or rng.random() < 0.5))
         features.append("hole")
     vertices, arcs, starts = [], {}, []
@@ -81,11 +94,18 @@ def attempt(rng: np.random.Generator) -> tuple[am.Outline, str]:
         places = places @ stretch * (1, 10 ** rng.uniform(-3, 0)) @ stretch.T
         features.append("stretched")
     scale = 10 ** rng.uniform(-6, 6)
-    offset = scale * 10 ** rng.uniform(0, 8) * rng.normal(size=2) if far else rng.uniform(-1, 1, 2) * scale
+    offset = (
+        scale * 10 ** rng.uniform(0, 8) * rng.normal(size=2)
+        if far
+        else rng.uniform(-1, 1, 2) * scale
+    )
     features += ["far"] * far
-    outline = am.Outline(vertices=[tuple(scale * p + offset) for p in places],
-                         boundaries=tuple(f"e{i}" for i in range(len(places))),
-                         arcs={i: tuple(scale * c + offset) for i, c in arcs.items()}, holes=tuple(starts[1:]))
+    outline = am.Outline(
+        vertices=[tuple(scale * p + offset) for p in places],
+        boundaries=tuple(f"e{i}" for i in range(len(places))),
+        arcs={i: tuple(scale * c + offset) for i, c in arcs.items()},
+        holes=tuple(starts[1:]),
+    )
     return outline, " ".join(features) or "plain"
 
 
@@ -113,7 +133,14 @@ def measure(seed: int) -> dict[str, object]:
     rng = np.random.default_rng(seed)
     outline, features = random_outline(rng)
     extent = float((outline.upper - outline.lower).max())
-    row = {"features": features, "faults": "", "refused": 0, "slowest": 0.0, "angle": 180.0, "nodes": 0}
+    row = {
+        "features": features,
+        "faults": "",
+        "refused": 0,
+        "slowest": 0.0,
+        "angle": 180.0,
+        "nodes": 0,
+    }
     for size in extent * 10 ** rng.uniform([-0.5, -1.2, -1.7], [0, -0.5, -1.2]):
         ratio, name = float(rng.choice(RATIOS)), str(rng.choice(outline.boundaries))
         faulthandler.dump_traceback_later(HANG_S, exit=True)
@@ -132,8 +159,11 @@ def measure(seed: int) -> dict[str, object]:
             finally:
                 faulthandler.cancel_dump_traceback_later()
         seconds = time.process_time() - start
-        row |= {"slowest": max(row["slowest"], seconds), "nodes": max(row["nodes"], mesh.n_nodes),
-                "angle": min(row["angle"], am.mesh.quality(mesh).min_angle)}
+        row |= {
+            "slowest": max(row["slowest"], seconds),
+            "nodes": max(row["nodes"], mesh.n_nodes),
+            "angle": min(row["angle"], am.mesh.quality(mesh).min_angle),
+        }
         wrong = faults_of(mesh, outline) or (f"{seconds:.1f} s" if seconds > LIMIT_S else "")
         if wrong:
             row["faults"] = f"size {size:.6g}, ratio {ratio:g}: {wrong}"
@@ -143,9 +173,18 @@ def measure(seed: int) -> dict[str, object]:
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """One row a kind of outline."""
     table = table.assign(faulty=table["faults"] != "")
-    return table.groupby("features").agg(
-        outlines=("seed", "size"), faulty=("faulty", "sum"), refused=("refused", "sum"), slowest=("slowest", "max"),
-        angle=("angle", "min"), nodes=("nodes", "max")).reset_index()
+    return (
+        table.groupby("features")
+        .agg(
+            outlines=("seed", "size"),
+            faulty=("faulty", "sum"),
+            refused=("refused", "sum"),
+            slowest=("slowest", "max"),
+            angle=("angle", "min"),
+            nodes=("nodes", "max"),
+        )
+        .reset_index()
+    )
 
 
 if __name__ == "__main__":

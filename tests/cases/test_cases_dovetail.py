@@ -1,4 +1,5 @@
-"""The dovetail joint: its geometry, the balance of forces, its reference values, and refused arguments."""
+"""The dovetail joint: its geometry, the balance of forces, its reference values, and refused
+arguments."""
 
 from functools import cache
 
@@ -41,10 +42,17 @@ def test_flank_and_floor_touch(angle):
 def test_only_the_default_case_has_reference_values():
     reference = dovetail().reference
     assert reference["values"]
-    for other in ({"law": am.Coulomb(0.3)}, {"law": am.Frictionless()}, {"angle": 51}, {"pull": 1e6},
-                  {"law": am.Coulomb(lambda x: np.full(len(x), 0.2))}):
+    for other in (
+        {"law": am.Coulomb(0.3)},
+        {"law": am.Frictionless()},
+        {"angle": 51},
+        {"pull": 1e6},
+        {"law": am.Coulomb(lambda x: np.full(len(x), 0.2))},
+    ):
         assert set(dovetail(**other).reference) == {"remark"}
-    ends = np.array(sorted(limits for ranges in reference["zones"].values() for limits in ranges)).ravel()
+    ends = np.array(
+        sorted(limits for ranges in reference["zones"].values() for limits in ranges)
+    ).ravel()
     np.testing.assert_allclose(ends[[0, -1]], [0, 13e-3])
     np.testing.assert_array_equal(ends[1:-1:2], ends[2::2])
 
@@ -55,7 +63,9 @@ def test_contact_carries_the_pull_and_supports_the_clamp():
     for boundary in ("contact", "block.bottom", "tongue.flank"):  # the floor opens
         assert result.resultant(boundary).force[1] == pytest.approx(-PULL, rel=1e-9)
     assert result.reaction[:, 0].sum() == pytest.approx(CLAMP, rel=1e-9)
-    tongue = np.unique(result.mesh.elements[result.mesh.element_body == result.mesh.bodies.index("tongue")])
+    tongue = np.unique(
+        result.mesh.elements[result.mesh.element_body == result.mesh.bodies.index("tongue")]
+    )
     assert abs(result.reaction[tongue, 0].sum()) < 1e-9 * PULL
     for pair in (("tongue.flank", "block.flank"), ("tongue.bottom", "block.floor")):
         slave, master = (result.resultant(name) for name in pair)
@@ -67,7 +77,10 @@ def test_contact_carries_the_pull_and_supports_the_clamp():
 def test_lift_and_zones_converge_to_the_reference():
     reference, result = dovetail().reference, solved()
     exact = reference["values"]["converged"]["axis"]
-    errors = [exact - lift(am.solve(grids().truncated(finest=2), am.FullMultigrid())), exact - lift(result)]
+    errors = [
+        exact - lift(am.solve(grids().truncated(finest=2), am.FullMultigrid())),
+        exact - lift(result),
+    ]
     # uniform refinement at singular corners: the error about halves
     assert 0 < errors[1] < 0.75 * errors[0] and errors[1] < 0.02 * exact
     c = result.contact
@@ -83,6 +96,12 @@ def test_lift_and_zones_converge_to_the_reference():
     assert (c.state[c.boundary == c.names.index("tongue.bottom")] == am.OPEN).all()
 
 
-test_refused = refused(*((lambda options=options: dovetail(**options), message) for options, message in (
-    ({"angle": 90.0}, "angle must be at least 41.6 degrees .* below 90, got 90.0"),
-    ({"angle": 30}, "angle must be at least 41.6 degrees .* got 30"))))
+test_refused = refused(
+    *(
+        (lambda options=options: dovetail(**options), message)
+        for options, message in (
+            ({"angle": 90.0}, "angle must be at least 41.6 degrees .* below 90, got 90.0"),
+            ({"angle": 30}, "angle must be at least 41.6 degrees .* got 30"),
+        )
+    )
+)

@@ -1,4 +1,5 @@
-"""The exact Coulomb transition fields: equations to rounding, admissible states; discrete solutions and estimates."""
+"""The exact Coulomb transition fields: equations to rounding, admissible states; discrete solutions
+and estimates."""
 
 from itertools import pairwise
 
@@ -13,7 +14,9 @@ SOLVER = am.FullMultigrid(rtol=1e-9)
 
 
 def made(kind, sign, friction=0.5, poisson=0.2):
-    problem = am.cases.coulomb_transition(law=am.Coulomb(friction), kind=kind, sign=sign, poisson=poisson)
+    problem = am.cases.coulomb_transition(
+        law=am.Coulomb(friction), kind=kind, sign=sign, poisson=poisson
+    )
     return problem, problem.reference["field"], 1.0 if sign == "+" else -1.0
 
 
@@ -28,13 +31,19 @@ def test_equilibrium_and_the_law_of_elasticity(kind, sign):
         """By central differences of order 8 (n, ...)."""
         e = step * np.eye(2)[axis]
         weights = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
-        return sum(w * (function(x + k * e) - function(x - k * e)) for k, w in weights.items()) / step
+        return (
+            sum(w * (function(x + k * e) - function(x - k * e)) for k, w in weights.items()) / step
+        )
 
     gradient = np.stack([slope(field.displacement, axis) for axis in (0, 1)], axis=-1)
     strain = 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
     stress, m = field.stress(x), problem.material
-    wanted = 2 * m.shear_modulus * strain + m.lame * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-    np.testing.assert_allclose(stress, wanted[:, [0, 1, 0], [0, 1, 1]], atol=1e-9 * np.abs(stress).max())
+    wanted = 2 * m.shear_modulus * strain + m.lame * np.trace(strain, axis1=1, axis2=2)[
+        :, None, None
+    ] * np.eye(2)
+    np.testing.assert_allclose(
+        stress, wanted[:, [0, 1, 0], [0, 1, 1]], atol=1e-9 * np.abs(stress).max()
+    )
     along_x, along_y = (slope(field.stress, axis) for axis in (0, 1))
     balance = np.column_stack([along_x[:, 0] + along_y[:, 2], along_x[:, 2] + along_y[:, 1]])
     assert np.abs(balance).max() < 1e-9 * np.abs(along_x).max()
@@ -73,7 +82,8 @@ def test_the_field_is_finite_where_its_gradient_has_its_kink():
 
 @pytest.mark.parametrize(("kind", "sign"), KINDS[1:3])
 def test_error_transition_and_effectivity_under_refinement(kind, sign):
-    """Errors O(h), the transition within a cell, both estimates proportional to the error; recovery tends to it."""
+    """Errors O(h), the transition within a cell, both estimates proportional to the error; recovery
+    tends to it."""
     problem, field, _ = made(kind, sign)
     grids = am.Hierarchy.uniform(problem, divisions=[(4 * 2**k, 2 * 2**k) for k in range(5)])
     errors, residual, recovery = [], [], []
@@ -99,6 +109,15 @@ def without_a_mesh():
     problem.reference["field"].energy_error(am.solve(bare, am.ActiveSet()))
 
 
-test_refused = refused((without_a_mesh, "no mesh"), *(
-    (lambda law=law: am.cases.coulomb_transition(law=law), "law must be Coulomb")
-    for law in (am.Coulomb(0.0), am.Coulomb(3.0), am.Frictionless(), am.Coulomb(lambda x: 0 * x[:, 0]))))
+test_refused = refused(
+    (without_a_mesh, "no mesh"),
+    *(
+        (lambda law=law: am.cases.coulomb_transition(law=law), "law must be Coulomb")
+        for law in (
+            am.Coulomb(0.0),
+            am.Coulomb(3.0),
+            am.Frictionless(),
+            am.Coulomb(lambda x: 0 * x[:, 0]),
+        )
+    ),
+)

@@ -16,7 +16,11 @@ def command(capsys, monkeypatch, tmp_path) -> Command:
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.chdir(tmp_path)
     savefig = Figure.savefig
-    monkeypatch.setattr(Figure, "savefig", lambda self, file, **options: savefig(self, file, **options | {"dpi": 30}))
+    monkeypatch.setattr(
+        Figure,
+        "savefig",
+        lambda self, file, **options: savefig(self, file, **options | {"dpi": 30}),
+    )
 
     def run(*arguments: str) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as end:

@@ -30,11 +30,13 @@ def test_every_help_has_an_example(command, arguments):
 
 def test_help_loads_nothing_heavy():
     """That of ``solve`` and ``adapt`` reads the classes."""
-    code = ("import sys\nfrom adaptmg.cli import main\n"
-            "for name in ('', 'cases', 'study', 'report'):\n    try:\n        main([*filter(None, [name]), "
-            "'--help'])\n    except SystemExit:\n        pass\n"
-            "sys.stderr.write(' '.join(m for m in ('numpy', 'numba', 'pandas', 'matplotlib', 'ngsolve', 'sqlite3') "
-            "if m in sys.modules))")
+    code = (
+        "import sys\nfrom adaptmg.cli import main\n"
+        "for name in ('', 'cases', 'study', 'report'):\n    try:\n        main([*filter(None, [name]), "
+        "'--help'])\n    except SystemExit:\n        pass\n"
+        "sys.stderr.write(' '.join(m for m in ('numpy', 'numba', 'pandas', 'matplotlib', 'ngsolve', 'sqlite3') "
+        "if m in sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0 and done.stderr == ""
 
@@ -42,7 +44,9 @@ def test_help_loads_nothing_heavy():
 def test_cases_are_listed(command):
     version = f"adaptmg {am.__version__}\n"
     assert command("--version") == (0, version, "")
-    module = subprocess.run([sys.executable, "-m", "adaptmg", "--version"], capture_output=True, text=True)
+    module = subprocess.run(
+        [sys.executable, "-m", "adaptmg", "--version"], capture_output=True, text=True
+    )
     assert (module.returncode, module.stdout) == (0, version)
     _, out, _ = command("cases")
     assert [row.split()[0] for row in out.splitlines()] == list(am.cases.CASES)
@@ -51,7 +55,9 @@ def test_cases_are_listed(command):
 
 
 def test_solve_prints_json_and_nothing_else_to_standard_output(command):
-    code, out, _ = command("solve", "greco_bar", "--divisions", "4,8", "--friction", "0.3", "--json")
+    code, out, _ = command(
+        "solve", "greco_bar", "--divisions", "4,8", "--friction", "0.3", "--json"
+    )
     row = json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert code == 0 and row["status"] == "CONVERGED" and row["error_estimate"] <= row["rtol"]
     assert sum(row["contact"].values()) == row["levels"][-1]["contact_nodes"] == 9
@@ -71,7 +77,11 @@ def test_every_case_is_solved_and_adapted_without_options(command, case, monkeyp
     monkeypatch.setattr(build, "_NODES", 1200)
     code, out, _ = command("adapt", case, "--json")
     adapted = json.loads(out)
-    assert code == 0 and adapted["result"]["status"] == "CONVERGED" and adapted["steps"][0]["nodes"] <= 1200
+    assert (
+        code == 0
+        and adapted["result"]["status"] == "CONVERGED"
+        and adapted["steps"][0]["nodes"] <= 1200
+    )
 
 
 @pytest.mark.slow
@@ -79,25 +89,50 @@ def test_solve_writes_result_pictures_and_vtk(command, tmp_path):
     out = tmp_path / "deep" / "bar"
     code, text, _ = command("solve", "greco_bar", "--divisions", "2,4", "--out", str(out))
     assert code == 0
-    names = {"result.npz", "result.vtu", "problem.png", "grids.png", "deformed.png", "stress.png", "contact.png",
-             "history.png", "cycles.png"}
+    names = {
+        "result.npz",
+        "result.vtu",
+        "problem.png",
+        "grids.png",
+        "deformed.png",
+        "stress.png",
+        "contact.png",
+        "history.png",
+        "cycles.png",
+    }
     assert {p.name for p in out.iterdir()} == names
     assert all(str(out / name) in text for name in names)
     assert np.isfinite(am.Result.load(out / "result.npz").displacement).all()
 
 
 def test_arguments_of_the_case_are_set(command):
-    code, out, _ = command("solve", "greco_block", "--divisions", "2,4", "--set", "young=7e10", "--set",
-                           "plane_strain=false", "--friction", "0.3", "--json")
+    code, out, _ = command(
+        "solve",
+        "greco_block",
+        "--divisions",
+        "2,4",
+        "--set",
+        "young=7e10",
+        "--set",
+        "plane_strain=false",
+        "--friction",
+        "0.3",
+        "--json",
+    )
     problem = am.cases.greco_block(law=am.Coulomb(0.3), young=7e10, plane_strain=False)
     wanted = am.solve(am.Hierarchy.uniform(problem, divisions=(2, 4)), am.FullMultigrid())
     assert code == 0 and json.loads(out)["max_displacement"] == float(
-        np.linalg.norm(wanted.displacement, axis=1).max())
-    assert command("solve", "coulomb_transition", "--set", "kind=stick", "--sizes", "0.2,0.1")[0] == 0
+        np.linalg.norm(wanted.displacement, axis=1).max()
+    )
+    assert (
+        command("solve", "coulomb_transition", "--set", "kind=stick", "--sizes", "0.2,0.1")[0] == 0
+    )
 
 
 def test_a_run_that_does_not_converge_ends_with_code_1(command):
-    code, out, err = command("solve", "greco_bar", "--divisions", "4,8", "--max-cycles", "1", "--json")
+    code, out, err = command(
+        "solve", "greco_bar", "--divisions", "4,8", "--max-cycles", "1", "--json"
+    )
     assert code == 1 and json.loads(out)["status"] == "LIMIT"
     assert err.splitlines()[-1].startswith("adaptmg: not converged (LIMIT)")
 
@@ -108,7 +143,11 @@ def test_the_log_goes_to_standard_error_with_a_bar_on_terminals(capsys, monkeypa
     with watched() as callback:
         logging.getLogger("adaptmg.somewhere").info("compiling [kernels]")
     out, err = capsys.readouterr()
-    assert (callback, out, logger.level, logger.handlers) == (None, "", *before) and "compiling [kernels]" in err
+    assert (callback, out, logger.level, logger.handlers) == (
+        None,
+        "",
+        *before,
+    ) and "compiling [kernels]" in err
     monkeypatch.setenv("FORCE_COLOR", "1")
     with watched() as callback:
         callback({"cycle": 0, "residual": float("nan")})
@@ -131,8 +170,17 @@ def test_a_line_a_step_and_a_tolerance_that_ends_it(command):
     code, out, err = command(*SMALL)
     lines = out.splitlines()
     assert (code, err) == (0, "")
-    numbers = [int(line.split()[1].rstrip(":")) for line in lines[:lines.index("")] if line.startswith("step")]
-    assert numbers == list(range(len(numbers))) and len(numbers) > 1 and "max_nodes" in out and "CONVERGED" in out
+    numbers = [
+        int(line.split()[1].rstrip(":"))
+        for line in lines[: lines.index("")]
+        if line.startswith("step")
+    ]
+    assert (
+        numbers == list(range(len(numbers)))
+        and len(numbers) > 1
+        and "max_nodes" in out
+        and "CONVERGED" in out
+    )
     said = json.loads(command(*SMALL[:-2], "--tolerance", "0.1", "--json")[1])
     assert said["steps"][-1]["estimate"] <= 0.1 and "tolerance" in said["outcome"]
 
@@ -152,8 +200,17 @@ def test_files_are_written_and_a_store_is_gone_on_from(command, tmp_path):
 def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):
     from adaptmg.estimate import loop
 
-    result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8)),
-                      am.FullMultigrid(max_cycles=1), throw=False)
-    monkeypatch.setattr(loop.AdaptiveLoop, "steps", lambda self: (_ for _ in ()).throw(am.NotConverged(result)))
+    result = am.solve(
+        am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8)),
+        am.FullMultigrid(max_cycles=1),
+        throw=False,
+    )
+    monkeypatch.setattr(
+        loop.AdaptiveLoop, "steps", lambda self: (_ for _ in ()).throw(am.NotConverged(result))
+    )
     code, out, err = command(*SMALL, "--json")
-    assert code == 1 and "not converged" in json.loads(out)["error"] and "not converged: " in err.splitlines()[-1]
+    assert (
+        code == 1
+        and "not converged" in json.loads(out)["error"]
+        and "not converged: " in err.splitlines()[-1]
+    )

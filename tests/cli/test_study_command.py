@@ -1,4 +1,5 @@
-"""``adaptmg study``: scripts that are run, options, exit codes, JSON; settings that reach methods, grids and loops."""
+"""``adaptmg study``: scripts that are run, options, exit codes, JSON; settings that reach methods,
+grids and loops."""
 
 import json
 import re
@@ -52,38 +53,83 @@ def test_a_script_is_run_once_and_gives_what_it_gives_alone(command):
     assert code == 0 and "4 done" in out and "[4/4]" in err and "Traceback" not in err
     said = json.loads(command("study", "bar.py", "--json")[1])
     assert said["study"] == "bar" and said["done"] == 4 and Path("results/bar.sqlite").exists()
-    result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(1.0)), divisions=(4, 8)), throw=False)
+    result = am.solve(
+        am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(1.0)), divisions=(4, 8)), throw=False
+    )
     row = said["rows"][3]
     assert (row["friction"], row["cells"], row["cycles"]) == (1.0, 8, result.cycles)
     assert row["force"] == result.resultant("contact").force[1] and row["machine"]
     code, out, _ = command("study", written(ONE), "--json")
-    assert code == 0 and [row["m"] for row in json.loads(out)["rows"]] == [2, 4, 6] and Path("one.sqlite").exists()
+    assert (
+        code == 0
+        and [row["m"] for row in json.loads(out)["rows"]] == [2, 4, 6]
+        and Path("one.sqlite").exists()
+    )
 
 
 def test_scripts_run_on_workers_with_their_neighbours(command):
     Path("neighbour.py").write_text("def f(n):\n    return 3 * n\n", encoding="utf-8")
-    code, out, err = command("study", written("from neighbour import f\nparameters = {'n': [1, 2]}\n"
-                                              "def run(n): return {'m': f(n)}\n"), "--workers", "1", "--json")
+    code, out, err = command(
+        "study",
+        written(
+            "from neighbour import f\nparameters = {'n': [1, 2]}\ndef run(n): return {'m': f(n)}\n"
+        ),
+        "--workers",
+        "1",
+        "--json",
+    )
     sys.modules.pop("neighbour")
     assert code == 0 and [row["m"] for row in json.loads(out)["rows"]] == [3, 6], err
 
 
 def test_options_reach_the_study(command, monkeypatch):
     given, run = {}, Study.run
-    monkeypatch.setattr(Study, "run", lambda self, **options: given.update(options) or run(self, progress=False))
-    assert command("study", written(), "--workers", "2", "--rerun", "--retry-failed", "--store", "two.sqlite",
-                   "--limit-s", "9", "--memory-limit", "1e9")[0] == 0
-    assert given == {"progress": None, "workers": 2, "scheduler": None, "rerun": True, "retry_failed": True,
-                     "limit_s": 9.0, "memory_limit": 1e9} and Path("two.sqlite").exists()
+    monkeypatch.setattr(
+        Study, "run", lambda self, **options: given.update(options) or run(self, progress=False)
+    )
+    assert (
+        command(
+            "study",
+            written(),
+            "--workers",
+            "2",
+            "--rerun",
+            "--retry-failed",
+            "--store",
+            "two.sqlite",
+            "--limit-s",
+            "9",
+            "--memory-limit",
+            "1e9",
+        )[0]
+        == 0
+    )
+    assert (
+        given
+        == {
+            "progress": None,
+            "workers": 2,
+            "scheduler": None,
+            "rerun": True,
+            "retry_failed": True,
+            "limit_s": 9.0,
+            "memory_limit": 1e9,
+        }
+        and Path("two.sqlite").exists()
+    )
 
 
 def test_a_run_that_fails_ends_with_code_1_and_can_be_repeated(command):
     code, out, err = command("study", written(SCRIPT.replace("[4, 8]", "[4, 3]")))
     assert code == 1 and "2 failed" in out
     assert err.splitlines()[-1] == "adaptmg: 2 of 4 runs failed: --retry-failed runs them again"
-    before = {key: record.finished for key, record in Store("results/bar.sqlite").get("bar").items()}
+    before = {
+        key: record.finished for key, record in Store("results/bar.sqlite").get("bar").items()
+    }
     command("study", "bar.py")
-    assert {key: record.finished for key, record in Store("results/bar.sqlite").get("bar").items()} == before
+    assert {
+        key: record.finished for key, record in Store("results/bar.sqlite").get("bar").items()
+    } == before
     command("study", "bar.py", "--retry-failed")
     after = Store("results/bar.sqlite").get("bar")
     assert sum(after[key].finished != before[key] for key in before) == 2
@@ -95,10 +141,16 @@ def test_a_dry_run_says_what_there_is(command):
     assert json.loads(command("study", "bar.py", "--dry-run", "--json")[1])["missing"] == 4
 
 
-@pytest.mark.parametrize(("text", "words"), [
-    ("x = 1\n", "run and parameters; it makes 0 studies"), (ONE + ONE.replace("study =", "other ="), "makes 2 studies"),
-    ("def run(n): return {}\n", "run and parameters"), ("x = \n", "SyntaxError"),
-    ("import nothing_there\n", "No module")])
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x = 1\n", "run and parameters; it makes 0 studies"),
+        (ONE + ONE.replace("study =", "other ="), "makes 2 studies"),
+        ("def run(n): return {}\n", "run and parameters"),
+        ("x = \n", "SyntaxError"),
+        ("import nothing_there\n", "No module"),
+    ],
+)
 def test_a_wrong_script_is_one_line(command, text, words):
     code, out, err = command("study", written(text))
     assert (code, out) == (2, "") and err.count("\n") == 1 and words in err
@@ -108,7 +160,11 @@ def test_a_wrong_script_is_one_line(command, text, words):
 def test_what_is_not_a_script_is_refused(command):
     for path in (".", "/dev/zero", "study.toml", "none.py"):
         code, _, err = command("study", path)
-        assert code == 2 and ("there is no file" if path == "none.py" else "must be a Python script that makes") in err
+        assert (
+            code == 2
+            and ("there is no file" if path == "none.py" else "must be a Python script that makes")
+            in err
+        )
     for arguments in (("solve", "nothing"), ("adapt", "nothing"), ("cases", "nothing")):
         assert "there is no case 'nothing'" in json.loads(command(*arguments, "--json")[1])["error"]
 
@@ -120,18 +176,29 @@ def test_quiet_says_nothing_but_errors(command):
 
 
 def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(command):
-    written("import time\nparameters = {'n': range(100)}\ndef run(n):\n    time.sleep(.05)\n    return {'m': n}\n")
+    written(
+        "import time\nparameters = {'n': range(100)}\ndef run(n):\n    time.sleep(.05)\n    return {'m': n}\n"
+    )
     # in a shell's background the signal comes ignored
-    code = ("import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nfrom adaptmg.cli import main\n"
-            "main()")
-    process = subprocess.Popen([sys.executable, "-c", code, "study", "bar.py"], stdout=subprocess.PIPE,
-                               stderr=subprocess.PIPE, text=True)
+    code = (
+        "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nfrom adaptmg.cli import main\n"
+        "main()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "study", "bar.py"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     while "[2/100]" not in (line := process.stderr.readline()):
         assert line
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 130 and out == ""
-    assert err.splitlines()[-1] == "adaptmg: interrupted: finished runs are stored, the same command goes on"
+    assert (
+        err.splitlines()[-1]
+        == "adaptmg: interrupted: finished runs are stored, the same command goes on"
+    )
     done = json.loads(command("study", "bar.py", "--dry-run", "--json")[1])
     assert 2 <= done["done"] < 100 and done["missing"] == 100 - done["done"] and done["stale"] == 0
 
@@ -140,75 +207,164 @@ def test_options_and_cases_are_explained_without_docstrings(command):
     facts = json.loads(command("cases", "bolted_junction", "--json")[1])["arguments"]
     assert facts["friction"]["values"] == "float" and "law" not in facts
     text = command("cases", "cattaneo")[1]
-    assert "lower.bottom, upper.top" in text and re.search(r"tangential +float, default 15000", text)
+    assert "lower.bottom, upper.top" in text and re.search(
+        r"tangential +float, default 15000", text
+    )
     assert "did you mean 'dovetail'" in command("cases", "dovetial")[2]
     assert sections()["solver"]["rtol"] == build.Key("float | str", "1e-08")
-    done = subprocess.run([sys.executable, "-OO", "-m", "adaptmg", "solve", "greco_bar", "--divisions", "2,4",
-                           "--correction", "monotone", "--pre", "2"], capture_output=True, text=True)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-OO",
+            "-m",
+            "adaptmg",
+            "solve",
+            "greco_bar",
+            "--divisions",
+            "2,4",
+            "--correction",
+            "monotone",
+            "--pre",
+            "2",
+        ],
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0 and "CONVERGED" in done.stdout, done.stderr
 
 
 def test_warnings_are_lines(command):
-    code, _, err = command("solve", "leaning_strut", "--sizes", "20e-3,10e-3", "--contact-ratio", "2",
-                           "--friction", "0.9")
+    code, _, err = command(
+        "solve",
+        "leaning_strut",
+        "--sizes",
+        "20e-3,10e-3",
+        "--contact-ratio",
+        "2",
+        "--friction",
+        "0.9",
+    )
     assert code == 0 and re.search(r"^adaptmg: warning: friction 0.9 exceeds", err, re.MULTILINE)
     assert "RuntimeWarning" not in err and ".py" not in err
 
 
-@pytest.mark.parametrize(("solver", "wanted"), [
-    ({"correction": "paper", "gap": "largest", "slip": "minmod", "limit": "summed", "order": "symmetric"},
-     am.FullMultigrid(correction=am.PaperCorrection(gap="largest", slip="minmod", limit="summed"),
-                      smoother=am.ProjectedGaussSeidel(order="symmetric"))),
-    ({"method": "single-grid", "condensed": True, "omega": 1.3, "max_cycles": 9},
-     am.SingleGrid(omega=1.3, condensed=True, max_sweeps=9)),
-    ({"method": "multigrid", "correction": "monotone", "shape": "complete", "pre": 1},
-     am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="complete", pre=1))),
-    ({"correction": "monotone", "rtol": 1e-6}, am.FullMultigrid(correction=am.Monotone(), rtol=1e-6)),
-    ({"method": "active-set", "linear": "amg"}, am.ActiveSet(linear=am.AMG()))])
+@pytest.mark.parametrize(
+    ("solver", "wanted"),
+    [
+        (
+            {
+                "correction": "paper",
+                "gap": "largest",
+                "slip": "minmod",
+                "limit": "summed",
+                "order": "symmetric",
+            },
+            am.FullMultigrid(
+                correction=am.PaperCorrection(gap="largest", slip="minmod", limit="summed"),
+                smoother=am.ProjectedGaussSeidel(order="symmetric"),
+            ),
+        ),
+        (
+            {"method": "single-grid", "condensed": True, "omega": 1.3, "max_cycles": 9},
+            am.SingleGrid(omega=1.3, condensed=True, max_sweeps=9),
+        ),
+        (
+            {"method": "multigrid", "correction": "monotone", "shape": "complete", "pre": 1},
+            am.Multigrid(correction=am.Monotone(), cycle=am.Cycle(shape="complete", pre=1)),
+        ),
+        (
+            {"correction": "monotone", "rtol": 1e-6},
+            am.FullMultigrid(correction=am.Monotone(), rtol=1e-6),
+        ),
+        ({"method": "active-set", "linear": "amg"}, am.ActiveSet(linear=am.AMG())),
+    ],
+)
 def test_settings_reach_the_method(solver, wanted):
     assert build.solver_of(dict(solver)) == wanted
 
 
 @pytest.mark.parametrize("method", build.METHODS)
 def test_every_listed_default_of_a_method_is_its_default(method):
-    """Keys are fields: each of them, set to the default that is listed, leaves the method unchanged."""
+    """Keys are fields: each of them, set to the default that is listed, leaves the method
+    unchanged."""
     for key, known in build.keys_of(method).items():
-        owners = [name for name, kinds in build.OBJECTS.items() for kind in kinds[1:] if key in build.keys_of(kind)]
+        owners = [
+            name
+            for name, kinds in build.OBJECTS.items()
+            for kind in kinds[1:]
+            if key in build.keys_of(kind)
+        ]
         # not with the default correction
         projected = issubclass(method, am.Multigrid) and any(
-            key in build.keys_of(kind) for kind in (am.Cycle, am.ProjectedGaussSeidel))
-        if known.default and not owners and not projected and key not in build.keys_of(am.Truncated):
+            key in build.keys_of(kind) for kind in (am.Cycle, am.ProjectedGaussSeidel)
+        )
+        if (
+            known.default
+            and not owners
+            and not projected
+            and key not in build.keys_of(am.Truncated)
+        ):
             value = build._value_of(known.default)
             value = float(value) if known.values.startswith("float") else value
             assert build.solver_of({"method": build.name_of(method), key: value}) == method(), key
 
 
-@pytest.mark.parametrize(("adapt", "wanted"), [
-    ({"quantity": "displacement", "points": (0.0, 0.0), "component": "x"}, am.Displacement((0.0, 0.0), "x")),
-    ({"quantity": "displacement", "points": ((0.0, 0.0), (0.01, 0.0)), "component": "x"},
-     am.Displacement(((0.0, 0.0), (0.01, 0.0)), "x")),
-    ({"quantity": "mean-displacement", "boundary": "top", "component": "y", "engine": "bisect"},
-     am.MeanDisplacement("top", "y")),
-    ({"quantity": "opening", "engine": "bisect"}, am.Opening()),
-    ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3}, None)])
+@pytest.mark.parametrize(
+    ("adapt", "wanted"),
+    [
+        (
+            {"quantity": "displacement", "points": (0.0, 0.0), "component": "x"},
+            am.Displacement((0.0, 0.0), "x"),
+        ),
+        (
+            {"quantity": "displacement", "points": ((0.0, 0.0), (0.01, 0.0)), "component": "x"},
+            am.Displacement(((0.0, 0.0), (0.01, 0.0)), "x"),
+        ),
+        (
+            {
+                "quantity": "mean-displacement",
+                "boundary": "top",
+                "component": "y",
+                "engine": "bisect",
+            },
+            am.MeanDisplacement("top", "y"),
+        ),
+        ({"quantity": "opening", "engine": "bisect"}, am.Opening()),
+        ({"indicator": "recovery", "engine": "bisect", "mark": "maximum", "theta": 0.3}, None),
+    ],
+)
 def test_settings_reach_the_adaptive_loop(adapt, wanted):
-    made = build.arguments_of(am.adapt, {"max_nodes": 90, "start": 10e-3, "indicator": "goal", **adapt}, "adapt.", "")
-    assert made["indicator"] == (am.Recovery() if wanted is None else am.Goal(wanted)) and made["start"] == 10e-3
+    made = build.arguments_of(
+        am.adapt, {"max_nodes": 90, "start": 10e-3, "indicator": "goal", **adapt}, "adapt.", ""
+    )
+    assert (
+        made["indicator"] == (am.Recovery() if wanted is None else am.Goal(wanted))
+        and made["start"] == 10e-3
+    )
     assert made.get("mark") == (am.Maximum(0.3) if "mark" in adapt else None)
     assert made.get("engine") == (am.Bisect() if "engine" in adapt else None)
 
 
 def test_laws_and_elements_of_cases(command):
     assert build.problem_of({"case": "greco_bar", "law": "tresca", "limit": 1e7}).law.limit == 1e7
-    assert build.problem_of({"case": "bolted_junction", "elements": "smoothed"}).elements == "smoothed"
+    assert (
+        build.problem_of({"case": "bolted_junction", "elements": "smoothed"}).elements == "smoothed"
+    )
     made = build.problem_of({"case": "bolted_junction", "friction": 0.35})
     points = np.array([[0.1, 0.0], [0.1, 0.05], [0.2, 0.03]])
     wanted = am.cases.bolted_junction(friction=0.35).law
-    assert (made.law.friction(points) == wanted.friction(points)).all() and made.law.friction(points).max() == 0.35
+    assert (made.law.friction(points) == wanted.friction(points)).all() and made.law.friction(
+        points
+    ).max() == 0.35
     for given in ({"law": "frictionless"}, {"law": "tresca", "friction": 0.3}):
-        with pytest.raises(ValueError, match=r"case\.law has no meaning for the case bolted_junction"):
+        with pytest.raises(
+            ValueError, match=r"case\.law has no meaning for the case bolted_junction"
+        ):
             build.problem_of({"case": "bolted_junction", **given})
-    assert "--limit has no meaning for the case" in command("solve", "bolted_junction", "--limit", "1e6")[2]
+    assert (
+        "--limit has no meaning for the case"
+        in command("solve", "bolted_junction", "--limit", "1e6")[2]
+    )
 
 
 @pytest.fixture
@@ -219,6 +375,7 @@ def report(command):
 
 def failed_run(name: str = "first") -> None:
     """Three runs, one of which failed, with texts that a page must escape."""
+
     def run(n, law):
         if n == 3:
             raise ValueError("three <b>&</b> more")
@@ -241,13 +398,30 @@ def test_a_page_and_its_table_stand_beside_the_store(report):
 def test_a_page_says_what_all_runs_share_and_when_they_ran(report):
     store = Store("s.sqlite")
     same = {"case.case": "greco_bar", "h.sizes": (0.01, 5e-3)}
-    store.put("study", [Record(parameters=same | {"case.friction": k / 2}, status="done", machine="node7",
-                                   results={"max_pressure": 1e6 * k, "text": "\udcff"}, commit="c" * 40,
-                                   finished=f"2026-01-0{k}T10:00:00") for k in range(1, 4)])
+    store.put(
+        "study",
+        [
+            Record(
+                parameters=same | {"case.friction": k / 2},
+                status="done",
+                machine="node7",
+                results={"max_pressure": 1e6 * k, "text": "\udcff"},
+                commit="c" * 40,
+                finished=f"2026-01-0{k}T10:00:00",
+            )
+            for k in range(1, 4)
+        ],
+    )
     assert report("s.sqlite")[0] == 0
     page = Path("study.html").read_text(encoding="utf-8")
-    for words in ("case.case = greco_bar, h.sizes = (0.01, 0.005)", "[s]", "node7", "cccccccccccc<",
-                  "2026-01-01T10:00 to 2026-01-03T10:00 UTC", r"\udcff"):
+    for words in (
+        "case.case = greco_bar, h.sizes = (0.01, 0.005)",
+        "[s]",
+        "node7",
+        "cccccccccccc<",
+        "2026-01-01T10:00 to 2026-01-03T10:00 UTC",
+        r"\udcff",
+    ):
         assert words in page, words
     code, err = report("s.sqlite", "--to", "study.csv")
     assert code == 2 and "must be an HTML file" in err

@@ -1,4 +1,5 @@
-"""Cracks whose faces touch: what passes through them, what stays apart, and the factors at their tips."""
+"""Cracks whose faces touch: what passes through them, what stays apart, and the factors at their
+tips."""
 
 from dataclasses import replace
 
@@ -13,21 +14,31 @@ P = 1e-3
 
 def corners(angle, shift, half=1.0):
     c, s = np.cos(angle), np.sin(angle)
-    return (half * np.array([(-2, -1.5), (2, -1.5), (2, 1.5), (-2, 1.5)]) @ [[c, s], [-s, c]] + shift).tolist()
+    return (
+        half * np.array([(-2, -1.5), (2, -1.5), (2, 1.5), (-2, 1.5)]) @ [[c, s], [-s, c]] + shift
+    ).tolist()
 
 
 def squeezed(rng, paths, coupling="mortar", half=1.0):
-    """A plate that is turned and moved, with cracks at paths before that, under equal pressure from all sides."""
+    """A plate that is turned and moved, with cracks at paths before that, under equal pressure from
+    all sides."""
     angle, shift = rng.uniform(0, 7), rng.uniform(-5, 5, 2)
     c, s = np.cos(angle), np.sin(angle)
     around = corners(angle, shift, half)
-    domain = am.Cracked(am.Polygon(vertices=around, boundaries=tuple("abcd")),
-                        {name: np.array(path) @ [[c, s], [-s, c]] + shift for name, path in paths.items()})
+    domain = am.Cracked(
+        am.Polygon(vertices=around, boundaries=tuple("abcd")),
+        {name: np.array(path) @ [[c, s], [-s, c]] + shift for name, path in paths.items()},
+    )
     return am.ContactProblem(
-        domain=domain, material=am.PlaneStrain(young=1.0, poisson=0.3), law=am.Coulomb(0.3),
-        contact=tuple(am.ContactPair(f"{name}.left", f"{name}.right", coupling=coupling) for name in paths),
+        domain=domain,
+        material=am.PlaneStrain(young=1.0, poisson=0.3),
+        law=am.Coulomb(0.3),
+        contact=tuple(
+            am.ContactPair(f"{name}.left", f"{name}.right", coupling=coupling) for name in paths
+        ),
         loads=tuple(am.Pressure(name, P) for name in "abcd"),
-        supports=(am.PointSupport(around[0], x=0, y=0), am.PointSupport(around[1], y=0)))
+        supports=(am.PointSupport(around[0], x=0, y=0), am.PointSupport(around[1], y=0)),
+    )
 
 
 STRAIGHT = {"inner": [(-1, 0.5), (0, 0.7)], "edge": [(1, -1.5), (1.1, -0.5)]}
@@ -44,7 +55,9 @@ def test_closed_cracks_pass_pressure_on(coupling, paths):
     np.testing.assert_allclose(stress[:, 3], 0, atol=1e-8 * P)
     np.testing.assert_allclose(result.contact.pressure, P, rtol=1e-8)
     for name in paths:
-        left, right = (grids.finest.mesh.boundary_nodes(f"{name}.{side}") for side in ("left", "right"))
+        left, right = (
+            grids.finest.mesh.boundary_nodes(f"{name}.{side}") for side in ("left", "right")
+        )
         assert not np.isin(result.contact.node, np.intersect1d(left, right)).any()
 
 
@@ -67,7 +80,9 @@ def test_stress_intensity_factors_are_those_of_an_infinite_plate():
         result.stress_intensity("crack", radius=1.0)
     with pytest.raises(ValueError, match="too coarse"):
         result.stress_intensity("crack", radius=0.1)
-    layered = am.PlaneStrain.orthotropic(young=(2e9, 1e9, 1e9), poisson=(0.2,) * 3, shear=(4e8,) * 3)
+    layered = am.PlaneStrain.orthotropic(
+        young=(2e9, 1e9, 1e9), poisson=(0.2,) * 3, shear=(4e8,) * 3
+    )
     with pytest.raises(ValueError, match="isotropic bodies"):
         replace(result, stress_data=StressData.of(result.mesh, layered)).stress_intensity("crack")
 
@@ -75,7 +90,9 @@ def test_stress_intensity_factors_are_those_of_an_infinite_plate():
 def test_factors_of_an_arc_are_those_of_muskhelishvili():
     half_angle = np.pi / 6
     angles = np.linspace(-half_angle, half_angle, 65)
-    problem = squeezed(np.random.default_rng(), {"arc": np.column_stack([np.sin(angles), np.cos(angles)])}, half=15)
+    problem = squeezed(
+        np.random.default_rng(), {"arc": np.column_stack([np.sin(angles), np.cos(angles)])}, half=15
+    )
     problem = replace(problem, loads=tuple(am.Pressure(name, -P) for name in "abcd"))
     *_, last = am.adapt(problem, max_nodes=5000)
     expected = P * np.sqrt(np.pi * np.sin(half_angle)) / (1 + np.sin(half_angle / 2) ** 2)
@@ -91,34 +108,66 @@ def test_a_bond_that_sticks_is_as_if_glued():
     whole = replace(whole, element_body=upper, bodies=("lower", "upper"))
     line = np.flatnonzero((whole.points[:, 1] == 0.5) & (abs(whole.points[:, 0] - 0.5) < 0.4))
     opened = am.mesh.split(whole, np.column_stack([line[:-1], line[1:]]), "bond")
-    floor, bond = am.Contact("bottom", am.Plane((0, 0), (0, 1))), am.ContactPair("bond.right", "bond.left")
+    floor, bond = (
+        am.Contact("bottom", am.Plane((0, 0), (0, 1))),
+        am.ContactPair("bond.right", "bond.left"),
+    )
     found = []
     for mesh, contact in ((whole, (floor,)), (opened, (floor, bond))):
         problem = am.ContactProblem(
-            material={"lower": am.PlaneStrain(young=1.0, poisson=0.3), "upper": am.PlaneStrain(young=3.0, poisson=0.2)},
-            loads=(am.Pressure("top", lambda x: P * (1 + x[:, 0])), am.Traction("top", (0.2 * P, 0))),
-            supports=(am.Support("left", x=0),), law=am.Coulomb(0.9), contact=contact)
-        found.append(am.solve(am.Hierarchy.from_meshes(problem, [mesh]), am.ActiveSet(rtol=1e-10)).displacement)
-    np.testing.assert_allclose(found[1][:whole.n_nodes], found[0], atol=1e-9 * np.abs(found[0]).max())
+            material={
+                "lower": am.PlaneStrain(young=1.0, poisson=0.3),
+                "upper": am.PlaneStrain(young=3.0, poisson=0.2),
+            },
+            loads=(
+                am.Pressure("top", lambda x: P * (1 + x[:, 0])),
+                am.Traction("top", (0.2 * P, 0)),
+            ),
+            supports=(am.Support("left", x=0),),
+            law=am.Coulomb(0.9),
+            contact=contact,
+        )
+        found.append(
+            am.solve(
+                am.Hierarchy.from_meshes(problem, [mesh]), am.ActiveSet(rtol=1e-10)
+            ).displacement
+        )
+    np.testing.assert_allclose(
+        found[1][: whole.n_nodes], found[0], atol=1e-9 * np.abs(found[0]).max()
+    )
 
 
 @pytest.mark.slow
 def test_the_slip_of_a_penny_is_that_of_eshelby():
     half, poisson, angles = 5.0, 0.25, np.arange(24) * np.pi / 12
-    circle = 1.0057 * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])          # of the same area
+    circle = 1.0057 * np.column_stack(
+        [np.cos(angles), np.sin(angles), 0 * angles]
+    )  # of the same area
     sides = {"top": (P, 0, 0), "bottom": (-P, 0, 0), "right": (0, 0, P), "left": (0, 0, -P)}
     low, high = -half, half
     problem = am.ContactProblem(
-        domain=am.Cracked(am.Box(width=10, depth=10, height=10, origin=(low,) * 3), {"penny": circle}),
-        material=am.Solid(young=1.0, poisson=poisson), law=am.Frictionless(),
+        domain=am.Cracked(
+            am.Box(width=10, depth=10, height=10, origin=(low,) * 3), {"penny": circle}
+        ),
+        material=am.Solid(young=1.0, poisson=poisson),
+        law=am.Frictionless(),
         contact=am.ContactPair("penny.left", "penny.right"),
-        loads=(*(am.Pressure(name, P) for name in ("top", "bottom")), *(am.Traction(*side) for side in sides.items())),
-        supports=(am.PointSupport((low, low, low), x=0, y=0, z=0), am.PointSupport((high, low, low), y=0, z=0),
-                  am.PointSupport((low, high, low), z=0)))
+        loads=(
+            *(am.Pressure(name, P) for name in ("top", "bottom")),
+            *(am.Traction(*side) for side in sides.items()),
+        ),
+        supports=(
+            am.PointSupport((low, low, low), x=0, y=0, z=0),
+            am.PointSupport((high, low, low), y=0, z=0),
+            am.PointSupport((low, high, low), z=0),
+        ),
+    )
     result = am.solve(am.Hierarchy.graded(problem, (3, 1.5), 10), am.Multigrid(rtol=1e-5))
     inner = np.hypot(*result.contact.x.T[:2]) < 0.6
     expected = 8 * (1 - poisson) / (np.pi * (2 - poisson)) * P / 0.4
-    factor = np.linalg.norm(result.contact.slip, axis=1) / np.sqrt(1 - np.square(result.contact.x).sum(axis=1))
+    factor = np.linalg.norm(result.contact.slip, axis=1) / np.sqrt(
+        1 - np.square(result.contact.x).sum(axis=1)
+    )
     np.testing.assert_allclose(factor[inner] / expected, 0.9, atol=0.07)
 
 
@@ -127,22 +176,34 @@ def test_the_slip_of_a_penny_is_that_of_eshelby():
 def test_a_jump_stays_a_jump(in_contact, chords):
     # a curved crack: a fine node between its two meshes belongs to the fine side
     problem = am.ContactProblem(
-        material=am.PlaneStrain(young=1.0, poisson=0.3), law=am.Coulomb(0.3), loads=(am.Pressure("top", P),),
-        contact=(am.ContactPair("arc.left", "arc.right") if in_contact
-                 else am.Contact("bottom", am.Plane((0, -2), (0, 1)))),
-        supports=(am.Support("left", x=0, y=0),))
+        material=am.PlaneStrain(young=1.0, poisson=0.3),
+        law=am.Coulomb(0.3),
+        loads=(am.Pressure("top", P),),
+        contact=(
+            am.ContactPair("arc.left", "arc.right")
+            if in_contact
+            else am.Contact("bottom", am.Plane((0, -2), (0, 1)))
+        ),
+        supports=(am.Support("left", x=0, y=0),),
+    )
     meshes, fields, sides = [], [], []
     for n, size in zip(chords, (0.5, 0.1), strict=True):
         angles = np.radians(np.linspace(30, 150, n + 1))
-        plate = am.Cracked(am.Rectangle(width=4, height=4, origin=(-2, -2)),
-                           {"arc": np.column_stack([np.cos(angles), np.sin(angles)])})
+        plate = am.Cracked(
+            am.Rectangle(width=4, height=4, origin=(-2, -2)),
+            {"arc": np.column_stack([np.cos(angles), np.sin(angles)])},
+        )
         mesh = am.mesh.graded(plate, size)
         inside = np.hypot(*mesh.points.T) < np.cos(np.radians(60 / n)) / np.cos(
-            (np.arctan2(mesh.points[:, 1], mesh.points[:, 0]) - np.pi / 6) % np.radians(120 / n) - np.radians(60 / n))
+            (np.arctan2(mesh.points[:, 1], mesh.points[:, 0]) - np.pi / 6) % np.radians(120 / n)
+            - np.radians(60 / n)
+        )
         left, right = (mesh.boundary_nodes(f"arc.{side}") for side in ("left", "right"))
         side = np.where(inside, 1.0, -1.0)
         side[left], side[right], side[np.intersect1d(left, right)] = 1.0, -1.0, 0.0
-        at = np.clip(1 - abs(np.degrees(np.arctan2(mesh.points[:, 1], mesh.points[:, 0])) - 90) / 60, 0, 1)
+        at = np.clip(
+            1 - abs(np.degrees(np.arctan2(mesh.points[:, 1], mesh.points[:, 0])) - 90) / 60, 0, 1
+        )
         meshes, fields, sides = [*meshes, mesh], [*fields, side * at], [*sides, side]
     grids = am.Hierarchy.from_meshes(problem, meshes)
     level, relative = grids.finest, fields[0]

@@ -1,4 +1,5 @@
-"""Contact nodes and the discretisation: normals, masses, gaps, ownership; refusals name body, pair, boundary."""
+"""Contact nodes and the discretisation: normals, masses, gaps, ownership; refusals name body, pair,
+boundary."""
 
 from dataclasses import replace
 
@@ -19,25 +20,37 @@ TOUCHING = am.GapFunction(lambda x: np.zeros(len(x)))
 
 
 def plane_problem(**changes: object) -> am.ContactProblem:
-    arguments = {"material": am.PlaneStrain(young=1e9, poisson=0.3), "contact": am.Contact("bottom", FLOOR),
-                 "law": am.Frictionless(), "loads": (am.Pressure("top", 1e5),), "name": "plate",
-                 "supports": (am.Support("left", x=0.0),)}
+    arguments = {
+        "material": am.PlaneStrain(young=1e9, poisson=0.3),
+        "contact": am.Contact("bottom", FLOOR),
+        "law": am.Frictionless(),
+        "loads": (am.Pressure("top", 1e5),),
+        "name": "plate",
+        "supports": (am.Support("left", x=0.0),),
+    }
     return am.ContactProblem(**(arguments | changes))
 
 
 def solid_problem(**changes: object) -> am.ContactProblem:
-    arguments = {"material": am.Solid(young=1e9, poisson=0.3), "law": am.Frictionless(),
-                 "contact": am.Contact("bottom", am.Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))}
+    arguments = {
+        "material": am.Solid(young=1e9, poisson=0.3),
+        "law": am.Frictionless(),
+        "contact": am.Contact("bottom", am.Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))),
+    }
     return am.ContactProblem(**(arguments | changes))
 
 
 class TestContactNodes:
-    @pytest.mark.parametrize(("problem", "mesh", "measure"), [
-        (plane_problem(), PLATE, 2.0), (solid_problem(), BLOCK, 2.0)])
+    @pytest.mark.parametrize(
+        ("problem", "mesh", "measure"),
+        [(plane_problem(), PLATE, 2.0), (solid_problem(), BLOCK, 2.0)],
+    )
     def test_flat_boundary(self, problem, mesh, measure):
         nodes = contact_data(problem, mesh)[0]
         np.testing.assert_array_equal(nodes.nodes, mesh.boundary_nodes("bottom"))
-        np.testing.assert_allclose(nodes.normals, np.tile([0.0] * (mesh.dim - 1) + [-1.0], (len(nodes), 1)))
+        np.testing.assert_allclose(
+            nodes.normals, np.tile([0.0] * (mesh.dim - 1) + [-1.0], (len(nodes), 1))
+        )
         assert nodes.weights.sum() == pytest.approx(measure)
         assert nodes.weights @ mesh.points[nodes.nodes, 0] == pytest.approx(measure)
         assert not nodes.gaps.any() and nodes.names == ("bottom",) and not nodes.boundary.any()
@@ -45,21 +58,29 @@ class TestContactNodes:
     @pytest.mark.parametrize("rings", [2, 8])
     def test_curved_boundary(self, rings):
         mesh, n = disk(rings), 6 * rings
-        nodes = contact_data(plane_problem(contact=am.Contact("all", TOUCHING), loads=(), supports=()), mesh)[0]
+        nodes = contact_data(
+            plane_problem(contact=am.Contact("all", TOUCHING), loads=(), supports=()), mesh
+        )[0]
         np.testing.assert_allclose(nodes.normals, mesh.points[nodes.nodes], atol=1e-12)
         assert nodes.weights.sum() == pytest.approx(2 * n * np.sin(np.pi / n))
 
     def test_gaps(self):
         # the plane through (0, -1) rising at 45 degrees is met along its own normal
         plane = am.Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
-        nodes = contact_data(plane_problem(contact=am.Contact("bottom", plane), supports=()), PLATE)[0]
+        nodes = contact_data(
+            plane_problem(contact=am.Contact("bottom", plane), supports=()), PLATE
+        )[0]
         np.testing.assert_allclose(nodes.normals, np.tile([[1.0, -1.0]], (5, 1)) / np.sqrt(2))
         np.testing.assert_allclose(nodes.gaps, (3.0 - PLATE.points[nodes.nodes, 0]) / np.sqrt(2))
-        _, behind = am.Plane((0.0, -1.0), (0.0, 2.0)).contact(PLATE.points[:1] - [[0.0, 2.0]], nodes.normals[:1])
+        _, behind = am.Plane((0.0, -1.0), (0.0, 2.0)).contact(
+            PLATE.points[:1] - [[0.0, 2.0]], nodes.normals[:1]
+        )
         assert behind.tolist() == [-1.0]
         # rounding is not an overlap
-        for gap, interference, least in ((lambda x: np.full(len(x), -1e-14), False, 0.0),
-                                         (lambda x: 0.5 - x[:, 0], True, -1.5)):
+        for gap, interference, least in (
+            (lambda x: np.full(len(x), -1e-14), False, 0.0),
+            (lambda x: 0.5 - x[:, 0], True, -1.5),
+        ):
             contact = am.Contact("bottom", am.GapFunction(gap), allow_interference=interference)
             assert contact_data(plane_problem(contact=contact), PLATE)[0].gaps.min() == least
 
@@ -72,14 +93,17 @@ class TestContactNodes:
         assert nodes.boundary[corner] == 0
         expected = {"bottom": [0.0, -1.0], "right": [1.0, 0.0]}[order[0]]
         np.testing.assert_allclose(nodes.normals[corner], expected)
-        # the edge round the corner does not face the obstacle: half an edge of the first boundary is the mass
+        # the edge round the corner does not face the obstacle: half an edge of the first boundary
+        # is the mass
         assert nodes.weights[corner] == pytest.approx(0.25 if order[0] == "bottom" else 0.125)
 
     def test_a_boundary_in_two_pieces_has_the_masses_of_one(self):
         centre = PLATE.points[PLATE.facets].mean(axis=1)
         labels = PLATE.facet_labels.copy()
         labels[(labels == 0) & (centre[:, 0] > 1)] = 4
-        mesh = replace(PLATE, facet_labels=labels, boundaries=(*PLATE.boundaries, "bottom 2"), source=None)
+        mesh = replace(
+            PLATE, facet_labels=labels, boundaries=(*PLATE.boundaries, "bottom 2"), source=None
+        )
         contact = (am.Contact("bottom 2", FLOOR), am.Contact("bottom", FLOOR))
         nodes = contact_data(plane_problem(contact=contact), mesh)[0]
         np.testing.assert_allclose(nodes.weights, contact_data(plane_problem(), PLATE)[0].weights)
@@ -92,7 +116,9 @@ class TestContactNodes:
         points = np.column_stack([radius * np.sin(angle), -radius * np.cos(angle)])
         points[flat.boundary_nodes("left"), 0] = 0.0
         mesh = replace(flat, points=points, source=None)
-        nodes = contact_data(plane_problem(contact=am.Contact("bottom", TOUCHING), loads=()), mesh)[0]
+        nodes = contact_data(plane_problem(contact=am.Contact("bottom", TOUCHING), loads=()), mesh)[
+            0
+        ]
         np.testing.assert_allclose(nodes.normals[:-1], mesh.points[nodes.nodes][:-1], atol=1e-12)
 
 
@@ -102,23 +128,48 @@ class Wrong:
 
 
 # the same two nodes seen from both sides
-CRACKED = MeshArrays(PLATE.points, PLATE.elements, np.vstack([PLATE.facets, [[0, 1], [1, 0]]]),
-                     np.r_[PLATE.facet_labels, 4, 4], (*PLATE.boundaries, "crack"))
+CRACKED = MeshArrays(
+    PLATE.points,
+    PLATE.elements,
+    np.vstack([PLATE.facets, [[0, 1], [1, 0]]]),
+    np.r_[PLATE.facet_labels, 4, 4],
+    (*PLATE.boundaries, "crack"),
+)
 DEEP = am.GapFunction(lambda x: np.full(len(x), -0.1))
 
 
-@pytest.mark.parametrize(("changes", "message"), [
-    ({"contact": am.Contact("bottom", am.GapFunction(lambda x: 0.5 - x[:, 0]))},
-     r"'bottom' lies up to 1\.5 m behind its obstacle, at \(2\.0, 0\.0\)"),
-    ({"contact": (am.Contact("bottom", DEEP, allow_interference=True), am.Contact("top", DEEP)), "loads": (),
-      "supports": ()},
-     r"'top' lies up to 0\.1 m"),
-    ({"supports": (am.Support("bottom", y=0.0),)},
-     "support on 'bottom' fixes a component with a part normal to contact boundary"),
-    ({"contact": am.Contact("crack", TOUCHING), "loads": ()},
-     "contact boundary 'crack': the surface has no normal at node 0"),
-    ({"contact": am.Contact("bottom", Wrong())}, "obstacle in front of 'bottom': its normals must have shape"),
-])
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"contact": am.Contact("bottom", am.GapFunction(lambda x: 0.5 - x[:, 0]))},
+            r"'bottom' lies up to 1\.5 m behind its obstacle, at \(2\.0, 0\.0\)",
+        ),
+        (
+            {
+                "contact": (
+                    am.Contact("bottom", DEEP, allow_interference=True),
+                    am.Contact("top", DEEP),
+                ),
+                "loads": (),
+                "supports": (),
+            },
+            r"'top' lies up to 0\.1 m",
+        ),
+        (
+            {"supports": (am.Support("bottom", y=0.0),)},
+            "support on 'bottom' fixes a component with a part normal to contact boundary",
+        ),
+        (
+            {"contact": am.Contact("crack", TOUCHING), "loads": ()},
+            "contact boundary 'crack': the surface has no normal at node 0",
+        ),
+        (
+            {"contact": am.Contact("bottom", Wrong())},
+            "obstacle in front of 'bottom': its normals must have shape",
+        ),
+    ],
+)
 def test_refusals(changes, message):
     with pytest.raises(ValueError, match=message):
         contact_data(plane_problem(**changes), CRACKED)
@@ -138,18 +189,32 @@ class TestDiscretise:
             contact_data(plane_problem(), PLATE, slip_reference=displacement[:3])
         # laws become nodal
         tresca = discretise(plane_problem(law=am.Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)
-        np.testing.assert_allclose(tresca.law.bounds(5)[0], 1e3 * tresca.contact.weights * [1.0, 1.5, 2.0, 2.5, 3.0])
+        np.testing.assert_allclose(
+            tresca.law.bounds(5)[0], 1e3 * tresca.contact.weights * [1.0, 1.5, 2.0, 2.5, 3.0]
+        )
         coulomb = discretise(plane_problem(law=am.Coulomb(lambda x: x[:, 0] / 4)), PLATE)
         np.testing.assert_allclose(coulomb.law.bounds(5)[1], [0.0, 0.125, 0.25, 0.375, 0.5])
 
-    test_refuses = staticmethod(refused(
-        (lambda: discretise(plane_problem(), BLOCK), "the mesh is 3D, the problem 'plate' 2D"),
-        (lambda: discretise(PLATE, PLATE), TypeError, "problem must be a ContactProblem"),
-        (lambda: discretise(plane_problem(), PLATE.source), TypeError, "mesh must be MeshArrays"),
-        (lambda: discretise(plane_problem(loads=(am.Pressure("roof", 1.0),)), PLATE), "'roof', used for a load, does")))
+    test_refuses = staticmethod(
+        refused(
+            (lambda: discretise(plane_problem(), BLOCK), "the mesh is 3D, the problem 'plate' 2D"),
+            (lambda: discretise(PLATE, PLATE), TypeError, "problem must be a ContactProblem"),
+            (
+                lambda: discretise(plane_problem(), PLATE.source),
+                TypeError,
+                "mesh must be MeshArrays",
+            ),
+            (
+                lambda: discretise(plane_problem(loads=(am.Pressure("roof", 1.0),)), PLATE),
+                "'roof', used for a load, does",
+            ),
+        )
+    )
 
 
-@pytest.mark.parametrize("law", [am.Coulomb(lambda p: 0.2 + p[:, 0]), am.Tresca(3e6)], ids=["Coulomb", "Tresca"])
+@pytest.mark.parametrize(
+    "law", [am.Coulomb(lambda p: 0.2 + p[:, 0]), am.Tresca(3e6)], ids=["Coulomb", "Tresca"]
+)
 def test_a_subclass_of_a_law_keeps_its_bounds(law):
     class Half(type(law)):
         whole: "Half | None" = None  # a name that only type checkers know
@@ -158,8 +223,10 @@ def test_a_subclass_of_a_law_keeps_its_bounds(law):
             limit, friction = super().bounds(n_contact)
             return 0.5 * limit, 0.5 * friction
 
-    whole, half = (am.Hierarchy.uniform(am.cases.greco_bar(law=one), (2,)).finest.discrete.law.bounds(3)
-                   for one in (law, Half(*vars(law).values())))
+    whole, half = (
+        am.Hierarchy.uniform(am.cases.greco_bar(law=one), (2,)).finest.discrete.law.bounds(3)
+        for one in (law, Half(*vars(law).values()))
+    )
     assert max(map(np.max, whole)) > 0
     for one, other in zip(whole, half, strict=True):
         np.testing.assert_array_equal(0.5 * one, other)
@@ -182,27 +249,43 @@ def mesh_of(lift=0.0, bodies=("upper", "lower")):
     return merged({name: parts[name] for name in bodies})
 
 
-BOXES = {"upper": am.Box(width=1.0, depth=1.0, height=1.0, origin=(0.0, 0.0, 0.99)),
-         "lower": am.Box(width=1.0, depth=1.0, height=1.0)}
+BOXES = {
+    "upper": am.Box(width=1.0, depth=1.0, height=1.0, origin=(0.0, 0.0, 0.99)),
+    "lower": am.Box(width=1.0, depth=1.0, height=1.0),
+}
 
 
 def in_3d(*pair, **options):
-    problem = posed(material=am.Solid(young=1e11, poisson=0.3), contact=am.ContactPair(*pair, **options), loads=(),
-                    domain=am.Assembly(parts=BOXES), supports=(am.Support("lower.bottom", x=0.0, y=0.0, z=0.0),))
+    problem = posed(
+        material=am.Solid(young=1e11, poisson=0.3),
+        contact=am.ContactPair(*pair, **options),
+        loads=(),
+        domain=am.Assembly(parts=BOXES),
+        supports=(am.Support("lower.bottom", x=0.0, y=0.0, z=0.0),),
+    )
     return discretise(problem, structured(problem.domain, {"upper": 2, "lower": 3}))
 
 
 def faced(*pair, **options):
-    return discretise(posed(contact=am.ContactPair(*pair, **options), supports=(am.Support("lower.left", x=0.0),)),
-                      mesh_of(2e-3))
+    return discretise(
+        posed(
+            contact=am.ContactPair(*pair, **options), supports=(am.Support("lower.left", x=0.0),)
+        ),
+        mesh_of(2e-3),
+    )
 
 
 def circle():
     """Corners that follow each other."""
     mesh, problem, _ = in_the_corner(("floor", "wall", "cap"), am.Frictionless())
-    pairs = (am.ContactPair("block.bottom", "seat.floor"), am.ContactPair("seat.wall", "block.left"),
-             am.ContactPair("cap.bottom", "block.top"))
-    return discretise(replace(problem, contact=pairs, supports=(am.Support("seat.bottom", x=0.0, y=0.0),)), mesh)
+    pairs = (
+        am.ContactPair("block.bottom", "seat.floor"),
+        am.ContactPair("seat.wall", "block.left"),
+        am.ContactPair("cap.bottom", "block.top"),
+    )
+    return discretise(
+        replace(problem, contact=pairs, supports=(am.Support("seat.bottom", x=0.0, y=0.0),)), mesh
+    )
 
 
 def nodes_that_do_not_match():
@@ -211,7 +294,9 @@ def nodes_that_do_not_match():
 
 
 def held(*supports, mesh=None, **changes):
-    return am.solve(discretise(posed(supports=supports, **changes), mesh_of() if mesh is None else mesh))
+    return am.solve(
+        discretise(posed(supports=supports, **changes), mesh_of() if mesh is None else mesh)
+    )
 
 
 def with_gap(gap):
@@ -225,37 +310,73 @@ NAMED = r"'upper.bottom' on 'lower.top'"
 
 test_refusals_of_bodies = refused(
     # places
-    (lambda: discretise(posed(domain=None), mesh_of(-1e-3)), NAMED + r".*overlap by up to 0.001 m.*at \(.*apart"),
-    (lambda: faced("upper.bottom", "lower.bottom"), "'upper.bottom' on 'lower.bottom': the surfaces never face"),
-    (lambda: faced("upper.left", "lower.top"), "'upper.left' on 'lower.top': the surfaces never face"),
+    (
+        lambda: discretise(posed(domain=None), mesh_of(-1e-3)),
+        NAMED + r".*overlap by up to 0.001 m.*at \(.*apart",
+    ),
+    (
+        lambda: faced("upper.bottom", "lower.bottom"),
+        "'upper.bottom' on 'lower.bottom': the surfaces never face",
+    ),
+    (
+        lambda: faced("upper.left", "lower.top"),
+        "'upper.left' on 'lower.top': the surfaces never face",
+    ),
     (lambda: faced(*PAIR, reach=1e-3), NAMED + ": the surfaces never face"),
     (lambda: in_3d(*PAIR), NAMED + ": the bodies overlap by up to 0.01 m"),
-    (lambda: in_3d("upper.top", "lower.bottom", reach=0.5), "'upper.top' on 'lower.bottom': the surfaces never face"),
+    (
+        lambda: in_3d("upper.top", "lower.bottom", reach=0.5),
+        "'upper.top' on 'lower.bottom': the surfaces never face",
+    ),
     (nodes_that_do_not_match, NAMED + ": slave node .* has no partner.*mortar"),
     # gaps
-    (lambda: with_gap(lambda x: x[:, 0] - 0.02), NAMED + ".*the bodies overlap by up to 0.02 m.*allow_interference"),
+    (
+        lambda: with_gap(lambda x: x[:, 0] - 0.02),
+        NAMED + ".*the bodies overlap by up to 0.02 m.*allow_interference",
+    ),
     (lambda: with_gap(lambda x: x), NAMED + r".*must return shape \(5,\)"),
     (lambda: with_gap(lambda x: np.nan * x[:, 0]), NAMED + ".*must be finite, got nan"),
     # what holds bodies
-    (lambda: discretise(posed(material=BAR, domain=None), mesh_of(bodies=THREE)),
-     r"nothing holds body 'other': no support and no contact"),
-    (lambda: am.solve(discretise(posed(loads=(am.Traction("upper.top", (0.0, 1e6)),)), mesh_of())),
-     r"nothing holds.*translation along y of body 'upper'"),
-    (lambda: held(am.Support("lower.bottom", x=0.0, y=0.0), loads=(am.Pressure("upper.top", 1e6),)),
-     r"not unique.*translation along x of body 'upper'"),
+    (
+        lambda: discretise(posed(material=BAR, domain=None), mesh_of(bodies=THREE)),
+        r"nothing holds body 'other': no support and no contact",
+    ),
+    (
+        lambda: am.solve(
+            discretise(posed(loads=(am.Traction("upper.top", (0.0, 1e6)),)), mesh_of())
+        ),
+        r"nothing holds.*translation along y of body 'upper'",
+    ),
+    (
+        lambda: held(
+            am.Support("lower.bottom", x=0.0, y=0.0), loads=(am.Pressure("upper.top", 1e6),)
+        ),
+        r"not unique.*translation along x of body 'upper'",
+    ),
     (lambda: held(am.Support("upper.top", x=0.0, y=0.0)), "body 'lower'"),
-    (lambda: held(am.Support("upper.bottom", y=0.0), am.Support("lower.bottom", y=0.0)),
-     r"'upper.bottom' fixes a component.*'upper.bottom', at node"),
+    (
+        lambda: held(am.Support("upper.bottom", y=0.0), am.Support("lower.bottom", y=0.0)),
+        r"'upper.bottom' fixes a component.*'upper.bottom', at node",
+    ),
     # pairs
     (circle, r"follow each other in a circle.*exchange slave and master"),
     # names
-    (lambda: discretise(posed(domain=None, contact=am.ContactPair("uper.bottom", "lower.top")), mesh_of()),
-     r"'uper.bottom', used for contact.*did you mean 'upper.bottom'\?"),
-    (lambda: am.Hierarchy.uniform(posed(), [{"upper": 2, "lowr": 2}, 4]),
-     r"divisions must name each body once.*'upper', 'lowr'"),
-    (lambda: discretise(posed(domain=None), mesh_of(bodies=THREE)),
-     r"bodies are 'upper', 'lower', 'other', material names 'upper', 'lower'"),
-    (lambda: posed(material=AXIAL), r"x = -0.02 m, but x is the radius"))
+    (
+        lambda: discretise(
+            posed(domain=None, contact=am.ContactPair("uper.bottom", "lower.top")), mesh_of()
+        ),
+        r"'uper.bottom', used for contact.*did you mean 'upper.bottom'\?",
+    ),
+    (
+        lambda: am.Hierarchy.uniform(posed(), [{"upper": 2, "lowr": 2}, 4]),
+        r"divisions must name each body once.*'upper', 'lowr'",
+    ),
+    (
+        lambda: discretise(posed(domain=None), mesh_of(bodies=THREE)),
+        r"bodies are 'upper', 'lower', 'other', material names 'upper', 'lower'",
+    ),
+    (lambda: posed(material=AXIAL), r"x = -0.02 m, but x is the radius"),
+)
 
 
 def test_gaps_and_interference():
@@ -270,23 +391,41 @@ def test_gaps_and_interference():
 
 
 @pytest.mark.parametrize("pair", [("round.contact", "block.top"), ("block.top", "round.contact")])
-@pytest.mark.parametrize("at_the_end", [True, False], ids=["pole at the end of the surface", "pole within a facet"])
+@pytest.mark.parametrize(
+    "at_the_end", [True, False], ids=["pole at the end of the surface", "pole within a facet"]
+)
 def test_a_cylinder_that_touches_a_block_does_not_overlap_it(at_the_end, pair):
-    """The mean of a distance >= 0 with a dual function, which changes sign, may be negative; that is not an overlap."""
+    """The mean of a distance >= 0 with a dual function, which changes sign, may be negative; that
+    is not an overlap."""
     radius, size, left = 0.05, 0.01, 0.0 if at_the_end else -0.1
     for sunk in (0.0, 4e-3):
         centre = (0.0, radius - sunk)
         angles = np.radians([0.0, 45.0, 90.0] if at_the_end else [-90.0, -40.0, 40.0, 90.0])
         arc = [(radius * np.sin(a), centre[1] - radius * np.cos(a)) for a in angles]
-        names = ("contact", "side", "top", "axis") if at_the_end else ("side", "contact", "side", "top")
-        cylinder = am.Outline(vertices=[*arc, centre] if at_the_end else arc, boundaries=names,
-                              arcs={i: centre for i in range(len(arc) - 1)})
-        domain = am.Assembly(parts={"round": cylinder, "block": am.Rectangle(width=0.1 - left, height=radius,
-                                                                           origin=(left, -radius))})
+        names = (
+            ("contact", "side", "top", "axis") if at_the_end else ("side", "contact", "side", "top")
+        )
+        cylinder = am.Outline(
+            vertices=[*arc, centre] if at_the_end else arc,
+            boundaries=names,
+            arcs={i: centre for i in range(len(arc) - 1)},
+        )
+        domain = am.Assembly(
+            parts={
+                "round": cylinder,
+                "block": am.Rectangle(width=0.1 - left, height=radius, origin=(left, -radius)),
+            }
+        )
         problem = am.ContactProblem(
-            material=am.PlaneStrain(young=1e9, poisson=0.3), domain=domain, law=am.Frictionless(),
-            contact=am.ContactPair(*pair), supports=(am.Support("round.axis" if at_the_end else "round.top", x=0.0),
-                                                     am.Support("block.bottom", x=0.0, y=0.0)))
+            material=am.PlaneStrain(young=1e9, poisson=0.3),
+            domain=domain,
+            law=am.Frictionless(),
+            contact=am.ContactPair(*pair),
+            supports=(
+                am.Support("round.axis" if at_the_end else "round.top", x=0.0),
+                am.Support("block.bottom", x=0.0, y=0.0),
+            ),
+        )
         mesh = graded(domain, {"round": size, "block": 1.7 * size}, pair)
         if not sunk:
             assert contact_data(problem, mesh)[0].gaps.min() >= 0

@@ -1,4 +1,5 @@
-"""Stiffness, stress, loads and supports of every kind of body: against their definitions and closed forms."""
+"""Stiffness, stress, loads and supports of every kind of body: against their definitions and closed
+forms."""
 
 import math
 from dataclasses import replace
@@ -11,14 +12,31 @@ from made_bodies import joined
 from refused import refused
 from two_materials import BOTH_ELEMENTS, EACH_KIND, KINDS, MESHES
 
-from adaptmg.discrete import element_strain, fixed_dofs, full_stress, load_vector, stiffness, von_mises
+from adaptmg.discrete import (
+    element_strain,
+    fixed_dofs,
+    full_stress,
+    load_vector,
+    stiffness,
+    von_mises,
+)
 from adaptmg.discrete.elasticity import rigid_motions
 from adaptmg.discrete.loads import supported_stiffness
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule, simplex_rule
 from adaptmg.mesh import MeshArrays, structured
-from adaptmg.problem import BodyForce, Box, PlaneStrain, PlaneStress, Pressure, Rectangle, Solid, Support, Traction
+from adaptmg.problem import (
+    BodyForce,
+    Box,
+    PlaneStrain,
+    PlaneStress,
+    Pressure,
+    Rectangle,
+    Solid,
+    Support,
+    Traction,
+)
 from adaptmg.problem.laws import Axisymmetric
 from adaptmg.problem.loads import InitialStrain
 
@@ -28,8 +46,11 @@ INNER, OUTER, HEIGHT = 0.1, 0.25, 0.12
 
 def part(dim: int, divisions: int, lift: float) -> MeshArrays:
     """A block; in the plane 0.5 <= x <= 2.5."""
-    shape = (Rectangle(width=2.0, height=1.0, origin=(0.5, lift)) if dim == 2
-             else Box(width=2.0, depth=1.5, height=1.0, origin=(0.0, 0.0, lift)))
+    shape = (
+        Rectangle(width=2.0, height=1.0, origin=(0.5, lift))
+        if dim == 2
+        else Box(width=2.0, depth=1.5, height=1.0, origin=(0.0, 0.0, lift))
+    )
     return shaken(structured(shape, divisions), 0.05, divisions)
 
 
@@ -47,7 +68,10 @@ def two(kind) -> dict:
     return {"upper": kind(young=7e10, poisson=0.33), "lower": kind(young=2.1e11, poisson=0.27)}
 
 
-CASES = {**{name: (BOTH[kind.dim], two(kind)) for name, kind in KINDS.items()}, "on the axis": (SOLID, STEEL)}
+CASES = {
+    **{name: (BOTH[kind.dim], two(kind)) for name, kind in KINDS.items()},
+    "on the axis": (SOLID, STEEL),
+}
 EACH_CASE = pytest.mark.parametrize(("mesh", "material"), CASES.values(), ids=CASES)
 
 
@@ -62,11 +86,15 @@ def solved(mesh: MeshArrays, material, loads, supports, elements: str) -> np.nda
 
 def measures(mesh, axisymmetric):
     """Volumes of the elements, over the full circumference."""
-    return mesh.volumes * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) if axisymmetric else 1.0)
+    return mesh.volumes * (
+        2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) if axisymmetric else 1.0
+    )
 
 
 def is_axisymmetric(material):
-    return isinstance(next(iter(material.values())) if isinstance(material, dict) else material, Axisymmetric)
+    return isinstance(
+        next(iter(material.values())) if isinstance(material, dict) else material, Axisymmetric
+    )
 
 
 def strains(mesh: MeshArrays, around: bool, rule, weights) -> list[tuple[int, float, np.ndarray]]:
@@ -97,41 +125,72 @@ def dense(mesh: MeshArrays, material, elements: str, rule=None) -> np.ndarray:
         edges = combinations(sorted(mesh.elements[e]), 2) if elements == "smoothed" else [(point,)]
         for edge in edges:
             parts.setdefault((mesh.element_body[e], *edge), []).append((volume, strain))
-    share, result = math.comb(k, 2) if elements == "smoothed" else 1, np.zeros((mesh.points.size,) * 2)
+    share, result = (
+        math.comb(k, 2) if elements == "smoothed" else 1,
+        np.zeros((mesh.points.size,) * 2),
+    )
     for (body, *_), there in parts.items():
         one, volume = body_materials(mesh, material)[body], sum(volume for volume, _ in there)
         mean = sum(part * strain for part, strain in there) / volume
         trace = np.einsum("iin->n", mean)
-        result += volume / share * (2 * one.shear_modulus * np.einsum("ijn,ijm->nm", mean, mean)
-                                    + one.lame * np.outer(trace, trace))
+        result += (
+            volume
+            / share
+            * (
+                2 * one.shear_modulus * np.einsum("ijn,ijm->nm", mean, mean)
+                + one.lame * np.outer(trace, trace)
+            )
+        )
     return result
 
 
-GLUED = {"glued": (MESHES[2], {"left": PlaneStrain(young=2.1e11, poisson=0.36),
-                               "right": PlaneStress(young=7e10, poisson=-0.2)}),
-         "glued solids": (MESHES[3], {"left": Solid(young=2.1e11, poisson=0.36),
-                                      "right": Solid(young=7e10, poisson=-0.2)})}
+GLUED = {
+    "glued": (
+        MESHES[2],
+        {
+            "left": PlaneStrain(young=2.1e11, poisson=0.36),
+            "right": PlaneStress(young=7e10, poisson=-0.2),
+        },
+    ),
+    "glued solids": (
+        MESHES[3],
+        {"left": Solid(young=2.1e11, poisson=0.36), "right": Solid(young=7e10, poisson=-0.2)},
+    ),
+}
 
 
 @BOTH_ELEMENTS
-@pytest.mark.parametrize(("mesh", "material"), [*CASES.values(), *GLUED.values()], ids=[*CASES, *GLUED])
+@pytest.mark.parametrize(
+    ("mesh", "material"), [*CASES.values(), *GLUED.values()], ids=[*CASES, *GLUED]
+)
 def test_stiffness_is_that_of_its_definition_in_sorted_symmetric_blocks(mesh, material, elements):
     matrix = stiffness(mesh, material, elements)
     ours, theirs = matrix.toarray(), dense(mesh, material, elements)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(ours).max())
-    assert matrix.blocksize == (mesh.dim, mesh.dim) and matrix.has_sorted_indices and matrix.indices.dtype == np.int32
+    assert (
+        matrix.blocksize == (mesh.dim, mesh.dim)
+        and matrix.has_sorted_indices
+        and matrix.indices.dtype == np.int32
+    )
     assert abs(matrix - matrix.T).max() == 0.0 and (np.diff(matrix.indptr) > 0).all()
 
 
 def test_glued_bodies_move_together():
     mesh = structured(Rectangle(width=2.0, height=1.0), 4)
-    glued = replace(mesh, bodies=("left", "right"), source=None,
-                    element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0)
+    glued = replace(
+        mesh,
+        bodies=("left", "right"),
+        source=None,
+        element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0,
+    )
     np.testing.assert_array_equal(rigid_motions(glued), rigid_motions(mesh))
 
 
 def test_the_axisymmetric_rule_is_accurate_off_the_axis():
-    ours, exact = stiffness(RING, STEEL).toarray(), dense(RING, STEEL, "linear", simplex_rule(2, 11))
+    ours, exact = (
+        stiffness(RING, STEEL).toarray(),
+        dense(RING, STEEL, "linear", simplex_rule(2, 11)),
+    )
     # the error of degree 5 in 1/r is of the order (h/r)^6, here h/r < .4
     np.testing.assert_allclose(ours, exact, rtol=0, atol=2e-7 * np.abs(exact).max())
 
@@ -146,22 +205,30 @@ def test_rigid_motions_cost_no_energy_and_nothing_else_does(mesh, material, elem
     np.testing.assert_allclose(modes.T @ modes, np.eye(n_bodies * each), atol=1e-14)
     for k in range(n_bodies):
         others = np.unique(mesh.elements[mesh.element_body != k])
-        assert not modes.reshape(mesh.n_nodes, mesh.dim, -1)[others][:, :, k * each:(k + 1) * each].any()
+        assert not modes.reshape(mesh.n_nodes, mesh.dim, -1)[others][
+            :, :, k * each : (k + 1) * each
+        ].any()
     matrix = supported_stiffness(mesh, material, (), elements)
     assert np.abs(matrix @ modes).max() < 2e-14 * np.abs(matrix.data).max()
     values = np.linalg.eigvalsh(matrix.toarray())
-    assert values[n_bodies * each] > 1e-6 * values[-1] > 1e6 * np.abs(values[:n_bodies * each]).max()
+    assert (
+        values[n_bodies * each] > 1e-6 * values[-1] > 1e6 * np.abs(values[: n_bodies * each]).max()
+    )
 
 
 @BOTH_ELEMENTS
 @EACH_CASE
 def test_patch_test(mesh, material, elements):
-    """A linear field (u_r = c r in axisymmetry) leaves the nodes inside without force, with exact energy."""
+    """A linear field (u_r = c r in axisymmetry) leaves the nodes inside without force, with exact
+    energy."""
     dim, axisymmetric = mesh.dim, is_axisymmetric(material)
     gradient = 1e-3 * np.random.default_rng(1).normal(size=(dim, dim))
     if axisymmetric:
         gradient = np.diag([3e-4, -1e-3])
-    u, inside = (mesh.points @ gradient.T).reshape(-1), np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
+    u, inside = (
+        (mesh.points @ gradient.T).reshape(-1),
+        np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets),
+    )
     matrix = supported_stiffness(mesh, material, (), elements)
     force = (matrix @ u).reshape(-1, dim)
     np.testing.assert_allclose(force[inside], 0, atol=1e-13 * np.abs(force).max())
@@ -183,32 +250,52 @@ def test_patch_test(mesh, material, elements):
     assert u @ matrix @ u == pytest.approx(work, rel=1e-12)
     if not isinstance(material, dict):
         expected = STEEL.lame * np.trace(strain) * np.eye(3) + 2 * STEEL.shear_modulus * strain
-        np.testing.assert_allclose(stress, np.broadcast_to(expected, stress.shape), atol=1e-11 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            stress, np.broadcast_to(expected, stress.shape), atol=1e-11 * np.abs(expected).max()
+        )
 
 
 class TestInitialStrain:
     @BOTH_ELEMENTS
     @EACH_KIND
     def test_a_free_body_lengthens_without_stress(self, kind, elements):
-        # compatible with the kind: nothing through the thickness in plane strain, anything in plane stress, hoop = rr
+        # compatible with the kind: nothing through the thickness in plane strain, anything in plane
+        # stress, hoop = rr
         mesh, materials = BOTH[kind.dim], two(kind)
-        third = {PlaneStrain: (0.0,), PlaneStress: (5e-3,), Axisymmetric: (1e-3,), Solid: (3e-3,)}[kind]
-        strains = [InitialStrain("upper", (1e-3, 0.0, *third)), InitialStrain("upper", (0.0, -2e-3, 0.0))]
+        third = {PlaneStrain: (0.0,), PlaneStress: (5e-3,), Axisymmetric: (1e-3,), Solid: (3e-3,)}[
+            kind
+        ]
+        strains = [
+            InitialStrain("upper", (1e-3, 0.0, *third)),
+            InitialStrain("upper", (0.0, -2e-3, 0.0)),
+        ]
         sides = {"bottom": "y"} if kind is Axisymmetric else {"bottom": "y", "left": "x"}
         sides = {"bottom": "z", "left": "x", "front": "y"} if kind is Solid else sides
-        supports = [Support(f"{body}.{side}", **{c: 0.0}) for body in mesh.bodies for side, c in sides.items()]
+        supports = [
+            Support(f"{body}.{side}", **{c: 0.0})
+            for body in mesh.bodies
+            for side, c in sides.items()
+        ]
         u = solved(mesh, materials, strains, supports, elements)
         lower, points = PARTS[kind.dim]["lower"].n_nodes, PARTS[kind.dim]["upper"].points
         origin = points.min(axis=0) * (np.arange(kind.dim) > 0 if kind is Axisymmetric else 1)
-        np.testing.assert_allclose(u[lower:], (points - origin) * [1e-3, -2e-3, *third][:kind.dim], atol=1e-15)
+        np.testing.assert_allclose(
+            u[lower:], (points - origin) * [1e-3, -2e-3, *third][: kind.dim], atol=1e-15
+        )
         np.testing.assert_allclose(u[:lower], 0.0, atol=1e-30)
         stress = StressData.of(mesh, materials, strains, elements).tensors(mesh, u)
         assert np.abs(stress).max() < 1e-10 * 7e10 * 2e-3
         assert np.abs(full_stress(mesh, materials, u)).max() > 1e-2 * 7e10 * 2e-3
 
-@pytest.mark.parametrize(("stress", "expected"), [
-    (np.diag([5.0, 0, 0]), 5.0), (np.diag([5.0, 0, 1.0]), 5 * np.sqrt(0.84)),  # uniaxial; plane strain with nu = .2
-    ([[0, 0, 2.0], [0, 0, 0], [2.0, 0, 0]], 2 * np.sqrt(3))])
+
+@pytest.mark.parametrize(
+    ("stress", "expected"),
+    [
+        (np.diag([5.0, 0, 0]), 5.0),
+        (np.diag([5.0, 0, 1.0]), 5 * np.sqrt(0.84)),  # uniaxial; plane strain with nu = .2
+        ([[0, 0, 2.0], [0, 0, 0], [2.0, 0, 0]], 2 * np.sqrt(3)),
+    ],
+)
 def test_von_mises(stress, expected):
     assert von_mises(np.array([stress])) == pytest.approx(expected)
 
@@ -230,18 +317,30 @@ def resultants(mesh, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return nodal.sum(axis=0), nodal.T @ mesh.points
 
 
-@pytest.mark.parametrize(("load", "force", "moment"), [
-    (Pressure("top", 3.0), [0.0, -6.0], [[0, 0], [-6.0, -6.0]]),
-    # p = 1 + y on the left: force 3/2 in +x, moment of y: int (1 + y) y = 1/2 + 1/3
-    (Pressure("left", lambda x: 1 + x[:, 1]), [1.5, 0.0], [[0.0, 5 / 6], [0.0, 0.0]]),
-    (Traction("right", (lambda x: x[:, 1], 2.0)), [0.5, 2.0], [[1.0, 1 / 3], [4.0, 1.0]]),
-    # int x = 2, int x^2 = 8/3, int x y = 1; over 2 x 1
-    (BodyForce((lambda x: x[:, 0], -2.0)), [2.0, -4.0], [[8 / 3, 1.0], [-4.0, -2.0]]),
-    # p = x + y on the top, 2 x 3: int p = 6 + 9; int p x = 3*8/3 + 2*4.5; int p y = 2*4.5 + 2*9
-    (Pressure("top", lambda x: x[:, 0] + x[:, 1]), [0, 0, -15.0], [[0, 0, 0], [0, 0, 0], [-17.0, -27.0, -15.0]]),
-    # volume 6: int z = 3, int z x = 3, int z y = 4.5, int z^2 = 2
-    (BodyForce((0.0, lambda x: x[:, 2], 1.0)), [0.0, 3.0, 6.0], [[0, 0, 0], [3.0, 4.5, 2.0], [6.0, 9.0, 3.0]]),
-], ids=["pressure", "linear pressure", "traction", "body force", "pressure 3D", "body force 3D"])
+@pytest.mark.parametrize(
+    ("load", "force", "moment"),
+    [
+        (Pressure("top", 3.0), [0.0, -6.0], [[0, 0], [-6.0, -6.0]]),
+        # p = 1 + y on the left: force 3/2 in +x, moment of y: int (1 + y) y = 1/2 + 1/3
+        (Pressure("left", lambda x: 1 + x[:, 1]), [1.5, 0.0], [[0.0, 5 / 6], [0.0, 0.0]]),
+        (Traction("right", (lambda x: x[:, 1], 2.0)), [0.5, 2.0], [[1.0, 1 / 3], [4.0, 1.0]]),
+        # int x = 2, int x^2 = 8/3, int x y = 1; over 2 x 1
+        (BodyForce((lambda x: x[:, 0], -2.0)), [2.0, -4.0], [[8 / 3, 1.0], [-4.0, -2.0]]),
+        # p = x + y on the top, 2 x 3: int p = 6 + 9; int p x = 3*8/3 + 2*4.5; int p y = 2*4.5 + 2*9
+        (
+            Pressure("top", lambda x: x[:, 0] + x[:, 1]),
+            [0, 0, -15.0],
+            [[0, 0, 0], [0, 0, 0], [-17.0, -27.0, -15.0]],
+        ),
+        # volume 6: int z = 3, int z x = 3, int z y = 4.5, int z^2 = 2
+        (
+            BodyForce((0.0, lambda x: x[:, 2], 1.0)),
+            [0.0, 3.0, 6.0],
+            [[0, 0, 0], [3.0, 4.5, 2.0], [6.0, 9.0, 3.0]],
+        ),
+    ],
+    ids=["pressure", "linear pressure", "traction", "body force", "pressure 3D", "body force 3D"],
+)
 def test_resultants(load, force, moment):
     mesh = FLAT if len(force) == 2 else DEEP
     found = resultants(mesh, load_vector(mesh, [load]))
@@ -250,14 +349,34 @@ def test_resultants(load, force, moment):
 
 
 # the powers of r and z in the volume and at the top come from int r^n dr; k = 2e5
-@pytest.mark.parametrize(("load", "force", "work"), [
-    (Pressure("top", 3e6), [0.0, -3e6 * np.pi * (OUTER**2 - INNER**2)], None),
-    (Pressure("left", 3e6), [3e6 * 2 * np.pi * INNER * HEIGHT, 0.0], None),
-    (BodyForce((0.0, -7e4)), [0.0, -7e4 * measures(RING, True).sum()], None),
-    (InitialStrain("body", (0.0, lambda x: 2e5 * x[:, 0], 0.0)), None,
-     4e5 * np.pi * (3 * STEEL.lame + 2 * STEEL.shear_modulus) * HEIGHT * (OUTER**3 - INNER**3) / 3),
-    (BodyForce((lambda x: 2e5 * x[:, 0], 0.0)), None, 4e5 * np.pi * HEIGHT * (OUTER**4 - INNER**4) / 4),
-    (Traction("top", (0.0, lambda x: 2e5 * x[:, 0])), None, 4e5 * np.pi * HEIGHT * (OUTER**3 - INNER**3) / 3)])
+@pytest.mark.parametrize(
+    ("load", "force", "work"),
+    [
+        (Pressure("top", 3e6), [0.0, -3e6 * np.pi * (OUTER**2 - INNER**2)], None),
+        (Pressure("left", 3e6), [3e6 * 2 * np.pi * INNER * HEIGHT, 0.0], None),
+        (BodyForce((0.0, -7e4)), [0.0, -7e4 * measures(RING, True).sum()], None),
+        (
+            InitialStrain("body", (0.0, lambda x: 2e5 * x[:, 0], 0.0)),
+            None,
+            4e5
+            * np.pi
+            * (3 * STEEL.lame + 2 * STEEL.shear_modulus)
+            * HEIGHT
+            * (OUTER**3 - INNER**3)
+            / 3,
+        ),
+        (
+            BodyForce((lambda x: 2e5 * x[:, 0], 0.0)),
+            None,
+            4e5 * np.pi * HEIGHT * (OUTER**4 - INNER**4) / 4,
+        ),
+        (
+            Traction("top", (0.0, lambda x: 2e5 * x[:, 0])),
+            None,
+            4e5 * np.pi * HEIGHT * (OUTER**3 - INNER**3) / 3,
+        ),
+    ],
+)
 def test_axisymmetric_forces_and_work_of_linear_data_are_exact(load, force, work):
     found = load_vector(RING, [load], STEEL)
     if force is not None:
@@ -278,22 +397,45 @@ ROCK = Solid(young=1.0, poisson=0.2)
 
 EMPTY = replace(FLAT, boundaries=(*FLAT.boundaries, "hole"))
 test_refusals = refused(
-    (lambda: load_vector(FLAT, [Pressure("roof", 1.0)]), "'roof' does not exist; the boundaries are bottom"),
-    (lambda: load_vector(EMPTY, [Pressure("hole", 1.0)]), "'hole' has a name in the mesh but no facets"),
-    (lambda: fixed_dofs(FLAT, [Support("left", x=0.0), Support("bottom", x=1e-3)]),
-     r"'left' and 'bottom' prescribe different x displacements, 0 and 0\.001 m, at their common node 0"),
+    (
+        lambda: load_vector(FLAT, [Pressure("roof", 1.0)]),
+        "'roof' does not exist; the boundaries are bottom",
+    ),
+    (
+        lambda: load_vector(EMPTY, [Pressure("hole", 1.0)]),
+        "'hole' has a name in the mesh but no facets",
+    ),
+    (
+        lambda: fixed_dofs(FLAT, [Support("left", x=0.0), Support("bottom", x=1e-3)]),
+        r"'left' and 'bottom' prescribe different x displacements, 0 and 0\.001 m, at their common node 0",
+    ),
     (lambda: fixed_dofs(FLAT, [Support("wall", x=0.0)]), "'wall' does not exist"),
     (lambda: stiffness(PLATE, ROCK), "the material is 3D, the mesh 2D"),
     (lambda: stiffness(_turned(PLATE), ONE), r"element 5 with nodes .* is inverted or degenerate"),
-    (lambda: stiffness(replace(RING, points=RING.points - [0.15, 0.0]), STEEL),
-     r"lie at radii x >= 0, got x = -0\.05 m"),
-    (lambda: stiffness(BOTH[2], {"lower": ONE}), r"no material for body 'upper'; .*lower, upper, .*lower"),
-    (lambda: stiffness(BOTH[2], {"lower": ONE, "upper": STEEL}),
-     "either all bodies are Axisymmetric or none, got PlaneStrain, Axisym"),
-    (lambda: full_stress(BOTH[2], {"lower": ONE, "upper": 1.0}, np.zeros(BOTH[2].points.shape)), TypeError,
-     r"mapping body name -> one of them, got 1\.0"),
+    (
+        lambda: stiffness(replace(RING, points=RING.points - [0.15, 0.0]), STEEL),
+        r"lie at radii x >= 0, got x = -0\.05 m",
+    ),
+    (
+        lambda: stiffness(BOTH[2], {"lower": ONE}),
+        r"no material for body 'upper'; .*lower, upper, .*lower",
+    ),
+    (
+        lambda: stiffness(BOTH[2], {"lower": ONE, "upper": STEEL}),
+        "either all bodies are Axisymmetric or none, got PlaneStrain, Axisym",
+    ),
+    (
+        lambda: full_stress(BOTH[2], {"lower": ONE, "upper": 1.0}, np.zeros(BOTH[2].points.shape)),
+        TypeError,
+        r"mapping body name -> one of them, got 1\.0",
+    ),
     (lambda: von_mises(np.zeros((3, 2, 2))), r"stress must have shape \(n, 3, 3\)"),
-    (lambda: load_vector(BOTH[3], [BodyForce((0.0, 0.0, 1.0), body="roof")], ROCK),
-     "body 'roof' does not exist; the bodies are lower, upper"),
-    (lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0, 1.0))]),
-     "depends on the elastic constants: give material"))
+    (
+        lambda: load_vector(BOTH[3], [BodyForce((0.0, 0.0, 1.0), body="roof")], ROCK),
+        "body 'roof' does not exist; the bodies are lower, upper",
+    ),
+    (
+        lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0, 1.0))]),
+        "depends on the elastic constants: give material",
+    ),
+)

@@ -1,4 +1,5 @@
-"""Mortar coupling in 3D: consistency, patch test, gaps, visibility; and the polygon kernels below it."""
+"""Mortar coupling in 3D: consistency, patch test, gaps, visibility; and the polygon kernels below
+it."""
 
 import numpy as np
 import pytest
@@ -14,11 +15,19 @@ DOWN, UP = False, True
 
 
 def square(n, seed, *, up, low=(0.0, 0.0), high=(1.0, 1.0), z=0.0):
-    """Random triangulation of a rectangle: points (m, 3) and facets whose normals point along +z or -z."""
+    """Random triangulation of a rectangle: points (m, 3) and facets whose normals point along +z or
+    -z."""
     rng = np.random.default_rng(seed)
     side = np.linspace(0, 1, int(np.sqrt(n)) + 1)[:-1]
-    edges = [np.column_stack(c) for c in ((side, 0 * side), (0 * side + 1, side), (1 - side, 0 * side + 1),
-                                          (0 * side, 1 - side))]
+    edges = [
+        np.column_stack(c)
+        for c in (
+            (side, 0 * side),
+            (0 * side + 1, side),
+            (1 - side, 0 * side + 1),
+            (0 * side, 1 - side),
+        )
+    ]
     plane = np.array(low) + np.concatenate([rng.random((n, 2)), *edges]) * (np.array(high) - low)
     facets = Delaunay(plane).simplices
     corners = plane[facets]
@@ -47,7 +56,8 @@ def lumped(points, facets):
 
 
 def total(interface):
-    """M'1: what a unit pressure on the slave gives on the master (and takes from nodes that are followed)."""
+    """M'1: what a unit pressure on the slave gives on the master (and takes from nodes that are
+    followed)."""
     return interface.coupling.T @ interface.weights
 
 
@@ -70,27 +80,44 @@ def test_matching_meshes_give_the_identity(kind):
     np.testing.assert_allclose(interface.normals, np.tile(interface.normals[0], (n, 1)), atol=1e-14)
 
 
-# the slave covers the same, a smaller or a larger rectangle than the master, or one that sticks out at two sides
-RECTANGLES = [((0, 0), (1, 1)), ((0.1, 0.2), (0.7, 0.9)), ((-0.3, -0.2), (1.4, 1.1)), ((0.35, -0.4), (1.5, 0.8))]
+# the slave covers the same, a smaller or a larger rectangle than the master, or one that sticks out
+# at two sides
+RECTANGLES = [
+    ((0, 0), (1, 1)),
+    ((0.1, 0.2), (0.7, 0.9)),
+    ((-0.3, -0.2), (1.4, 1.1)),
+    ((0.35, -0.4), (1.5, 0.8)),
+]
 
 
 @pytest.mark.parametrize("sizes", [(40, 70), (200, 40)])
 @pytest.mark.parametrize(("low", "high"), RECTANGLES)
 def test_flat_interfaces_pass_the_patch_test(low, high, sizes):
-    flat, slave, master = joined(square(sizes[0], 1, up=DOWN, low=low, high=high, z=0.2), square(sizes[1], 2, up=UP))
+    flat, slave, master = joined(
+        square(sizes[0], 1, up=DOWN, low=low, high=high, z=0.2), square(sizes[1], 2, up=UP)
+    )
     points = rigid(flat, 5)
     interface = couple(points, slave, master)
     assert np.abs(interface.coupling.sum(axis=1) - 1).max() < 1e-12
-    # linear fields are reproduced: the opposite point of a slave node is its projection, also outside the master
-    np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-12)
+    # linear fields are reproduced: the opposite point of a slave node is its projection, also
+    # outside the master
+    np.testing.assert_allclose(
+        (interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-12
+    )
     np.testing.assert_allclose(interface.gaps, 0.2, rtol=1e-12)
     covered = np.prod(np.minimum(high, 1.0) - np.maximum(low, 0.0))
     assert interface.weights.sum() == pytest.approx(covered, rel=1e-12) == total(interface).sum()
-    # forces on the master: resultant, moments, and each one where the slave covers all that touches the node
-    forces, middle = total(interface), np.mean([np.minimum(high, 1.0), np.maximum(low, 0.0)], axis=0)
+    # forces on the master: resultant, moments, and each one where the slave covers all that touches
+    # the node
+    forces, middle = (
+        total(interface),
+        np.mean([np.minimum(high, 1.0), np.maximum(low, 0.0)], axis=0),
+    )
     np.testing.assert_allclose(forces @ flat[:, :2], covered * middle, atol=1e-12)
     within = ((flat[:, :2] >= low) & (flat[:, :2] <= high)).all(axis=1)
-    alone = np.setdiff1d(np.unique(master[within[master].all(axis=1)]), master[~within[master].all(axis=1)])
+    alone = np.setdiff1d(
+        np.unique(master[within[master].all(axis=1)]), master[~within[master].all(axis=1)]
+    )
     assert len(alone) >= 3
     np.testing.assert_allclose(forces[alone], lumped(flat, master)[alone], atol=1e-12)
 
@@ -106,8 +133,11 @@ def test_excluded_nodes_are_followed(count):
     columns = np.unique(interface.coupling.nonzero()[1])
     assert np.isin(columns, np.r_[excluded, np.arange(n, len(points))]).all()
     assert np.abs(interface.coupling.sum(axis=1) - 1).max() < 1e-12
-    np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-12)
-    # a unit pressure on what has a multiplier left: the forces on both sides have the same sum and moment
+    np.testing.assert_allclose(
+        (interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-12
+    )
+    # a unit pressure on what has a multiplier left: the forces on both sides have the same sum and
+    # moment
     carried = slave[~np.isin(slave, excluded).all(axis=1)]
     forces = total(interface)
     on_slave = lumped(points, carried)
@@ -121,10 +151,12 @@ def test_excluded_nodes_are_followed(count):
 
 
 def test_a_plane_gap_is_exact_at_the_nodes():
-    flat, slave, master = joined(square(60, 3, up=DOWN), square(60, 4, up=UP, low=(-0.2, -0.2), high=(0.8, 1.3)))
+    flat, slave, master = joined(
+        square(60, 3, up=DOWN), square(60, 4, up=UP, low=(-0.2, -0.2), high=(0.8, 1.3))
+    )
     points = flat.copy()
     height = -0.2 + 0.3 * flat[:, 0] - 0.1 * flat[:, 1]
-    points[slave.max() + 1:, 2] = height[slave.max() + 1:]
+    points[slave.max() + 1 :, 2] = height[slave.max() + 1 :]
     interface = couple(rigid(points, 2), slave, master)
     np.testing.assert_allclose(interface.gaps, -height[interface.nodes], atol=1e-12)
 
@@ -132,7 +164,9 @@ def test_a_plane_gap_is_exact_at_the_nodes():
 def ball(n, radius, turn=0.0):
     i = np.arange(n) + 0.5
     polar, around = np.arccos(1 - 2 * i / n), np.pi * (1 + np.sqrt(5)) * i + turn
-    points = np.column_stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)])
+    points = np.column_stack(
+        [np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)]
+    )
     facets = ConvexHull(points).simplices
     inward = np.linalg.det(points[facets]) < 0
     return radius * points, np.where(inward[:, None], facets[:, ::-1], facets)
@@ -141,7 +175,11 @@ def ball(n, radius, turn=0.0):
 def test_closed_surfaces_are_covered_on_every_side():
     inner, outer = ball(400, 1.0), ball(600, 1.05, 1.0)
     outer = outer[0], outer[1][:, ::-1]
-    for slave, master, sign in ((inner, outer, 1), (outer, inner, 1), (inner, (0.9 * outer[0], outer[1]), -1)):
+    for slave, master, sign in (
+        (inner, outer, 1),
+        (outer, inner, 1),
+        (inner, (0.9 * outer[0], outer[1]), -1),
+    ):
         points, first, second = joined(slave, master)
         interface = couple(points, first, second)
         assert len(interface) == len(slave[0])
@@ -151,14 +189,17 @@ def test_closed_surfaces_are_covered_on_every_side():
 
 
 def test_any_soup_of_masters_is_sorted_by_sight():
-    """Random triangles over one slave triangle: area and mean gap are those of the nearest, sampled."""
+    """Random triangles over one slave triangle: area and mean gap are those of the nearest,
+    sampled."""
     rng = np.random.default_rng(3)
     slave = np.array([[0.0, 0, 0], [0, 1, 0], [1, 0, 0]])
     bary = np.array([(i, j, 119 - i - j) for i in range(120) for j in range(120 - i)]) / 119
     at = (0.98 * bary + 0.02 / 3) @ slave[[0, 2, 1], :2]
     for _ in range(20):
         k = rng.integers(1, 12)
-        corners = np.concatenate([rng.uniform(-0.4, 1.2, (k, 3, 2)), rng.uniform(-0.3, -0.1, (k, 3, 1))], axis=2)
+        corners = np.concatenate(
+            [rng.uniform(-0.4, 1.2, (k, 3, 2)), rng.uniform(-0.3, -0.1, (k, 3, 1))], axis=2
+        )
         vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         corners[vectors[:, 2] < 0] = corners[vectors[:, 2] < 0][:, ::-1]
         points = np.concatenate([slave, corners.reshape(-1, 3)])
@@ -172,7 +213,9 @@ def test_any_soup_of_masters_is_sorted_by_sight():
         # the normal of the slave is -z: height 0 looking down on the masters
         interface = couple(points, np.array([[0, 1, 2]]), 3 + np.arange(3 * k).reshape(k, 3))
         assert interface.weights.sum() == pytest.approx(0.5 * seen.mean(), abs=0.01)
-        assert interface.weights @ interface.gaps == pytest.approx(0.5 * np.where(seen, nearest, 0).mean(), abs=0.005)
+        assert interface.weights @ interface.gaps == pytest.approx(
+            0.5 * np.where(seen, nearest, 0).mean(), abs=0.005
+        )
 
 
 def facing(height, reach=None, turn=1):
@@ -193,15 +236,26 @@ def inward():
 
 
 test_refused = refused(
-    (lambda: facing(-0.2, 0.19), NEVER_FACING), (lambda: facing(0.8), NEVER_FACING),
-    (lambda: facing(-0.2, turn=-1), NEVER_FACING), (inward, "normals must point out"),
-    (lambda: couple(*joined(square(9, 1, up=DOWN, low=(5, 0), high=(6, 1)), square(9, 2, up=UP, z=-0.1))),
-     NEVER_FACING))
+    (lambda: facing(-0.2, 0.19), NEVER_FACING),
+    (lambda: facing(0.8), NEVER_FACING),
+    (lambda: facing(-0.2, turn=-1), NEVER_FACING),
+    (inward, "normals must point out"),
+    (
+        lambda: couple(
+            *joined(square(9, 1, up=DOWN, low=(5, 0), high=(6, 1)), square(9, 2, up=UP, z=-0.1))
+        ),
+        NEVER_FACING,
+    ),
+)
 
 
 def test_a_narrow_strip_of_coverage_is_stable():
-    flat, slave, master = joined(square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1), high=(1e-6, 1.1)))
+    flat, slave, master = joined(
+        square(30, 7, up=DOWN, z=0.1), square(30, 8, up=UP, low=(-1, -0.1), high=(1e-6, 1.1))
+    )
     interface = couple(rigid(flat, 3), slave, master)
-    np.testing.assert_allclose((interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-10)
+    np.testing.assert_allclose(
+        (interface.coupling @ flat)[:, :2], flat[interface.nodes, :2], atol=1e-10
+    )
     np.testing.assert_allclose(interface.gaps, 0.1, atol=1e-10)
     assert interface.weights.sum() == pytest.approx(1e-6, rel=1e-2)

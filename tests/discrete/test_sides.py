@@ -11,31 +11,57 @@ from adaptmg.discrete.sides import with_sides
 
 
 def pair(contrast, slave="upper.bottom", master="lower.top", finer="lower", sides="auto", **others):
-    """A block pressed on a wider one of the same modulus over ``contrast``, meshed finely where ``finer`` says."""
+    """A block pressed on a wider one of the same modulus over ``contrast``, meshed finely where
+    ``finer`` says."""
     problem = am.ContactProblem(
-        domain=am.Assembly(parts={"upper": am.Rectangle(width=30e-3, height=20e-3, origin=(15e-3, 0.0)),
-                                  "lower": am.Rectangle(width=60e-3, height=30e-3, origin=(0.0, -30e-3))}),
-        material={"upper": am.PlaneStrain(young=2e11, poisson=0.3),
-                  "lower": am.PlaneStrain(young=2e11 / contrast, poisson=0.3)},
-        contact=am.ContactPair(slave, master, sides=sides), law=am.Coulomb(0.3), loads=(am.Pressure("upper.top", 1e4),),
-        supports=(am.Support("lower.bottom", x=0.0, y=0.0),), **others)
-    return problem, [{"upper": size, "lower": size} | {finer: size / 1.5} for size in (8e-3, 4e-3, 2e-3)]
+        domain=am.Assembly(
+            parts={
+                "upper": am.Rectangle(width=30e-3, height=20e-3, origin=(15e-3, 0.0)),
+                "lower": am.Rectangle(width=60e-3, height=30e-3, origin=(0.0, -30e-3)),
+            }
+        ),
+        material={
+            "upper": am.PlaneStrain(young=2e11, poisson=0.3),
+            "lower": am.PlaneStrain(young=2e11 / contrast, poisson=0.3),
+        },
+        contact=am.ContactPair(slave, master, sides=sides),
+        law=am.Coulomb(0.3),
+        loads=(am.Pressure("upper.top", 1e4),),
+        supports=(am.Support("lower.bottom", x=0.0, y=0.0),),
+        **others,
+    )
+    return problem, [
+        {"upper": size, "lower": size} | {finer: size / 1.5} for size in (8e-3, 4e-3, 2e-3)
+    ]
 
 
-@pytest.mark.parametrize(("contrast", "finer", "slave"), [
-    (1e3, "upper", "lower.top"), (1e-3, "lower", "upper.bottom"), (1.5, "upper", "upper.bottom"),
-    (0.7, "lower", "lower.top")])
+@pytest.mark.parametrize(
+    ("contrast", "finer", "slave"),
+    [
+        (1e3, "upper", "lower.top"),
+        (1e-3, "lower", "upper.bottom"),
+        (1.5, "upper", "upper.bottom"),
+        (0.7, "lower", "lower.top"),
+    ],
+)
 def test_auto_takes_the_softer_then_the_finer_side_either_way_written(contrast, finer, slave):
-    made = [am.Hierarchy.graded(*pair(contrast, *names, finer))
-            for names in (("upper.bottom", "lower.top"), ("lower.top", "upper.bottom"))]
+    made = [
+        am.Hierarchy.graded(*pair(contrast, *names, finer))
+        for names in (("upper.bottom", "lower.top"), ("lower.top", "upper.bottom"))
+    ]
     results = [am.solve(grids) for grids in made]
     for grids, result in zip(made, results, strict=True):
-        assert result.contact.names == grids.problem.contact_boundaries == (slave,) and result.cycles <= 15
+        assert (
+            result.contact.names == grids.problem.contact_boundaries == (slave,)
+            and result.cycles <= 15
+        )
         up, down = (result.resultant(name).force for name in ("upper.bottom", "lower.top"))
         assert up == pytest.approx([0.0, 300.0], abs=0.1) and down == pytest.approx(-up, abs=1e-6)
         assert (result.contact.force_n >= 0).all()
     np.testing.assert_array_equal(results[0].displacement, results[1].displacement)
-    assert am.discretise(pair(contrast, finer=finer)[0], made[0].finest.mesh).contact.names == (slave,)
+    assert am.discretise(pair(contrast, finer=finer)[0], made[0].finest.mesh).contact.names == (
+        slave,
+    )
 
 
 def test_another_contrast_on_the_same_meshes_exchanges_the_sides():
@@ -47,8 +73,14 @@ def test_another_contrast_on_the_same_meshes_exchanges_the_sides():
     np.testing.assert_array_equal(am.solve(again).displacement, am.solve(fresh).displacement)
 
 
-@pytest.mark.parametrize("held", [{"supports": (am.Support("lower.bottom", x=0, y=0), am.Support("lower.top", x=0))},
-                                  {"ties": am.Tied("lower.top", "lower.bottom")}], ids=["support", "tie"])
+@pytest.mark.parametrize(
+    "held",
+    [
+        {"supports": (am.Support("lower.bottom", x=0, y=0), am.Support("lower.top", x=0))},
+        {"ties": am.Tied("lower.top", "lower.bottom")},
+    ],
+    ids=["support", "tie"],
+)
 def test_a_master_that_a_support_or_tie_holds_stays_master(held):
     problem, sizes = pair(1e3)
     meshes = [level.mesh for level in am.Hierarchy.graded(problem, sizes[:1]).levels]
@@ -57,10 +89,16 @@ def test_a_master_that_a_support_or_tie_holds_stays_master(held):
 
 
 def test_a_given_slave_much_stiffer_than_its_master_is_warned_of():
-    for contrast, sides, loud in ((9.0, "given", False), (11.0, "given", True), (11.0, "auto", False)):
+    for contrast, sides, loud in (
+        (9.0, "given", False),
+        (11.0, "given", True),
+        (11.0, "auto", False),
+    ):
         problem, sizes = pair(contrast, sides=sides)
         grids = am.Hierarchy.graded(problem, sizes[:2])
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             am.solve(grids)
-        assert ["11 times stiffer" in str(one.message) and one.filename == __file__ for one in caught] == [True] * loud
+        assert [
+            "11 times stiffer" in str(one.message) and one.filename == __file__ for one in caught
+        ] == [True] * loud

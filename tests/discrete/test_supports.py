@@ -1,4 +1,5 @@
-"""Springs, supports at points, planes of symmetry; supports that hold contact nodes, where friction acts too."""
+"""Springs, supports at points, planes of symmetry; supports that hold contact nodes, where friction
+acts too."""
 
 from dataclasses import replace
 
@@ -19,14 +20,21 @@ FAR = am.Coulomb(0.3)
 
 
 def on_springs(kind: type) -> am.ContactProblem:
-    """A block that is pressed on springs, free to widen: its stress is uniform, its foot sinks by p / k."""
+    """A block that is pressed on springs, free to widen: its stress is uniform, its foot sinks by p
+    / k."""
     dim = 3 if kind is am.Solid else 2
     domain = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
     sides = ("left", "front") if dim == 3 else ("left",)
     return am.ContactProblem(
-        material=kind(young=E, poisson=0.25), domain=domain, law=FAR, loads=[am.Pressure("top", PRESSURE)],
-        contact=am.Contact("right", am.Plane((2.0, *[0.0] * (dim - 1)), (-1.0, *[0.0] * (dim - 1)))),
-        supports=[am.Spring("bottom", normal=STIFF), *map(am.Symmetry, sides)])
+        material=kind(young=E, poisson=0.25),
+        domain=domain,
+        law=FAR,
+        loads=[am.Pressure("top", PRESSURE)],
+        contact=am.Contact(
+            "right", am.Plane((2.0, *[0.0] * (dim - 1)), (-1.0, *[0.0] * (dim - 1)))
+        ),
+        supports=[am.Spring("bottom", normal=STIFF), *map(am.Symmetry, sides)],
+    )
 
 
 @pytest.mark.parametrize("kind", [am.PlaneStress, am.Axisymmetric, am.Solid])
@@ -38,12 +46,19 @@ def test_springs_carry_a_uniform_stress_exactly(kind, tmp_path):
     foot = grids.finest.mesh.boundary_nodes("bottom")
     np.testing.assert_allclose(result.displacement[foot, -1], -PRESSURE / STIFF, rtol=1e-9)
     under = result.resultant("bottom", about=[0.5] * (problem.dim - 1) + [0.0])
-    np.testing.assert_allclose(under.force, [0.0] * (problem.dim - 1) + [PRESSURE * area], atol=1e-6 * PRESSURE)
+    np.testing.assert_allclose(
+        under.force, [0.0] * (problem.dim - 1) + [PRESSURE * area], atol=1e-6 * PRESSURE
+    )
     if kind is not am.Axisymmetric:
         np.testing.assert_allclose(under.moment, 0.0, atol=1e-6 * PRESSURE)
     assert result.certificate()["balance"].relative < 1e-9
     assert am.Residual().indicate(grids, result).relative < 1e-6
-    assert am.Goal(am.MeanDisplacement("bottom", "xyz"[problem.dim - 1])).indicate(grids, result).relative < 1e-6
+    assert (
+        am.Goal(am.MeanDisplacement("bottom", "xyz"[problem.dim - 1]))
+        .indicate(grids, result)
+        .relative
+        < 1e-6
+    )
     result.save(tmp_path / "run.npz")
     assert am.Result.load(tmp_path / "run.npz").springs == result.springs
     matrix = grids.finest.matrix.toarray()
@@ -51,8 +66,11 @@ def test_springs_carry_a_uniform_stress_exactly(kind, tmp_path):
 
 
 def test_springs_across_and_at_points_hold_a_body():
-    problem = replace(on_springs(am.PlaneStress), supports=[am.Spring("bottom", normal=STIFF, tangential=2e8)],
-                      loads=[am.Traction("top", (1e4, 0.0))])
+    problem = replace(
+        on_springs(am.PlaneStress),
+        supports=[am.Spring("bottom", normal=STIFF, tangential=2e8)],
+        loads=[am.Traction("top", (1e4, 0.0))],
+    )
     result = am.solve(am.Hierarchy.uniform(problem, (4, 8)), am.Multigrid(rtol=1e-11))
     assert result.resultant("bottom").force == pytest.approx([-1e4, 0.0], abs=1e-2)
     # far softer than the body, and the statics see them
@@ -60,8 +78,12 @@ def test_springs_across_and_at_points_hold_a_body():
     posed = replace(problem, supports=soft, loads=[am.Traction("top", (0.0, -1.0))])
     check_statics(am.discretise(posed, structured(posed.domain, 4)))
     with pytest.raises(ValueError, match=r"rotation about \(0, 1\)"):
-        check_statics(am.discretise(replace(posed, law=am.Frictionless(), supports=[am.PointSpring((0, 1), y=10.0)]),
-                                    structured(posed.domain, 4)))
+        check_statics(
+            am.discretise(
+                replace(posed, law=am.Frictionless(), supports=[am.PointSpring((0, 1), y=10.0)]),
+                structured(posed.domain, 4),
+            )
+        )
     hung = am.solve(am.Hierarchy.uniform(posed, (4, 8)), am.Multigrid())
     assert hung.resultant("point (1, 0)", about=(1, 0)).force == pytest.approx([0, 0.5], rel=1e-4)
     np.testing.assert_allclose(hung.displacement.mean(axis=0), [0.0, -0.05], atol=1e-6)
@@ -70,21 +92,43 @@ def test_springs_across_and_at_points_hold_a_body():
 def test_point_supports_hold_one_node_symmetry_one_component():
     problem = on_springs(am.PlaneStress)
     mesh = structured(problem.domain, 4)
-    np.testing.assert_array_equal(*(fixed_dofs(mesh, [one]) for one in (am.Symmetry("left"), am.Support("left", x=0))))
+    np.testing.assert_array_equal(
+        *(fixed_dofs(mesh, [one]) for one in (am.Symmetry("left"), am.Support("left", x=0)))
+    )
     held, values = fixed_dofs(mesh, [am.PointSupport((0.25, 1.0), y=1e-3)])
     node = int(np.flatnonzero(held)[0]) // 2
-    assert held.sum() == 1 and mesh.points[node].tolist() == [0.25, 1.0] and values[2 * node + 1] == 1e-3
-    hung = replace(problem, supports=[am.PointSupport((0, 1), x=0.0, y=1e-3), am.PointSupport((1, 1), y=1e-3)])
-    path = am.solve_path(am.Hierarchy.uniform(hung, (2, 4)),
-                         am.LoadPath({"point (0, 1)": [1, 2], "point (1, 1)": [1, 2]}), am.Multigrid(rtol=1e-11))
-    np.testing.assert_allclose(path[1].displacement - path[0].displacement, [[0.0, 1e-3]] * 25, atol=1e-10)
+    assert (
+        held.sum() == 1
+        and mesh.points[node].tolist() == [0.25, 1.0]
+        and values[2 * node + 1] == 1e-3
+    )
+    hung = replace(
+        problem, supports=[am.PointSupport((0, 1), x=0.0, y=1e-3), am.PointSupport((1, 1), y=1e-3)]
+    )
+    path = am.solve_path(
+        am.Hierarchy.uniform(hung, (2, 4)),
+        am.LoadPath({"point (0, 1)": [1, 2], "point (1, 1)": [1, 2]}),
+        am.Multigrid(rtol=1e-11),
+    )
+    np.testing.assert_allclose(
+        path[1].displacement - path[0].displacement, [[0.0, 1e-3]] * 25, atol=1e-10
+    )
     assert path[0].reaction[:, 1].sum() == pytest.approx(PRESSURE)
 
 
-@pytest.mark.parametrize("domain", [
-    am.Rectangle(width=1, height=1), am.Cut(am.Rectangle(width=1, height=1), am.Circle((0.5, 0.5), 0.2, "hole"))])
+@pytest.mark.parametrize(
+    "domain",
+    [
+        am.Rectangle(width=1, height=1),
+        am.Cut(am.Rectangle(width=1, height=1), am.Circle((0.5, 0.5), 0.2, "hole")),
+    ],
+)
 def test_graded_meshes_have_a_node_at_a_point_support(domain):
-    held = (am.PointSupport((0.37, 1.0), x=0.0), am.PointSpring((1.0, 0.61), x=1.0), am.PointSupport((0.0, 1.0), x=0.0))
+    held = (
+        am.PointSupport((0.37, 1.0), x=0.0),
+        am.PointSpring((1.0, 0.61), x=1.0),
+        am.PointSupport((0.0, 1.0), x=0.0),
+    )
     problem = replace(on_springs(am.PlaneStress), domain=domain, supports=held)
     mesh = am.Hierarchy.graded(problem, [0.3]).finest.mesh
     assert all(np.linalg.norm(mesh.points - one.point, axis=1).min() < 1e-12 for one in held)
@@ -92,9 +136,13 @@ def test_graded_meshes_have_a_node_at_a_point_support(domain):
 
 
 def test_a_body_moved_along_the_obstacle_is_solved():
-    problem = replace(on_springs(am.PlaneStress), loads=(), law=am.Coulomb(0.3), supports=(
-        am.PointSupport((0, 1), x=1e-5, y=0.0), am.PointSupport((1, 1), y=0.0)),
-                      contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))))
+    problem = replace(
+        on_springs(am.PlaneStress),
+        loads=(),
+        law=am.Coulomb(0.3),
+        supports=(am.PointSupport((0, 1), x=1e-5, y=0.0), am.PointSupport((1, 1), y=0.0)),
+        contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))),
+    )
     result = am.solve(am.Hierarchy.uniform(problem, (2, 4)))
     np.testing.assert_allclose(result.displacement, [[1e-5, 0.0]] * 25, atol=1e-15)
 
@@ -105,18 +153,44 @@ test_refused = refused(
     (lambda: am.PointSpring((0, 0), x=np.nan), "x must be"),
     (lambda: am.PointSupport((0, 0)), r"'point \(0, 0\)' holds nothing"),
     (lambda: am.PointSupport((0,), x=0.0), "2 or 3 components"),
-    (lambda: replace(on_springs(am.Solid), supports=[am.PointSupport((0, 0), x=0.0)]), "2 components in a 3D problem"),
-    (lambda: replace(on_springs(am.PlaneStress), supports=[am.Spring("foot", normal=1.0)]),
-     "'foot', used for a support"),
-    (lambda: fixed_dofs(structured(am.Rectangle(width=1, height=1), 4), [am.PointSupport((0.3, 0), x=0.0)]),
-     "nearest one 0.05 m away"),
-    (lambda: am.Hierarchy.graded(replace(on_springs(am.PlaneStress), domain=am.Cut(
-        am.Rectangle(width=1, height=1), am.Circle((0.5, 0.5), 0.2)), supports=[am.Symmetry("circle")]), [0.2]),
-     "support on 'circle' holds its normal, and the boundary is not plane"),
-    (lambda: fixed_dofs(structured(am.Rectangle(width=1, height=1), 4), [am.Support("left", x=0, normal=0)]),
-     "prescribes x, which is its normal displacement, twice"),
-    (lambda: inclined_supports(sheared(2, 0)[0], [am.Support("left", normal=1e-3), am.Support("bottom", x=0, y=0)]),
-     "supports on 'left', 'bottom' contradict each other at their common node 0"))
+    (
+        lambda: replace(on_springs(am.Solid), supports=[am.PointSupport((0, 0), x=0.0)]),
+        "2 components in a 3D problem",
+    ),
+    (
+        lambda: replace(on_springs(am.PlaneStress), supports=[am.Spring("foot", normal=1.0)]),
+        "'foot', used for a support",
+    ),
+    (
+        lambda: fixed_dofs(
+            structured(am.Rectangle(width=1, height=1), 4), [am.PointSupport((0.3, 0), x=0.0)]
+        ),
+        "nearest one 0.05 m away",
+    ),
+    (
+        lambda: am.Hierarchy.graded(
+            replace(
+                on_springs(am.PlaneStress),
+                domain=am.Cut(am.Rectangle(width=1, height=1), am.Circle((0.5, 0.5), 0.2)),
+                supports=[am.Symmetry("circle")],
+            ),
+            [0.2],
+        ),
+        "support on 'circle' holds its normal, and the boundary is not plane",
+    ),
+    (
+        lambda: fixed_dofs(
+            structured(am.Rectangle(width=1, height=1), 4), [am.Support("left", x=0, normal=0)]
+        ),
+        "prescribes x, which is its normal displacement, twice",
+    ),
+    (
+        lambda: inclined_supports(
+            sheared(2, 0)[0], [am.Support("left", normal=1e-3), am.Support("bottom", x=0, y=0)]
+        ),
+        "supports on 'left', 'bottom' contradict each other at their common node 0",
+    ),
+)
 
 
 def sheared(dim, seed):
@@ -124,7 +198,11 @@ def sheared(dim, seed):
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
     turn[0] *= np.linalg.det(turn)
-    matrix = 10.0 ** rng.uniform(-2, 1) * turn @ (np.eye(dim) + np.triu(rng.uniform(-0.7, 0.7, (dim, dim)), 1))
+    matrix = (
+        10.0 ** rng.uniform(-2, 1)
+        * turn
+        @ (np.eye(dim) + np.triu(rng.uniform(-0.7, 0.7, (dim, dim)), 1))
+    )
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
     meshes = [structured(unit, n) for n in ((2, 4) if dim == 3 else (2, 4, 8))]
     return [replace(one, points=one.points @ matrix.T, source=None) for one in meshes]
@@ -134,29 +212,41 @@ def sheared(dim, seed):
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("dim", [2, 3])
 def test_inclined_rollers_carry_a_uniform_pressure_exactly(dim, seed, touching):
-    """Under one pressure all around, a body between planes through the origin shrinks towards it. One of the planes may
-    be an obstacle, which the others meet obliquely."""
+    """Under one pressure all around, a body between planes through the origin shrinks towards it.
+    One of the planes may be an obstacle, which the others meet obliquely."""
     meshes = sheared(dim, seed)
     young, nu, pressure = 1e7, 0.3, 1e3
     sides, others = (("left", "bottom", "front"), ("top", "right", "back"))
     problem = am.ContactProblem(
-        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=young, poisson=nu),           # and no contact
+        material=(am.Solid if dim == 3 else am.PlaneStrain)(
+            young=young, poisson=nu
+        ),  # and no contact
         loads=[am.Pressure(name, pressure) for name in others[:dim]],
-        supports=[am.Symmetry("left"), *(am.Support(name, normal=0) for name in sides[1:dim])])
+        supports=[am.Symmetry("left"), *(am.Support(name, normal=0) for name in sides[1:dim])],
+    )
     if touching:
         floor = am.Plane([0] * dim, -meshes[0].surface("bottom").normals[0])
-        problem = replace(problem, contact=am.Contact("bottom", floor), law=am.Frictionless(), supports=[
-            one for one in problem.supports if one.boundary != "bottom"])
+        problem = replace(
+            problem,
+            contact=am.Contact("bottom", floor),
+            law=am.Frictionless(),
+            supports=[one for one in problem.supports if one.boundary != "bottom"],
+        )
     grids = am.Hierarchy.from_meshes(problem, meshes)
     shrinks = pressure * (1 - 2 * nu) * (1 if dim == 3 else 1 + nu) / young
     for method in (am.Multigrid(rtol=1e-11), am.FullMultigrid(rtol=1e-11), EXACT):
         result = am.solve(grids, method)
-        np.testing.assert_allclose(result.displacement, -shrinks * meshes[-1].points, atol=1e-9 * shrinks *
-                                   np.abs(meshes[-1].points).max())
+        np.testing.assert_allclose(
+            result.displacement,
+            -shrinks * meshes[-1].points,
+            atol=1e-9 * shrinks * np.abs(meshes[-1].points).max(),
+        )
     surfaces = [meshes[-1].surface(name) for name in sides[:dim]]
     forces = np.array([result.resultant(name).force for name in sides[:dim]])
     expected = -pressure * np.array([surface.vectors.sum(axis=0) for surface in surfaces])
-    if touching:  # what an oblique guide bears of contact at their common nodes counts as that of the guide
+    if (
+        touching
+    ):  # what an oblique guide bears of contact at their common nodes counts as that of the guide
         forces, expected = forces.sum(axis=0), expected.sum(axis=0)
     np.testing.assert_allclose(forces, expected, atol=1e-6 * pressure * surfaces[0].measures.sum())
     for indicator in () if touching else (am.Residual(), am.Goal(am.MeanDisplacement("top", 0))):
@@ -168,9 +258,12 @@ def pressed(dim, **changes):
     names = "left", *["front"] * (dim == 3)
     bottom = np.eye(dim)[-1]
     problem = am.ContactProblem(
-        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=1e7, poisson=0.3), law=am.Coulomb(0.3),
-        contact=am.Contact("bottom", am.Plane(np.zeros(dim), bottom)), loads=(am.Pressure("right", -2e4),),
-        supports=(*map(am.Symmetry, names), am.Support("top", normal=-2e-3)))
+        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=1e7, poisson=0.3),
+        law=am.Coulomb(0.3),
+        contact=am.Contact("bottom", am.Plane(np.zeros(dim), bottom)),
+        loads=(am.Pressure("right", -2e4),),
+        supports=(*map(am.Symmetry, names), am.Support("top", normal=-2e-3)),
+    )
     return replace(problem, **changes)
 
 
@@ -185,64 +278,124 @@ def test_supports_along_normals_turn_with_the_body(dim, seed):
     straight = am.Hierarchy.from_meshes(pressed(dim), meshes)
     turned = am.Hierarchy.from_meshes(
         pressed(dim, contact=am.Contact("bottom", am.Plane(shift, turn[:, -1]))),
-        [replace(one, points=one.points @ turn.T + shift, source=None) for one in meshes])
+        [replace(one, points=one.points @ turn.T + shift, source=None) for one in meshes],
+    )
     path = am.LoadPath({"top": [1.0, 1.0, 0.5], "right": [0.0, 1.0, 0.5]})
     one, other = (am.solve_path(grids, path, EXACT) for grids in (straight, turned))
-    steps = [am.solve_path(turned, path, method) for method in (am.Multigrid(rtol=1e-10), am.FullMultigrid())]
+    steps = [
+        am.solve_path(turned, path, method)
+        for method in (am.Multigrid(rtol=1e-10), am.FullMultigrid())
+    ]
     for k in range(3):
         size = np.abs(one[k].displacement).max()
-        np.testing.assert_allclose(other[k].displacement @ turn, one[k].displacement, atol=1e-8 * size)
+        np.testing.assert_allclose(
+            other[k].displacement @ turn, one[k].displacement, atol=1e-8 * size
+        )
         np.testing.assert_array_equal(other[k].contact.state, one[k].contact.state)
         for path_of in steps:
-            np.testing.assert_allclose(path_of[k].displacement, other[k].displacement, atol=1e-6 * size)
+            np.testing.assert_allclose(
+                path_of[k].displacement, other[k].displacement, atol=1e-6 * size
+            )
         norms = [result[k].certificate().energy_norm for result in (one, other)]
         assert norms[0] == pytest.approx(norms[1], rel=1e-8)
         for name in ("left", "top", "bottom"):
             force = one[k].resultant(name).force
-            np.testing.assert_allclose(other[k].resultant(name).force @ turn, force, atol=1e-5 * np.linalg.norm(force))
-        estimates = [am.Residual().indicate(replace(grids, problem=am.problem.step_problem(
-            grids.problem, {name: path.factors[name][k] for name in path.factors})), found[k]).total
-            for grids, found in ((straight, one), (turned, other))]
+            np.testing.assert_allclose(
+                other[k].resultant(name).force @ turn, force, atol=1e-5 * np.linalg.norm(force)
+            )
+        estimates = [
+            am.Residual()
+            .indicate(
+                replace(
+                    grids,
+                    problem=am.problem.step_problem(
+                        grids.problem, {name: path.factors[name][k] for name in path.factors}
+                    ),
+                ),
+                found[k],
+            )
+            .total
+            for grids, found in ((straight, one), (turned, other))
+        ]
         assert estimates[0] == pytest.approx(estimates[1], rel=1e-5)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_pairs_between_planes_of_symmetry_turn_with_the_bodies(dim):
-    box, sides = (am.Box, ("left", "front", "bottom")) if dim == 3 else (am.Rectangle, ("left", "bottom"))
-    parts = {name: box(origin=(*[0.0] * (dim - 1), low), width=wide, height=0.5, **({"depth": 1.0} if dim == 3 else {}))
-             for name, low, wide in (("upper", 0.0, 1.0), ("lower", -0.5, 1.5))}
-    problem = pressed(dim, contact=am.ContactPair("upper.bottom", "lower.top"), supports=tuple(
-        am.Symmetry(f"{body}.{side}") for body in parts for side in sides if (body, side) != ("upper", "bottom")),
-        loads=(am.Pressure("upper.top", 1e4), am.Pressure("upper.right", -3e3)))
+    box, sides = (
+        (am.Box, ("left", "front", "bottom")) if dim == 3 else (am.Rectangle, ("left", "bottom"))
+    )
+    parts = {
+        name: box(
+            origin=(*[0.0] * (dim - 1), low),
+            width=wide,
+            height=0.5,
+            **({"depth": 1.0} if dim == 3 else {}),
+        )
+        for name, low, wide in (("upper", 0.0, 1.0), ("lower", -0.5, 1.5))
+    }
+    problem = pressed(
+        dim,
+        contact=am.ContactPair("upper.bottom", "lower.top"),
+        supports=tuple(
+            am.Symmetry(f"{body}.{side}")
+            for body in parts
+            for side in sides
+            if (body, side) != ("upper", "bottom")
+        ),
+        loads=(am.Pressure("upper.top", 1e4), am.Pressure("upper.right", -3e3)),
+    )
     meshes = [structured(am.Assembly(parts=parts), {"upper": n, "lower": n + 1}) for n in (2, 4)]
     turn = np.linalg.qr(np.random.default_rng(dim).standard_normal((dim, dim)))[0]
     turn[0] *= np.linalg.det(turn)
-    one, grids = (am.Hierarchy.from_meshes(problem, [replace(mesh, points=mesh.points @ each.T, source=None)
-                                                     for mesh in meshes]) for each in (np.eye(dim), turn))
+    one, grids = (
+        am.Hierarchy.from_meshes(
+            problem, [replace(mesh, points=mesh.points @ each.T, source=None) for mesh in meshes]
+        )
+        for each in (np.eye(dim), turn)
+    )
     expected, found = am.solve(one, EXACT), am.solve(grids, EXACT)
     size = np.abs(expected.displacement).max()
     np.testing.assert_allclose(found.displacement @ turn, expected.displacement, atol=1e-10 * size)
-    np.testing.assert_allclose(am.solve(grids, am.Multigrid(rtol=1e-9)).displacement, found.displacement,
-                               atol=1e-6 * size)
+    np.testing.assert_allclose(
+        am.solve(grids, am.Multigrid(rtol=1e-9)).displacement, found.displacement, atol=1e-6 * size
+    )
     path = am.LoadPath({"upper.top": 1.0, "upper.right": [0, 1]})
     steps = [am.solve_path(each, path, EXACT)[1].contact.slip for each in (one, grids)]
-    np.testing.assert_allclose(np.linalg.norm(steps[1], axis=1), np.linalg.norm(steps[0], axis=1), atol=1e-10 * size)
+    np.testing.assert_allclose(
+        np.linalg.norm(steps[1], axis=1), np.linalg.norm(steps[0], axis=1), atol=1e-10 * size
+    )
     for name in ("upper.left", "lower.bottom", "lower.top"):
-        np.testing.assert_allclose(found.resultant(name).force @ turn, expected.resultant(name).force, atol=1e-4)
+        np.testing.assert_allclose(
+            found.resultant(name).force @ turn, expected.resultant(name).force, atol=1e-4
+        )
 
 
 def clamped_beam(gap, seed, sinks=0.0):
-    """A beam clamped at both ends above a plane, of a random place, size and direction; the meshes and the turn."""
+    """A beam clamped at both ends above a plane, of a random place, size and direction; the meshes
+    and the turn."""
     rng = np.random.default_rng(seed)
-    size, angle, shift = 10.0 ** rng.uniform(-3, 2), rng.uniform(0, 2 * np.pi), rng.uniform(-5, 5, 2)
+    size, angle, shift = (
+        10.0 ** rng.uniform(-3, 2),
+        rng.uniform(0, 2 * np.pi),
+        rng.uniform(-5, 5, 2),
+    )
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    meshes = [structured(am.Rectangle(width=1.0, height=0.2), n) for n in ((1, 1), (2, 1), (2, 2), (4, 2), (6, 3))]
+    meshes = [
+        structured(am.Rectangle(width=1.0, height=0.2), n)
+        for n in ((1, 1), (2, 1), (2, 2), (4, 2), (6, 3))
+    ]
     meshes = [replace(one, points=size * one.points @ turn + shift, source=None) for one in meshes]
     end = dict(zip("xy", size * np.array([0.0, sinks]) @ turn, strict=True))
     problem = am.ContactProblem(
-        material=am.PlaneStrain(young=2e9, poisson=0.3), law=am.Coulomb(0.3), loads=(am.Pressure("top", 8e7),),
-        contact=am.Contact("bottom", am.Plane(size * np.array([0, -gap]) @ turn + shift, np.array([0, 1]) @ turn)),
-        supports=(am.Support("left", **end), am.Support("right", **end)))
+        material=am.PlaneStrain(young=2e9, poisson=0.3),
+        law=am.Coulomb(0.3),
+        loads=(am.Pressure("top", 8e7),),
+        contact=am.Contact(
+            "bottom", am.Plane(size * np.array([0, -gap]) @ turn + shift, np.array([0, 1]) @ turn)
+        ),
+        supports=(am.Support("left", **end), am.Support("right", **end)),
+    )
     return problem, meshes, turn / size
 
 
@@ -252,24 +405,46 @@ def test_a_clamped_end_above_the_obstacle_carries_no_contact(seed):
     grids = am.Hierarchy.from_meshes(problem, meshes)
     assert [row["contact_nodes"] for row in grids.table()] == [0, 1, 1, 3, 5]
     exact = am.solve(grids, EXACT)
-    assert (exact.contact.state != am.OPEN).sum() == 3 and exact.contact.gap.min() >= -1e-14 * np.ptp(meshes[-1].points)
-    upright = am.Hierarchy.uniform(replace(problem, domain=am.Rectangle(width=1.0, height=0.2), contact=am.Contact(
-        "bottom", am.Plane((0, -0.05), (0, 1)))), [(6, 3)])
-    np.testing.assert_allclose(exact.displacement @ back.T, am.solve(upright, EXACT).displacement, atol=1e-9)
-    for method in (am.Multigrid(), am.FullMultigrid(), am.Multigrid(correction=am.Monotone(), max_cycles=400)):
+    assert (
+        exact.contact.state != am.OPEN
+    ).sum() == 3 and exact.contact.gap.min() >= -1e-14 * np.ptp(meshes[-1].points)
+    upright = am.Hierarchy.uniform(
+        replace(
+            problem,
+            domain=am.Rectangle(width=1.0, height=0.2),
+            contact=am.Contact("bottom", am.Plane((0, -0.05), (0, 1))),
+        ),
+        [(6, 3)],
+    )
+    np.testing.assert_allclose(
+        exact.displacement @ back.T, am.solve(upright, EXACT).displacement, atol=1e-9
+    )
+    for method in (
+        am.Multigrid(),
+        am.FullMultigrid(),
+        am.Multigrid(correction=am.Monotone(), max_cycles=400),
+    ):
         for finest in range(1, 5):
             part = grids.truncated(finest=finest)
-            np.testing.assert_allclose(am.solve(part, method).displacement, am.solve(part, EXACT).displacement,
-                                       atol=1e-6 * np.abs(exact.displacement).max())
+            np.testing.assert_allclose(
+                am.solve(part, method).displacement,
+                am.solve(part, EXACT).displacement,
+                atol=1e-6 * np.abs(exact.displacement).max(),
+            )
 
 
 def test_two_contact_nodes_of_a_floating_body_are_a_level():
-    """With one of them fixed the body turns about it: no sweep solves the condensed problem node by node."""
+    """With one of them fixed the body turns about it: no sweep solves the condensed problem node by
+    node."""
     beam = am.Rectangle(width=1.0, height=0.2)
     problem = am.ContactProblem(
-        domain=am.Assembly(parts={"beam": beam, "bed": replace(beam, origin=(0, -0.2))}), law=am.Coulomb(0.3),
-        material=am.PlaneStrain(young=1e9, poisson=0.3), contact=am.ContactPair("beam.bottom", "bed.top"),
-        loads=(am.Pressure("beam.top", 1e5),), supports=(am.Support("bed.bottom", x=0, y=0),))
+        domain=am.Assembly(parts={"beam": beam, "bed": replace(beam, origin=(0, -0.2))}),
+        law=am.Coulomb(0.3),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        contact=am.ContactPair("beam.bottom", "bed.top"),
+        loads=(am.Pressure("beam.top", 1e5),),
+        supports=(am.Support("bed.bottom", x=0, y=0),),
+    )
     grids = am.Hierarchy.uniform(problem, (1, 2))
     monotone = am.solve(grids, am.Multigrid(correction=am.Monotone()))
     exact = am.solve(grids, EXACT).displacement
@@ -280,18 +455,24 @@ def test_two_contact_nodes_of_a_floating_body_are_a_level():
 
 def test_nothing_passes_from_a_roller_to_the_contact_next_to_it():
     problem = am.ContactProblem(
-        domain=am.Rectangle(width=1.0, height=0.5), material=am.PlaneStrain(young=1e9, poisson=0.3),
-        law=am.Coulomb(0.3), contact=am.Contact("bottom", am.Plane((0, -1e-4), (0, 1))),
+        domain=am.Rectangle(width=1.0, height=0.5),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        law=am.Coulomb(0.3),
+        contact=am.Contact("bottom", am.Plane((0, -1e-4), (0, 1))),
         loads=(am.Pressure("top", 2e5), am.Traction("right", (-1e5, 0.0))),
-        supports=(am.Support("left", y=0), am.PointSupport((1, 0.5), x=0)))
+        supports=(am.Support("left", y=0), am.PointSupport((1, 0.5), x=0)),
+    )
     grids = am.Hierarchy.uniform(problem, (2, 4, 8))
     monotone = am.solve(grids, am.Multigrid(correction=am.Monotone(), max_cycles=200))
-    np.testing.assert_allclose(monotone.displacement, am.solve(grids, EXACT).displacement, atol=1e-10)
+    np.testing.assert_allclose(
+        monotone.displacement, am.solve(grids, EXACT).displacement, atol=1e-10
+    )
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_clamped_ends_of_a_slave_carry_no_multiplier(dim):
-    """A beam between clamps on a soft bed: every level couples what is free, and the forces balance."""
+    """A beam between clamps on a soft bed: every level couples what is free, and the forces
+    balance."""
     size, box = ((1.0, 0.2), am.Rectangle) if dim == 2 else ((1.0, 0.3, 0.2), am.Box)
     names = ("width", "height") if dim == 2 else ("width", "depth", "height")
     beam = box(**dict(zip(names, size, strict=True)))
@@ -299,9 +480,15 @@ def test_clamped_ends_of_a_slave_carry_no_multiplier(dim):
     held = dict.fromkeys("xyz"[:dim], 0.0)
     material = (am.PlaneStrain if dim == 2 else am.Solid)(young=1e9, poisson=0.3)
     problem = am.ContactProblem(
-        domain=am.Assembly(parts={"beam": beam, "bed": bed}), material=material, law=am.Coulomb(0.3),
-        contact=am.ContactPair("beam.bottom", "bed.top"), loads=(am.Pressure("beam.top", 1e5),),
-        supports=tuple(am.Support(name, **held) for name in ("beam.left", "beam.right", "bed.bottom")))
+        domain=am.Assembly(parts={"beam": beam, "bed": bed}),
+        material=material,
+        law=am.Coulomb(0.3),
+        contact=am.ContactPair("beam.bottom", "bed.top"),
+        loads=(am.Pressure("beam.top", 1e5),),
+        supports=tuple(
+            am.Support(name, **held) for name in ("beam.left", "beam.right", "bed.bottom")
+        ),
+    )
     grids = am.Hierarchy.uniform(problem, [(n, *[max(n // 2, 1)] * (dim - 1)) for n in (1, 2, 4)])
     counts = [row["contact_nodes"] for row in grids.table()]
     assert counts == ([0, 1, 3] if dim == 2 else [0, 2, 9])
@@ -309,8 +496,11 @@ def test_clamped_ends_of_a_slave_carry_no_multiplier(dim):
     assert_balanced(exact, Parts.of(problem, grids.finest.mesh), 1e-9)
     monotone = am.Multigrid(correction=am.Monotone(), max_cycles=400)
     for method in (am.Multigrid(rtol=1e-9), am.FullMultigrid(rtol=1e-9), monotone):
-        np.testing.assert_allclose(am.solve(grids, method).displacement, exact.displacement,
-                                   atol=1e-6 * np.abs(exact.displacement).max())
+        np.testing.assert_allclose(
+            am.solve(grids, method).displacement,
+            exact.displacement,
+            atol=1e-6 * np.abs(exact.displacement).max(),
+        )
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -326,9 +516,13 @@ def test_a_support_may_move_up_to_the_obstacle_and_not_beyond(seed):
     # along what is held of a normal no motion may change the gap, this way or that
     oblique = replace(problem, contact=am.Contact("bottom", am.Plane((0, -3), (-1, 1))))
     for moved in (-1e-3, 1e-3):
-        with pytest.raises(ValueError, match=r"of contact boundary 'bottom' .* inside its obstacle"):
-            am.discretise(replace(oblique, supports=(am.Support("left", x=moved),)),
-                          structured(am.Rectangle(width=1.0, height=0.2), 2))
+        with pytest.raises(
+            ValueError, match=r"of contact boundary 'bottom' .* inside its obstacle"
+        ):
+            am.discretise(
+                replace(oblique, supports=(am.Support("left", x=moved),)),
+                structured(am.Rectangle(width=1.0, height=0.2), 2),
+            )
 
 
 FRICTION, PRESSURE, PULL = 0.4, 1e7, 1e-3
@@ -339,57 +533,105 @@ def pad(dim, slave="pad", coupling="mortar", pull=PULL, friction=FRICTION):
     """A pad held at its sides on a plate that is pulled along x."""
     pair = ("pad.bottom", "plate.top") if slave == "pad" else ("plate.top", "pad.bottom")
     if dim == 2:
-        parts = {"pad": am.Rectangle(width=40e-3, height=20e-3),
-                 "plate": am.Rectangle(width=80e-3, height=20e-3, origin=(-20e-3, -20e-3))}
+        parts = {
+            "pad": am.Rectangle(width=40e-3, height=20e-3),
+            "plate": am.Rectangle(width=80e-3, height=20e-3, origin=(-20e-3, -20e-3)),
+        }
         below = am.Support("plate.bottom", x=pull, y=0.0)
         material = am.PlaneStrain(young=2.1e11, poisson=0.3)
     else:
-        parts = {"pad": am.Box(width=40e-3, depth=40e-3, height=20e-3),
-                 "plate": am.Box(width=80e-3, depth=80e-3, height=20e-3, origin=(-20e-3, -20e-3, -20e-3))}
-        below, material = am.Support("plate.bottom", x=pull, y=0.0, z=0.0), am.Solid(young=2.1e11, poisson=0.3)
+        parts = {
+            "pad": am.Box(width=40e-3, depth=40e-3, height=20e-3),
+            "plate": am.Box(
+                width=80e-3, depth=80e-3, height=20e-3, origin=(-20e-3, -20e-3, -20e-3)
+            ),
+        }
+        below, material = (
+            am.Support("plate.bottom", x=pull, y=0.0, z=0.0),
+            am.Solid(young=2.1e11, poisson=0.3),
+        )
     return am.ContactProblem(
-        name="pad", domain=am.Assembly(parts=parts), material=material, law=am.Coulomb(friction),
-        contact=am.ContactPair(*pair, coupling=coupling), loads=(am.Pressure("pad.top", PRESSURE),),
-        supports=(am.Support("pad.left", x=0.0), am.Support("pad.right", x=0.0), below,
-                  *((am.Support("pad.front", y=0.0),) if dim == 3 else ())))
+        name="pad",
+        domain=am.Assembly(parts=parts),
+        material=material,
+        law=am.Coulomb(friction),
+        contact=am.ContactPair(*pair, coupling=coupling),
+        loads=(am.Pressure("pad.top", PRESSURE),),
+        supports=(
+            am.Support("pad.left", x=0.0),
+            am.Support("pad.right", x=0.0),
+            below,
+            *((am.Support("pad.front", y=0.0),) if dim == 3 else ()),
+        ),
+    )
 
 
 def test_a_pad_in_an_inclined_guide_slides_on_its_plate():
     straight, turn = pad(2), np.array([[0.8, -0.6], [0.6, 0.8]])
     pulled = dict(zip("xy", turn @ [PULL, 0.0], strict=True))
-    problem = replace(straight, domain=None, supports=(am.Support("pad.left", normal=0), am.Symmetry("pad.right"),
-                                                       am.Support("plate.bottom", **pulled)))
+    problem = replace(
+        straight,
+        domain=None,
+        supports=(
+            am.Support("pad.left", normal=0),
+            am.Symmetry("pad.right"),
+            am.Support("plate.bottom", **pulled),
+        ),
+    )
     meshes = [level.mesh for level in grids(straight, 2, 6, 4).levels]
-    result = am.solve(am.Hierarchy.from_meshes(problem, [replace(one, points=one.points @ turn.T, source=None)
-                                                         for one in meshes]), am.ActiveSet(rtol=1e-10))
+    result = am.solve(
+        am.Hierarchy.from_meshes(
+            problem, [replace(one, points=one.points @ turn.T, source=None) for one in meshes]
+        ),
+        am.ActiveSet(rtol=1e-10),
+    )
     assert result.resultant("pad.bottom").force @ turn == pytest.approx(
-        [FRICTION * PRESSURE * 40e-3, PRESSURE * 40e-3], rel=1e-8)
+        [FRICTION * PRESSURE * 40e-3, PRESSURE * 40e-3], rel=1e-8
+    )
     assert result.certificate().worst.relative < 1e-8
 
 
 def grids(problem, dim, on_pad, on_plate):
-    """Two uniform levels; cells along the edge of the pad, and of the plate over the same length."""
+    """Two uniform levels; cells along the edge of the pad, and of the plate over the same
+    length."""
+
     def divisions(a, b):
         if dim == 2:
             return {"pad": (a, max(a // 2, 1)), "plate": (2 * b, max(b // 2, 1))}
         return {"pad": (a, a, max(a // 2, 1)), "plate": (2 * b, 2 * b, max(b // 2, 1))}
 
-    return am.Hierarchy.uniform(problem, [divisions(on_pad // 2, on_plate // 2), divisions(on_pad, on_plate)])
+    return am.Hierarchy.uniform(
+        problem, [divisions(on_pad // 2, on_plate // 2), divisions(on_pad, on_plate)]
+    )
 
 
-@pytest.mark.parametrize(("dim", "slave", "coupling", "on_pad", "on_plate"), [
-    (2, "pad", "mortar", 8, 5), (2, "plate", "mortar", 8, 5), (2, "pad", "nodes", 8, 8), (3, "pad", "mortar", 6, 4),
-    (3, "plate", "mortar", 4, 5)])
+@pytest.mark.parametrize(
+    ("dim", "slave", "coupling", "on_pad", "on_plate"),
+    [
+        (2, "pad", "mortar", 8, 5),
+        (2, "plate", "mortar", 8, 5),
+        (2, "pad", "nodes", 8, 8),
+        (3, "pad", "mortar", 6, 4),
+        (3, "plate", "mortar", 4, 5),
+    ],
+)
 def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate):
     result = am.solve(grids(pad(dim, slave, coupling), dim, on_pad, on_plate), EXACT)
     area = 40e-3 if dim == 2 else 1.6e-3
-    on_the_pad, on_the_plate = result.resultant("pad.bottom").force, result.resultant("plate.top").force
+    on_the_pad, on_the_plate = (
+        result.resultant("pad.bottom").force,
+        result.resultant("plate.top").force,
+    )
     assert np.abs(on_the_pad + on_the_plate).max() <= 1e-12 * PRESSURE * area
     assert on_the_pad[-1] == pytest.approx(PRESSURE * area, rel=1e-9)
     assert (result.contact.state == am.SLIP).all()
-    np.testing.assert_allclose(np.linalg.norm(result.contact.force_t, axis=1), result.contact.limit, rtol=1e-8)
+    np.testing.assert_allclose(
+        np.linalg.norm(result.contact.force_t, axis=1), result.contact.limit, rtol=1e-8
+    )
     # in 3D the slip deviates by the bulge of the pad, a 1e-4 th of the pull
-    assert np.abs(on_the_pad[0]) == pytest.approx(FRICTION * PRESSURE * area, rel=1e-9 if dim == 2 else 3e-7)
+    assert np.abs(on_the_pad[0]) == pytest.approx(
+        FRICTION * PRESSURE * area, rel=1e-9 if dim == 2 else 3e-7
+    )
     # the supports of the pad take the friction
     taken = sum(result.resultant(name).force[0] for name in ("pad.left", "pad.right"))
     assert taken == pytest.approx(-on_the_pad[0], rel=1e-8)
@@ -400,23 +642,37 @@ def test_all_of_the_pad_slides(dim, slave, coupling, on_pad, on_plate):
 
 def test_a_slave_that_is_held_along_its_whole_surface_is_refused():
     held = replace(pad(2), supports=(*pad(2).supports, am.Support("pad.bottom", x=0)))
-    with pytest.raises(ValueError, match=r"holds slave 'pad.bottom' along its surface.*exchange slave and master"):
+    with pytest.raises(
+        ValueError, match=r"holds slave 'pad.bottom' along its surface.*exchange slave and master"
+    ):
         grids(held, 2, 8, 5)
     with pytest.raises(ValueError, match=r"slave node .* has a supported tangential component"):
         discrete = grids(pad(2, friction=0.0), 2, 8, 5).finest.discrete
-        am.DiscreteProblem(matrix=discrete.matrix, load=discrete.load, fixed=discrete.fixed, law=am.Coulomb(0.4),
-                           contact=discrete.contact).coupled(discrete.coupling.weights)
+        am.DiscreteProblem(
+            matrix=discrete.matrix,
+            load=discrete.load,
+            fixed=discrete.fixed,
+            law=am.Coulomb(0.4),
+            contact=discrete.contact,
+        ).coupled(discrete.coupling.weights)
 
 
-@pytest.mark.parametrize(("law", "pull"), [(am.Coulomb(0.4), 1e-7), (am.Coulomb(0.4), 2e-5), (am.Tresca(1.5e7), 1e-7)],
-                         ids=["little", "far", "tresca"])
+@pytest.mark.parametrize(
+    ("law", "pull"),
+    [(am.Coulomb(0.4), 1e-7), (am.Coulomb(0.4), 2e-5), (am.Tresca(1.5e7), 1e-7)],
+    ids=["little", "far", "tresca"],
+)
 def test_friction_is_opposite_to_all_of_the_slip(law, pull):
-    """On a rigid plane: one tangent is driven by the support, the other one free; Newton and cycles agree."""
+    """On a rigid plane: one tangent is driven by the support, the other one free; Newton and cycles
+    agree."""
     problem = am.ContactProblem(
-        domain=am.Box(width=40e-3, depth=40e-3, height=30e-3), material=am.Solid(young=1.3e11, poisson=0.2), law=law,
+        domain=am.Box(width=40e-3, depth=40e-3, height=30e-3),
+        material=am.Solid(young=1.3e11, poisson=0.2),
+        law=law,
         contact=am.Contact("bottom", am.Plane(point=(0, 0, 0), normal=(0, 0, 1))),
         loads=(am.Pressure("top", 5e7), am.Traction("back", (0, 5e6, 0))),
-        supports=(am.Support("left", x=pull), am.Support("right", x=pull)))
+        supports=(am.Support("left", x=pull), am.Support("right", x=pull)),
+    )
     levels = am.Hierarchy.uniform(problem, ((2, 2, 2), (4, 4, 3)))
     exact = am.solve(levels, EXACT)
     contact, slides = exact.contact, exact.contact.state == am.SLIP

@@ -17,20 +17,30 @@ PLANE = am.PlaneStrain(young=E, poisson=NU)
 
 
 def stacked(dim, seed):
-    """Two tied blocks under tension in a random place, size and direction; the meshes and the turn."""
+    """Two tied blocks under tension in a random place, size and direction; the meshes and the
+    turn."""
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
     turn[0] *= np.linalg.det(turn)
     size, shift = 10.0 ** rng.uniform(-3, 2), rng.uniform(-5, 5, dim)
     box, depth = (am.Box, {"depth": 1.0}) if dim == 3 else (am.Rectangle, {})
-    parts = {name: box(width=1.0, height=0.5, origin=(*[0.0] * (dim - 1), low), **depth)
-             for name, low in (("upper", 0.5), ("lower", 0.0))}
-    meshes = [structured(am.Assembly(parts=parts), {"upper": 3 * n // 2, "lower": n}) for n in (2, 4)]
-    meshes = [replace(one, points=size * one.points @ turn.T + shift, source=None) for one in meshes]
-    planes = [f"{body}.{side}" for body in parts for side in ("left", "front")[:dim - 1]]
+    parts = {
+        name: box(width=1.0, height=0.5, origin=(*[0.0] * (dim - 1), low), **depth)
+        for name, low in (("upper", 0.5), ("lower", 0.0))
+    }
+    meshes = [
+        structured(am.Assembly(parts=parts), {"upper": 3 * n // 2, "lower": n}) for n in (2, 4)
+    ]
+    meshes = [
+        replace(one, points=size * one.points @ turn.T + shift, source=None) for one in meshes
+    ]
+    planes = [f"{body}.{side}" for body in parts for side in ("left", "front")[: dim - 1]]
     problem = am.ContactProblem(
-        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU), loads=am.Pressure("upper.top", -1e3),
-        ties=am.Tied("upper.bottom", "lower.top"), supports=[*map(am.Symmetry, planes), am.Symmetry("lower.bottom")])
+        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU),
+        loads=am.Pressure("upper.top", -1e3),
+        ties=am.Tied("upper.bottom", "lower.top"),
+        supports=[*map(am.Symmetry, planes), am.Symmetry("lower.bottom")],
+    )
     return problem, meshes, turn, lambda points: (points - shift) @ turn
 
 
@@ -43,28 +53,49 @@ def test_a_tie_passes_a_uniform_stress_exactly(dim, seed):
     for method in (am.Multigrid(rtol=1e-11), am.FullMultigrid(rtol=1e-11), EXACT):
         result = am.solve(grids, method)
         expected = strain * back(meshes[-1].points)
-        np.testing.assert_allclose(result.displacement @ turn, expected, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            result.displacement @ turn, expected, atol=1e-9 * np.abs(expected).max()
+        )
     area = meshes[-1].surface("lower.top").measures.sum()
     for name, sign in (("upper.bottom", -1), ("lower.top", 1), ("lower.bottom", -1)):
-        np.testing.assert_allclose(result.resultant(name).force, sign * 1e3 * area * turn[:, -1], atol=1e-3 * area)
+        np.testing.assert_allclose(
+            result.resultant(name).force, sign * 1e3 * area * turn[:, -1], atol=1e-3 * area
+        )
     for indicator in (am.Residual(), am.Recovery(), am.Goal(am.MeanDisplacement("upper.top", 0))):
         assert indicator.indicate(grids, result).relative < 1e-6
 
 
 def cantilever(**changes):
     """Two beams welded end to end."""
-    parts = {"inner": am.Rectangle(width=1, height=0.5), "outer": am.Rectangle(width=1, height=0.5, origin=(1, 0))}
+    parts = {
+        "inner": am.Rectangle(width=1, height=0.5),
+        "outer": am.Rectangle(width=1, height=0.5, origin=(1, 0)),
+    }
     problem = am.ContactProblem(
-        domain=am.Assembly(parts=parts), material=PLANE, ties=am.Tied("outer.left", "inner.right"),
-        loads=am.Traction("outer.right", (0.0, -1e3)), supports=am.Support("inner.left", x=0, y=0))
+        domain=am.Assembly(parts=parts),
+        material=PLANE,
+        ties=am.Tied("outer.left", "inner.right"),
+        loads=am.Traction("outer.right", (0.0, -1e3)),
+        supports=am.Support("inner.left", x=0, y=0),
+    )
     return replace(problem, **changes)
 
 
 def test_a_tie_of_matching_meshes_is_one_body():
-    grids = am.Hierarchy.uniform(cantilever(), [{"inner": (4, 2), "outer": (4, 2)}, {"inner": (8, 4), "outer": (8, 4)}])
+    grids = am.Hierarchy.uniform(
+        cantilever(), [{"inner": (4, 2), "outer": (4, 2)}, {"inner": (8, 4), "outer": (8, 4)}]
+    )
     far = am.Contact("bottom", am.GapFunction(lambda x: np.full(len(x), 1e3)))
-    whole = am.Hierarchy.uniform(cantilever(domain=am.Rectangle(width=2, height=0.5), ties=(), contact=far, loads=(
-        am.Traction("right", (0.0, -1e3)),), supports=(am.Support("left", x=0, y=0),)), [(8, 2), (16, 4)])
+    whole = am.Hierarchy.uniform(
+        cantilever(
+            domain=am.Rectangle(width=2, height=0.5),
+            ties=(),
+            contact=far,
+            loads=(am.Traction("right", (0.0, -1e3)),),
+            supports=(am.Support("left", x=0, y=0),),
+        ),
+        [(8, 2), (16, 4)],
+    )
     tied, expected = am.solve(grids, EXACT), am.solve(whole, EXACT)
     points = tied.mesh.points
     np.testing.assert_allclose(tied.displacement, expected.probe(points), atol=1e-11)
@@ -72,39 +103,57 @@ def test_a_tie_of_matching_meshes_is_one_body():
     assert tied.resultant("outer.left", about=(1, 0.25)).moment == pytest.approx(500.0)
     assert tied.resultant("inner.left").force == pytest.approx([0.0, 500.0], abs=1e-6)
     assert am.solve(grids, am.Multigrid()).cycles <= am.solve(whole, am.Multigrid()).cycles + 3
-    assert am.Residual().indicate(grids, tied).total == pytest.approx(am.Residual().indicate(whole, expected).total,
-                                                                      rel=1e-2)
+    assert am.Residual().indicate(grids, tied).total == pytest.approx(
+        am.Residual().indicate(whole, expected).total, rel=1e-2
+    )
 
 
 def test_ties_across_more_than_an_element_are_warned_of():
     for reach, apart in ((None, 0.3), (None, 1e-3), (0.5, 0.3)):
-        parts = {"inner": am.Rectangle(width=1, height=0.5),
-                 "outer": am.Rectangle(width=1, height=0.5, origin=(1 + apart, 0))}
-        moved = cantilever(domain=am.Assembly(parts=parts), ties=am.Tied("outer.left", "inner.right", reach=reach))
+        parts = {
+            "inner": am.Rectangle(width=1, height=0.5),
+            "outer": am.Rectangle(width=1, height=0.5, origin=(1 + apart, 0)),
+        }
+        moved = cantilever(
+            domain=am.Assembly(parts=parts), ties=am.Tied("outer.left", "inner.right", reach=reach)
+        )
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             am.Hierarchy.uniform(moved, [2])
-        assert ["0.3 m apart" in str(one.message) for one in said] == [True] * (reach is None and apart == 0.3)
+        assert ["0.3 m apart" in str(one.message) for one in said] == [True] * (
+            reach is None and apart == 0.3
+        )
 
 
 def pressed():
     """Two tied blocks that are pressed and pushed on a third one, on which they slide in part."""
-    parts = {"cap": am.Rectangle(width=1, height=0.5, origin=(0, 0.5)), "block": am.Rectangle(width=1, height=0.5),
-             "base": am.Rectangle(width=2, height=0.5, origin=(-0.5, -0.5))}
+    parts = {
+        "cap": am.Rectangle(width=1, height=0.5, origin=(0, 0.5)),
+        "block": am.Rectangle(width=1, height=0.5),
+        "base": am.Rectangle(width=2, height=0.5, origin=(-0.5, -0.5)),
+    }
     return am.ContactProblem(
-        domain=am.Assembly(parts=parts), material=PLANE, ties=am.Tied("cap.bottom", "block.top"),
+        domain=am.Assembly(parts=parts),
+        material=PLANE,
+        ties=am.Tied("cap.bottom", "block.top"),
         contact=am.ContactPair("block.bottom", "base.top", law=am.Coulomb(0.3)),
         supports=am.Support("base.bottom", x=0, y=0),
-        loads=(am.Pressure("cap.top", 1e4), am.Traction("cap.right", (-3e3, 0.0))))
+        loads=(am.Pressure("cap.top", 1e4), am.Traction("cap.right", (-3e3, 0.0))),
+    )
 
 
 def test_ties_and_contact_carry_a_load_together(tmp_path):
-    grids = am.Hierarchy.uniform(pressed(), [{"cap": 3 * k, "block": 2 * k, "base": (5 * k, 2 * k)} for k in (1, 2, 4)])
+    grids = am.Hierarchy.uniform(
+        pressed(), [{"cap": 3 * k, "block": 2 * k, "base": (5 * k, 2 * k)} for k in (1, 2, 4)]
+    )
     exact = am.solve(grids, EXACT)
     assert {am.SLIP, am.STICK} <= set(exact.contact.state)
     for method in (am.Multigrid(), am.FullMultigrid(), am.Multigrid(correction=am.Monotone())):
-        np.testing.assert_allclose(am.solve(grids, method).displacement, exact.displacement,
-                                   atol=1e-6 * np.abs(exact.displacement).max())
+        np.testing.assert_allclose(
+            am.solve(grids, method).displacement,
+            exact.displacement,
+            atol=1e-6 * np.abs(exact.displacement).max(),
+        )
     exact.save(tmp_path / "run.npz")
     path = am.solve_path(grids, am.LoadPath({"cap.right": [0, 1]}), EXACT)
     for result in (exact, am.Result.load(tmp_path / "run.npz"), path[1]):
@@ -114,22 +163,53 @@ def test_ties_and_contact_carry_a_load_together(tmp_path):
 
 
 def test_supports_and_contact_meet_ties():
-    """What a support holds of a tied node it bears; a node of a tied and of a contact boundary is tied."""
-    parts = {"cap": am.Rectangle(width=1, height=0.5, origin=(0, 0.5)), "block": am.Rectangle(width=1, height=0.5),
-             "wall": am.Rectangle(width=0.5, height=1, origin=(1, 0))}
+    """What a support holds of a tied node it bears; a node of a tied and of a contact boundary is
+    tied."""
+    parts = {
+        "cap": am.Rectangle(width=1, height=0.5, origin=(0, 0.5)),
+        "block": am.Rectangle(width=1, height=0.5),
+        "wall": am.Rectangle(width=0.5, height=1, origin=(1, 0)),
+    }
     pairs = (am.ContactPair("cap.right", "wall.left"), am.ContactPair("block.right", "wall.left"))
     problem = am.ContactProblem(
-        domain=am.Assembly(parts=parts), material=PLANE, law=am.Coulomb(0.3), ties=am.Tied("cap.bottom", "block.top"),
-        contact=pairs, loads=[am.Pressure("cap.top", 1e3)], supports=(
-            am.Support("wall.right", x=0, y=0), am.Support("cap.left", x=1e-4), am.Support("block.bottom", y=0)))
-    grids = am.Hierarchy.uniform(problem, [{"cap": 3 * k, "block": 2 * k, "wall": (2 * k, 5 * k)} for k in (1, 2)])
+        domain=am.Assembly(parts=parts),
+        material=PLANE,
+        law=am.Coulomb(0.3),
+        ties=am.Tied("cap.bottom", "block.top"),
+        contact=pairs,
+        loads=[am.Pressure("cap.top", 1e3)],
+        supports=(
+            am.Support("wall.right", x=0, y=0),
+            am.Support("cap.left", x=1e-4),
+            am.Support("block.bottom", y=0),
+        ),
+    )
+    grids = am.Hierarchy.uniform(
+        problem, [{"cap": 3 * k, "block": 2 * k, "wall": (2 * k, 5 * k)} for k in (1, 2)]
+    )
     result = am.solve(grids, EXACT)
-    force = {name: result.resultant(name).force for name in (
-        "cap.left", "cap.bottom", "cap.right", "block.bottom", "block.top", "block.right")}
-    assert force["cap.left"] + force["cap.bottom"] + force["cap.right"] == pytest.approx([0, 1e3], abs=1e-6)
-    assert force["block.bottom"] + force["block.top"] + force["block.right"] == pytest.approx([0, 0], abs=1e-6)
-    np.testing.assert_allclose(am.solve(grids, am.Multigrid(rtol=1e-9)).displacement, result.displacement,
-                               atol=1e-6 * np.abs(result.displacement).max())
+    force = {
+        name: result.resultant(name).force
+        for name in (
+            "cap.left",
+            "cap.bottom",
+            "cap.right",
+            "block.bottom",
+            "block.top",
+            "block.right",
+        )
+    }
+    assert force["cap.left"] + force["cap.bottom"] + force["cap.right"] == pytest.approx(
+        [0, 1e3], abs=1e-6
+    )
+    assert force["block.bottom"] + force["block.top"] + force["block.right"] == pytest.approx(
+        [0, 0], abs=1e-6
+    )
+    np.testing.assert_allclose(
+        am.solve(grids, am.Multigrid(rtol=1e-9)).displacement,
+        result.displacement,
+        atol=1e-6 * np.abs(result.displacement).max(),
+    )
     assert not np.isin(result.contact.node, result.ties.on("cap.bottom")[0]).any()
 
 
@@ -146,8 +226,12 @@ def test_a_pin_glued_into_its_hole_fills_it():
     pin, hole = (am.Circle((0, 0), 0.3, name) for name in ("rim", "hole"))
     plate = am.Cut(am.Rectangle(width=2, height=2, origin=(-1, -1)), hole)
     problem = am.ContactProblem(
-        domain=am.Assembly(parts={"pin": pin, "plate": plate}), material=PLANE, ties=am.Tied("pin.rim", "plate.hole"),
-        loads=am.Pressure("plate.right", -1e3), supports=(am.Symmetry("plate.left"), am.PointSupport((-1, -1), y=0)))
+        domain=am.Assembly(parts={"pin": pin, "plate": plate}),
+        material=PLANE,
+        ties=am.Tied("pin.rim", "plate.hole"),
+        loads=am.Pressure("plate.right", -1e3),
+        supports=(am.Symmetry("plate.left"), am.PointSupport((-1, -1), y=0)),
+    )
     result = am.solve(am.Hierarchy.graded(problem, [0.4, 0.2]), am.Multigrid(rtol=1e-10))
     expected = 1e3 / E * (result.mesh.points + 1) * [1 - NU**2, -NU * (1 + NU)]
     np.testing.assert_allclose(result.displacement, expected, atol=1e-8 * np.abs(expected).max())
@@ -157,14 +241,19 @@ SHEAR = 1e-3
 
 
 def cell(dim, **changes):
-    """A periodic cell under the mean shear strain SHEAR in its first plane, with no name of a load."""
+    """A periodic cell under the mean shear strain SHEAR in its first plane, with no name of a
+    load."""
     sides = (("left", "right"), *([("front", "back")] * (dim == 3)), ("bottom", "top"))
     strain = np.zeros((dim, dim))
     strain[0, 1] = strain[1, 0] = SHEAR
-    arguments = {"material": (am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU),
-                 "ties": [am.Periodic(*pair, jump=jump) for pair, jump in zip(sides, strain, strict=True)],
-                 "domain": am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1),
-                 "supports": am.PointSupport([0] * dim, **dict.fromkeys("xyz"[:dim], 0.0))}
+    arguments = {
+        "material": (am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU),
+        "ties": [am.Periodic(*pair, jump=jump) for pair, jump in zip(sides, strain, strict=True)],
+        "domain": am.Box(width=1, depth=1, height=1)
+        if dim == 3
+        else am.Rectangle(width=1, height=1),
+        "supports": am.PointSupport([0] * dim, **dict.fromkeys("xyz"[:dim], 0.0)),
+    }
     return am.ContactProblem(**arguments | changes), strain
 
 
@@ -174,46 +263,83 @@ def test_a_periodic_cell_is_sheared_uniformly(dim):
     grids = am.Hierarchy.uniform(problem, (2, 4))
     for method in (am.Multigrid(rtol=1e-11), am.FullMultigrid(rtol=1e-11), EXACT):
         result = am.solve(grids, method)
-        np.testing.assert_allclose(result.displacement, result.mesh.points @ strain, atol=1e-10 * SHEAR)
+        np.testing.assert_allclose(
+            result.displacement, result.mesh.points @ strain, atol=1e-10 * SHEAR
+        )
     stress = E / (1 + NU) * SHEAR
-    np.testing.assert_allclose(result.resultant("right").force, stress * np.eye(dim)[1], atol=1e-6 * stress)
+    np.testing.assert_allclose(
+        result.resultant("right").force, stress * np.eye(dim)[1], atol=1e-6 * stress
+    )
     assert am.Residual().indicate(grids, result).relative < 1e-9
-    path = am.solve_path(grids, am.LoadPath({"right": [0.5, -1], "back" if dim == 3 else "top": [0.5, -1]}), EXACT)
+    path = am.solve_path(
+        grids, am.LoadPath({"right": [0.5, -1], "back" if dim == 3 else "top": [0.5, -1]}), EXACT
+    )
     np.testing.assert_allclose(path[1].displacement, -result.displacement, atol=1e-10 * SHEAR)
 
 
 @pytest.mark.parametrize("shift", [(0, 2), (2, 1)])
 def test_a_cell_does_not_depend_on_where_it_begins(shift):
-    """A stiff inclusion anywhere in the cell: the same mean stress, whose work is the energy (Hill and Mandel)."""
+    """A stiff inclusion anywhere in the cell: the same mean stress, whose work is the energy (Hill
+    and Mandel)."""
+
     def with_inclusion(shift):
         mesh = structured(am.Rectangle(width=1, height=1), 8)
         centre = np.abs(mesh.points[mesh.elements].mean(axis=1) - 0.5 - np.array(shift) / 8)
         inside = (centre < 0.25).all(axis=1).astype(np.int32)
         two = replace(mesh, bodies=("soft", "stiff"), element_body=inside, source=None)
-        problem, _ = cell(2, material={"soft": PLANE, "stiff": replace(PLANE, young=10 * E)}, domain=None)
+        problem, _ = cell(
+            2, material={"soft": PLANE, "stiff": replace(PLANE, young=10 * E)}, domain=None
+        )
         return am.solve(am.Hierarchy.from_meshes(problem, [two]), EXACT)
 
     one, other = with_inclusion((0, 0)), with_inclusion(shift)
     for side in ("right", "top"):
         force = one.resultant(side).force
-        np.testing.assert_allclose(other.resultant(side).force, force, atol=1e-10 * np.abs(force).max())
+        np.testing.assert_allclose(
+            other.resultant(side).force, force, atol=1e-10 * np.abs(force).max()
+        )
     assert 2 * one.energy == pytest.approx(2 * SHEAR * one.resultant("right").force[1])
 
 
 test_refused = refused(
-    (lambda: cell(2, ties=am.Periodic("left", "right", jump=(1, 2, 3))), "jump must have 2 components, got 3"),
-    (lambda: am.Hierarchy.from_meshes(cell(2, ties=am.Periodic("left", "top"))[0], [
-        structured(am.Rectangle(width=1, height=1), (2, 3))]), "sides 'left' and 'top' do not match: 4 and 3 nodes"),
+    (
+        lambda: cell(2, ties=am.Periodic("left", "right", jump=(1, 2, 3))),
+        "jump must have 2 components, got 3",
+    ),
+    (
+        lambda: am.Hierarchy.from_meshes(
+            cell(2, ties=am.Periodic("left", "top"))[0],
+            [structured(am.Rectangle(width=1, height=1), (2, 3))],
+        ),
+        "sides 'left' and 'top' do not match: 4 and 3 nodes",
+    ),
     (lambda: am.Tied("a", "a"), "slave and master are both 'a'"),
     (lambda: am.Tied("a", "b", reach=0.0), "reach must be"),
     (lambda: am.Hierarchy.uniform(cantilever(ties=()), [2]), "nothing holds body"),
-    (lambda: cantilever(ties=(am.Tied("outer.left", "inner.right"), am.Tied("inner.right", "outer.right"))),
-     "'inner.right' is the master of 'outer.left' and slave of another pair"),
-    (lambda: cantilever(contact=am.ContactPair("outer.left", "inner.top", law=am.Frictionless())),
-     "'outer.left' is named twice"),
-    (lambda: am.Hierarchy.uniform(cantilever(ties=am.Tied("outer.lft", "inner.right")), [2]),
-     r"'outer.lft', used for a tie, does not exist \(did you mean 'outer.left'\?\)"),
-    (lambda: am.Hierarchy.uniform(cantilever(ties=am.Tied("outer.right", "inner.right")), [2]),
-     "tie 'outer.right' on 'inner.right': the surfaces never face"),
-    (lambda: am.ContactProblem(material=PLANE, contact=am.ContactPair("a", "b")), TypeError, "law must be"),
-    (lambda: am.solve(am.Hierarchy.uniform(cantilever(supports=()), [2])), "nothing holds"))
+    (
+        lambda: cantilever(
+            ties=(am.Tied("outer.left", "inner.right"), am.Tied("inner.right", "outer.right"))
+        ),
+        "'inner.right' is the master of 'outer.left' and slave of another pair",
+    ),
+    (
+        lambda: cantilever(
+            contact=am.ContactPair("outer.left", "inner.top", law=am.Frictionless())
+        ),
+        "'outer.left' is named twice",
+    ),
+    (
+        lambda: am.Hierarchy.uniform(cantilever(ties=am.Tied("outer.lft", "inner.right")), [2]),
+        r"'outer.lft', used for a tie, does not exist \(did you mean 'outer.left'\?\)",
+    ),
+    (
+        lambda: am.Hierarchy.uniform(cantilever(ties=am.Tied("outer.right", "inner.right")), [2]),
+        "tie 'outer.right' on 'inner.right': the surfaces never face",
+    ),
+    (
+        lambda: am.ContactProblem(material=PLANE, contact=am.ContactPair("a", "b")),
+        TypeError,
+        "law must be",
+    ),
+    (lambda: am.solve(am.Hierarchy.uniform(cantilever(supports=()), [2])), "nothing holds"),
+)

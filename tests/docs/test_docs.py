@@ -1,4 +1,5 @@
-"""The README and the documentation: examples run, what is named exists, every public name has a page."""
+"""The README and the documentation: examples run, what is named exists, every public name has a
+page."""
 
 import importlib.util
 import inspect
@@ -25,8 +26,13 @@ def test_every_public_name_is_on_one_page_of_the_reference():
     spec.loader.exec_module(docs)
     listed = [name for names in docs.public_names().values() for name in names]
     modules = [name for name in dir(am) if inspect.ismodule(getattr(am, name))]
-    public = [*set(dir(am)) - set(modules)] + [f"{module}.{name}" for module in modules if module != "solver"
-                                               for name in getattr(am, module).__all__ if name not in dir(am)]
+    public = [*set(dir(am)) - set(modules)] + [
+        f"{module}.{name}"
+        for module in modules
+        if module != "solver"
+        for name in getattr(am, module).__all__
+        if name not in dir(am)
+    ]
     assert sorted(listed) == sorted(public)
 
 
@@ -44,46 +50,83 @@ def test_examples_of_the_readme_run(tmp_path, monkeypatch):
         exec(compile(block, "README.md", "exec"), names)
     assert names["result"].status is am.Status.CONVERGED and names["result"].residual < 1e-7
     assert names["step"].outcome.startswith("max_nodes")
-    assert am.Result.load("run.npz").cycles == names["result"].cycles and (tmp_path / "contact.png").exists()
+    assert (
+        am.Result.load("run.npz").cycles == names["result"].cycles
+        and (tmp_path / "contact.png").exists()
+    )
 
 
 def given(tmp_path):
-    """What the pages of the documentation take as known: a matrix from another code, files of meshes, an assembly."""
+    """What the pages of the documentation take as known: a matrix from another code, files of
+    meshes, an assembly."""
     problem = am.cases.greco_bar()
     meshes = [am.mesh.structured(problem.domain, n) for n in (16, 32)]
     shapes = {"base": Box(Pnt(0, 0, 0), Pnt(30, 20, 8)), "pad": Cylinder(Pnt(0, 0, 0), Z, 5, 6)}
-    step_assembly.write(tmp_path / "press.step", shapes,
-                        [("base", "base:1", (0, 0, 0)), ("pad", "left", (8, 10, 8)), ("pad", "right", (22, 10, 8))])
+    step_assembly.write(
+        tmp_path / "press.step",
+        shapes,
+        [("base", "base:1", (0, 0, 0)), ("pad", "left", (8, 10, 8)), ("pad", "right", (22, 10, 8))],
+    )
     fine = am.discretise(problem, meshes[1])
     for name, mesh in zip(("coarse", "fine"), meshes, strict=True):
-        write(tmp_path / f"{name}.msh", replace(mesh, bodies=("bar",), source=None), keep=slice(0, 3, 2))
+        write(
+            tmp_path / f"{name}.msh",
+            replace(mesh, bodies=("bar",), source=None),
+            keep=slice(0, 3, 2),
+        )
     contact = fine.contact
-    return {"problem": problem, "A": fine.matrix, "b": fine.load, "fixed": fine.fixed,
-            "x": fine.coordinates, "i": contact.nodes, "n": contact.normals, "g": contact.gaps}
+    return {
+        "problem": problem,
+        "A": fine.matrix,
+        "b": fine.load,
+        "fixed": fine.fixed,
+        "x": fine.coordinates,
+        "i": contact.nodes,
+        "n": contact.normals,
+        "g": contact.gaps,
+    }
 
 
 def test_short_answers_are_right():
     problem = am.cases.greco_bar()
     grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
-    names = {"am": am, "grids": grids, "problem": problem, "other": am.cases.greco_bar(law=am.Coulomb(0.3)),
-             "mesh": grids.finest.mesh, "result": am.solve(grids), "steps": list(am.adapt(problem, max_nodes=200)),
-             "x": 0.01, "y": 0.02, "points": [(0.01, 0.02)], "size": am.SizeNear([(0, 0)], size=2e-3),
-             "shank": am.Rectangle(width=1, height=2), "head": am.Rectangle(width=3, height=1, origin=(-1, 2))}
+    names = {
+        "am": am,
+        "grids": grids,
+        "problem": problem,
+        "other": am.cases.greco_bar(law=am.Coulomb(0.3)),
+        "mesh": grids.finest.mesh,
+        "result": am.solve(grids),
+        "steps": list(am.adapt(problem, max_nodes=200)),
+        "x": 0.01,
+        "y": 0.02,
+        "points": [(0.01, 0.02)],
+        "size": am.SizeNear([(0, 0)], size=2e-3),
+        "shank": am.Rectangle(width=1, height=2),
+        "head": am.Rectangle(width=3, height=1, origin=(-1, 2)),
+    }
     answers = (ROOT / "studies" / "docs" / "howto" / "questions.rst").read_text(encoding="utf-8")
     expressions = re.findall(r"``((?:am|grids|result)\.[^`]*)``", answers)
     assert len(expressions) > 15
     for expression in expressions:
-        eval(expression.replace('"boundary"', '"bottom"').replace("am.set_threads(2)", "am.set_threads(1)"), names)
+        eval(
+            expression.replace('"boundary"', '"bottom"').replace(
+                "am.set_threads(2)", "am.set_threads(1)"
+            ),
+            names,
+        )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page)], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if blocks(page)], ids=lambda page: page.stem
+)
 def test_examples_of_the_documentation_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = given(tmp_path)
     for block in blocks(page):
         code = compile(block, str(page), "exec")
-        if page.stem != "cluster":                            # the lines there need a scheduler
+        if page.stem != "cluster":  # the lines there need a scheduler
             exec(code, names)
     assert "result" not in names or names["result"].status.ok
 

@@ -1,5 +1,5 @@
-"""am.adapt: results of all steps carry the load, limits end it with a reason, parts may be user-defined,
-neighbouring levels are neither too far apart nor too close."""
+"""am.adapt: results of all steps carry the load, limits end it with a reason, parts may be
+user-defined, neighbouring levels are neither too far apart nor too close."""
 
 import itertools
 from types import SimpleNamespace
@@ -21,21 +21,33 @@ COARSE = 8e-3
 
 
 def loop(problem=None, start=COARSE, indicator=None, engine=BISECT, **options):
-    return list(am.adapt(upset() if problem is None else problem, start, indicator, engine=engine, **options))
+    return list(
+        am.adapt(
+            upset() if problem is None else problem, start, indicator, engine=engine, **options
+        )
+    )
 
 
 def test_forces_of_every_step_are_those_of_its_mesh():
     # a beam of 18 : 1 that bends onto a plane: energy errors of 1e-2 are forces wrong by 4 %
     beam = am.ContactProblem(
-        domain=am.Polygon(vertices=[(0, 0), (0.02, 0), (0.2, 0), (0.2, 0.01), (0, 0.01)],
-                          boundaries=("free", "contact", "right", "top", "left")),
-        material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Frictionless(), loads=(am.Pressure("top", 2e4),),
-        contact=am.Contact("contact", am.Plane((0, -2e-5), (0, 1))), supports=(am.Support("left", x=0.0, y=0.0),))
+        domain=am.Polygon(
+            vertices=[(0, 0), (0.02, 0), (0.2, 0), (0.2, 0.01), (0, 0.01)],
+            boundaries=("free", "contact", "right", "top", "left"),
+        ),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        law=am.Frictionless(),
+        loads=(am.Pressure("top", 2e4),),
+        contact=am.Contact("contact", am.Plane((0, -2e-5), (0, 1))),
+        supports=(am.Support("left", x=0.0, y=0.0),),
+    )
     for problem in (beam, am.cases.hertz_cylinder()):
         found = loop(problem, None, max_nodes=1500)
         for step in found:
             exact = am.solve(step.hierarchy, am.ActiveSet(rtol=1e-10), start=step.result)
-            assert step.result.contact.force_n.sum() == pytest.approx(exact.contact.force_n.sum(), rel=1e-4)
+            assert step.result.contact.force_n.sum() == pytest.approx(
+                exact.contact.force_n.sum(), rel=1e-4
+            )
             assert step.result.energy == pytest.approx(exact.energy, rel=1e-4)
             table = step.result.contact.table()
             assert (table[table["state"] == "open"]["pressure [Pa]"] == 0).all()
@@ -45,14 +57,19 @@ def test_forces_of_every_step_are_those_of_its_mesh():
 @pytest.mark.parametrize(("gap", "slide"), [(10e-3, 0.0), (0.0, 1e-3)], ids=["far gap", "far slip"])
 def test_wide_gaps_and_slips_do_not_add_to_the_estimate(gap, slide):
     problem = am.ContactProblem(
-        domain=am.Rectangle(width=40e-3, height=40e-3), material=am.PlaneStrain(young=2e11, poisson=0.3),
-        law=am.Coulomb(0.3), contact=am.Contact("bottom", am.Plane((0.0, -gap), (0.0, 1.0))),
-        supports=(am.Support("top", x=slide, y=-gap - 2e-6),))
+        domain=am.Rectangle(width=40e-3, height=40e-3),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        law=am.Coulomb(0.3),
+        contact=am.Contact("bottom", am.Plane((0.0, -gap), (0.0, 1.0))),
+        supports=(am.Support("top", x=slide, y=-gap - 2e-6),),
+    )
     found = loop(problem, max_nodes=900)
     assert "max_nodes" in found[-1].outcome and len(found) < 10
     for step in found:
         exact = am.solve(step.hierarchy, am.ActiveSet(rtol=1e-9))
-        assert step.estimate.total == pytest.approx(am.Residual().indicate(step.hierarchy, exact).total, rel=0.05)
+        assert step.estimate.total == pytest.approx(
+            am.Residual().indicate(step.hierarchy, exact).total, rel=0.05
+        )
 
 
 def test_the_estimate_falls_and_all_solves_cost_little():
@@ -68,7 +85,9 @@ def test_the_estimate_falls_and_all_solves_cost_little():
     alone = am.solve(found[-1].hierarchy, am.FullMultigrid(rtol=RTOL))
     assert found[-1].total_work_units <= 2 * alone.work_units
     assert found[-1].total_seconds == pytest.approx(sum(step.seconds for step in found))
-    assert {"solve", "estimate"} <= set(found[-1].timings) and all(s >= 0 for s in found[-1].timings.values())
+    assert {"solve", "estimate"} <= set(found[-1].timings) and all(
+        s >= 0 for s in found[-1].timings.values()
+    )
 
 
 def test_close_levels_are_dropped_and_progress_is_reported():
@@ -76,7 +95,10 @@ def test_close_levels_are_dropped_and_progress_is_reported():
     found = loop(mark=am.Doerfler(0.2), max_nodes=400, progress=rows.append)
     last = found[-1].hierarchy
     assert len(last) < len(found) and last.operator_complexity < 2.6
-    assert all(am.transfer.size_ratio(a.mesh, b.mesh) <= 4.0 + 1e-9 for a, b in itertools.pairwise(last.levels))
+    assert all(
+        am.transfer.size_ratio(a.mesh, b.mesh) <= 4.0 + 1e-9
+        for a, b in itertools.pairwise(last.levels)
+    )
     assert {row["phase"] for row in rows} == {"mesh", "assembly", "solve", "estimate", "done"}
     assert all(row.keys() == rows[0].keys() for row in rows)
     assert rows[-1]["seconds"] > 0
@@ -91,8 +113,13 @@ def test_limits_end_the_loop():
 
 
 def test_a_signed_estimate_that_is_far_off_is_not_settled():
-    found = loop(am.cases.hertz_cylinder(), None, am.Goal(am.MeanDisplacement("upper.top", "y")), max_nodes=900,
-                 mark=am.Doerfler(0.5))
+    found = loop(
+        am.cases.hertz_cylinder(),
+        None,
+        am.Goal(am.MeanDisplacement("upper.top", "y")),
+        max_nodes=900,
+        mark=am.Doerfler(0.5),
+    )
     exact = float(found[-1].estimate.corrected[0])
     ratios = np.array([step.estimate.signed / (exact - step.estimate.value) for step in found[:-1]])
     is_settled = np.array([step.settled for step in found[:-1]])
@@ -112,26 +139,46 @@ class Scripted:
 
 
 def test_an_unsettled_estimate_meets_no_tolerance():
-    early = Scripted(*({"value": value, "signed": signed} for value, signed in (
-        (1.0, -1e-9), (1.001, 1e-2), (1.01, 1e-3), (1.011, 1e-4), (1.0111, 1e-5))))
+    early = Scripted(
+        *(
+            {"value": value, "signed": signed}
+            for value, signed in (
+                (1.0, -1e-9),
+                (1.001, 1e-2),
+                (1.01, 1e-3),
+                (1.011, 1e-4),
+                (1.0111, 1e-5),
+            )
+        )
+    )
     found = loop(indicator=early, tolerance=1e-3)
     assert [step.settled for step in found] == [False, False, True]
     assert found[-1].outcome.startswith("tolerance met")
     # it is met where it is met twice, whatever the signs are
-    never = Scripted(*({"value": 1.0, "signed": signed} for signed in (2e-2, -1e-2, 9e-4, -8e-4, 7e-4)))
+    never = Scripted(
+        *({"value": 1.0, "signed": signed} for signed in (2e-2, -1e-2, 9e-4, -8e-4, 7e-4))
+    )
     found = loop(indicator=never, tolerance=1e-3)
-    assert len(found) == 4 and found[-1].settled is False and found[-1].outcome.startswith("tolerance met")
+    assert (
+        len(found) == 4
+        and found[-1].settled is False
+        and found[-1].outcome.startswith("tolerance met")
+    )
 
 
 def test_small_shares_of_a_quantity_are_not_rounding():
     for square, ends in ((1e-9, False), (1e-17, True)):
-        small = Scripted(*[{"value": 1.0, "signed": 1e-3}] * 9, square=lambda n, square=square: square)
+        small = Scripted(
+            *[{"value": 1.0, "signed": 1e-3}] * 9, square=lambda n, square=square: square
+        )
         found = loop(indicator=small, max_nodes=60)
         assert ("rounding" in found[-1].outcome) == ends and (len(found) == 1) == ends
     # of several quantities one that equilibrium gives says nothing about the others
     given = am.ContactForce("bottom", "normal")
     assert "rounding" in loop(am.cases.greco_bar(), None, am.Goal(given), max_nodes=400)[-1].outcome
-    both = loop(am.cases.greco_bar(), None, am.Goal([given, am.MeanDisplacement("top", "y")]), max_nodes=400)
+    both = loop(
+        am.cases.greco_bar(), None, am.Goal([given, am.MeanDisplacement("top", "y")]), max_nodes=400
+    )
     assert len(both) > 1 and "max_nodes" in both[-1].outcome
 
 
@@ -139,19 +186,30 @@ def test_small_shares_of_a_quantity_are_not_rounding():
 def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
     problem = upset()
     mesh = structured(problem.domain, 9)
-    for start, most, message in ((mesh, 99, "100, .* got 99; or take a coarser start"), (COARSE, 30, "")):
+    for start, most, message in (
+        (mesh, 99, "100, .* got 99; or take a coarser start"),
+        (COARSE, 30, ""),
+    ):
         with pytest.raises(ValueError, match=f"max_nodes must be at least {message}"):
             am.adapt(problem, start, engine=engine, max_nodes=most)
     assert next(am.adapt(problem, mesh, engine=engine, max_nodes=100)).nodes == 100
     for module in ("mesh.grading.plane_mesh", "estimate.engines.lattices"):
         monkeypatch.setattr(f"adaptmg.{module}", lambda *a, **o: pytest.fail("meshed"))
     for start in (1e-4, 1e-200):
-        with pytest.raises(ValueError, match=r"start must be at least 0\.00096 m for max_nodes=2000, got"):
+        with pytest.raises(
+            ValueError, match=r"start must be at least 0\.00096 m for max_nodes=2000, got"
+        ):
             am.adapt(problem, start, engine=engine, max_nodes=2000)
 
 
-@pytest.mark.parametrize(("case", "size", "engine"), [
-    ("upset_block", 5e-3, BISECT), ("hertz_cylinder", 5.9e-3, am.Remesh()), ("bolted_junction", 6.9e-3, BISECT)])
+@pytest.mark.parametrize(
+    ("case", "size", "engine"),
+    [
+        ("upset_block", 5e-3, BISECT),
+        ("hertz_cylinder", 5.9e-3, am.Remesh()),
+        ("bolted_junction", 6.9e-3, BISECT),
+    ],
+)
 def test_the_first_size_follows_the_domain(case, size, engine):
     problem = getattr(am.cases, case)()
     first = next(am.adapt(problem, engine=engine, max_nodes=400)).hierarchy
@@ -161,32 +219,54 @@ def test_the_first_size_follows_the_domain(case, size, engine):
         assert f"graded {size:g} m" in first.origin
 
 
-@pytest.mark.parametrize(("before", "after", "square", "ends"), [
-    (500, 2000, 0.91, True), (500, 2000, 0.89, False), (499, 2000, 0.91, False), (500, 1999, 0.91, False)])
+@pytest.mark.parametrize(
+    ("before", "after", "square", "ends"),
+    [
+        (500, 2000, 0.91, True),
+        (500, 2000, 0.89, False),
+        (499, 2000, 0.91, False),
+        (500, 1999, 0.91, False),
+    ],
+)
 def test_progress_is_asked_over_four_times_the_nodes(before, after, square, ends):
-    done = [SimpleNamespace(nodes=nodes, settled=None, total_seconds=0.0,
-                            estimate=am.Estimate(squares=np.array([value]), norm=1.0))
-            for nodes, value in ((before, 1.0), (before, 1.0), (before, 1.0), (after, square))]
+    done = [
+        SimpleNamespace(
+            nodes=nodes,
+            settled=None,
+            total_seconds=0.0,
+            estimate=am.Estimate(squares=np.array([value]), norm=1.0),
+        )
+        for nodes, value in ((before, 1.0), (before, 1.0), (before, 1.0), (after, square))
+    ]
     run = SimpleNamespace(limits=Limits(max_nodes=10**6), done=done, _full=lambda nodes: False)
     assert ("no progress" in solving.AdaptiveLoop._reached(run, done[-1])) is ends
 
 
 def test_nothing_to_refine_ends_the_loop_but_not_a_large_mesh():
-    stuck, most = SimpleNamespace(refine=lambda problem, mesh, *rest, **options: mesh), {"max_nodes": 1000}
+    stuck, most = (
+        SimpleNamespace(refine=lambda problem, mesh, *rest, **options: mesh),
+        {"max_nodes": 1000},
+    )
     nothing = SimpleNamespace(mark=lambda estimate: np.zeros(len(estimate.squares), dtype=bool))
-    for words, found in (("beyond rounding", loop(am.cases.two_block_patch(), 0.03, max_nodes=10**5)),
-                         ("no error", loop(indicator=Scripted({}, square=lambda n: 0.0), engine=stuck, **most)),
-                         ("no finer mesh than that of 3", loop(indicator=Scripted({}), engine=stuck, **most)),
-                         ("the marking chooses no element", loop(mark=nothing, **most))):
+    for words, found in (
+        ("beyond rounding", loop(am.cases.two_block_patch(), 0.03, max_nodes=10**5)),
+        ("no error", loop(indicator=Scripted({}, square=lambda n: 0.0), engine=stuck, **most)),
+        ("no finer mesh than that of 3", loop(indicator=Scripted({}), engine=stuck, **most)),
+        ("the marking chooses no element", loop(mark=nothing, **most)),
+    ):
         assert len(found) == 1 and "no progress" in found[0].outcome and words in found[0].outcome
         assert "coordinates" not in found[0].outcome
+
     # an engine that overshoots is asked for less
     def refine(*given, max_nodes):
         bounds.append(max_nodes)
         return BISECT.refine(*given, max_nodes=int(1.2 * max_nodes))
 
     bounds = []
-    assert loop(engine=SimpleNamespace(refine=refine), max_nodes=300)[-1].nodes <= 300 and min(bounds) < 300
+    assert (
+        loop(engine=SimpleNamespace(refine=refine), max_nodes=300)[-1].nodes <= 300
+        and min(bounds) < 300
+    )
 
 
 def test_it_starts_from_a_mesh_or_hierarchy_with_any_solver():
@@ -201,7 +281,9 @@ def test_it_starts_from_a_mesh_or_hierarchy_with_any_solver():
     # a multigrid begins with the second mesh
     transfer = am.PseudoL2()
     found = loop(solver=am.FullMultigrid(rtol=1e-6), transfer=transfer, max_nodes=100)
-    assert [step.result.rtol for step in found[1:]] == [1e-6] * (len(found) - 1) and found[0].result.rtol <= 1e-6
+    assert [step.result.rtol for step in found[1:]] == [1e-6] * (len(found) - 1) and found[
+        0
+    ].result.rtol <= 1e-6
     assert found[-1].hierarchy.transfer is transfer
     with pytest.raises(am.NotConverged):
         loop(solver=am.SingleGrid(max_sweeps=1), max_nodes=900)
@@ -211,19 +293,24 @@ def test_a_load_path_is_followed_on_every_mesh():
     problem = am.cases.greco_bar()
     path = am.LoadPath({"left": [0.5, 1.0, 0.2]}, default=1.0)
     solver = am.ActiveSet(rtol=1e-12)
-    by_last, by_worst = (loop(problem, 10e-3, load_path=path, adapt_on=on, max_nodes=90, solver=solver)
-                         for on in ("last", "worst"))
+    by_last, by_worst = (
+        loop(problem, 10e-3, load_path=path, adapt_on=on, max_nodes=90, solver=solver)
+        for on in ("last", "worst")
+    )
     for step in (*by_last, *by_worst):
         assert len(step.path) == 3 and step.path.complete
     assert by_last[0].result is by_last[0].path[2]
     first = by_worst[0]
     posed = [posed_at(first.hierarchy, path, first.path, k) for k in range(3)]
     assert first.estimate.relative == max(
-        am.Residual().indicate(*pair).relative for pair in zip(posed, first.path, strict=True))
+        am.Residual().indicate(*pair).relative for pair in zip(posed, first.path, strict=True)
+    )
     # what is posed in a step is what its result solves
     for k, grids in enumerate(posed):
         alone = am.solve(grids, solver).displacement
-        np.testing.assert_allclose(first.path[k].displacement, alone, atol=1e-9 * np.abs(alone).max())
+        np.testing.assert_allclose(
+            first.path[k].displacement, alone, atol=1e-9 * np.abs(alone).max()
+        )
         assert grids.problem.loads[-1].value == path.factors["left"][k] * problem.loads[-1].value
     one = am.LoadPath({"left": [1.0]}, default=1.0)
     plain = next(am.adapt(problem, 10e-3, engine=BISECT, max_nodes=90))
@@ -236,26 +323,37 @@ def test_a_mesh_is_refined_for_all_load_steps(engine):
     # a load that moves along the top: what one step needs another would take back
     parts = ("first", "second", "third")
     problem = am.ContactProblem(
-        domain=am.Polygon(vertices=[(0.0, 0.0), (0.1, 0.0), *((one, 0.02) for one in np.linspace(0.1, 0.0, 4))],
-                          boundaries=("bottom", "right", *parts, "left")),
-        material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Coulomb(0.4),
-        contact=am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0))), supports=(am.Support("left", x=0.0),),
-        loads=tuple(am.Pressure(name, 3e7) for name in parts))
-    path = am.LoadPath({name: [1.0 if k == j else 0.02 for j in range(3)] for k, name in enumerate(parts)})
+        domain=am.Polygon(
+            vertices=[(0.0, 0.0), (0.1, 0.0), *((one, 0.02) for one in np.linspace(0.1, 0.0, 4))],
+            boundaries=("bottom", "right", *parts, "left"),
+        ),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        law=am.Coulomb(0.4),
+        contact=am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0))),
+        supports=(am.Support("left", x=0.0),),
+        loads=tuple(am.Pressure(name, 3e7) for name in parts),
+    )
+    path = am.LoadPath(
+        {name: [1.0 if k == j else 0.02 for j in range(3)] for k, name in enumerate(parts)}
+    )
     found = loop(problem, 15e-3, engine=engine, load_path=path, adapt_on="worst", max_nodes=700)
     assert "max_nodes" in found[-1].outcome and len(found) < 9
     # the estimate falls from mesh to mesh, and all steps have a similar one on the last mesh
     assert all(b.estimate.relative < a.estimate.relative for a, b in itertools.pairwise(found))
     last = found[-1]
-    others = [am.Residual().indicate(posed_at(last.hierarchy, path, last.path, k), one).relative
-              for k, one in enumerate(last.path)]
+    others = [
+        am.Residual().indicate(posed_at(last.hierarchy, path, last.path, k), one).relative
+        for k, one in enumerate(last.path)
+    ]
     assert min(others) > 0.5 * last.estimate.relative
 
 
 def test_the_parts_of_a_loop_fit_each_other():
     grids = am.Hierarchy.uniform(upset(), (3, 6))
-    for problem, options, words in ((upset(), {"max_nodes": 9}, "start must be a hierarchy for the problem"),
-                                    (grids.problem, {"transfer": am.L2(), "max_nodes": 9}, "transfer")):
+    for problem, options, words in (
+        (upset(), {"max_nodes": 9}, "start must be a hierarchy for the problem"),
+        (grids.problem, {"transfer": am.L2(), "max_nodes": 9}, "transfer"),
+    ):
         with pytest.raises(ValueError, match=words):
             am.adapt(problem, grids, **options)
 
@@ -268,14 +366,24 @@ def test_doerfler_marks_a_smallest_set_that_holds_the_share(theta):
         squares[0] += 1.0
         mask = am.Doerfler(theta).mark(squares)
         assert squares[mask].sum() >= theta * squares.sum()
-        smaller = max((squares[list(chosen)].sum() for chosen in itertools.combinations(range(9), mask.sum() - 1)),
-                      default=0.0)
+        smaller = max(
+            (
+                squares[list(chosen)].sum()
+                for chosen in itertools.combinations(range(9), mask.sum() - 1)
+            ),
+            default=0.0,
+        )
         assert smaller < theta * squares.sum()
         assert (squares[mask] > 0).all()
-        np.testing.assert_array_equal(am.Doerfler(theta).mark(am.Estimate(squares=squares, norm=1.0)), mask)
+        np.testing.assert_array_equal(
+            am.Doerfler(theta).mark(am.Estimate(squares=squares, norm=1.0)), mask
+        )
         largest = (squares >= theta * squares.max()) & (squares > 0)
         np.testing.assert_array_equal(am.Maximum(theta).mark(squares), largest)
-    assert not am.Doerfler(theta).mark(np.zeros(4)).any() and not am.Maximum(theta).mark(np.zeros(4)).any()
+    assert (
+        not am.Doerfler(theta).mark(np.zeros(4)).any()
+        and not am.Maximum(theta).mark(np.zeros(4)).any()
+    )
 
 
 class Between:
@@ -295,27 +403,48 @@ def nodes(hierarchy: am.Hierarchy) -> list[int]:
     return [round(level.n_nodes**0.5) - 1 for level in hierarchy.levels]
 
 
-@pytest.mark.parametrize(("offered", "fine", "kept", "asked"), [
-    ([9], 24, [3, 9, 24], 1), ([9], 9, [3, 9], 0), (None, 24, [3, 24], 0), ([], 24, [3, 24], 1), ([3], 24, [3, 24], 1),
-    ([24], 24, [3, 24], 1)], ids=["put between", "sizes fit", "not offered", "none made", "no finer", "no coarser"])
+@pytest.mark.parametrize(
+    ("offered", "fine", "kept", "asked"),
+    [
+        ([9], 24, [3, 9, 24], 1),
+        ([9], 9, [3, 9], 0),
+        (None, 24, [3, 24], 0),
+        ([], 24, [3, 24], 1),
+        ([3], 24, [3, 24], 1),
+        ([24], 24, [3, 24], 1),
+    ],
+    ids=["put between", "sizes fit", "not offered", "none made", "no finer", "no coarser"],
+)
 def test_a_mesh_is_put_between_where_sizes_fall_too_much(offered, fine, kept, asked):
     start, engine = grids(3), object() if offered is None else Between(offered)
     found = appended(start, structured(start.problem.domain, fine), engine)
     assert nodes(found) == kept and getattr(engine, "asked", 0) == asked
-    assert len(kept) == 2 or all(size_ratio(a.mesh, b.mesh) <= RATIO for a, b in itertools.pairwise(found.levels))
+    assert len(kept) == 2 or all(
+        size_ratio(a.mesh, b.mesh) <= RATIO for a, b in itertools.pairwise(found.levels)
+    )
 
 
-@pytest.mark.parametrize(("sizes", "last", "kept"), [
-    ((2, 6, 18, 20), False, (2, 6, 20)), ((2, 6, 18, 20), True, (2, 6, 18, 20)),  # a single close level stays
-    ((2, 6, 7, 8), True, (2, 6, 8)), ((6, 7), False, (6, 7)), ((6, 7, 8), False, (6, 8)),
-    ((6, 17, 20), False, (6, 20)), ((6, 20, 24), False, (6, 20, 24))])  # without it sizes are too far apart
+@pytest.mark.parametrize(
+    ("sizes", "last", "kept"),
+    [
+        ((2, 6, 18, 20), False, (2, 6, 20)),
+        ((2, 6, 18, 20), True, (2, 6, 18, 20)),  # a single close level stays
+        ((2, 6, 7, 8), True, (2, 6, 8)),
+        ((6, 7), False, (6, 7)),
+        ((6, 7, 8), False, (6, 8)),
+        ((6, 17, 20), False, (6, 20)),
+        ((6, 20, 24), False, (6, 20, 24)),
+    ],
+)  # without it sizes are too far apart
 def test_close_levels_that_are_not_needed_are_dropped(sizes, last, kept):
     assert tuple(nodes(thinned(grids(*sizes), last=last))) == kept
 
 
 def test_whether_levels_are_nested_is_asked_once(monkeypatch):
     hierarchy, asked, is_galerkin = grids(3, 6, 12), [], split_matrix.is_galerkin
-    monkeypatch.setattr(split_matrix, "is_galerkin", lambda *given: asked.append(given) or is_galerkin(*given))
+    monkeypatch.setattr(
+        split_matrix, "is_galerkin", lambda *given: asked.append(given) or is_galerkin(*given)
+    )
     for _ in range(2):
         am.solve(hierarchy, am.Multigrid(rtol=1e-6))
     assert len(asked) == 2
@@ -327,7 +456,9 @@ def test_whether_levels_are_nested_is_asked_once(monkeypatch):
 def test_the_ratio_of_a_sample_is_that_of_all():
     coarse, fine = (structured(am.Rectangle(width=1.0, height=1.0), n) for n in (7, 150))
     assert len(fine.elements) > 40_000
-    assert size_ratio(coarse, fine) == pytest.approx(np.quantile(_size_ratios(coarse, fine, 1), 0.99), rel=1e-12)
+    assert size_ratio(coarse, fine) == pytest.approx(
+        np.quantile(_size_ratios(coarse, fine, 1), 0.99), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("case", [am.cases.greco_bar, am.cases.dovetail])

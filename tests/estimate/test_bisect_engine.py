@@ -1,4 +1,5 @@
-"""Bisect refines what is marked within its limits, goes onto arcs, and takes back where little is left."""
+"""Bisect refines what is marked within its limits, goes onto arcs, and takes back where little is
+left."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,8 +16,11 @@ from adaptmg.problem import Outline
 
 PROBLEM = am.cases.greco_bar()
 MESH = structured(PROBLEM.domain, 8)
-RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("a", "out", "b", "in"),
-               arcs={1: (0, 0), 3: (0, 0)})
+RING = Outline(
+    vertices=((1, 0), (2, 0), (0, 2), (0, 1)),
+    boundaries=("a", "out", "b", "in"),
+    arcs={1: (0, 0), 3: (0, 0)},
+)
 
 
 def estimate_of(mesh, towards=(0.0, 0.0)):
@@ -32,13 +36,19 @@ def largest(estimate, part):
 def test_it_bisects_what_is_marked():
     estimate = estimate_of(MESH)
     marked = largest(estimate, 0.2)
-    # twice where once would leave more than half of the mean square, and of the smallest that is marked
-    for part, deep in ((0.2, estimate.squares.mean()), (0.05, estimate.squares[largest(estimate, 0.05)].min())):
+    # twice where once would leave more than half of the mean square, and of the smallest that is
+    # marked
+    for part, deep in (
+        (0.2, estimate.squares.mean()),
+        (0.05, estimate.squares[largest(estimate, 0.05)].min()),
+    ):
         marked, twice = largest(estimate, part), estimate.squares > 8 * deep
         once = refined(MESH, marked)
         assert 0 < twice.sum() < marked.sum()
         expected = refined(once.mesh, twice[once.origin]).mesh
-        assert as_sets(verified(am.Bisect().refine(PROBLEM, MESH, estimate, marked))) == as_sets(expected)
+        assert as_sets(verified(am.Bisect().refine(PROBLEM, MESH, estimate, marked))) == as_sets(
+            expected
+        )
     assert am.Bisect().refine(PROBLEM, MESH, estimate, ~np.ones_like(marked)) is MESH
     for limit in (1, MESH.n_nodes - 1, MESH.n_nodes):
         assert am.Bisect().refine(PROBLEM, MESH, estimate, marked, max_nodes=limit) is MESH
@@ -65,17 +75,25 @@ def test_a_limit_is_kept_and_used(mesh, room):
     even, marked = replace(estimate, squares=np.ones(len(marked))), random_mask(mesh, 0.3, 4)
     free = engine.refine(PROBLEM, mesh, even, marked).n_nodes
     bound = engine.refine(PROBLEM, mesh, even, marked, max_nodes=limit).n_nodes
-    assert 0.7 * (min(free, limit) - mesh.n_nodes) - 2 <= bound - mesh.n_nodes <= limit - mesh.n_nodes
+    assert (
+        0.7 * (min(free, limit) - mesh.n_nodes) - 2 <= bound - mesh.n_nodes <= limit - mesh.n_nodes
+    )
 
 
 def test_nodes_go_onto_the_arcs_of_the_domain():
-    problem = am.ContactProblem(material=am.PlaneStrain(young=1e9, poisson=0.3), law=am.Frictionless(), domain=RING,
-                                contact=am.Contact("in", am.Plane((0, 0), (0, 1))))
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        law=am.Frictionless(),
+        domain=RING,
+        contact=am.Contact("in", am.Plane((0, 0), (0, 1))),
+    )
     bare, mesh = replace(problem, domain=None), graded(RING, 0.5)
     for _ in range(3):
         estimate = estimate_of(mesh, (1.0, 0.0))
         mesh = verified(am.Bisect().refine(problem, mesh, estimate, largest(estimate, 0.3)))
-    np.testing.assert_allclose(np.linalg.norm(mesh.points[mesh.boundary_nodes("in")], axis=1), 1, rtol=1e-14)
+    np.testing.assert_allclose(
+        np.linalg.norm(mesh.points[mesh.boundary_nodes("in")], axis=1), 1, rtol=1e-14
+    )
     estimate = estimate_of(mesh, (1.0, 0.0))
     chords = am.Bisect().refine(bare, mesh, estimate, largest(estimate, 0.3))
     assert np.linalg.norm(chords.points[chords.boundary_nodes("in")], axis=1).min() < 1 - 1e-6
@@ -95,7 +113,9 @@ def test_a_marked_element_stays_above_what_coordinates_resolve():
     mesh = structured(PROBLEM.domain, 2)
     for _ in range(60):
         before, marked = mesh, np.arange(len(mesh.elements)) == 0
-        mesh = am.Bisect().refine(PROBLEM, before, am.Estimate(squares=marked * 1.0, norm=1.0), marked)
+        mesh = am.Bisect().refine(
+            PROBLEM, before, am.Estimate(squares=marked * 1.0, norm=1.0), marked
+        )
         if mesh is before:
             break
     assert mesh is before and not divisible(mesh)[0] and divisible(mesh).any()
@@ -104,4 +124,6 @@ def test_a_marked_element_stays_above_what_coordinates_resolve():
     # a loop that comes there says so
     first = SimpleNamespace(mark=lambda estimate: np.arange(len(estimate.squares)) == 0)
     (found,) = am.adapt(PROBLEM, mesh, mark=first, engine=am.Bisect(), max_nodes=10_000)
-    assert "no finer mesh" in found.outcome and "coordinates do not resolve smaller" in found.outcome
+    assert (
+        "no finer mesh" in found.outcome and "coordinates do not resolve smaller" in found.outcome
+    )

@@ -1,4 +1,5 @@
-"""Recovered stresses reproduce linear ones, are as good at boundaries as inside, and do not cross materials."""
+"""Recovered stresses reproduce linear ones, are as good at boundaries as inside, and do not cross
+materials."""
 
 import dataclasses
 
@@ -39,7 +40,9 @@ def test_energy_is_that_of_the_compliance(dim):
     # means of products of hat functions
     products = (np.ones((dim + 1, dim + 1)) + np.eye(dim + 1)) / ((dim + 1) * (dim + 2))
     corners = nodal[mesh.elements]
-    wanted = mesh.volumes * np.einsum("kl,ekc,cd,eld->e", products, corners, np.linalg.inv(elastic), corners)
+    wanted = mesh.volumes * np.einsum(
+        "kl,ekc,cd,eld->e", products, corners, np.linalg.inv(elastic), corners
+    )
     np.testing.assert_allclose(recovered_energy(stress, mesh.elements, nodal), wanted, rtol=1e-11)
 
 
@@ -47,15 +50,18 @@ def test_the_stress_may_jump_where_materials_meet():
     whole = square(4)
     upper = whole.points[whole.elements, 1].mean(axis=1) > 0.02
     mesh = dataclasses.replace(whole, bodies=("soft", "stiff"), element_body=upper.astype(np.int32))
-    materials = {"soft": am.PlaneStress(young=1e9, poisson=0.2), "stiff": am.PlaneStress(young=9e9, poisson=0.2)}
+    materials = {
+        "soft": am.PlaneStress(young=1e9, poisson=0.2),
+        "stiff": am.PlaneStress(young=9e9, poisson=0.2),
+    }
     # the same strains in both: the stresses are constant in each
     stress = element_stress(mesh, 1e-3 * mesh.points, StressData.of(mesh, materials))
     cells, nodal = fit.recovered(mesh, stress.values)
     assert len(nodal) == mesh.n_nodes + 5  # the nodes of the interface twice
-    assert recovered_energy(stress, cells, nodal).max() < 1e-20 * (1e-3)**2 * 9e9
+    assert recovered_energy(stress, cells, nodal).max() < 1e-20 * (1e-3) ** 2 * 9e9
     glued = dataclasses.replace(mesh, bodies=("all",), element_body=None)
     one = dataclasses.replace(stress, mesh=glued, data=StressData.of(glued, materials["soft"]))
-    assert recovered_energy(one, *fit.recovered(glued, one.values)).max() > 1e-6 * (1e-3)**2 * 9e9
+    assert recovered_energy(one, *fit.recovered(glued, one.values)).max() > 1e-6 * (1e-3) ** 2 * 9e9
 
 
 def test_axisymmetric_stress_is_recovered_with_its_hoop_part():
@@ -69,7 +75,9 @@ def test_axisymmetric_stress_is_recovered_with_its_hoop_part():
     # a constant added to the hoop stress: its energy is known
     moved = nodal + np.array([0.0, 0.0, 1e6, 0.0])
     volume = 2 * np.pi * mesh.volumes * mesh.points[mesh.elements, 0].mean(axis=1)
-    np.testing.assert_allclose(recovered_energy(stress, cells, moved), volume * 1e12 / 1e9, rtol=1e-9)
+    np.testing.assert_allclose(
+        recovered_energy(stress, cells, moved), volume * 1e12 / 1e9, rtol=1e-9
+    )
 
 
 def test_stress_on_faces_of_solids_is_as_accurate_as_fits_allow():
@@ -78,6 +86,11 @@ def test_stress_on_faces_of_solids_is_as_accurate_as_fits_allow():
     centroids = mesh.points[mesh.elements].mean(axis=1)
     exact, values = (np.einsum("na,abc,nb->nc", x, curved, x) for x in (mesh.points, centroids))
     errors = np.linalg.norm(fit.recovered(mesh, values)[1] - exact, axis=1)
-    outside, face = np.isin(np.arange(mesh.n_nodes), mesh.facets), (np.abs(mesh.points - 0.5) < 0.3).sum(axis=1) >= 2
+    outside, face = (
+        np.isin(np.arange(mesh.n_nodes), mesh.facets),
+        (np.abs(mesh.points - 0.5) < 0.3).sum(axis=1) >= 2,
+    )
     # by patches on one side 3.5 to 5 times as large
-    assert np.sqrt(np.mean(errors[outside & face]**2)) < 3 * np.sqrt(np.mean(errors[~outside]**2))
+    assert np.sqrt(np.mean(errors[outside & face] ** 2)) < 3 * np.sqrt(
+        np.mean(errors[~outside] ** 2)
+    )

@@ -1,4 +1,5 @@
-"""The error against a reference is the exact one where that is known, and nothing between equal solutions."""
+"""The error against a reference is the exact one where that is known, and nothing between equal
+solutions."""
 
 import dataclasses
 
@@ -27,12 +28,15 @@ def test_errors_are_the_exact_ones(transition):
     grids, reference = transition
     field, domain = grids.problem.reference["field"], grids.problem.domain
     coarse = grids.truncated(finest=2)
-    solved = [am.solve(coarse, SOLVER),
-              on(grids.problem, [am.mesh.graded(domain, 0.1, ("bottom",), 2.0)])[1]]
+    solved = [
+        am.solve(coarse, SOLVER),
+        on(grids.problem, [am.mesh.graded(domain, 0.1, ("bottom",), 2.0)])[1],
+    ]
     for result in solved:
         exact, found = field.energy_error(result), energy_error(reference, result)
-        # of second order in the quotient of the two errors: measured .35 times its square, nested 1e-3
-        known = 0.5 * (found.allowance / found.absolute)**2
+        # of second order in the quotient of the two errors: measured .35 times its square, nested
+        # 1e-3
+        known = 0.5 * (found.allowance / found.absolute) ** 2
         assert found.absolute == pytest.approx(exact.absolute, rel=known)
         assert found.relative == pytest.approx(exact.relative, rel=known)
         assert found.norm == pytest.approx(exact.norm, rel=1e-4)
@@ -46,7 +50,9 @@ def test_the_own_error_counts_and_a_reference_must_be_finer(transition):
     result = am.solve(grids.truncated(finest=2), SOLVER)
     bare = dataclasses.replace(reference, own_error=0.0)
     with_own, without = energy_error(reference, result), energy_error(bare, result)
-    assert with_own.absolute**2 - without.absolute**2 == pytest.approx(reference.own_error**2, rel=1e-6)
+    assert with_own.absolute**2 - without.absolute**2 == pytest.approx(
+        reference.own_error**2, rel=1e-6
+    )
     small = grids.truncated(finest=1)
     worse = dataclasses.replace(Reference.of(small, am.solve(small, SOLVER)), own_error=0.0)
     with pytest.raises(ValueError, match="several times finer than the result"):
@@ -57,7 +63,8 @@ SOLVED = {
     "bar": lambda: am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4)),
     "blocks": lambda: am.Hierarchy.graded(am.cases.two_block_patch(), (0.05, 0.03)),
     "axisymmetric": lambda: am.Hierarchy.graded(am.cases.bolted_junction(), (12e-3, 8e-3)),
-    "3D": lambda: am.Hierarchy.uniform(am.cases.greco_block(), (2, 4))}
+    "3D": lambda: am.Hierarchy.uniform(am.cases.greco_block(), (2, 4)),
+}
 
 
 @pytest.mark.parametrize("case", SOLVED)
@@ -67,12 +74,16 @@ def test_a_solution_has_no_error_against_itself(case):
     own = energy_error(dataclasses.replace(Reference.of(grids, result), own_error=0.0), result)
     assert own.relative < 1e-4
     assert energy_error((grids, result), result).absolute == pytest.approx(
-        am.Recovery().indicate(grids, result).total, rel=1e-2, abs=1e-4 * own.norm)
+        am.Recovery().indicate(grids, result).total, rel=1e-2, abs=1e-4 * own.norm
+    )
 
 
 def test_two_bodies_on_meshes_that_do_not_match():
     problem = am.cases.dovetail()
-    meshes = [am.mesh.graded(problem.domain, size, problem.pair_boundaries, 2.0) for size in (8e-3, 4e-3, 1.2e-3)]
+    meshes = [
+        am.mesh.graded(problem.domain, size, problem.pair_boundaries, 2.0)
+        for size in (8e-3, 4e-3, 1.2e-3)
+    ]
     reference = Reference.of(*on(problem, meshes))
     errors = [energy_error(reference, on(problem, meshes[:k])[1]).relative for k in (1, 2)]
     # rate lambda = .54 at the corners of notch and tongue

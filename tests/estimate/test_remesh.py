@@ -1,4 +1,5 @@
-"""Remesh: sizes that equilibrate errors within bounds, and meshes of these sizes for every kind of domain."""
+"""Remesh: sizes that equilibrate errors within bounds, and meshes of these sizes for every kind of
+domain."""
 
 from dataclasses import replace
 
@@ -27,17 +28,25 @@ from adaptmg.transfer import size_ratio
 def singular(mesh, place, exponent=0.6):
     """Squares of a solution that goes like r^exponent at a place: h^(2 + d) |D^2 u|^2."""
     distance = np.linalg.norm(mesh.points[mesh.elements].mean(axis=1) - np.array(place), axis=1)
-    return am.Estimate(squares=simplex_sizes(mesh) ** (2 + mesh.dim) * distance ** (2 * (exponent - 2)), norm=1.0)
+    return am.Estimate(
+        squares=simplex_sizes(mesh) ** (2 + mesh.dim) * distance ** (2 * (exponent - 2)), norm=1.0
+    )
 
 
-PLANE = {"upset": am.cases.upset_block, "dovetail": am.cases.dovetail, "cylinder": am.cases.hertz_cylinder}
+PLANE = {
+    "upset": am.cases.upset_block,
+    "dovetail": am.cases.dovetail,
+    "cylinder": am.cases.hertz_cylinder,
+}
 
 
 @pytest.mark.parametrize("case", PLANE)
 def test_plane_problems(case):
     problem = PLANE[case]()
     domain = problem.domain
-    mesh = graded(domain, float((domain.upper - domain.lower).max()) / 12, problem.pair_boundaries, 4)
+    mesh = graded(
+        domain, float((domain.upper - domain.lower).max()) / 12, problem.pair_boundaries, 4
+    )
     place = mesh.points[mesh.boundary_nodes(problem.pair_boundaries[0])[0]]
     engine = am.Remesh(growth=2.5)
     for _ in range(3):
@@ -50,7 +59,9 @@ def test_plane_problems(case):
     field = SizeField(mesh_before, sizes)
     for k, body in enumerate(mesh.bodies):
         own = mesh.element_body == k
-        relative = simplex_sizes(mesh)[own] / field.function(body)(mesh.points[mesh.elements[own]].mean(axis=1))
+        relative = simplex_sizes(mesh)[own] / field.function(body)(
+            mesh.points[mesh.elements[own]].mean(axis=1)
+        )
         assert 0.9 < np.median(relative) < 1.15
         assert np.quantile(relative, 0.02) > 0.6 and np.quantile(relative, 0.98) < 1.5
     assert quality(mesh).min_angle > 20
@@ -63,7 +74,9 @@ def test_it_coarsens_small_errors_but_contact_keeps_nodes():
     problem = am.cases.upset_block()
     mesh = graded(problem.domain, 1e-3)
     far = mesh.points[mesh.elements].mean(axis=1)[:, 0] > 20e-3
-    fine = am.Remesh(growth=1.5).refine(problem, mesh, am.Estimate(squares=np.where(far, 1e-12, 1.0), norm=1.0))
+    fine = am.Remesh(growth=1.5).refine(
+        problem, mesh, am.Estimate(squares=np.where(far, 1e-12, 1.0), norm=1.0)
+    )
     in_far_half = [np.count_nonzero(m.points[:, 0] > 30e-3) for m in (mesh, fine)]
     assert in_far_half[1] < 0.7 * in_far_half[0]
     mesh = graded(problem.domain, 4e-3)
@@ -79,7 +92,9 @@ def test_number_of_nodes():
     mesh = graded(problem.domain, 2.5e-3)
 
     def refined(mesh, exponent, most=None, **options):
-        return am.Remesh(**options).refine(problem, mesh, singular(mesh, problem.domain.lower, exponent), None, most)
+        return am.Remesh(**options).refine(
+            problem, mesh, singular(mesh, problem.domain.lower, exponent), None, most
+        )
 
     # the last two meshes before the most nodes grow alike
     meshes = [mesh]
@@ -90,18 +105,34 @@ def test_number_of_nodes():
     assert refined(mesh, 0.5, growth=4.0).n_nodes == pytest.approx(2 * mesh.n_nodes, rel=0.15)
 
 
-@pytest.mark.parametrize("domain", [
-    am.Box(width=0.04, depth=0.02, height=0.03),
-    am.Cut(am.Box(width=0.04, depth=0.04, height=0.02),
-           am.Cylinder(point=(0.02, 0.02, -0.01), axis=(0, 0, 1), radius=0.01, height=0.04))], ids=["box", "cut"])
+@pytest.mark.parametrize(
+    "domain",
+    [
+        am.Box(width=0.04, depth=0.02, height=0.03),
+        am.Cut(
+            am.Box(width=0.04, depth=0.04, height=0.02),
+            am.Cylinder(point=(0.02, 0.02, -0.01), axis=(0, 0, 1), radius=0.01, height=0.04),
+        ),
+    ],
+    ids=["box", "cut"],
+)
 def test_solids(domain):
     first, *_, last = dict.fromkeys(domain.boundaries)
-    problem = am.ContactProblem(material=am.Solid(young=2.1e11, poisson=0.3), domain=domain, law=am.Frictionless(),
-                                contact=am.Contact(last, am.Plane((0, 0, 0), (0, 0, 1))),
-                                supports=(am.Support(first, x=0.0),))
+    problem = am.ContactProblem(
+        material=am.Solid(young=2.1e11, poisson=0.3),
+        domain=domain,
+        law=am.Frictionless(),
+        contact=am.Contact(last, am.Plane((0, 0, 0), (0, 0, 1))),
+        supports=(am.Support(first, x=0.0),),
+    )
     mesh, engine = graded(domain, 6e-3), am.Remesh()
     for _ in range(2):
-        before, mesh = mesh, check_mesh(engine.refine(problem, mesh, singular(mesh, domain.lower)), domain.boundaries)
+        before, mesh = (
+            mesh,
+            check_mesh(
+                engine.refine(problem, mesh, singular(mesh, domain.lower)), domain.boundaries
+            ),
+        )
     assert mesh.n_nodes == pytest.approx(engine.growth * before.n_nodes, rel=0.25)
     assert quality(mesh).min_angle > 8
     if isinstance(domain, am.Cut):
@@ -116,15 +147,19 @@ def test_intermediate_meshes_halve_the_jump():
     coarse, fine = graded(problem.domain, 6e-3), graded(problem.domain, 0.5e-3)
     between = check_mesh(am.Remesh().intermediate(problem, coarse, fine), problem.domain.boundaries)
     assert coarse.n_nodes < between.n_nodes < fine.n_nodes
-    whole, lower, upper = (size_ratio(*pair) for pair in ((coarse, fine), (coarse, between), (between, fine)))
+    whole, lower, upper = (
+        size_ratio(*pair) for pair in ((coarse, fine), (coarse, between), (between, fine))
+    )
     assert whole > 8
     assert max(lower, upper) < 1.7 * np.sqrt(whole)
 
 
 def test_a_problem_without_a_domain_is_refused():
     mesh, alone = structured(4, 2), replace(am.cases.upset_block(), domain=None)
-    for run in (lambda: am.Remesh().refine(alone, as_mesh(mesh), singular(mesh, (0.0, 0.0))),
-                lambda: am.Remesh().intermediate(alone, mesh, mesh)):
+    for run in (
+        lambda: am.Remesh().refine(alone, as_mesh(mesh), singular(mesh, (0.0, 0.0))),
+        lambda: am.Remesh().intermediate(alone, mesh, mesh),
+    ):
         with pytest.raises(ValueError, match=r"problem\.domain is None.*engine=am\.Bisect"):
             run()
 
@@ -155,7 +190,9 @@ def test_gradation_is_the_largest_field_below_that_grows_slowly(seed, dim, growt
 def test_squares_after_refinement_are_equal(dim, rate):
     # eta^2 = a h^(2 + d) with a that varies smoothly, or not: sizes must go like a^(-1 / (2 + d))
     mesh = structured(8 if dim == 3 else 30, dim)
-    squares = np.exp(rate * mesh.points[mesh.elements].mean(axis=1)[:, 0]) * simplex_sizes(mesh) ** (2 + dim)
+    squares = np.exp(rate * mesh.points[mesh.elements].mean(axis=1)[:, 0]) * simplex_sizes(
+        mesh
+    ) ** (2 + dim)
     sizes = equilibrated_sizes(mesh, squares, 2.0 * mesh.n_nodes, growth=10)
     after = np.exp(rate * mesh.points[:, 0]) * sizes ** (2 + dim)
     assert after.max() / after.min() < (1.35 if rate else 1 + 1e-11)
@@ -165,16 +202,23 @@ def test_squares_after_refinement_are_equal(dim, rate):
 def test_units_of_squares_do_not_matter_and_the_count_is_exact():
     mesh = log_graded(150, 3)
     squares = np.random.default_rng(0).random(len(mesh.elements))
-    np.testing.assert_allclose(equilibrated_sizes(mesh, 1e-25 * squares, 400), equilibrated_sizes(mesh, squares, 400),
-                               rtol=1e-9)
+    np.testing.assert_allclose(
+        equilibrated_sizes(mesh, 1e-25 * squares, 400),
+        equilibrated_sizes(mesh, squares, 400),
+        rtol=1e-9,
+    )
     squares[:50] = 0
     for some in (squares, 0 * squares):
         assert NodeCount(mesh)(equilibrated_sizes(mesh, some, 400)) == pytest.approx(400, rel=0.01)
     for mesh in (log_graded(300, 2), structured(5, 3), two_boxes(4, 2)):
-        assert NodeCount(mesh)(nodal_sizes(mesh, simplex_sizes(mesh))) == pytest.approx(mesh.n_nodes)
+        assert NodeCount(mesh)(nodal_sizes(mesh, simplex_sizes(mesh))) == pytest.approx(
+            mesh.n_nodes
+        )
     # half the sizes: four times the nodes inside, twice those of the boundary
     mesh = structured(16, 2)
-    assert NodeCount(mesh)(0.5 * nodal_sizes(mesh, simplex_sizes(mesh))) == pytest.approx(33**2, rel=0.02)
+    assert NodeCount(mesh)(0.5 * nodal_sizes(mesh, simplex_sizes(mesh))) == pytest.approx(
+        33**2, rel=0.02
+    )
 
 
 @settings(max_examples=25, deadline=None)
@@ -209,5 +253,7 @@ def test_size_fields_are_linear_in_each_body(dim):
         assert (field.function(name)(both.points[body == k]) == 1 + k).all()
     coarse, fine = structured(2, 2), structured(32, 2)
     mean = mean_sizes(coarse, fine, 10.0)
-    expected = np.sqrt(nodal_sizes(coarse, simplex_sizes(coarse))[0] * nodal_sizes(fine, simplex_sizes(fine)))
+    expected = np.sqrt(
+        nodal_sizes(coarse, simplex_sizes(coarse))[0] * nodal_sizes(fine, simplex_sizes(fine))
+    )
     np.testing.assert_allclose(mean.sizes, expected, rtol=1e-9)

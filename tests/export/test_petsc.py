@@ -15,7 +15,8 @@ from adaptmg.export import petsc_files
 
 
 def read(path):
-    """A file in PETSc's documented layout: class id, sizes, then integers of 32 bits and reals of 64, big-endian."""
+    """A file in PETSc's documented layout: class id, sizes, then integers of 32 bits and reals of
+    64, big-endian."""
     data = path.read_bytes()
     kind, first = struct.unpack(">ii", data[:8])
     if kind == 1211214:
@@ -36,9 +37,11 @@ def read(path):
     return sparse.csr_array((values, indices, pointers), shape=(first, columns))
 
 
-HIERARCHIES = {"bar": lambda: am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 9e-3)),
-               "block": lambda: am.Hierarchy.uniform(am.cases.greco_block(), (2, 4)),
-               "joint": lambda: am.Hierarchy.graded(am.cases.dovetail(), sizes=(6e-3, 4e-3))}
+HIERARCHIES = {
+    "bar": lambda: am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 9e-3)),
+    "block": lambda: am.Hierarchy.uniform(am.cases.greco_block(), (2, 4)),
+    "joint": lambda: am.Hierarchy.graded(am.cases.dovetail(), sizes=(6e-3, 4e-3)),
+}
 
 
 @cache
@@ -55,7 +58,9 @@ def exported(tmp_path, problem):
     """The files of an export by their names, and the manifest."""
     manifest = am.export.petsc(problem, tmp_path / "out")
     assert manifest == tmp_path / "out" / "manifest.json"
-    return {path.stem: read(path) for path in manifest.parent.glob("*.petsc")}, json.loads(manifest.read_text())
+    return {path.stem: read(path) for path in manifest.parent.glob("*.petsc")}, json.loads(
+        manifest.read_text()
+    )
 
 
 @pytest.mark.parametrize("name", HIERARCHIES)
@@ -68,13 +73,21 @@ def test_every_file_holds_the_part_it_is_named_after(tmp_path, name):
         np.testing.assert_array_equal(files[f"level{k}_matrix"].toarray(), problem.matrix.toarray())
         assert files[f"level{k}_matrix"].nnz == problem.matrix.nnz
         limit, friction = problem.law.bounds(len(contact))
-        for part, wanted in {"load": problem.load, "fixed_values": problem.fixed_values,
-                             "fixed": np.flatnonzero(problem.fixed), "coordinates": problem.coordinates,
-                             "contact_nodes": contact.nodes, "contact_normals": contact.normals,
-                             "contact_gaps": contact.gaps, "contact_weights": contact.weights,
-                             "contact_slip_limit": limit, "contact_friction": friction,
-                             "contact_slip_reference": contact.slip_reference,
-                             "contact_boundary": contact.boundary, "mode1": problem.near_nullspace[:, 1]}.items():
+        for part, wanted in {
+            "load": problem.load,
+            "fixed_values": problem.fixed_values,
+            "fixed": np.flatnonzero(problem.fixed),
+            "coordinates": problem.coordinates,
+            "contact_nodes": contact.nodes,
+            "contact_normals": contact.normals,
+            "contact_gaps": contact.gaps,
+            "contact_weights": contact.weights,
+            "contact_slip_limit": limit,
+            "contact_friction": friction,
+            "contact_slip_reference": contact.slip_reference,
+            "contact_boundary": contact.boundary,
+            "mode1": problem.near_nullspace[:, 1],
+        }.items():
             np.testing.assert_array_equal(files[f"level{k}_{part}"], np.ravel(wanted), err_msg=part)
         coupled = problem.coupling is not None
         assert (f"level{k}_coupling" in files) == coupled
@@ -85,8 +98,9 @@ def test_every_file_holds_the_part_it_is_named_after(tmp_path, name):
             P = vars(level)[form]
             assert (f"level{k}_{form}" in files) == (P is not None)
             if P is not None:
-                np.testing.assert_array_equal(files[f"level{k}_{form}"].toarray(),
-                                              np.kron(P.toarray(), np.eye(dim)))
+                np.testing.assert_array_equal(
+                    files[f"level{k}_{form}"].toarray(), np.kron(P.toarray(), np.eye(dim))
+                )
     assert {entry["file"].removesuffix(".petsc") for entry in manifest["files"]} == set(files)
     assert manifest["dim"] == dim and manifest["levels"] == len(hierarchy)
 
@@ -97,9 +111,23 @@ def test_the_manifest_and_the_info_files_say_the_block_sizes(tmp_path):
         info = tmp_path / "out" / f"{entry['file']}.info"
         assert info.exists() == (entry["kind"] != "IS")
         if info.exists():
-            assert info.read_text() == f"-{entry['kind'].lower()}load_block_size {entry['block_size']}\n"
-        blocked = any(part in entry["file"] for part in ("matrix", "prolongation", "load", "values", "coordinates",
-                                                         "mode", "normals", "reference"))
+            assert (
+                info.read_text()
+                == f"-{entry['kind'].lower()}load_block_size {entry['block_size']}\n"
+            )
+        blocked = any(
+            part in entry["file"]
+            for part in (
+                "matrix",
+                "prolongation",
+                "load",
+                "values",
+                "coordinates",
+                "mode",
+                "normals",
+                "reference",
+            )
+        )
         assert entry["block_size"] == (3 if blocked else 1)
         assert entry["meaning"] and entry["kind"] in ("Mat", "Vec", "IS")
         size = read(tmp_path / "out" / entry["file"])
@@ -109,7 +137,9 @@ def test_the_manifest_and_the_info_files_say_the_block_sizes(tmp_path):
 def test_a_bare_problem_is_one_level_with_its_name(tmp_path, bar):
     odd = dataclasses.replace(bar[0].discrete, name="a{b}%s ü")
     files, manifest = exported(tmp_path, odd)
-    assert manifest["levels"] == 1 and "level0_matrix" in files and "level0_prolongation" not in files
+    assert (
+        manifest["levels"] == 1 and "level0_matrix" in files and "level0_prolongation" not in files
+    )
     assert manifest["problem"] == "a{b}%s ü"
 
 
@@ -117,11 +147,17 @@ DENSE = np.random.default_rng(0).random((12, 8)).round() * np.arange(8)
 DENSE[4:8] = 0.0
 
 
-@pytest.mark.parametrize("made", [
-    *(sparse.bsr_array(DENSE, blocksize=size) for size in ((2, 2), (3, 1), (1, 4))), sparse.csr_array(DENSE),
-    sparse.csc_array(DENSE), sparse.coo_array(DENSE),
-    sparse.bsr_array((np.arange(12.0).reshape(3, 2, 2), [1, 0, 1], [0, 3]), shape=(2, 4)),
-    sparse.csr_array((np.arange(4.0), [1, 0, 1, 0], [0, 3, 4]), shape=(2, 2))])
+@pytest.mark.parametrize(
+    "made",
+    [
+        *(sparse.bsr_array(DENSE, blocksize=size) for size in ((2, 2), (3, 1), (1, 4))),
+        sparse.csr_array(DENSE),
+        sparse.csc_array(DENSE),
+        sparse.coo_array(DENSE),
+        sparse.bsr_array((np.arange(12.0).reshape(3, 2, 2), [1, 0, 1], [0, 3]), shape=(2, 4)),
+        sparse.csr_array((np.arange(4.0), [1, 0, 1, 0], [0, 3, 4]), shape=(2, 2)),
+    ],
+)
 def test_any_matrix_comes_back_in_order_and_stays(tmp_path, made):
     before = made.copy()
     (tmp_path / "A").write_bytes(petsc_files.content("A", made))
@@ -133,7 +169,9 @@ def test_any_matrix_comes_back_in_order_and_stays(tmp_path, made):
 def test_more_nonzeros_than_petsc_counts_are_refused(tmp_path, bar, monkeypatch):
     assert petsc_files.LARGEST == 2**31 - 1
     monkeypatch.setattr(petsc_files, "LARGEST", bar.finest.discrete.matrix.nnz - 1)
-    with pytest.raises(ValueError, match=r"level1_matrix has \d+ values, more than the \d+ that PETSc counts"):
+    with pytest.raises(
+        ValueError, match=r"level1_matrix has \d+ values, more than the \d+ that PETSc counts"
+    ):
         am.export.petsc(bar, tmp_path / "out")
     assert not list(tmp_path.iterdir())
 
@@ -165,7 +203,14 @@ def test_a_full_disk_leaves_nothing(tmp_path, bar, monkeypatch):
 def test_bad_arguments_are_refused(tmp_path, bar):
     (tmp_path / "file").write_text("x")
     for problem, target, error, message in (
-            (bar.finest.discrete.matrix, "out", TypeError, "problem must be a Hierarchy or a DiscreteProblem"),
-            (bar, "nowhere/out", FileNotFoundError, "nowhere"), (bar, "file", FileExistsError, "new or empty")):
+        (
+            bar.finest.discrete.matrix,
+            "out",
+            TypeError,
+            "problem must be a Hierarchy or a DiscreteProblem",
+        ),
+        (bar, "nowhere/out", FileNotFoundError, "nowhere"),
+        (bar, "file", FileExistsError, "new or empty"),
+    ):
         with pytest.raises(error, match=message):
             am.export.petsc(problem, tmp_path / target)

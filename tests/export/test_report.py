@@ -14,8 +14,19 @@ from adaptmg.export import Report
 from adaptmg.export.report import DENSE, LONGEST, columns_of, one_line, worded
 
 #: names that end an attribute, open a tag, or are not allowed in XML or UTF-8 at all
-NASTY = ("a<b>&\"'", "]]>", "<!--", "&#0;", "line\nbreak\ttab", "\x00\x01\x1b[31m\x7f\x9f", "\udcff\ud800",
-         "\ufffe\uffff", "\U0001fffe", "\u00b5 \u4e2d \U0001f600", " ")
+NASTY = (
+    "a<b>&\"'",
+    "]]>",
+    "<!--",
+    "&#0;",
+    "line\nbreak\ttab",
+    "\x00\x01\x1b[31m\x7f\x9f",
+    "\udcff\ud800",
+    "\ufffe\uffff",
+    "\U0001fffe",
+    "\u00b5 \u4e2d \U0001f600",
+    " ",
+)
 FRAME = pd.DataFrame({"n<": [1], "t": ["<script>alert(1)</script>"]})
 
 
@@ -28,7 +39,8 @@ def drawing(count: int = 2, label: str = ""):
 
 
 def made(tmp_path, fill, **options) -> tuple[Page, str]:
-    """The page that ``fill`` makes, parsed, and its text; figures of other tests are closed before."""
+    """The page that ``fill`` makes, parsed, and its text; figures of other tests are closed
+    before."""
     plt.close("all")
     report = Report("Smoothing & <co>", "One.\n\nTwo <b>.", **options)
     fill(report)
@@ -41,7 +53,9 @@ def example(report: Report) -> None:
     report.card("Best <sweeps>", "Two & no more.", to="first", table=FRAME, units={"n<": "m<"})
     report.card("A picture", to="nowhere", figure=drawing())
     report.card("Absent", "Run <it>.")
-    report.section("Sweeps <1>", "Text & more {{ 7 * 7 }}{% x %}.", summary="In short <i>.", key="first")
+    report.section(
+        "Sweeps <1>", "Text & more {{ 7 * 7 }}{% x %}.", summary="In short <i>.", key="first"
+    )
     report.table(FRAME, "Table 1 & so on", "note <i>", units={"t": "µs"}, csv='a "b".csv')
     report.figure(drawing(label="<b> & x"), 'A "picture" <x>')
     report.section("Second")
@@ -53,27 +67,59 @@ def test_a_report_is_one_sound_page_that_needs_nothing_else(tmp_path):
     page, text = made(tmp_path, example, terms="A unit.")
     assert [tmp_path / "report.html"] == list(tmp_path.iterdir())
     assert len(page.drawings) == len(page.all("img")) == 3
-    assert not page.all("link") and len(page.all("style")) == 1 and not re.search(r"@import|https?://", text)
-    assert {"contents", "first", "section-2", "made"} <= {a["id"] for _, a in page.tags if "id" in a}
-    assert len(page.all("table")) == 2 and len(page.all("table", "sort")) == 1  # that of a card is not sorted
+    assert (
+        not page.all("link")
+        and len(page.all("style")) == 1
+        and not re.search(r"@import|https?://", text)
+    )
+    assert {"contents", "first", "section-2", "made"} <= {
+        a["id"] for _, a in page.tags if "id" in a
+    }
+    assert (
+        len(page.all("table")) == 2 and len(page.all("table", "sort")) == 1
+    )  # that of a card is not sorted
     links = [a["href"] for a in page.all("a")]
-    assert {"#first", "#section-2", "#made", "a%20%22b%22.csv"} <= set(links) and "#nowhere" not in links
+    assert {"#first", "#section-2", "#made", "a%20%22b%22.csv"} <= set(
+        links
+    ) and "#nowhere" not in links
     assert not plt.get_fignums()
 
 
 def test_a_report_escapes_everything(tmp_path):
     page, text = made(tmp_path, example)
-    for raw in ("<co>", "<b>", "<i>", "<x>", "Sweeps <1>", "n<<", "alert(1)</script>", "<it>", "<sweeps>"):
+    for raw in (
+        "<co>",
+        "<b>",
+        "<i>",
+        "<x>",
+        "Sweeps <1>",
+        "n<<",
+        "alert(1)</script>",
+        "<it>",
+        "<sweeps>",
+    ):
         assert raw not in text
     assert len(page.all("script")) == 1 and "<script>alert(1)</script>" in page.text("td")
-    for shown in ("Smoothing & <co>", "Two <b>.", 'A "picture" <x>', "Run <it>.", "[m<]", "1 < 2",
-                  "Text & more {{ 7 * 7 }}{% x %}."):
+    for shown in (
+        "Smoothing & <co>",
+        "Two <b>.",
+        'A "picture" <x>',
+        "Run <it>.",
+        "[m<]",
+        "1 < 2",
+        "Text & more {{ 7 * 7 }}{% x %}.",
+    ):
         assert shown in page.text(), shown
     assert "<b> & x" in page.drawings[1]
     origin = page.text("dt", "dd")
-    assert all(word in origin for word in ("Versions", "numpy", "Machine", "cores", "Written", "Random seeds"))
+    assert all(
+        word in origin
+        for word in ("Versions", "numpy", "Machine", "cores", "Written", "Random seeds")
+    )
     # only the script of the page may run
-    policy = next(a["content"] for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy")
+    policy = next(
+        a["content"] for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy"
+    )
     script = re.search(r"<script>(.*?)</script>", text, re.DOTALL)[1]
     assert base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() in policy
     assert "default-src 'none'" in policy
@@ -144,25 +190,36 @@ def test_bad_arguments_are_refused(tmp_path):
     page = Report("x")
     page.section("s", key="a")
     for call, error, message in (
-            (lambda: page.table([[1]], "caption"), TypeError, "DataFrame"),
-            (lambda: page.table(FRAME, ""), ValueError, "caption"),
-            (lambda: page.table(FRAME, "c", units={"b": "s"}), ValueError, "units"),
-            (lambda: page.figure("file.png", "caption"), TypeError, "Figure"),
-            (lambda: page.card("t", table=FRAME, figure=plt.figure()), ValueError, "a table or a figure"),
-            (lambda: page.section("s", key="a b"), ValueError, "key must begin"),
-            (lambda: page.section("s", key="a"), ValueError, "another section"),
-            (lambda: page.section("s", key="made"), ValueError, "another section"),
-            (lambda: Report(""), ValueError, "title"),
-            (lambda: page.write(tmp_path / "nowhere" / "x.html"), FileNotFoundError, "nowhere")):
+        (lambda: page.table([[1]], "caption"), TypeError, "DataFrame"),
+        (lambda: page.table(FRAME, ""), ValueError, "caption"),
+        (lambda: page.table(FRAME, "c", units={"b": "s"}), ValueError, "units"),
+        (lambda: page.figure("file.png", "caption"), TypeError, "Figure"),
+        (
+            lambda: page.card("t", table=FRAME, figure=plt.figure()),
+            ValueError,
+            "a table or a figure",
+        ),
+        (lambda: page.section("s", key="a b"), ValueError, "key must begin"),
+        (lambda: page.section("s", key="a"), ValueError, "another section"),
+        (lambda: page.section("s", key="made"), ValueError, "another section"),
+        (lambda: Report(""), ValueError, "title"),
+        (lambda: page.write(tmp_path / "nowhere" / "x.html"), FileNotFoundError, "nowhere"),
+    ):
         with pytest.raises(error, match=message):
             call()
     plt.close("all")
 
 
-@pytest.mark.parametrize(("values", "spec", "shown"), [
-    ([0.0534, 0.015004, np.nan], "", ["0.0534", "0.015", "-"]), ([1, 2, 30], "", ["1", "2", "30"]),
-    (["1.5", "b"], "", ["1.5", "b"]), ([1.26, np.inf], ".1f", ["1.3", "inf"]),
-    (pd.array([1.26, None], "Float64"), ".2g", ["1.3", "-"])])
+@pytest.mark.parametrize(
+    ("values", "spec", "shown"),
+    [
+        ([0.0534, 0.015004, np.nan], "", ["0.0534", "0.015", "-"]),
+        ([1, 2, 30], "", ["1", "2", "30"]),
+        (["1.5", "b"], "", ["1.5", "b"]),
+        ([1.26, np.inf], ".1f", ["1.3", "inf"]),
+        (pd.array([1.26, None], "Float64"), ".2g", ["1.3", "-"]),
+    ],
+)
 def test_numbers_have_their_format(values, spec, shown):
     (column,) = columns_of(pd.DataFrame({"x": values}), None, {"x": spec} if spec else None)
     assert column.texts == shown

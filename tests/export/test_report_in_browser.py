@@ -1,4 +1,5 @@
-"""Reports in a browser: the first screen has the answers, nothing runs over, tables sort and fold, paper has all."""
+"""Reports in a browser: the first screen has the answers, nothing runs over, tables sort and fold,
+paper has all."""
 
 import re
 
@@ -17,17 +18,33 @@ pytestmark = [needs_browser, pytest.mark.slow]
 def page(tmp_path_factory):
     """A report with wide tables, long words and large pictures; its file."""
     report = Report("A title of some length " * 5 + "averylongword" * 20, "Summary. " * 40)
-    many = pd.DataFrame({f"a column of number {k}": np.arange(90) * 10.0**(k - 8) for k in range(18)})
+    many = pd.DataFrame(
+        {f"a column of number {k}": np.arange(90) * 10.0 ** (k - 8) for k in range(18)}
+    )
     many.insert(0, "method", [f"{'long ' * (k % 7)}method{k}" for k in range(90)])
     for k in range(3):
-        answers = pd.DataFrame({"grids": ["a method of two words", "289/81", "1089/289/81/25", "another method"],
-                                "paper": [1.0, 7.2, 21.7, 27.3], "ours": np.arange(4) * 8.25, f"new {k}": 1.0})
-        report.card("Table", "What it says in words. " * 8, table=answers, units={"paper": "CPU", "ours": "work"})
+        answers = pd.DataFrame(
+            {
+                "grids": ["a method of two words", "289/81", "1089/289/81/25", "another method"],
+                "paper": [1.0, 7.2, 21.7, 27.3],
+                "ours": np.arange(4) * 8.25,
+                f"new {k}": 1.0,
+            }
+        )
+        report.card(
+            "Table",
+            "What it says in words. " * 8,
+            table=answers,
+            units={"paper": "CPU", "ours": "work"},
+        )
     for _ in range(2):
         report.card("Picture", "What it says, in words that are not few. " * 15, figure=drawing())
     report.section("Sorted")
     names = ["name", "a name of many words x", "a name of many words y"]
-    report.table(pd.DataFrame([("b", 2e-3, -1.0), ("a10", None, -20.0), ("a9", 1e5, 3.0)], columns=names), "sorted")
+    report.table(
+        pd.DataFrame([("b", 2e-3, -1.0), ("a10", None, -20.0), ("a9", 1e5, 3.0)], columns=names),
+        "sorted",
+    )
     for k in range(3):
         report.section(f"Section {k}", "Sentence of some words here. " * 50)
         report.table(many, "Wide " * 30, "Note of some words here. " * 60, csv="a.csv")
@@ -126,6 +143,8 @@ def test_the_first_screen_holds_all_answers(found):
 
 def test_the_policy_lets_the_page_s_own_script_run_and_no_other(page, tmp_path):
     foreign = "<script>document.body.dataset.foreign = 'ran';</script></body>"
-    (tmp_path / "added.html").write_text(page.read_text(encoding="utf-8").replace("</body>", foreign), encoding="utf-8")
+    (tmp_path / "added.html").write_text(
+        page.read_text(encoding="utf-8").replace("</body>", foreign), encoding="utf-8"
+    )
     after = dom(tmp_path, tmp_path / "added.html")
     assert "data-foreign" not in after and re.search(r"<th[^>]*><button", after)

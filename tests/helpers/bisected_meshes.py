@@ -39,7 +39,9 @@ def single(points: np.ndarray) -> MeshArrays:
     corners = np.arange(len(points))
     if np.linalg.det(points[1:] - points[0]) < 0:
         points[[0, 1]] = points[[1, 0]]
-    facets = {3: [[1, 2], [2, 0], [0, 1]], 4: [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]}[len(points)]
+    facets = {3: [[1, 2], [2, 0], [0, 1]], 4: [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]}[
+        len(points)
+    ]
     names = tuple(f"side{k}" for k in corners)
     return check_mesh(MeshArrays(points, corners[None], np.array(facets), corners, names))
 
@@ -60,10 +62,14 @@ def verified(mesh: MeshArrays) -> MeshArrays:
 def as_sets(mesh: MeshArrays) -> tuple[set, set, set]:
     """Nodes, elements and labelled facets by places, whatever their numbers and order."""
     places = [tuple(x) for x in mesh.points.tolist()]
-    elements = [(body, frozenset(places[i] for i in nodes))
-                for nodes, body in zip(mesh.elements.tolist(), mesh.element_body.tolist(), strict=True)]
-    facets = [(label, frozenset(places[i] for i in nodes))
-              for nodes, label in zip(mesh.facets.tolist(), mesh.facet_labels.tolist(), strict=True)]
+    elements = [
+        (body, frozenset(places[i] for i in nodes))
+        for nodes, body in zip(mesh.elements.tolist(), mesh.element_body.tolist(), strict=True)
+    ]
+    facets = [
+        (label, frozenset(places[i] for i in nodes))
+        for nodes, label in zip(mesh.facets.tolist(), mesh.facet_labels.tolist(), strict=True)
+    ]
     found = set(places), set(elements), set(facets)
     assert [len(x) for x in found] == [mesh.n_nodes, len(elements), len(facets)]
     return found
@@ -73,8 +79,10 @@ def shape_classes(mesh: MeshArrays) -> int:
     """How many elements there are that are not similar to each other."""
     corners = mesh.points[mesh.elements]
     k = corners.shape[1]
-    lengths = np.sort([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)],
-                      axis=0)
+    lengths = np.sort(
+        [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)],
+        axis=0,
+    )
     return len(np.unique(np.round(lengths / lengths[-1], 6).T, axis=0))
 
 

@@ -29,21 +29,35 @@ def rotation(turn):
 
 def turned(mesh, turn):
     """A mesh turned about the origin."""
-    return MeshArrays(mesh.points @ rotation(turn).T, mesh.elements, mesh.facets, mesh.facet_labels,
-                      mesh.boundaries, element_body=mesh.element_body, bodies=mesh.bodies)
+    return MeshArrays(
+        mesh.points @ rotation(turn).T,
+        mesh.elements,
+        mesh.facets,
+        mesh.facet_labels,
+        mesh.boundaries,
+        element_body=mesh.element_body,
+        bodies=mesh.bodies,
+    )
 
 
 def held_at_points(problem, mesh, exact, points, load=0.0):
-    """The discrete problem with prescribed values of ``exact`` (n_nodes, dim) at some (node, component)."""
+    """The discrete problem with prescribed values of ``exact`` (n_nodes, dim) at some (node,
+    component)."""
     parts = Parts.of(problem, mesh)
     fixed, values = np.zeros(mesh.points.shape, dtype=bool), np.zeros(mesh.points.shape)
     for node, component in points:
         fixed[node, component] = True
         values[node, component] = exact[node, component]
     return am.DiscreteProblem(
-        matrix=parts.matrix, load=parts.load + np.ravel(load), fixed=fixed.ravel(), fixed_values=values.ravel(),
-        law=parts.law, contact=parts.contact, coordinates=mesh.points,
-        near_nullspace=rigid_motions(mesh)).coupled(parts.weights)
+        matrix=parts.matrix,
+        load=parts.load + np.ravel(load),
+        fixed=fixed.ravel(),
+        fixed_values=values.ravel(),
+        law=parts.law,
+        contact=parts.contact,
+        coordinates=mesh.points,
+        near_nullspace=rigid_motions(mesh),
+    ).coupled(parts.weights)
 
 
 def far_node(mesh, body, direction):
@@ -59,12 +73,20 @@ def assert_state(result, exact, pressure=P):
 
 
 def stacked(divisions, width=1.0):
-    """A mesh of blocks "lower", "middle" (with three divisions), "upper", all 1 wide but the last."""
+    """A mesh of blocks "lower", "middle" (with three divisions), "upper", all 1 wide but the
+    last."""
     names = ("lower", "upper") if len(divisions) == 2 else ("lower", "middle", "upper")
-    parts = {name: am.Rectangle(width=width if name == "upper" else 1.0, height=0.6, origin=(0.0, 0.6 * k))
-             if len(divisions[0]) == 2 else am.Box(width=1.0, depth=1.0, height=0.6, origin=(0.0, 0.0, 0.6 * k))
-             for k, name in enumerate(names)}
-    return merged({name: structured(parts[name], n) for name, n in zip(names, divisions, strict=True)})
+    parts = {
+        name: am.Rectangle(
+            width=width if name == "upper" else 1.0, height=0.6, origin=(0.0, 0.6 * k)
+        )
+        if len(divisions[0]) == 2
+        else am.Box(width=1.0, depth=1.0, height=0.6, origin=(0.0, 0.0, 0.6 * k))
+        for k, name in enumerate(names)
+    }
+    return merged(
+        {name: structured(parts[name], n) for name, n in zip(names, divisions, strict=True)}
+    )
 
 
 def uniaxial(mesh, materials):
@@ -84,31 +106,65 @@ def pressed(mesh, pairs, materials, law=None):
     """A stack under the pressure P with rollers below, at the left, and in front."""
     dim, sides = mesh.dim, {"left": "x", "front": "y"}
     return am.ContactProblem(
-        material=dict(zip(mesh.bodies, materials, strict=True)), contact=tuple(am.ContactPair(*p) for p in pairs),
-        law=am.Frictionless() if law is None else law, loads=(am.Pressure("upper.top", P),),
-        supports=(am.Support("lower.bottom", **{"xyz"[dim - 1]: 0.0}), *(
-            am.Support(f"{body}.{side}", **{sides[side]: 0.0}) for side in list(sides)[:dim - 1]
-            for body in mesh.bodies)))
+        material=dict(zip(mesh.bodies, materials, strict=True)),
+        contact=tuple(am.ContactPair(*p) for p in pairs),
+        law=am.Frictionless() if law is None else law,
+        loads=(am.Pressure("upper.top", P),),
+        supports=(
+            am.Support("lower.bottom", **{"xyz"[dim - 1]: 0.0}),
+            *(
+                am.Support(f"{body}.{side}", **{sides[side]: 0.0})
+                for side in list(sides)[: dim - 1]
+                for body in mesh.bodies
+            ),
+        ),
+    )
 
 
 UPPER_ON_LOWER, LOWER_ON_UPPER = ("upper.bottom", "lower.top"), ("lower.top", "upper.bottom")
 PAIRS = pytest.mark.parametrize("pair", [UPPER_ON_LOWER, LOWER_ON_UPPER], ids=["upper", "lower"])
 DIMS = pytest.mark.parametrize("dim", [2, 3])
-CORNER = {"seat": am.Polygon(vertices=[(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)],
-                             boundaries=("bottom", "right", "floor", "wall", "top", "left")),
-          "block": am.Rectangle(width=1.0, height=1.0),
-          "cap": am.Rectangle(width=1.0, height=0.5, origin=(0.0, 1.0))}
+CORNER = {
+    "seat": am.Polygon(
+        vertices=[(-1, -1), (1, -1), (1, 0), (0, 0), (0, 1), (-1, 1)],
+        boundaries=("bottom", "right", "floor", "wall", "top", "left"),
+    ),
+    "block": am.Rectangle(width=1.0, height=1.0),
+    "cap": am.Rectangle(width=1.0, height=0.5, origin=(0.0, 1.0)),
+}
 
 
 def in_the_corner(order, law):
-    """A block in the corner of a seat, a cap on the block, equal pressure all around: mesh, problem, exact state."""
-    mesh = merged({"seat": graded(CORNER["seat"], 0.3, ()), "block": structured(CORNER["block"], (4, 5)),
-                   "cap": structured(CORNER["cap"], (3, 2))})
-    pairs = {"floor": am.ContactPair("block.bottom", "seat.floor"), "wall": am.ContactPair("block.left", "seat.wall"),
-             "cap": am.ContactPair("cap.bottom", "block.top")}
-    outside = ("seat.bottom", "seat.right", "seat.top", "seat.left", "block.right", "cap.top", "cap.left", "cap.right")
-    problem = am.ContactProblem(material=SOFT, contact=tuple(pairs[name] for name in order), law=law,
-                                loads=tuple(am.Pressure(name, P) for name in outside))
+    """A block in the corner of a seat, a cap on the block, equal pressure all around: mesh,
+    problem, exact state."""
+    mesh = merged(
+        {
+            "seat": graded(CORNER["seat"], 0.3, ()),
+            "block": structured(CORNER["block"], (4, 5)),
+            "cap": structured(CORNER["cap"], (3, 2)),
+        }
+    )
+    pairs = {
+        "floor": am.ContactPair("block.bottom", "seat.floor"),
+        "wall": am.ContactPair("block.left", "seat.wall"),
+        "cap": am.ContactPair("cap.bottom", "block.top"),
+    }
+    outside = (
+        "seat.bottom",
+        "seat.right",
+        "seat.top",
+        "seat.left",
+        "block.right",
+        "cap.top",
+        "cap.left",
+        "cap.right",
+    )
+    problem = am.ContactProblem(
+        material=SOFT,
+        contact=tuple(pairs[name] for name in order),
+        law=law,
+        loads=tuple(am.Pressure(name, P) for name in outside),
+    )
     strain = (1 + SOFT.poisson) * (1 - 2 * SOFT.poisson) * P / SOFT.young
     return mesh, problem, -strain * mesh.points
 
@@ -117,13 +173,22 @@ def bar_on_block(law, pair=UPPER_ON_LOWER, **options):
     """The GRECO bar pressed on an elastic block 1.5 times as wide."""
     size, bar = 40e-3, am.PlaneStrain(young=1.3e11, poisson=0.2)
     return am.ContactProblem(
-        material={"upper": bar, "lower": bar}, law=law,
-        domain=am.Assembly(parts={"upper": am.Rectangle(width=size, height=size), "lower": am.Rectangle(
-            width=1.5 * size, height=size, origin=(-0.5 * size, -size))}),
+        material={"upper": bar, "lower": bar},
+        law=law,
+        domain=am.Assembly(
+            parts={
+                "upper": am.Rectangle(width=size, height=size),
+                "lower": am.Rectangle(width=1.5 * size, height=size, origin=(-0.5 * size, -size)),
+            }
+        ),
         contact=am.ContactPair(*pair, **options),
         loads=(am.Pressure("upper.top", 5e7), am.Pressure("upper.left", 15e7)),
-        supports=(am.Support("upper.right", x=0.0), am.Support("lower.right", x=0.0),
-                  am.Support("lower.bottom", y=0.0)))
+        supports=(
+            am.Support("upper.right", x=0.0),
+            am.Support("lower.right", x=0.0),
+            am.Support("lower.bottom", y=0.0),
+        ),
+    )
 
 
 def bumpy(points):
@@ -131,20 +196,31 @@ def bumpy(points):
 
 
 def corner_pushed(law):
-    """Three bodies, three pairs, unequal loads; the cap follows the block, which follows the seat."""
+    """Three bodies, three pairs, unequal loads; the cap follows the block, which follows the
+    seat."""
     _, problem, _ = in_the_corner(("wall", "floor", "cap"), law)
-    loads = (am.Pressure("cap.top", lambda x: 4e7 * (1 + x[:, 0])), am.Pressure("block.right", 3e7),
-             am.Traction("cap.left", (4e6, 0.0)))
-    return replace(problem, domain=am.Assembly(parts=CORNER), loads=loads,
-                   supports=(am.Support("seat.bottom", x=0.0, y=0.0), am.Support("cap.right", x=0.0)))
+    loads = (
+        am.Pressure("cap.top", lambda x: 4e7 * (1 + x[:, 0])),
+        am.Pressure("block.right", 3e7),
+        am.Traction("cap.left", (4e6, 0.0)),
+    )
+    return replace(
+        problem,
+        domain=am.Assembly(parts=CORNER),
+        loads=loads,
+        supports=(am.Support("seat.bottom", x=0.0, y=0.0), am.Support("cap.right", x=0.0)),
+    )
 
 
 def bar_hierarchy(problem, n=3):
-    return am.Hierarchy.uniform(problem, [{"upper": k, "lower": (5 * k // 4, k)} for k in (4, 8, 16, 32)[:n]])
+    return am.Hierarchy.uniform(
+        problem, [{"upper": k, "lower": (5 * k // 4, k)} for k in (4, 8, 16, 32)[:n]]
+    )
 
 
 def assert_agrees(grids, solvers):
-    """All find one displacement that meets the conditions of contact; forces balance on the untransformed system."""
+    """All find one displacement that meets the conditions of contact; forces balance on the
+    untransformed system."""
     parts, first = Parts.of(grids.problem, grids.finest.mesh), None
     nodes = parts.contact.nodes
     for name, solver in solvers.items():
@@ -157,12 +233,15 @@ def assert_agrees(grids, solvers):
         # relative to the master, but along what supports fix on both sides
         relative = u[nodes] - np.where(held_alike(parts), 0.0, parts.weights[nodes] @ u)
         local = np.einsum("nkd,nd->nk", contact.frames, relative)
-        np.testing.assert_allclose(np.column_stack([contact.u_n, contact.u_t]), local, atol=1e-8 * np.abs(u).max())
+        np.testing.assert_allclose(
+            np.column_stack([contact.u_n, contact.u_t]), local, atol=1e-8 * np.abs(u).max()
+        )
         assert_balanced(result, parts, 1e-7)
 
 
 def assert_balanced(result, parts, tolerance, flat=True):
-    """Slaves and masters to rounding; supports and loads, and free nodes, to the tolerance of the solver."""
+    """Slaves and masters to rounding; supports and loads, and free nodes, to the tolerance of the
+    solver."""
     contact, mesh = result.contact, result.mesh
     load = parts.load.reshape(-1, mesh.dim)
     size, arm = np.abs(load).sum(), np.ptp(mesh.points)
@@ -176,9 +255,19 @@ def assert_balanced(result, parts, tolerance, flat=True):
     of_contact[contact.node] = contact.force
     np.add.at(of_contact, contact.master_node, contact.master_force)
     supports = np.where(parts.fixed.reshape(load.shape), result.reaction - of_contact, 0.0)
-    assert np.abs(result.reaction - of_contact - supports).max() <= tolerance * np.abs(of_contact).max()
+    assert (
+        np.abs(result.reaction - of_contact - supports).max()
+        <= tolerance * np.abs(of_contact).max()
+    )
     # around an axis of symmetry radial forces balance by themselves
-    assert np.abs((supports + load + of_contact).sum(axis=0))[int(parts.axisymmetric):].max() <= tolerance * size
+    assert (
+        np.abs((supports + load + of_contact).sum(axis=0))[int(parts.axisymmetric) :].max()
+        <= tolerance * size
+    )
     # each force at the nodes of a boundary with a support belongs to one boundary, or is shared
-    named = [result.resultant(name).force for name in mesh.boundaries if name not in (*contact.names, *contact.masters)]
+    named = [
+        result.resultant(name).force
+        for name in mesh.boundaries
+        if name not in (*contact.names, *contact.masters)
+    ]
     np.testing.assert_allclose(np.sum(named, axis=0), supports.sum(axis=0), atol=tolerance * size)

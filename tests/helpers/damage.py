@@ -1,4 +1,5 @@
-"""Sound files of all formats, and damage done to them by a seed: cut off, lines dropped or doubled, bytes changed."""
+"""Sound files of all formats, and damage done to them by a seed: cut off, lines dropped or doubled,
+bytes changed."""
 
 from __future__ import annotations
 
@@ -19,8 +20,10 @@ NUMBERS = (b"0", b"-1", b"nan", b"1e300", b"999999999999", b"1000000000", b"", b
 @cache
 def sound() -> tuple[tuple[str, bytes], ...]:
     """Names and contents of sound files."""
-    bodies = {"lower": am.Box(width=2, depth=1, height=1),
-              "upper": am.Box(width=1, depth=1, height=1, origin=(0, 0, 1))}
+    bodies = {
+        "lower": am.Box(width=2, depth=1, height=1),
+        "upper": am.Box(width=1, depth=1, height=1, origin=(0, 0, 1)),
+    }
     solid = am.mesh.structured(am.Assembly(parts=bodies), 2)
     flat = am.mesh.structured(am.Rectangle(width=2, height=1), 3)
     with tempfile.TemporaryDirectory() as name:
@@ -29,8 +32,11 @@ def sound() -> tuple[tuple[str, bytes], ...]:
             am.export.mesh(one, folder / name)
         gmsh_file.write(folder / "four.msh", flat, version="gmsh")
         shapes = {"plate": Box(Pnt(0, 0, 0), Pnt(9, 9, 2)), "pin": Cylinder(Pnt(0, 0, 0), Z, 2, 9)}
-        step_assembly.write(folder / "parts.step", shapes,
-                            [("plate", "plate:1", (0, 0, 0)), ("pin", "a", (2, 2, 2)), ("pin", "b", (7, 7, 2))])
+        step_assembly.write(
+            folder / "parts.step",
+            shapes,
+            [("plate", "plate:1", (0, 0, 0)), ("pin", "a", (2, 2, 2)), ("pin", "b", (7, 7, 2))],
+        )
         return tuple((path.name, path.read_bytes()) for path in sorted(folder.iterdir()))
 
 
@@ -42,7 +48,7 @@ def damaged(seed: int) -> tuple[str, bytes]:
     lines = data.split(b"\n")
     some = np.sort(rng.integers(0, len(lines), int(rng.integers(1, 4)))).tolist()
     if how == "cut":
-        return name, data[:int(rng.integers(0, len(data)))]
+        return name, data[: int(rng.integers(0, len(data)))]
     if how == "bytes":
         array = np.frombuffer(data, dtype=np.uint8).copy()
         array[rng.integers(0, len(array), int(rng.integers(1, 8)))] = rng.integers(0, 256)

@@ -1,4 +1,5 @@
-"""An imitation of a queue: sbatch and scancel as scripts that start and end jobs on this machine."""
+"""An imitation of a queue: sbatch and scancel as scripts that start and end jobs on this
+machine."""
 
 import sys
 from pathlib import Path
@@ -25,10 +26,13 @@ for job in sys.argv[1:]:
 
 
 def fake_slurm(folder: Path, wait_s: float) -> Path:
-    """Write the commands into a folder for PATH; jobs wait ``wait_s`` and add their group to the returned file."""
+    """Write the commands into a folder for PATH; jobs wait ``wait_s`` and add their group to the
+    returned file."""
     jobs = folder / "jobs"
     for name, text in (("sbatch", _SBATCH), ("scancel", _SCANCEL)):
         file = folder / name
-        file.write_text(text.format(python=sys.executable, wait=wait_s, jobs=str(jobs)), encoding="utf-8")
+        file.write_text(
+            text.format(python=sys.executable, wait=wait_s, jobs=str(jobs)), encoding="utf-8"
+        )
         file.chmod(0o755)
     return jobs

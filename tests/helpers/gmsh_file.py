@@ -5,7 +5,8 @@ import numpy as np
 
 
 def write(path, mesh, *, version="gmsh22", groups=True, keep=slice(None), lift=0.0, binary=False):
-    """Write a mesh with a stray point in front and elements turned; groups named or not, and of some boundaries."""
+    """Write a mesh with a stray point in front and elements turned; groups named or not, and of
+    some boundaries."""
     points, dim = np.zeros((mesh.n_nodes + 1, 3)), mesh.dim
     points[1:, :dim] = mesh.points
     points[:, 2] += lift
@@ -22,8 +23,16 @@ def write(path, mesh, *, version="gmsh22", groups=True, keep=slice(None), lift=0
     tags = np.full((len(points), 2), [dim, 1])
     for block, number in zip(cells[1:], entity[1:], strict=True):
         tags[np.unique(block[1])] = [dim - 1, number[0]]
-    data = {"gmsh:physical": physical if groups else [0 * p for p in physical], "gmsh:geometrical": entity}
-    out = meshio.Mesh(points, cells, cell_data=data, field_data=field if groups else {},
-                      point_data={"gmsh:dim_tags": tags} if version == "gmsh" else {})
+    data = {
+        "gmsh:physical": physical if groups else [0 * p for p in physical],
+        "gmsh:geometrical": entity,
+    }
+    out = meshio.Mesh(
+        points,
+        cells,
+        cell_data=data,
+        field_data=field if groups else {},
+        point_data={"gmsh:dim_tags": tags} if version == "gmsh" else {},
+    )
     meshio.write(path, out, file_format=version, binary=binary)
     return path

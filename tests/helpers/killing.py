@@ -1,4 +1,5 @@
-"""A study of GRECO solves that is killed in the middle and resumed, compared with a run in one process."""
+"""A study of GRECO solves that is killed in the middle and resumed, compared with a run in one
+process."""
 
 import contextlib
 import os
@@ -32,11 +33,13 @@ study.run(workers=int(sys.argv[3]) or None, progress=False)
 
 
 def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
-    """Kill all processes, or a worker and then the main process, in turn, each after one more run is stored; then
-    finish, and compare with a serial run."""
+    """Kill all processes, or a worker and then the main process, in turn, each after one more run
+    is stored; then finish, and compare with a serial run."""
     chance, left = random.Random(seed), []
     with tempfile.TemporaryDirectory() as folder:
-        script, killed, serial = (Path(folder, name) for name in ("script.py", "killed.sqlite", "serial.sqlite"))
+        script, killed, serial = (
+            Path(folder, name) for name in ("script.py", "killed.sqlite", "serial.sqlite")
+        )
         script.write_text(SCRIPT, encoding="utf-8")
         for k in range(kills):
             process = _in_the_middle(script, killed, runs, k)
@@ -55,13 +58,19 @@ def campaign(runs: int, kills: int, seed: int = 0) -> dict[str, object]:
         last = [_started(script, killed, runs, 2), _started(script, serial, runs, 0)]
         assert [process.wait() for process in last] == [0, 0]
         found, wanted = (_bits(path) for path in (killed, serial))
-        return {"done": sum(record.status == "done" for record in _records(killed).values()),
-                "different": sum(found.get(key) != wanted[key] for key in wanted), "left": [p.pid for p in left]}
+        return {
+            "done": sum(record.status == "done" for record in _records(killed).values()),
+            "different": sum(found.get(key) != wanted[key] for key in wanted),
+            "left": [p.pid for p in left],
+        }
 
 
 def _started(script: Path, path: Path, runs: int, workers: int) -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, str(script), str(path), str(runs), str(workers)],
-                            stderr=subprocess.DEVNULL, start_new_session=True)
+    return subprocess.Popen(
+        [sys.executable, str(script), str(path), str(runs), str(workers)],
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def _children(process: subprocess.Popen) -> list[psutil.Process]:
@@ -71,7 +80,8 @@ def _children(process: subprocess.Popen) -> list[psutil.Process]:
 
 
 def _in_the_middle(script: Path, path: Path, runs: int, count: int) -> subprocess.Popen:
-    """Start the study, and return its process when more than ``count`` runs are stored and others go on."""
+    """Start the study, and return its process when more than ``count`` runs are stored and others
+    go on."""
     for _ in range(5):
         process = _started(script, path, runs, 2)
         while process.poll() is None:
@@ -92,8 +102,11 @@ def _bits(path: Path) -> dict[str, bytes]:
     """What the runs gave, to the last bit."""
     from adaptmg.study.store import Store
 
-    return {key: repr(sorted(record.results.items())).encode() + Store(path).kept("run", key)["u"].content
-            for key, record in _records(path).items()}
+    return {
+        key: repr(sorted(record.results.items())).encode()
+        + Store(path).kept("run", key)["u"].content
+        for key, record in _records(path).items()
+    }
 
 
 if __name__ == "__main__":

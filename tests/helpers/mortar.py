@@ -12,7 +12,9 @@ def node_normals(points, facets):
 
 
 def surfaces(points, slave, master, normals, *, excluded=(), axisymmetric=False):
-    return Surfaces(Surface(points, slave), Surface(points, master), normals, [*excluded], axisymmetric)
+    return Surfaces(
+        Surface(points, slave), Surface(points, master), normals, [*excluded], axisymmetric
+    )
 
 
 def mortar(*data, reach=None, **options):

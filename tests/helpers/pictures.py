@@ -14,7 +14,8 @@ def words(figure: Figure) -> str:
 
 
 def texts(figure: Figure) -> list[str]:
-    """The texts as they are set: those without math lose their escapes; a legend that drops an entry fails."""
+    """The texts as they are set: those without math lose their escapes; a legend that drops an
+    entry fails."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure.savefig(io.BytesIO(), format="png", dpi=30)

@@ -1,4 +1,5 @@
-"""The untransformed system of a problem of several bodies, in Cartesian components: shares nothing with the solvers."""
+"""The untransformed system of a problem of several bodies, in Cartesian components: shares nothing
+with the solvers."""
 
 from dataclasses import dataclass
 
@@ -29,12 +30,20 @@ class Parts:
         weights = sparse.csr_array((n, n))
         if discrete.coupling is not None:
             rows = discrete.coupling.weights[contact.nodes]
-            place = sparse.csr_array((np.ones(len(contact)), (contact.nodes, np.arange(len(contact)))),
-                                     shape=(n, len(contact)))
+            place = sparse.csr_array(
+                (np.ones(len(contact)), (contact.nodes, np.arange(len(contact)))),
+                shape=(n, len(contact)),
+            )
             weights = sparse.csr_array(place @ rows)
-        return cls(sparse.csr_array(stiffness(mesh, problem.material)),
-                   load_vector(mesh, problem.loads, problem.material), *fixed_dofs(mesh, problem.supports), contact,
-                   weights, problem.law.at_nodes(mesh.points[contact.nodes], contact.weights), problem.axisymmetric)
+        return cls(
+            sparse.csr_array(stiffness(mesh, problem.material)),
+            load_vector(mesh, problem.loads, problem.material),
+            *fixed_dofs(mesh, problem.supports),
+            contact,
+            weights,
+            problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),
+            problem.axisymmetric,
+        )
 
 
 def held_alike(parts):

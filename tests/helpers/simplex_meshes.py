@@ -19,8 +19,14 @@ def mesh_of(points, elements, **options):
     elements[np.ix_(negative, [0, 1])] = elements[np.ix_(negative, [1, 0])]
     table = facet_table(elements, len(points))
     facets = table.facets[table.counts == 1]
-    return MeshArrays(points=points, elements=elements, facets=facets, facet_labels=np.zeros(len(facets)),
-                      boundaries=("all",), **options)
+    return MeshArrays(
+        points=points,
+        elements=elements,
+        facets=facets,
+        facet_labels=np.zeros(len(facets)),
+        boundaries=("all",),
+        **options,
+    )
 
 
 def delaunay(points):
@@ -33,7 +39,8 @@ def delaunay(points):
 
 
 def random_box(n, dim, seed):
-    """Unit square or cube with n random inner points and n // 4 on each side, none shared between seeds but corners."""
+    """Unit square or cube with n random inner points and n // 4 on each side, none shared between
+    seeds but corners."""
     rng = np.random.default_rng(seed)
     parts = [np.array(list(itertools.product((0.0, 1.0), repeat=dim))), rng.random((n, dim))]
     for axis, value in itertools.product(range(dim), (0.0, 1.0)):
@@ -49,9 +56,12 @@ def random_box(n, dim, seed):
 
 
 def structured(n, dim, grading=1.0):
-    """Unit square or cube, n cells a side, each cut along its diagonal; n and 2 n are nested; graded by t^grading."""
-    mesh = mesh_of_domain(Rectangle(width=1, height=1) if dim == 2 else Box(width=1, depth=1, height=1), n)
-    return mesh_of(mesh.points ** grading, mesh.elements)
+    """Unit square or cube, n cells a side, each cut along its diagonal; n and 2 n are nested;
+    graded by t^grading."""
+    mesh = mesh_of_domain(
+        Rectangle(width=1, height=1) if dim == 2 else Box(width=1, depth=1, height=1), n
+    )
+    return mesh_of(mesh.points**grading, mesh.elements)
 
 
 def log_graded(n, seed):
@@ -74,6 +84,9 @@ def two_boxes(n, dim):
     """Two unit boxes, one on the other, that do not share the nodes of their common face."""
     below, above = structured(n, dim), structured(n, dim)
     shift = np.eye(dim)[-1]
-    return mesh_of(np.concatenate([below.points - shift, above.points]),
-                   np.concatenate([below.elements, above.elements + below.n_nodes]),
-                   element_body=np.repeat([0, 1], len(below.elements)), bodies=("below", "above"))
+    return mesh_of(
+        np.concatenate([below.points - shift, above.points]),
+        np.concatenate([below.elements, above.elements + below.n_nodes]),
+        element_body=np.repeat([0, 1], len(below.elements)),
+        bodies=("below", "above"),
+    )

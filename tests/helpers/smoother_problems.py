@@ -1,4 +1,5 @@
-"""Small contact problems for the tests of the smoother, and a solver of them that shares nothing with it."""
+"""Small contact problems for the tests of the smoother, and a solver of them that shares nothing
+with it."""
 
 import numpy as np
 from scipy import sparse
@@ -21,8 +22,16 @@ def network(dim: int, law: str, seed: int = 0, *, fixed_tangent: bool = False) -
     rng = np.random.default_rng(seed)
     n = 4
     number = np.arange(n * n).reshape(n, n)
-    pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], 1) for a, b in (
-        (number[:, :-1], number[:, 1:]), (number[:-1], number[1:]), (number[:-1, :-1], number[1:, 1:]))])
+    pairs = np.concatenate(
+        [
+            np.stack([a.ravel(), b.ravel()], 1)
+            for a, b in (
+                (number[:, :-1], number[:, 1:]),
+                (number[:-1], number[1:]),
+                (number[:-1, :-1], number[1:, 1:]),
+            )
+        ]
+    )
     matrix = np.zeros((n * n, dim, n * n, dim))
     for i, j in pairs:
         link = spd(rng, dim, 5.0)
@@ -40,14 +49,26 @@ def network(dim: int, law: str, seed: int = 0, *, fixed_tangent: bool = False) -
     load = 0.3 * rng.normal(size=(n * n, dim))
     load[number[0]] += 1.2 * normals
     load[number[0, 3]] -= 4.0 * normals[3]
-    contact = ContactNodes(nodes=number[0], normals=normals, gaps=rng.uniform(0, 0.1, n),
-                           slip_reference=0.05 * rng.normal(size=(n, dim)))
-    return local_system(DiscreteProblem(matrix=sparse.csr_array(matrix.reshape(n * n * dim, -1)), load=load.ravel(),
-                                        fixed=fixed.ravel(), law=LAWS[law], contact=contact))
+    contact = ContactNodes(
+        nodes=number[0],
+        normals=normals,
+        gaps=rng.uniform(0, 0.1, n),
+        slip_reference=0.05 * rng.normal(size=(n, dim)),
+    )
+    return local_system(
+        DiscreteProblem(
+            matrix=sparse.csr_array(matrix.reshape(n * n * dim, -1)),
+            load=load.ravel(),
+            fixed=fixed.ravel(),
+            law=LAWS[law],
+            contact=contact,
+        )
+    )
 
 
 def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
-    """The solution (n_dofs,) by projected steps on the contact forces, with the dense inverse of the matrix."""
+    """The solution (n_dofs,) by projected steps on the contact forces, with the dense inverse of
+    the matrix."""
     system, contact, dim = problem.system, problem.contact, problem.system.dim
     flexibility = np.linalg.inv(system.matrix.toarray())
     dofs = system.nodes[:, None] * dim + np.arange(dim)
@@ -78,7 +99,11 @@ def tresca_energy(problem: LocalProblem, w: np.ndarray) -> float:
     """1/2 w'Aw - b'w + sum of limit * |slip|, N m."""
     system, contact = problem.system, problem.contact
     slip = w.reshape(-1, system.dim)[system.nodes, 1:] - contact.slip_reference
-    return float(0.5 * w @ (system.matrix @ w) - problem.load @ w + contact.limit @ np.linalg.norm(slip, axis=1))
+    return float(
+        0.5 * w @ (system.matrix @ w)
+        - problem.load @ w
+        + contact.limit @ np.linalg.norm(slip, axis=1)
+    )
 
 
 def expand(P, dim):

@@ -32,17 +32,26 @@ class _Entities:
         return self.add(f"AXIS2_PLACEMENT_3D('',{place},{up},{along})")
 
 
-def write(path: Path, shapes: dict, instances: list[tuple[str, str, tuple[float, float, float]]]) -> Path:
-    """Write products (name to OCC shape, mm) and instances (product, name of the instance, offset)."""
+def write(
+    path: Path, shapes: dict, instances: list[tuple[str, str, tuple[float, float, float]]]
+) -> Path:
+    """Write products (name to OCC shape, mm) and instances (product, name of the instance,
+    offset)."""
     out, parts, context, application, head = _Entities(), {}, "", "", ""
     for name, shape in shapes.items():
         shape.WriteStep(str(path))
         head, _, rest = path.read_text().replace("\n", "").partition("DATA;")
-        body = re.sub(r"PRODUCT\('[^']*',\s*'[^']*'", f"PRODUCT('{name}','{name}'", rest.partition("ENDSEC;")[0])
+        body = re.sub(
+            r"PRODUCT\('[^']*',\s*'[^']*'",
+            f"PRODUCT('{name}','{name}'",
+            rest.partition("ENDSEC;")[0],
+        )
         body = out.take(body)
         definition = re.search(r"(#\d+) = PRODUCT_DEFINITION\(", body)[1]
         own = re.search(r"SHAPE_DEFINITION_REPRESENTATION\(#\d+,(#\d+)\)", body)[1]
-        origin, context = re.search(rf"{own} = \w+\('[^']*',\((#\d+)[^)]*\),(#\d+)\)", body).groups()
+        origin, context = re.search(
+            rf"{own} = \w+\('[^']*',\((#\d+)[^)]*\),(#\d+)\)", body
+        ).groups()
         application = re.search(r"(#\d+) = APPLICATION_CONTEXT", body)[1]
         parts[name] = definition, own, origin
     mechanical = out.add(f"PRODUCT_CONTEXT('',{application},'mechanical')")
@@ -51,14 +60,18 @@ def write(path: Path, shapes: dict, instances: list[tuple[str, str, tuple[float,
     frame = out.add(f"PRODUCT_DEFINITION_CONTEXT('part definition',{application},'design')")
     whole = out.add(f"PRODUCT_DEFINITION('design','',{formation},{frame})")
     places = [out.axes(offset) for *_, offset in instances]
-    shown = out.add(f"SHAPE_REPRESENTATION('',({','.join([out.axes((0, 0, 0)), *places])}),{context})")
+    shown = out.add(
+        f"SHAPE_REPRESENTATION('',({','.join([out.axes((0, 0, 0)), *places])}),{context})"
+    )
     shape = out.add(f"PRODUCT_DEFINITION_SHAPE('','',{whole})")
     out.add(f"SHAPE_DEFINITION_REPRESENTATION({shape},{shown})")
     for k, ((part, name, _), place) in enumerate(zip(instances, places, strict=True)):
         definition, own, origin = parts[part]
         moved = out.add(f"ITEM_DEFINED_TRANSFORMATION('','',{origin},{place})")
-        relation = out.add(f"( REPRESENTATION_RELATIONSHIP('','',{own},{shown}) REPRESENTATION_RELATIONSHIP_WITH_"
-                           f"TRANSFORMATION({moved}) SHAPE_REPRESENTATION_RELATIONSHIP() )")
+        relation = out.add(
+            f"( REPRESENTATION_RELATIONSHIP('','',{own},{shown}) REPRESENTATION_RELATIONSHIP_WITH_"
+            f"TRANSFORMATION({moved}) SHAPE_REPRESENTATION_RELATIONSHIP() )"
+        )
         use = out.add(f"NEXT_ASSEMBLY_USAGE_OCCURRENCE('{k}','{name}','',{whole},{definition},$)")
         shape = out.add(f"PRODUCT_DEFINITION_SHAPE('Placement','Placement of an item',{use})")
         out.add(f"CONTEXT_DEPENDENT_SHAPE_REPRESENTATION({relation},{shape})")

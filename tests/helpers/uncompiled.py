@@ -8,7 +8,8 @@ __all__ = ["uncompile"]
 
 
 def uncompile(monkeypatch: pytest.MonkeyPatch, *modules: ModuleType) -> None:
-    """Put the Python function in the place of every compiled one in these modules, imported ones included."""
+    """Put the Python function in the place of every compiled one in these modules, imported ones
+    included."""
     for module in modules:
         for name, value in vars(module).copy().items():
             if hasattr(value, "py_func"):

@@ -45,10 +45,15 @@ endmesh
 """
 # what is replaced, and by what: Netgen breaks down, or reads it without a word
 VOL_DAMAGE = {
-    "node negative": (" 3 1 2 3", " 3 1 2 -1"), "node too large": (" 3 1 2 3", " 3 1 2 9"),
-    "quadrilateral": (" 3 1 2 3", " 4 1 2 3"), "elements fewer": ("surfaceelements\n2", "surfaceelements\n1"),
-    "coordinate nan": (" 2 1 0", " nan 1 0"), "dimension 3": ("dimension\n2", "dimension\n3"),
-    "boundary 0": (" 2 0 2 3", " 0 0 2 3"), "boundary huge": (" 2 0 2 3", " 999999 0 2 3"), "no end": ("endmesh", ""),
+    "node negative": (" 3 1 2 3", " 3 1 2 -1"),
+    "node too large": (" 3 1 2 3", " 3 1 2 9"),
+    "quadrilateral": (" 3 1 2 3", " 4 1 2 3"),
+    "elements fewer": ("surfaceelements\n2", "surfaceelements\n1"),
+    "coordinate nan": (" 2 1 0", " nan 1 0"),
+    "dimension 3": ("dimension\n2", "dimension\n3"),
+    "boundary 0": (" 2 0 2 3", " 0 0 2 3"),
+    "boundary huge": (" 2 0 2 3", " 999999 0 2 3"),
+    "no end": ("endmesh", ""),
     "name with control character": ("2 right", "2 ri\x1b[31mght"),
 }
 
@@ -90,8 +95,11 @@ $Elements
 $EndElements
 """
 MSH_DAMAGE = {
-    "node too large": ("1 1 2 3\n", "1 1 2 9\n"), "10**9 nodes": ("2 1 0 4\n", "2 1 0 1000000000\n"),
-    "node 0": ("1 1 2 3\n", "1 1 2 0\n"), "unknown type": ("2 1 2 2\n", "2 1 99 2\n"), "no nodes": ("$Nodes", "$Nods"),
+    "node too large": ("1 1 2 3\n", "1 1 2 9\n"),
+    "10**9 nodes": ("2 1 0 4\n", "2 1 0 1000000000\n"),
+    "node 0": ("1 1 2 3\n", "1 1 2 0\n"),
+    "unknown type": ("2 1 2 2\n", "2 1 99 2\n"),
+    "no nodes": ("$Nodes", "$Nods"),
     "name with control character": ('"rim"', '"ri\x07m"'),
 }
 
@@ -105,8 +113,13 @@ def _damaged(kind: str, text: str, damage: dict[str, tuple[str, str]]):
     for label, (old, new) in damage.items():
         assert old in text, label
         changed = text.replace(old, new, 1)
-        yield Hostile(f"{kind} {label}", lambda t=changed: _read(f"bad.{kind}", t), f"bad.{kind}", ValueError,
-                      writes=True)
+        yield Hostile(
+            f"{kind} {label}",
+            lambda t=changed: _read(f"bad.{kind}", t),
+            f"bad.{kind}",
+            ValueError,
+            writes=True,
+        )
 
 
 def _step(change, run=step_table) -> None:
@@ -119,28 +132,67 @@ def _step(change, run=step_table) -> None:
 
 def _other_files():
     for kind in ("vol", "msh", "inp", "bdf"):
-        for label, data in {"empty": b"", "noise": bytes(range(256)) * 20, "zeros": bytes(1000)}.items():
-            yield Hostile(f"{kind} {label}", lambda k=kind, d=data: _read(f"bad.{k}", d), f"bad.{kind}", ValueError,
-                          writes=True)
+        for label, data in {
+            "empty": b"",
+            "noise": bytes(range(256)) * 20,
+            "zeros": bytes(1000),
+        }.items():
+            yield Hostile(
+                f"{kind} {label}",
+                lambda k=kind, d=data: _read(f"bad.{k}", d),
+                f"bad.{kind}",
+                ValueError,
+                writes=True,
+            )
     packed = gzip.compress(VOL.encode())
-    for label, data in {"not packed": VOL.encode(), "cut": packed[:60], "damaged": packed[:40] + b"xx" + packed[42:],
-                        "bomb": gzip.compress(b"mesh3d\n" + b"0" * 50_000_000, compresslevel=1)}.items():
-        yield Hostile(f"vol.gz {label}", lambda d=data: _read("bad.vol.gz", d), "bad.vol.gz", ValueError, writes=True)
+    for label, data in {
+        "not packed": VOL.encode(),
+        "cut": packed[:60],
+        "damaged": packed[:40] + b"xx" + packed[42:],
+        "bomb": gzip.compress(b"mesh3d\n" + b"0" * 50_000_000, compresslevel=1),
+    }.items():
+        yield Hostile(
+            f"vol.gz {label}",
+            lambda d=data: _read("bad.vol.gz", d),
+            "bad.vol.gz",
+            ValueError,
+            writes=True,
+        )
     for name in ("pipe.msh", "pipe.vol", "pipe.vol.gz", "pipe.step"):
-        yield Hostile(name, lambda n=name: (os.mkfifo(n), (step_table if n.endswith("step") else as_mesh)(n)), name,
-                      ValueError, writes=True)
+        yield Hostile(
+            name,
+            lambda n=name: (os.mkfifo(n), (step_table if n.endswith("step") else as_mesh)(n)),
+            name,
+            ValueError,
+            writes=True,
+        )
 
 
 def _step_files():
-    changes = {"empty": lambda t: "", "half": lambda t: t[:len(t) // 2], "text": lambda t: "not a step file\n" * 50,
-               "crash in OCC": lambda t: t.replace("FACE_BOUND('',#", "FACE_BOUND('',#9"),
-               "points are directions": lambda t: t.replace("CARTESIAN_POINT", "DIRECTION"),
-               "no solids": lambda t: t.replace("MANIFOLD_SOLID_BREP", "MANIFOLD_SOLID_BRAP")}
+    changes = {
+        "empty": lambda t: "",
+        "half": lambda t: t[: len(t) // 2],
+        "text": lambda t: "not a step file\n" * 50,
+        "crash in OCC": lambda t: t.replace("FACE_BOUND('',#", "FACE_BOUND('',#9"),
+        "points are directions": lambda t: t.replace("CARTESIAN_POINT", "DIRECTION"),
+        "no solids": lambda t: t.replace("MANIFOLD_SOLID_BREP", "MANIFOLD_SOLID_BRAP"),
+    }
     for label, change in changes.items():
-        yield Hostile(f"step {label}", lambda c=change: _step(c), "bad.step", ValueError, writes=True)
-    yield Hostile("step size of 1e-9", lambda: _step(str, lambda p: graded(StepFile(p), 1e-9)), "nodes", ValueError,
-                  writes=True)
+        yield Hostile(
+            f"step {label}", lambda c=change: _step(c), "bad.step", ValueError, writes=True
+        )
+    yield Hostile(
+        "step size of 1e-9",
+        lambda: _step(str, lambda p: graded(StepFile(p), 1e-9)),
+        "nodes",
+        ValueError,
+        writes=True,
+    )
 
 
-INPUTS = (*_damaged("vol", VOL, VOL_DAMAGE), *_damaged("msh", MSH, MSH_DAMAGE),
-          *_other_files(), *_step_files())
+INPUTS = (
+    *_damaged("vol", VOL, VOL_DAMAGE),
+    *_damaged("msh", MSH, MSH_DAMAGE),
+    *_other_files(),
+    *_step_files(),
+)

@@ -26,12 +26,20 @@ NAN = float("nan")
 
 # array, place, value of another type or size
 VALUES = {
-    "node n": ("elements", (2, 0), 10**4), "node -1": ("elements", (2, 0), -1),
-    "node 2**63": ("elements", (2, 0), np.uint64(2**63)), "facet node -7": ("facets", (1, 0), -7),
-    "label 99": ("facet_labels", 1, 99), "label .5": ("facet_labels", 1, 0.5), "body 5": ("element_body", 1, 5),
-    "nan": ("points", (0, 0), NAN)}
-TYPES = {"nodes as floats": ("elements", float), "nodes as objects": ("elements", object),
-         "complex points": ("points", complex)}
+    "node n": ("elements", (2, 0), 10**4),
+    "node -1": ("elements", (2, 0), -1),
+    "node 2**63": ("elements", (2, 0), np.uint64(2**63)),
+    "facet node -7": ("facets", (1, 0), -7),
+    "label 99": ("facet_labels", 1, 99),
+    "label .5": ("facet_labels", 1, 0.5),
+    "body 5": ("element_body", 1, 5),
+    "nan": ("points", (0, 0), NAN),
+}
+TYPES = {
+    "nodes as floats": ("elements", float),
+    "nodes as objects": ("elements", object),
+    "complex points": ("points", complex),
+}
 
 
 def _set(mesh: MeshArrays, name: str, where, value) -> MeshArrays:
@@ -55,26 +63,43 @@ def _arrays():
     for dim, mesh, labels in (("2D", SQUARE, VALUES), ("3D", CUBE, ("node n", "facet node -7"))):
         for label in labels:
             name, where, value = VALUES[label]
-            yield Hostile(f"{dim} {label}", lambda m=mesh, w=(name, where, value): as_mesh(_set(m, *w)), name)
+            yield Hostile(
+                f"{dim} {label}", lambda m=mesh, w=(name, where, value): as_mesh(_set(m, *w)), name
+            )
     for label, (name, kind) in TYPES.items():
-        yield Hostile(label, lambda n=name, k=kind: replace(SQUARE, **{n: getattr(SQUARE, n).astype(k)}), name)
+        yield Hostile(
+            label, lambda n=name, k=kind: replace(SQUARE, **{n: getattr(SQUARE, n).astype(k)}), name
+        )
     yield Hostile("points 1D", lambda: replace(SQUARE, points=SQUARE.points[:, :1]), "points")
 
 
 def _objects():
     for table, field, value, says in (
-            ("Elements3D", "nodes", 10**6, "nodes"), ("Elements3D", "nodes", 0, "nodes"),
-            ("Elements3D", "index", 77, "material"), ("Elements3D", "index", -1, "material"),
-            ("Elements2D", "index", 77, "face"), ("Elements2D", "nodes", 10**6, "facets"),
-            ("Coordinates", "", 0.8, "folded over"), ("Coordinates", "", NAN, "points")):
-        yield Hostile(f"ngsolve {table} {field} {value}",
-                      lambda t=table, f=field, v=value: from_ngsolve(_raw(t, f, v)), says)
-    yield Hostile("ngsolve empty", lambda: as_mesh(ngsolve.Mesh(netgen.meshing.Mesh(dim=3))), "elements")
+        ("Elements3D", "nodes", 10**6, "nodes"),
+        ("Elements3D", "nodes", 0, "nodes"),
+        ("Elements3D", "index", 77, "material"),
+        ("Elements3D", "index", -1, "material"),
+        ("Elements2D", "index", 77, "face"),
+        ("Elements2D", "nodes", 10**6, "facets"),
+        ("Coordinates", "", 0.8, "folded over"),
+        ("Coordinates", "", NAN, "points"),
+    ):
+        yield Hostile(
+            f"ngsolve {table} {field} {value}",
+            lambda t=table, f=field, v=value: from_ngsolve(_raw(t, f, v)),
+            says,
+        )
+    yield Hostile(
+        "ngsolve empty", lambda: as_mesh(ngsolve.Mesh(netgen.meshing.Mesh(dim=3))), "elements"
+    )
     yield Hostile("netgen mesh", lambda: as_mesh(SQUARE.source.ngmesh), "mesh must be")
     yield Hostile("merged text", lambda: merged({"a": "mesh"}), "meshes")
     yield Hostile("merged name", lambda: merged({"a\nb": SQUARE}), "name")
-    yield from each("marked", lambda v: bisect(SQUARE, v), labelled((
-        np.zeros(18, dtype=bool), np.zeros(18), np.ones(3, dtype=bool), None)))
+    yield from each(
+        "marked",
+        lambda v: bisect(SQUARE, v),
+        labelled((np.zeros(18, dtype=bool), np.zeros(18), np.ones(3, dtype=bool), None)),
+    )
     yield from each("n_old", lambda v: onto_domain(None, SQUARE, v), labelled((-1, 17)))
     yield Hostile("refine_near 25", lambda: refine_near(SQUARE, "top", 25), "levels")
     yield Hostile("refine_near 3D", lambda: refine_near(CUBE, "top", 12), "levels")

@@ -25,9 +25,13 @@ def path_result() -> am.PathResult:
 
 
 #: what writes, by the suffix of its file, "" for a folder
-WRITERS = {".npz": lambda path: result().save(path), ".vtu": lambda path: am.export.vtk(result(), path),
-           ".pvd": lambda path: am.export.vtk_series([result()], path),
-           ".html": lambda path: am.export.Report("a title").write(path), "": lambda path: path_result().save(path)}
+WRITERS = {
+    ".npz": lambda path: result().save(path),
+    ".vtu": lambda path: am.export.vtk(result(), path),
+    ".pvd": lambda path: am.export.vtk_series([result()], path),
+    ".html": lambda path: am.export.Report("a title").write(path),
+    "": lambda path: path_result().save(path),
+}
 
 
 def _below_a_file(write, suffix: str) -> None:
@@ -44,34 +48,79 @@ def _places():
     for suffix, write in WRITERS.items():
         name = f"to {suffix} path" if suffix else "to a folder"
         yield Hostile(name, lambda w=write: w("~nobody-here/x"), "home", (TypeError, ValueError))
-        yield Hostile(f"{suffix} below a file", lambda w=write, s=suffix: _below_a_file(w, s), "file", OSError,
-                      writes=True)
+        yield Hostile(
+            f"{suffix} below a file",
+            lambda w=write, s=suffix: _below_a_file(w, s),
+            "file",
+            OSError,
+            writes=True,
+        )
     npz = WRITERS[".npz"]
     for name, run, says, writes in (
-            ("a long name", lambda: npz("n" * 300 + ".npz"), "n" * 300, False),
-            ("a circle of links", lambda: _circle(npz, ".npz"), "circle", True),
-            ("a folder", lambda: (Path("there.npz").mkdir(), npz("there.npz")), "there.npz", True),
-            ("no folder", lambda: npz("nowhere/x.npz"), "nowhere", False),
-            ("a load path to a file", lambda: (Path("there").write_text(""), WRITERS[""]("there")), "there", True),
-            ("a full device", lambda: npz("/dev/full"), "No space left", False)):
+        ("a long name", lambda: npz("n" * 300 + ".npz"), "n" * 300, False),
+        ("a circle of links", lambda: _circle(npz, ".npz"), "circle", True),
+        ("a folder", lambda: (Path("there.npz").mkdir(), npz("there.npz")), "there.npz", True),
+        ("no folder", lambda: npz("nowhere/x.npz"), "nowhere", False),
+        (
+            "a load path to a file",
+            lambda: (Path("there").write_text(""), WRITERS[""]("there")),
+            "there",
+            True,
+        ),
+        ("a full device", lambda: npz("/dev/full"), "No space left", False),
+    ):
         yield Hostile(name, run, says, OSError, writes)
-    yield Hostile("a load path twice", lambda: (WRITERS[""]("there"), WRITERS[""]("there")), "there", ValueError, True)
+    yield Hostile(
+        "a load path twice",
+        lambda: (WRITERS[""]("there"), WRITERS[""]("there")),
+        "there",
+        ValueError,
+        True,
+    )
     for writer, name in ((".vtu", "r.vtk"), (".pvd", "r.vtu")):
-        yield Hostile(f"{writer} to {name}", lambda w=writer, n=name: WRITERS[w](n), "path", ValueError)
+        yield Hostile(
+            f"{writer} to {name}", lambda w=writer, n=name: WRITERS[w](n), "path", ValueError
+        )
 
 
 def _contents():
-    for name, value in {"cycles": object(), "levels": [{"level": {1, 2}}], "history": {"cycle": np.array(["a"])},
-                        "versions": {"numpy": np}, "reaction": np.array([[None]])}.items():
-        yield Hostile(f"saved {name}", lambda n=name, v=value: replace(result(), **{n: v}).save("r.npz"), name,
-                      TypeError)
-    yield from each("vtu of a result", lambda v: am.export.vtk(v, "r.vtu"), {"text": "result", "class": am.Result})
-    yield Hostile("vtu without a mesh", lambda: am.export.vtk(replace(result(), mesh=None), "r.vtu"), "mesh",
-                  ValueError)
-    yield Hostile("a series without results", lambda: am.export.vtk_series([], "r.pvd"), "results", ValueError)
+    for name, value in {
+        "cycles": object(),
+        "levels": [{"level": {1, 2}}],
+        "history": {"cycle": np.array(["a"])},
+        "versions": {"numpy": np},
+        "reaction": np.array([[None]]),
+    }.items():
+        yield Hostile(
+            f"saved {name}",
+            lambda n=name, v=value: replace(result(), **{n: v}).save("r.npz"),
+            name,
+            TypeError,
+        )
+    yield from each(
+        "vtu of a result",
+        lambda v: am.export.vtk(v, "r.vtu"),
+        {"text": "result", "class": am.Result},
+    )
+    yield Hostile(
+        "vtu without a mesh",
+        lambda: am.export.vtk(replace(result(), mesh=None), "r.vtu"),
+        "mesh",
+        ValueError,
+    )
+    yield Hostile(
+        "a series without results", lambda: am.export.vtk_series([], "r.pvd"), "results", ValueError
+    )
     frame = pd.DataFrame({"a": [1]})
-    yield Hostile("table of an unknown unit", lambda: as_text(frame, units={"b": "s"}), "units", ValueError)
-    yield Hostile("table of an unknown format", lambda: as_text(frame, formats={"b": "d"}), "formats", ValueError)
+    yield Hostile(
+        "table of an unknown unit", lambda: as_text(frame, units={"b": "s"}), "units", ValueError
+    )
+    yield Hostile(
+        "table of an unknown format",
+        lambda: as_text(frame, formats={"b": "d"}),
+        "formats",
+        ValueError,
+    )
 
 
 INPUTS = (*_places(), *_contents())

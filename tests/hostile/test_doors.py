@@ -1,4 +1,5 @@
-"""Every public class and function refuses values of another type for each argument and names that argument."""
+"""Every public class and function refuses values of another type for each argument and names that
+argument."""
 
 import dataclasses
 import inspect
@@ -12,19 +13,45 @@ from arrays_and_matrices import contact, discrete, grids
 import adaptmg as am
 from adaptmg import mesh as meshes
 
-SQUARE = am.Polygon(vertices=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), boundaries=tuple("abcd"))
+SQUARE = am.Polygon(
+    vertices=((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)), boundaries=tuple("abcd")
+)
 BALL, PLANE = am.Ball((0.0, 0.0, 0.0), 1.0), am.Plane((0.0, 0.0), (0.0, 1.0))
 UNIT = am.Rectangle(width=1, height=1)
 ELASTIC = {"young": 1e9, "poisson": 0.3}
 NAN, TEXT, OTHER = float("nan"), "\udc80", object()
 #: wrong values by the type of a right one: its class, another object, and what a careless check lets pass
-WRONG = {float: (NAN, True, "1", b"1", 1j, float("inf"), None, [-1.0], [[1.0], [1.0, 2.0]], np.ma.masked, float,
-                 10**400),
-         int: (2.5, 2.0, True, "2", None, NAN, -3, 10**400), bool: ("no", 1, None, np.ones(2)),
-         str: (5, "", None, ["right"], "a\0b", "a\x1b", TEXT), tuple: (None, 5, (NAN, 1.0), (1.0, 1j), "ab", ((1.0,),)),
-         list: (None, "glue", [OTHER]), dict: ({TEXT: 1.0}, 3, "a")}
-FEW = {float: (NAN, True, "1"), int: (2.5, True, -3), bool: ("no",), str: (5, TEXT), tuple: (5, "a"),
-       list: ("glue", [OTHER]), dict: (3,)}
+WRONG = {
+    float: (
+        NAN,
+        True,
+        "1",
+        b"1",
+        1j,
+        float("inf"),
+        None,
+        [-1.0],
+        [[1.0], [1.0, 2.0]],
+        np.ma.masked,
+        float,
+        10**400,
+    ),
+    int: (2.5, 2.0, True, "2", None, NAN, -3, 10**400),
+    bool: ("no", 1, None, np.ones(2)),
+    str: (5, "", None, ["right"], "a\0b", "a\x1b", TEXT),
+    tuple: (None, 5, (NAN, 1.0), (1.0, 1j), "ab", ((1.0,),)),
+    list: (None, "glue", [OTHER]),
+    dict: ({TEXT: 1.0}, 3, "a"),
+}
+FEW = {
+    float: (NAN, True, "1"),
+    int: (2.5, True, -3),
+    bool: ("no",),
+    str: (5, TEXT),
+    tuple: (5, "a"),
+    list: ("glue", [OTHER]),
+    dict: (3,),
+}
 #: classes all of whose arguments get all wrong values: each kind of check is among them
 THOROUGH = {am.Rectangle, am.Cycle, am.Support, am.Contact, am.SingleGrid, am.Plane, am.Coulomb}
 
@@ -51,31 +78,90 @@ def adapted(**given):
 
 
 #: arguments that the fields of dataclasses take, by their names
-FIELDS = {name: value for names, value in {
-    "width depth height radius size base reach tangential unit norm value x at limit omega angle default": 1.0,
-    "young": 1e9, "poisson friction grading": 0.3, "theta rotation": 0.5, "rtol": 0.1, "growth": 2.0,
-    "cycles max_cycles max_steps max_sweeps passes pre post recombine": 2, "moment": 0.0, "path": Path("a.step"),
-    "allow_interference nested_start condensed": False, "boundary body name slave": "a", "master": "b",
-    "component direction": "x", "coupling": "mortar", "shape": "V", "stop test": "error", "order": "forward",
-    "coarse_matrices": "galerkin", "gap": "smallest", "slip": "initial", "components normal displacement": (0.0, 1.0),
-    "point about origin points": (0.0, 0.0), "offset axis": (0.0, 0.0, 1.0), "centre": (0.0, 0.0, 0.0),
-    "boundaries": tuple("abcd"), "vertices": SQUARE.vertices, "squares": (1.0,), "jump": (1, 1),
-    "arcs rename reference terms": {}, "parts": {"a": UNIT}, "factors": {"top": [1.0]},
-    "cracks": {"c": ((0.2, 0.5), (0.8, 0.5))}, "force": (None, 1.0), "function": len, "obstacle": PLANE,
-    "polygon domain": SQUARE, "solid a b": BALL, "law": am.Coulomb(0.3), "contact": am.Contact("a", PLANE),
-    "material": am.PlaneStrain(**ELASTIC), "linear coarse_solve": am.Direct(), "cycle": am.Cycle(),
-    "smoother coarse_smoother": am.ProjectedGaussSeidel(), "correction": am.Monotone(), "coarse": am.CoarseSolve(),
-    "quantity": am.ContactForce(), "levels": lambda: grids().levels, "problem": bar, "mesh": mesh,
-    "discrete": lambda: grids()[0].discrete}.items() for name in names.split()}
+FIELDS = {
+    name: value
+    for names, value in {
+        "width depth height radius size base reach tangential unit norm value x at limit omega angle default": 1.0,
+        "young": 1e9,
+        "poisson friction grading": 0.3,
+        "theta rotation": 0.5,
+        "rtol": 0.1,
+        "growth": 2.0,
+        "cycles max_cycles max_steps max_sweeps passes pre post recombine": 2,
+        "moment": 0.0,
+        "path": Path("a.step"),
+        "allow_interference nested_start condensed": False,
+        "boundary body name slave": "a",
+        "master": "b",
+        "component direction": "x",
+        "coupling": "mortar",
+        "shape": "V",
+        "stop test": "error",
+        "order": "forward",
+        "coarse_matrices": "galerkin",
+        "gap": "smallest",
+        "slip": "initial",
+        "components normal displacement": (0.0, 1.0),
+        "point about origin points": (0.0, 0.0),
+        "offset axis": (0.0, 0.0, 1.0),
+        "centre": (0.0, 0.0, 0.0),
+        "boundaries": tuple("abcd"),
+        "vertices": SQUARE.vertices,
+        "squares": (1.0,),
+        "jump": (1, 1),
+        "arcs rename reference terms": {},
+        "parts": {"a": UNIT},
+        "factors": {"top": [1.0]},
+        "cracks": {"c": ((0.2, 0.5), (0.8, 0.5))},
+        "force": (None, 1.0),
+        "function": len,
+        "obstacle": PLANE,
+        "polygon domain": SQUARE,
+        "solid a b": BALL,
+        "law": am.Coulomb(0.3),
+        "contact": am.Contact("a", PLANE),
+        "material": am.PlaneStrain(**ELASTIC),
+        "linear coarse_solve": am.Direct(),
+        "cycle": am.Cycle(),
+        "smoother coarse_smoother": am.ProjectedGaussSeidel(),
+        "correction": am.Monotone(),
+        "coarse": am.CoarseSolve(),
+        "quantity": am.ContactForce(),
+        "levels": lambda: grids().levels,
+        "problem": bar,
+        "mesh": mesh,
+        "discrete": lambda: grids()[0].discrete,
+    }.items()
+    for name in names.split()
+}
 #: other ones, of some classes; None: not this one
-OWN = {am.ContactPair: {"gap": None}, am.Tresca: {}, am.PaperCorrection: {"limit": "initial"},
-       am.Preload: {"force": 1.0, "axis": "y"}, am.Spring: {"normal": 1.0}, am.Support: {"normal": None, "name": None},
-       am.Box: {"origin": (0.0, 0.0, 0.0)}, am.Circle: {"centre": (0.0, 0.0)}, am.Hierarchy: {"origin": None},
-       am.Cylinder: {"point": (0.0, 0.0, 0.0)}, am.SizeNear: {"points": ((0.0, 0.0),)},
-       am.Periodic: {"slave": "b", "master": "a"}, am.Estimate: {"value": None}, am.FullMultigrid: {"stop": None},
-       am.ContactProblem: {"loads": [am.Pressure("c", 1.0)], "supports": [am.Support("b", x=0.0)]}}
-RESULTS = {am.Certificate, am.GoalEstimate, am.MeshArrays, am.PathResult, am.Result, am.Step, am.ContactNodes,
-           am.DiscreteProblem}
+OWN = {
+    am.ContactPair: {"gap": None},
+    am.Tresca: {},
+    am.PaperCorrection: {"limit": "initial"},
+    am.Preload: {"force": 1.0, "axis": "y"},
+    am.Spring: {"normal": 1.0},
+    am.Support: {"normal": None, "name": None},
+    am.Box: {"origin": (0.0, 0.0, 0.0)},
+    am.Circle: {"centre": (0.0, 0.0)},
+    am.Hierarchy: {"origin": None},
+    am.Cylinder: {"point": (0.0, 0.0, 0.0)},
+    am.SizeNear: {"points": ((0.0, 0.0),)},
+    am.Periodic: {"slave": "b", "master": "a"},
+    am.Estimate: {"value": None},
+    am.FullMultigrid: {"stop": None},
+    am.ContactProblem: {"loads": [am.Pressure("c", 1.0)], "supports": [am.Support("b", x=0.0)]},
+}
+RESULTS = {
+    am.Certificate,
+    am.GoalEstimate,
+    am.MeshArrays,
+    am.PathResult,
+    am.Result,
+    am.Step,
+    am.ContactNodes,
+    am.DiscreteProblem,
+}
 
 
 def arguments(kind):
@@ -85,38 +171,88 @@ def arguments(kind):
     return {name: value for name, value in right.items() if value is not None}
 
 
-PUBLIC = {value for value in (getattr(am, name) for name in dir(am)) if dataclasses.is_dataclass(value)} - RESULTS
+PUBLIC = {
+    value for value in (getattr(am, name) for name in dir(am)) if dataclasses.is_dataclass(value)
+} - RESULTS
 #: a door and arguments that it takes
 DOORS = {
-    **{kind: arguments(kind) for kind in sorted(PUBLIC, key=lambda kind: kind.__name__) if arguments(kind)},
-    am.solve: {"grids": grids, "solver": am.Multigrid(), "throw": True,
-               "callback": len},
-    am.solve_path: {"grids": grids, "path": am.LoadPath(), "solver": am.Multigrid(), "callback": len, "throw": True},
+    **{
+        kind: arguments(kind)
+        for kind in sorted(PUBLIC, key=lambda kind: kind.__name__)
+        if arguments(kind)
+    },
+    am.solve: {"grids": grids, "solver": am.Multigrid(), "throw": True, "callback": len},
+    am.solve_path: {
+        "grids": grids,
+        "path": am.LoadPath(),
+        "solver": am.Multigrid(),
+        "callback": len,
+        "throw": True,
+    },
     am.discretise: {"problem": bar, "mesh": mesh},
-    adapted: {"tolerance": 0.1, "max_nodes": 9, "max_seconds": 1.0, "indicator": am.Residual(),
-              "mark": am.Doerfler(), "engine": am.Bisect(), "solver": am.FullMultigrid(), "transfer": am.L2(),
-              "load_path": am.LoadPath(), "adapt_on": "last", "progress": len, "store": Path("a")},
+    adapted: {
+        "tolerance": 0.1,
+        "max_nodes": 9,
+        "max_seconds": 1.0,
+        "indicator": am.Residual(),
+        "mark": am.Doerfler(),
+        "engine": am.Bisect(),
+        "solver": am.FullMultigrid(),
+        "transfer": am.L2(),
+        "load_path": am.LoadPath(),
+        "adapt_on": "last",
+        "progress": len,
+        "store": Path("a"),
+    },
     am.Hierarchy.uniform: {"problem": bar, "divisions": [2, 4]},
-    am.Hierarchy.graded: {"problem": bar, "sizes": [0.01], "contact_ratio": 1.0, "transfer": am.L2()},
-    am.Hierarchy.from_meshes: {"problem": bar, "meshes": lambda: [mesh()], "transfer": am.L2(), "contact_rows": True},
+    am.Hierarchy.graded: {
+        "problem": bar,
+        "sizes": [0.01],
+        "contact_ratio": 1.0,
+        "transfer": am.L2(),
+    },
+    am.Hierarchy.from_meshes: {
+        "problem": bar,
+        "meshes": lambda: [mesh()],
+        "transfer": am.L2(),
+        "contact_rows": True,
+    },
     am.Hierarchy.single: {"discrete": discrete},
     am.Hierarchy.from_prolongations: {"discrete": discrete, "prolongations": [np.eye(3)]},
     am.Hierarchy.algebraic: {"discrete": discrete, "max_coarse": 9},
-    grids().append: {"mesh": mesh}, grids().without: {"level": 1}, grids().truncated: {"coarsest": 0},
+    grids().append: {"mesh": mesh},
+    grids().without: {"level": 1},
+    grids().truncated: {"coarsest": 0},
     discrete: {"law": am.Coulomb(0.3), "contact": contact(), "name": "a", "bodies": {}},
     contact: {"allow_interference": False, "names": ("a",), "masters": ("b",)},
     meshes.structured: {"domain": UNIT, "divisions": 2},
-    meshes.graded: {"domain": UNIT, "size": 0.5, "contact_boundaries": "top", "contact_ratio": 1.0, "grading": 0.3},
+    meshes.graded: {
+        "domain": UNIT,
+        "size": 0.5,
+        "contact_boundaries": "top",
+        "contact_ratio": 1.0,
+        "grading": 0.3,
+    },
     meshes.sized: {"domain": UNIT, "size_function": 0.5, "max_size": 0.5},
-    meshes.as_mesh: {"mesh": mesh}, meshes.check_mesh: {"mesh": mesh}, meshes.merged: {"meshes": lambda: {"a": mesh()}},
+    meshes.as_mesh: {"mesh": mesh},
+    meshes.check_mesh: {"mesh": mesh},
+    meshes.merged: {"meshes": lambda: {"a": mesh()}},
     meshes.bisect: {"mesh": mesh, "marked": mask, "passes": 2},
     meshes.refine_near: {"mesh": mesh, "boundaries": "top", "levels": 2},
-    am.Doerfler().mark: {"estimate": estimate}, am.cases.greco_block: {"plane_strain": True, "young": 1e9},
-    am.Bisect().refine: {"problem": bar, "mesh": mesh, "estimate": estimate, "max_nodes": 9,
-                         "marked": mask},
+    am.Doerfler().mark: {"estimate": estimate},
+    am.cases.greco_block: {"plane_strain": True, "young": 1e9},
+    am.Bisect().refine: {
+        "problem": bar,
+        "mesh": mesh,
+        "estimate": estimate,
+        "max_nodes": 9,
+        "marked": mask,
+    },
     am.Remesh().refine: {"problem": bar, "mesh": mesh, "estimate": estimate, "max_nodes": 9},
-    **{indicator.indicate: {"hierarchy": grids, "result": lambda: am.solve(grids())}
-       for indicator in (am.Residual(), am.Recovery(), am.Goal(am.ContactForce()))},
+    **{
+        indicator.indicate: {"hierarchy": grids, "result": lambda: am.solve(grids())}
+        for indicator in (am.Residual(), am.Recovery(), am.Goal(am.ContactForce()))
+    },
 }
 #: what messages say instead of the name
 SAYS = {"coarsest": "", "meshes": "mesh", "sizes": "size"}
@@ -134,8 +270,10 @@ def wrong(door, value):
 @pytest.mark.parametrize("door", DOORS, ids=lambda door: getattr(door, "__qualname__", "?"))
 def test_each_argument_is_checked(door, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    right = {name: value() if inspect.isfunction(value) or hasattr(value, "cache_info") else value
-             for name, value in DOORS[door].items()}
+    right = {
+        name: value() if inspect.isfunction(value) or hasattr(value, "cache_info") else value
+        for name, value in DOORS[door].items()
+    }
     for name, value in right.items():
         for other in wrong(door, value):
             with pytest.raises((TypeError, ValueError, FileNotFoundError)) as error:

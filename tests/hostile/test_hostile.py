@@ -1,11 +1,14 @@
-"""Every row of every table is refused with an error that names what is wrong, and writes nothing."""
+"""Every row of every table is refused with an error that names what is wrong, and writes
+nothing."""
 
 import importlib
 
 import pytest
 from hostile_table import TABLES
 
-ROWS = {f"{table}/{row.name}": row for table in TABLES for row in importlib.import_module(table).INPUTS}
+ROWS = {
+    f"{table}/{row.name}": row for table in TABLES for row in importlib.import_module(table).INPUTS
+}
 
 
 @pytest.mark.parametrize("name", ROWS, ids=ascii)

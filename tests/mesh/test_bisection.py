@@ -1,4 +1,5 @@
-"""Bisection: conforming from any mesh, bounded shapes, labels follow, also through files; new nodes go onto arcs."""
+"""Bisection: conforming from any mesh, bounded shapes, labels follow, also through files; new nodes
+go onto arcs."""
 
 import math
 from dataclasses import replace
@@ -8,7 +9,16 @@ import numpy as np
 import pytest
 from bisected_meshes import SQUARE, crooked, cube, random_mask, verified
 
-from adaptmg.mesh import MeshArrays, bisect, check_mesh, graded, onto_domain, quality, refine_near, structured
+from adaptmg.mesh import (
+    MeshArrays,
+    bisect,
+    check_mesh,
+    graded,
+    onto_domain,
+    quality,
+    refine_near,
+    structured,
+)
 from adaptmg.mesh.arrays import Refinement
 from adaptmg.mesh.bisection import refined, with_refinement
 from adaptmg.mesh.sizes import distance_to_boundaries
@@ -20,11 +30,22 @@ from adaptmg.solver import store
 
 def split(mesh):
     """The mesh with two bodies that are glued."""
-    return check_mesh(replace(mesh, bodies=("west", "east"), source=None,
-                              element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 0.5))
+    return check_mesh(
+        replace(
+            mesh,
+            bodies=("west", "east"),
+            source=None,
+            element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 0.5,
+        )
+    )
 
 
-MESHES = {"2D": SQUARE, "2D crooked": split(crooked(SQUARE)), "3D": cube(), "3D crooked": split(crooked(cube(2)))}
+MESHES = {
+    "2D": SQUARE,
+    "2D crooked": split(crooked(SQUARE)),
+    "3D": cube(),
+    "3D crooked": split(crooked(cube(2))),
+}
 EACH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 SIDES = {"left": (0, 0), "right": (0, 1), "bottom": (-1, 0), "top": (-1, 1)}
 
@@ -42,7 +63,9 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
         mesh, parents = bisect(mesh, marked, passes)
         verified(mesh)
         np.testing.assert_array_equal(mesh.points, mesh.points[parents].mean(axis=1))
-        np.testing.assert_allclose(*(np.bincount(m.element_body, m.volumes) for m in (mesh, before)), rtol=1e-12)
+        np.testing.assert_allclose(
+            *(np.bincount(m.element_body, m.volumes) for m in (mesh, before)), rtol=1e-12
+        )
         for name, (axis, value) in SIDES.items():
             assert (mesh.points[mesh.boundary_nodes(name), axis] == value).all()
         # those of one old facet lie one after another, in the order of the old ones
@@ -52,11 +75,19 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
         assert len(refinement.parents) == mesh.n_nodes and refinement.generation.max() < 100
         if mesh.n_nodes > 6_000:
             break
-    assert k >= 2 and before.refinement is not None and replace(mesh, source=None).refinement is None
+    assert (
+        k >= 2 and before.refinement is not None and replace(mesh, source=None).refinement is None
+    )
 
 
-@pytest.mark.parametrize(("corners", "most"), [([[0, 0], [1, 0], [0.02, 0.1]], 4), *(
-    (np.random.default_rng(seed).random((4, 3)), 72) for seed in range(2))], ids=["triangle", "first", "second"])
+@pytest.mark.parametrize(
+    ("corners", "most"),
+    [
+        ([[0, 0], [1, 0], [0.02, 0.1]], 4),
+        *((np.random.default_rng(seed).random((4, 3)), 72) for seed in range(2)),
+    ],
+    ids=["triangle", "first", "second"],
+)
 def test_a_simplex_has_a_bounded_number_of_shapes(corners, most):
     mesh, classes, worst = bisected_meshes.single(corners), [], []
     for _ in range(12):
@@ -74,10 +105,12 @@ def test_marked_elements_have_all_edges_halved_and_passes_count(mesh):
     full = refined(mesh, marked)
     children = np.bincount(full.origin, minlength=len(mesh.elements))
     assert (children[marked] >= 2**mesh.dim).all() and (children >= 1).all()
-    np.testing.assert_allclose(np.bincount(full.origin, full.mesh.volumes), mesh.volumes, rtol=1e-12)
+    np.testing.assert_allclose(
+        np.bincount(full.origin, full.mesh.volumes), mesh.volumes, rtol=1e-12
+    )
     # half an edge, or less where a face was cut twice
     old_edges = mesh.elements[marked][:, [0, 1]]
-    halved = {tuple(sorted(p)) for p in full.mesh.refinement.parents[mesh.n_nodes:].tolist()}
+    halved = {tuple(sorted(p)) for p in full.mesh.refinement.parents[mesh.n_nodes :].tolist()}
     assert {tuple(sorted(edge)) for edge in old_edges.tolist()} <= halved
     for passes in (1, 2, 3):
         some = refined(mesh, marked, passes)
@@ -99,11 +132,14 @@ def test_refine_near_reaches_strong_grading_without_bad_angles():
     for level, mesh in enumerate(meshes):
         assert len(mesh.boundary_facets("bottom")) == 4 * 2**level
         assert len(mesh.boundary_facets("top")) == 4
-    # the work goes to the boundary: nodes double with every level, uniform refinement would make four times as many
+    # the work goes to the boundary: nodes double with every level, uniform refinement would make
+    # four times as many
     assert meshes[-1].n_nodes < 2.05 * meshes[-2].n_nodes
     assert quality(meshes[-1]).min_angle > 20
     assert bisected_meshes.containing_elements(meshes[1], meshes[2]).min() >= 0
-    assert [len(m.boundary_facets("bottom")) for m in refine_near(cube(2), ["bottom", "left"], 2)] == [8, 32, 128]
+    assert [
+        len(m.boundary_facets("bottom")) for m in refine_near(cube(2), ["bottom", "left"], 2)
+    ] == [8, 32, 128]
     with pytest.raises(ValueError, match="boundary 'bottm' does not exist"):
         refine_near(FINE_SQUARE, "bottm")
 
@@ -132,23 +168,34 @@ def test_bisection_goes_on_from_a_file(mesh, tmp_path):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("a", "out", "b", "in"),
-               arcs={1: (0, 0), 3: (0, 0)})
+RING = Outline(
+    vertices=((1, 0), (2, 0), (0, 2), (0, 1)),
+    boundaries=("a", "out", "b", "in"),
+    arcs={1: (0, 0), 3: (0, 0)},
+)
 # straight and round edges of one name, bulging out and in
-SHARED = Outline(vertices=((0, 0), (1, 0), (1, 1), (0, 1)), boundaries=("wall", "wall", "top", "wall"),
-                 arcs={1: (0, 0.5), 3: (-1, 0.5)})
+SHARED = Outline(
+    vertices=((0, 0), (1, 0), (1, 1), (0, 1)),
+    boundaries=("wall", "wall", "top", "wall"),
+    arcs={1: (0, 0.5), 3: (-1, 0.5)},
+)
 # two arcs between the same corners
 LENS = Outline(vertices=((-1, 0), (1, 0)), boundaries=("rim", "rim"), arcs={0: (0, 1), 1: (0, -2)})
-CONE = Polygon(vertices=((0, 0), (2, 0), (1, 1), (0, 1)), boundaries=("base", "cone", "lid", "axis"))
-BULGED = Outline(vertices=((1, 0), (2, 0), (2, 1), (1, 1)), boundaries=("floor", "belly", "lid", "bore"),
-                 arcs={1: (1.5, 0.5)})
+CONE = Polygon(
+    vertices=((0, 0), (2, 0), (1, 1), (0, 1)), boundaries=("base", "cone", "lid", "axis")
+)
+BULGED = Outline(
+    vertices=((1, 0), (2, 0), (2, 1), (1, 1)),
+    boundaries=("floor", "belly", "lid", "bore"),
+    arcs={1: (1.5, 0.5)},
+)
 
 
 def refined_onto(domain, mesh, passes=2, part=1.0):
     for k in range(passes):
         fine, _ = bisect(mesh, random_mask(mesh, part, k))
         moved = onto_domain(domain, fine, mesh.n_nodes)
-        np.testing.assert_array_equal(moved.points[:mesh.n_nodes], mesh.points)
+        np.testing.assert_array_equal(moved.points[: mesh.n_nodes], mesh.points)
         np.testing.assert_array_equal(moved.elements, fine.elements)
         assert moved.refinement is fine.refinement
         mesh = verified(moved)
@@ -157,8 +204,10 @@ def refined_onto(domain, mesh, passes=2, part=1.0):
 
 def off_arcs(domain, mesh):
     """The largest distance of a boundary node to the edges that have its name."""
-    return max(distance_to_boundaries(domain, [name], mesh.points[mesh.boundary_nodes(name)]).max()
-               for name in mesh.boundaries)
+    return max(
+        distance_to_boundaries(domain, [name], mesh.points[mesh.boundary_nodes(name)]).max()
+        for name in mesh.boundaries
+    )
 
 
 @pytest.mark.parametrize("domain", [RING, SHARED, LENS], ids=["ring", "shared", "lens"])
@@ -170,7 +219,12 @@ def test_outlines(domain, part):
     # what bulges out and in alike cancels, unless only a part is refined
     assert errors[1] < max(errors[0] / 14, 1e-14) or part < 1
     assert quality(mesh).min_angle > 0.5 * quality(coarse).min_angle
-    assert off_arcs(domain, mesh) < 1e-14 < 1e-3 < off_arcs(domain, bisect(coarse, everything(coarse))[0])
+    assert (
+        off_arcs(domain, mesh)
+        < 1e-14
+        < 1e-3
+        < off_arcs(domain, bisect(coarse, everything(coarse))[0])
+    )
 
 
 def off(axes, radius, centre=(0, 0)):
@@ -183,21 +237,45 @@ def on(axis, value):
 
 
 BALL, CYLINDER = Ball((1, 2, 3), 0.2), Cylinder((0, 0, 1), (0, 0, 1), 0.5, 1)
-DISK = Outline(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("base", "rim", "axis"), arcs={1: (0, 0)})
-CONICAL = {"cone": lambda x: np.hypot(x[:, 0], x[:, 1]) + x[:, 2] - 2, "base": on(2, 0), "lid": on(2, 1)}
+DISK = Outline(
+    vertices=((0, 0), (1, 0), (0, 1)), boundaries=("base", "rim", "axis"), arcs={1: (0, 0)}
+)
+CONICAL = {
+    "cone": lambda x: np.hypot(x[:, 0], x[:, 1]) + x[:, 2] - 2,
+    "base": on(2, 0),
+    "lid": on(2, 1),
+}
 # what is zero on the boundaries
 SHAPES = {
-    "disk and ring": (Assembly(parts={"disk": DISK, "ring": RING}), 0.4, {
-        "disk.rim": off([0, 1], 1), "ring.in": off([0, 1], 1), "ring.out": off([0, 1], 2)}),
+    "disk and ring": (
+        Assembly(parts={"disk": DISK, "ring": RING}),
+        0.4,
+        {"disk.rim": off([0, 1], 1), "ring.in": off([0, 1], 1), "ring.out": off([0, 1], 2)},
+    ),
     "ball": (BALL, 0.2, {"surface": lambda x: np.linalg.norm(x - (1, 2, 3), axis=1) - 0.2}),
     "cylinder": (CYLINDER, 0.5, {"side": off([0, 1], 0.5), "bottom": on(2, 1)}),
     # a quarter turn about y takes (x, y, z) to (z, y, -x)
-    "turned": (Moved(CYLINDER, (10, 0, 0), 90, (0, 2, 0)), 0.5, {"side": off([1, 2], 0.5), "bottom": on(0, 11)}),
-    "sector of a cone": (Revolution(CONE, 120), 1.0, CONICAL), "cone": (Revolution(CONE), 1.0, CONICAL),
-    "sector": (Revolution(BULGED, 90), 0.7, {
-        "belly": lambda x: np.hypot(np.hypot(x[:, 0], x[:, 1]) - 1.5, x[:, 2] - 0.5) - math.sqrt(0.5),
-        "bore": off([0, 1], 1), "start": on(1, 0), "end": on(0, 0)}),
-    "prism": (Extrusion(RING, 0.5), 0.7, {"in": off([0, 1], 1), "out": off([0, 1], 2)})}
+    "turned": (
+        Moved(CYLINDER, (10, 0, 0), 90, (0, 2, 0)),
+        0.5,
+        {"side": off([1, 2], 0.5), "bottom": on(0, 11)},
+    ),
+    "sector of a cone": (Revolution(CONE, 120), 1.0, CONICAL),
+    "cone": (Revolution(CONE), 1.0, CONICAL),
+    "sector": (
+        Revolution(BULGED, 90),
+        0.7,
+        {
+            "belly": lambda x: (
+                np.hypot(np.hypot(x[:, 0], x[:, 1]) - 1.5, x[:, 2] - 0.5) - math.sqrt(0.5)
+            ),
+            "bore": off([0, 1], 1),
+            "start": on(1, 0),
+            "end": on(0, 0),
+        },
+    ),
+    "prism": (Extrusion(RING, 0.5), 0.7, {"in": off([0, 1], 1), "out": off([0, 1], 2)}),
+}
 
 
 @pytest.mark.parametrize(("domain", "size", "zero"), SHAPES.values(), ids=SHAPES)
@@ -205,7 +283,9 @@ def test_boundaries_stay_where_they_are(domain, size, zero):
     coarse = graded(domain, size)
     mesh = refined_onto(domain, coarse)
     for name, function in zero.items():
-        np.testing.assert_allclose(function(mesh.points[mesh.boundary_nodes(name)]), 0, atol=1e-10 * max(1, size))
+        np.testing.assert_allclose(
+            function(mesh.points[mesh.boundary_nodes(name)]), 0, atol=1e-10 * max(1, size)
+        )
 
 
 def test_what_is_not_known_stays_on_the_chord():
@@ -218,12 +298,21 @@ def test_what_is_not_known_stays_on_the_chord():
 
 
 def thin(height):
-    """A domain whose floor bulges into it by .5, meshed with a node that far above the floor's chord."""
-    domain = Outline(vertices=((-1, 0), (1, 0), (1, 2), (-1, 2)), boundaries=("floor", "right", "top", "left"),
-                     arcs={0: (0, -0.75)})
+    """A domain whose floor bulges into it by .5, meshed with a node that far above the floor's
+    chord."""
+    domain = Outline(
+        vertices=((-1, 0), (1, 0), (1, 2), (-1, 2)),
+        boundaries=("floor", "right", "top", "left"),
+        arcs={0: (0, -0.75)},
+    )
     points = np.array([*domain.vertices, (0, height)])
-    mesh = MeshArrays(points, np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]),
-                      np.array([[0, 1], [1, 2], [2, 3], [3, 0]]), np.arange(4), domain.boundaries)
+    mesh = MeshArrays(
+        points,
+        np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]),
+        np.array([[0, 1], [1, 2], [2, 3], [3, 0]]),
+        np.arange(4),
+        domain.boundaries,
+    )
     return domain, check_mesh(mesh)
 
 

@@ -1,4 +1,5 @@
-"""Bodies with cracks: both faces have nodes of their own, tips are shared, and transfers keep to one side."""
+"""Bodies with cracks: both faces have nodes of their own, tips are shared, and transfers keep to
+one side."""
 
 from dataclasses import replace
 
@@ -20,12 +21,21 @@ def turned(points, angle, shift):
 
 
 def plate(rng):
-    """A plate with a round hole, and cracks: kinked inside, from the hole, from a corner, and one that branches off."""
+    """A plate with a round hole, and cracks: kinked inside, from the hole, from a corner, and one
+    that branches off."""
     at = rng.uniform(0, 7), rng.uniform(-9, 9, 2)
-    body = am.Cut(am.Polygon(vertices=turned([(0, 0), (4, 0), (4, 3), (0, 3)], *at), boundaries=tuple("abcd")),
-                  am.Circle(tuple(*turned([(3, 1)], *at)), 0.4, "hole"))
-    paths = {"kinked": [(0.5, 2), (1.5, 2.2), (2, 1.5)], "hole": [(3, 1.4), (3, 2)], "corner": [(0.4, 0.6), (0, 0)],
-             "branch": [(1.5, 2.2), (1.7, 2.7)]}
+    body = am.Cut(
+        am.Polygon(
+            vertices=turned([(0, 0), (4, 0), (4, 3), (0, 3)], *at), boundaries=tuple("abcd")
+        ),
+        am.Circle(tuple(*turned([(3, 1)], *at)), 0.4, "hole"),
+    )
+    paths = {
+        "kinked": [(0.5, 2), (1.5, 2.2), (2, 1.5)],
+        "hole": [(3, 1.4), (3, 2)],
+        "corner": [(0.4, 0.6), (0, 0)],
+        "branch": [(1.5, 2.2), (1.7, 2.7)],
+    }
     return am.Cracked(body, {name: turned(path, *at) for name, path in paths.items()})
 
 
@@ -44,8 +54,10 @@ def test_cracks_are_meshed_with_two_faces_that_share_tips(mesher):
     assert quality(mesh).min_angle > 15
     assert mesh.volumes.sum() == pytest.approx(domain.domain.outline.area, rel=0.01)
     # nodes at one place: three at the branch, as many as faces meet there
-    copies = {name: sorted(np.sum(np.abs(mesh.points - p).max(axis=1) < 1e-12) for p in path)
-              for name, path in domain.cracks.items()}
+    copies = {
+        name: sorted(np.sum(np.abs(mesh.points - p).max(axis=1) < 1e-12) for p in path)
+        for name, path in domain.cracks.items()
+    }
     assert copies == {"kinked": [1, 1, 3], "hole": [1, 2], "corner": [1, 2], "branch": [1, 3]}
     for name, path in domain.cracks.items():
         left, right = faces(mesh, name)
@@ -74,7 +86,9 @@ def test_polygons_are_cracks_of_solids():
         left, right = (mesh.surface(f"{name}.{side}") for side in ("left", "right"))
         np.testing.assert_allclose(left.vectors.sum(axis=0), area * np.array(normal), atol=1e-9)
         np.testing.assert_allclose(left.vectors.sum(axis=0), -right.vectors.sum(axis=0))
-    front = mesh.points[np.intersect1d(*(mesh.boundary_nodes(f"square.{side}") for side in ("left", "right")))]
+    front = mesh.points[
+        np.intersect1d(*(mesh.boundary_nodes(f"square.{side}") for side in ("left", "right")))
+    ]
     np.testing.assert_allclose(np.abs((front - 3) @ turn).max(axis=1), 1, atol=1e-9)
     fine = refine_near(mesh, "square.left")[-1]
     assert fine.surface("square.left").measures.sum() == pytest.approx(4)
@@ -84,35 +98,73 @@ def test_a_mesh_is_split_along_facets():
     cube = structured(am.Box(width=1, depth=1, height=1), 4)
     inside = np.abs(cube.points[cube.elements] - 0.5).max(axis=(1, 2)) < 0.3
     assert inside.any()
-    top = [f for e in cube.elements for f in (e[[1, 2, 3]], e[[0, 3, 2]], e[[0, 1, 3]], e[[0, 2, 1]])
-           if (cube.points[f, 2] == 0.5).all() and (np.abs(cube.points[f, :2] - 0.5) <= 0.25).all()]
+    top = [
+        f
+        for e in cube.elements
+        for f in (e[[1, 2, 3]], e[[0, 3, 2]], e[[0, 1, 3]], e[[0, 2, 1]])
+        if (cube.points[f, 2] == 0.5).all() and (np.abs(cube.points[f, :2] - 0.5) <= 0.25).all()
+    ]
     down = [f for f in top if np.cross(*(cube.points[f[1:]] - cube.points[f[0]]))[2] < 0]
     cracked = split(cube, down, "disc")
-    assert cracked.n_nodes == cube.n_nodes + 1 and cracked.surface("disc.left").normals[:, 2].max() == -1
-    assert len(cracked.boundary_facets("disc.left")) == len(cracked.boundary_facets("disc.right")) == 8 - 2
+    assert (
+        cracked.n_nodes == cube.n_nodes + 1
+        and cracked.surface("disc.left").normals[:, 2].max() == -1
+    )
+    assert (
+        len(cracked.boundary_facets("disc.left"))
+        == len(cracked.boundary_facets("disc.right"))
+        == 8 - 2
+    )
 
 
-CUBE, TRIANGLE = am.Box(width=1, depth=1, height=1), [(.3, .3, .5), (.7, .3, .5), (.5, .7, .5)]
+CUBE, TRIANGLE = (
+    am.Box(width=1, depth=1, height=1),
+    [(0.3, 0.3, 0.5), (0.7, 0.3, 0.5), (0.5, 0.7, 0.5)],
+)
 SQUARE = structured(am.Rectangle(width=1, height=1), 4)
 test_refused = refused(
-    (lambda: am.Cracked(am.StepFile("a.step"), {}), TypeError, "domain must be a Box or another solid"),
-    (lambda: am.Cracked(am.Cracked(PLATE, {"a": [(1, 1), (2, 2)]}), {"b": [(1, 2), (2, 1)]}), "domain is cracked"),
+    (
+        lambda: am.Cracked(am.StepFile("a.step"), {}),
+        TypeError,
+        "domain must be a Box or another solid",
+    ),
+    (
+        lambda: am.Cracked(am.Cracked(PLATE, {"a": [(1, 1), (2, 2)]}), {"b": [(1, 2), (2, 1)]}),
+        "domain is cracked",
+    ),
     (lambda: am.Cut(PLATE, am.Cracked(PLATE, {"a": [(1, 1), (2, 2)]})), "b is cracked"),
     (lambda: am.Moved(am.Cracked(CUBE, {"a": TRIANGLE})), "got a cracked"),
-    (lambda: am.Cracked(CUBE, {"a": [*TRIANGLE, (.5, .5, .6)]}), "corners of a plane polygon"),
-    (lambda: am.Cracked(CUBE, {"a": [(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)]}), r"cracks\['a'\]"),
-    (lambda: graded(am.Cracked(CUBE, {"a": np.add(TRIANGLE, 3)}), .3), "lies outside"),
-    (lambda: graded(am.Cracked(CUBE, {"a": [(-1, -1, .5), (2, -1, .5), (2, 2, .5), (-1, 2, .5)]}), .3), "2 pieces"),
+    (lambda: am.Cracked(CUBE, {"a": [*TRIANGLE, (0.5, 0.5, 0.6)]}), "corners of a plane polygon"),
+    (
+        lambda: am.Cracked(CUBE, {"a": [(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)]}),
+        r"cracks\['a'\]",
+    ),
+    (lambda: graded(am.Cracked(CUBE, {"a": np.add(TRIANGLE, 3)}), 0.3), "lies outside"),
+    (
+        lambda: graded(
+            am.Cracked(CUBE, {"a": [(-1, -1, 0.5), (2, -1, 0.5), (2, 2, 0.5), (-1, 2, 0.5)]}), 0.3
+        ),
+        "2 pieces",
+    ),
     (lambda: am.Cracked(PLATE, {}), "name one crack"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1)]}), "2 points or more"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1), (5, 1)]}), r"cracks\['a'\] leaves the body|meet"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1), (1, 1), (2, 1)]}), "twice in a row"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 0), (1, 3)]}), "in two"),
     (lambda: am.Cracked(PLATE, {"a": [(1, 1), (2, 1), (2, 2), (1, 1)]}), "in two"),
-    (lambda: am.Cracked(PLATE, {"a": [(1, 1), (2, 2)], "b": [(1, 2), (3, 1)]}), r"cracks: edges .* meet"),
+    (
+        lambda: am.Cracked(PLATE, {"a": [(1, 1), (2, 2)], "b": [(1, 2), (3, 1)]}),
+        r"cracks: edges .* meet",
+    ),
     (lambda: am.Cracked(PLATE, {"a": [(1, 0), (2, 0)]}), "meet|leaves|in two"),
-    (lambda: am.Cracked(am.Polygon(vertices=[(0, 0), (1, 0), (0, 1)], boundaries=("a.left", "b", "c")),
-                        {"a": [(.2, .2), (.3, .3)]}), "other names"),
+    (
+        lambda: am.Cracked(
+            am.Polygon(vertices=[(0, 0), (1, 0), (0, 1)], boundaries=("a.left", "b", "c")),
+            {"a": [(0.2, 0.2), (0.3, 0.3)]},
+        ),
+        "other names",
+    ),
     (lambda: split(SQUARE, [[11, 12]]), "nothing opens"),
     (lambda: split(SQUARE, [[0, 1], [1, 2]]), "between two elements|twice"),
-    (lambda: split(SQUARE, [[10, 11], [11, 12], [12, 13], [13, 14]]), "2 pieces"))
+    (lambda: split(SQUARE, [[10, 11], [11, 12], [12, 13], [13, 14]]), "2 pieces"),
+)

@@ -1,4 +1,5 @@
-"""Meshes of several bodies and of outlines with arcs: nothing shared, nodes on the circles, sizes as asked."""
+"""Meshes of several bodies and of outlines with arcs: nothing shared, nodes on the circles, sizes
+as asked."""
 
 import math
 import re
@@ -11,7 +12,16 @@ from bisected_meshes import edge_lengths
 from refused import refused
 
 import adaptmg as am
-from adaptmg.mesh import MeshArrays, SizeNear, check_mesh, graded, merged, quality, sized, structured
+from adaptmg.mesh import (
+    MeshArrays,
+    SizeNear,
+    check_mesh,
+    graded,
+    merged,
+    quality,
+    sized,
+    structured,
+)
 from adaptmg.mesh.arrays import swept
 from adaptmg.mesh.sizes import distance_to_boundaries
 from adaptmg.problem import Assembly, Box, Outline, Rectangle
@@ -19,19 +29,40 @@ from adaptmg.problem import Assembly, Box, Outline, Rectangle
 UPPER = Rectangle(width=1.0, height=0.5)
 LOWER = Rectangle(width=2.0, height=1.0, origin=(-0.5, -1.0))
 TWO = Assembly(parts={"upper": UPPER, "lower": LOWER})
-BOXES = Assembly(parts={"a": Box(width=1, depth=1, height=1), "b": Box(width=2, depth=1, height=1, origin=(0, 0, -1))})
+BOXES = Assembly(
+    parts={
+        "a": Box(width=1, depth=1, height=1),
+        "b": Box(width=2, depth=1, height=1, origin=(0, 0, -1)),
+    }
+)
 ANGLES = np.radians([0, 85, 200, 290])
-DISK = Outline(vertices=[(3 + math.cos(a), 5 + math.sin(a)) for a in ANGLES], boundaries=("a", "b", "a", "b"),
-               arcs=dict.fromkeys(range(4), (3.0, 5.0)))
-# arcs that turn both ways, straight edges that share a name with an arc and leave it along its tangent
-RING = Outline(vertices=((1, 0), (2, 0), (2, 1), (0, 3), (-1, 3), (-1, 2), (0, 1)),
-               boundaries=("x", "out", "out", "top", "y", "in", "in"), arcs={2: (0, 1), 6: (0, 0)})
-BALL_ON_BLOCK = Assembly(parts={
-    "ball": Outline(vertices=((0, 0), (8e-3, 8e-3), (0, 8e-3)), boundaries=("arc", "top", "axis"), arcs={0: (0, 8e-3)}),
-    "block": Rectangle(width=8e-3, height=8e-3, origin=(0, -8e-3))})
+DISK = Outline(
+    vertices=[(3 + math.cos(a), 5 + math.sin(a)) for a in ANGLES],
+    boundaries=("a", "b", "a", "b"),
+    arcs=dict.fromkeys(range(4), (3.0, 5.0)),
+)
+# arcs that turn both ways, straight edges that share a name with an arc and leave it along its
+# tangent
+RING = Outline(
+    vertices=((1, 0), (2, 0), (2, 1), (0, 3), (-1, 3), (-1, 2), (0, 1)),
+    boundaries=("x", "out", "out", "top", "y", "in", "in"),
+    arcs={2: (0, 1), 6: (0, 0)},
+)
+BALL_ON_BLOCK = Assembly(
+    parts={
+        "ball": Outline(
+            vertices=((0, 0), (8e-3, 8e-3), (0, 8e-3)),
+            boundaries=("arc", "top", "axis"),
+            arcs={0: (0, 8e-3)},
+        ),
+        "block": Rectangle(width=8e-3, height=8e-3, origin=(0, -8e-3)),
+    }
+)
 
 
-def off_circle(mesh: MeshArrays, boundary: str, center: tuple[float, float], radius: float) -> float:
+def off_circle(
+    mesh: MeshArrays, boundary: str, center: tuple[float, float], radius: float
+) -> float:
     distance = np.linalg.norm(mesh.points[mesh.boundary_nodes(boundary)] - center, axis=1)
     return np.abs(distance / radius - 1).max()
 
@@ -58,14 +89,26 @@ class TestOutline:
     def test_crossing_outlines_are_refused(self):
         # the arc dips through the edge opposite
         with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 2 \('t'\) meet"):
-            Outline(vertices=((0, 0), (4, 0), (4, 0.5), (0, 0.5)), boundaries=("b", "r", "t", "l"), arcs={2: (2, 4)})
+            Outline(
+                vertices=((0, 0), (4, 0), (4, 0.5), (0, 0.5)),
+                boundaries=("b", "r", "t", "l"),
+                arcs={2: (2, 4)},
+            )
         # or through a neighbour, near the vertex they share, wherever that lies
         rng = np.random.default_rng()
         for _ in range(20):
-            turn, part, centre = rng.uniform(0, 7), 10 ** rng.uniform(-6, -0.5), rng.uniform(-9, 9, 2)
-            first, last, tangent = (np.array([np.cos(a), np.sin(a)]) for a in (turn, turn + 1, turn + 0.5 * np.pi))
-            around = [4 * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ tangent
-                      for a in (2.0, 4.0, 0.5 * part)]
+            turn, part, centre = (
+                rng.uniform(0, 7),
+                10 ** rng.uniform(-6, -0.5),
+                rng.uniform(-9, 9, 2),
+            )
+            first, last, tangent = (
+                np.array([np.cos(a), np.sin(a)]) for a in (turn, turn + 1, turn + 0.5 * np.pi)
+            )
+            around = [
+                4 * np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ tangent
+                for a in (2.0, 4.0, 0.5 * part)
+            ]
             vertices = [centre + p for p in (first, last, *(first + p for p in around))]
             with pytest.raises(ValueError, match=r"edges 0 \('b'\) and 4 \('l'\) meet"):
                 Outline(vertices=vertices, boundaries=("b", "r", "t", "s", "l"), arcs={0: centre})
@@ -75,23 +118,40 @@ class TestOutline:
             hole = ((x + 1, 1), (x + 1, 2), (x + 2, 2), (x + 2, 1))
             corners = (((0, 0), (4, 0), (4, 4), (0, 4)), hole)
             if x:
-                with pytest.raises(ValueError, match="holes: the hole from vertex 4 on lies outside the outer edge"):
+                with pytest.raises(
+                    ValueError, match="holes: the hole from vertex 4 on lies outside the outer edge"
+                ):
                     Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,))
             else:
-                assert Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,)).area == 15
+                assert (
+                    Outline(vertices=sum(corners, ()), boundaries=("a",) * 8, holes=(4,)).area == 15
+                )
                 inner = tuple((1.25 + 0.5 * (p - 1), 1.25 + 0.5 * (q - 1)) for p, q in hole)
                 with pytest.raises(ValueError, match="or in another hole"):
-                    Outline(vertices=sum((*corners, inner), ()), boundaries=("a",) * 12, holes=(4, 8))
+                    Outline(
+                        vertices=sum((*corners, inner), ()), boundaries=("a",) * 12, holes=(4, 8)
+                    )
 
 
 def test_each_body_is_meshed_apart_and_without_contact_alone():
-    mesh = graded(TWO, {"upper": 0.2, "lower": 0.4}, ("upper.bottom", "lower.top"), {"upper": 4, "lower": 2})
-    assert check_mesh(mesh, TWO.boundaries) is mesh and mesh.bodies == TWO.bodies and mesh.source.nv == mesh.n_nodes
-    alone = swept(merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)}))
+    mesh = graded(
+        TWO, {"upper": 0.2, "lower": 0.4}, ("upper.bottom", "lower.top"), {"upper": 4, "lower": 2}
+    )
+    assert (
+        check_mesh(mesh, TWO.boundaries) is mesh
+        and mesh.bodies == TWO.bodies
+        and mesh.source.nv == mesh.n_nodes
+    )
+    alone = swept(
+        merged({"upper": graded(UPPER, 0.2, "bottom", 4), "lower": graded(LOWER, 0.4, "top", 2)})
+    )
     np.testing.assert_array_equal(mesh.points, alone.points)
     np.testing.assert_array_equal(mesh.elements, alone.elements)
     mesh = graded(TWO, 0.4, "upper.bottom", 8)
-    assert edge_lengths(mesh, "upper.bottom").max() < 0.08 and edge_lengths(mesh, "lower.top").min() > 0.2
+    assert (
+        edge_lengths(mesh, "upper.bottom").max() < 0.08
+        and edge_lengths(mesh, "lower.top").min() > 0.2
+    )
 
 
 class TestSizedAssembly:
@@ -110,38 +170,68 @@ class TestSizedAssembly:
         field = SizeNear([(0, 0), (4, 0)], size=0.1, radius=1.0, grading=0.5)
         places = np.array([[0.5, 0], [2, 0], [4, 3]])
         np.testing.assert_allclose(field(places), [0.1, 0.6, 1.1])
-        assert hash(field) == hash(SizeNear(((0.0, 0.0), (4.0, 0.0)), size=0.1, radius=1.0, grading=0.5))
+        assert hash(field) == hash(
+            SizeNear(((0.0, 0.0), (4.0, 0.0)), size=0.1, radius=1.0, grading=0.5)
+        )
         np.testing.assert_allclose(field.scaled(0.3)(places), 0.3 * field(places), rtol=1e-14)
 
 
 test_refuses = refused(
     (lambda: merged({}), "meshes is empty"),
     (lambda: merged({"a": structured(TWO, 1)}), r"has 2 bodies \(upper, lower\)"),
-    (lambda: merged({"a": structured(UPPER, 1), "b": structured(BOXES.parts["a"], 1)}), "same dimension"),
-    (lambda: structured(TWO, {"upper": 2}), "divisions must name each body once: the bodies are 'upper'"),
+    (
+        lambda: merged({"a": structured(UPPER, 1), "b": structured(BOXES.parts["a"], 1)}),
+        "same dimension",
+    ),
+    (
+        lambda: structured(TWO, {"upper": 2}),
+        "divisions must name each body once: the bodies are 'upper'",
+    ),
     (lambda: structured(UPPER, {"upper": 2}), TypeError, "for an Assembly only"),
-    (lambda: structured(Assembly(parts={"disk": DISK}), 2), TypeError, "graded meshes other domains"),
+    (
+        lambda: structured(Assembly(parts={"disk": DISK}), 2),
+        TypeError,
+        "graded meshes other domains",
+    ),
     (lambda: graded(TWO, {"upper": 1.0}), "size must name each body once"),
-    (lambda: graded(TWO, 1.0, "bottom", 2), r"'bottom' does not exist; the boundaries are upper\.bottom"),
-    (lambda: graded(TWO, 1.0, "upper.bottom", {"upper": 2, "lower": 2}), "contact_boundaries is empty"),
+    (
+        lambda: graded(TWO, 1.0, "bottom", 2),
+        r"'bottom' does not exist; the boundaries are upper\.bottom",
+    ),
+    (
+        lambda: graded(TWO, 1.0, "upper.bottom", {"upper": 2, "lower": 2}),
+        "contact_boundaries is empty",
+    ),
     (lambda: sized(TWO, {"upper": 0.1}, 1.0), "size_function must name each body once"),
     (lambda: sized(UPPER, SizeNear([(0, 0, 0)], size=0.1), 1.0), "are 3D, the mesh is 2D"),
     (lambda: SizeNear([], size=1.0), "at least one point"),
     (lambda: SizeNear([(0, 0), (0, 0, 0)], size=1.0), "same dimension"),
     (lambda: SizeNear([(0, 0)], size=1.0, grading=2), "grading must be at most 1"),
     (lambda: SizeNear([(0, 0)], size=1.0).scaled(0.0), "factor must be > 0"),
-    (lambda: SizeNear([(0, 0)], size=1.0, grading=0.4).scaled(3), "factor must be at most 2.5"))
+    (lambda: SizeNear([(0, 0)], size=1.0, grading=0.4).scaled(3), "factor must be at most 2.5"),
+)
 
 
-@pytest.mark.parametrize(("sides", "divisions", "square"), [
-    ((1.0, 1.0), (4, 13), (7, 7)), ((10.0, 1.0), (2, 8), (13, 1)), ((2.0, 1.0, 1.0), (4, 2, 7), (6, 3, 3))])
+@pytest.mark.parametrize(
+    ("sides", "divisions", "square"),
+    [
+        ((1.0, 1.0), (4, 13), (7, 7)),
+        ((10.0, 1.0), (2, 8), (13, 1)),
+        ((2.0, 1.0, 1.0), (4, 2, 7), (6, 3, 3)),
+    ],
+)
 def test_stretched_cells_are_warned_of_with_divisions_that_are_not(sides, divisions, square):
     scale = 10.0 ** np.random.default_rng(5).uniform(-3, 3)
     names = ("width", "height") if len(sides) == 2 else ("width", "depth", "height")
     lengths = {name: scale * side for name, side in zip(names, sides, strict=True)}
     domain = Rectangle(**lengths) if len(sides) == 2 else Box(**lengths)
-    problem = replace(am.cases.greco_bar() if len(sides) == 2 else am.cases.greco_block(), domain=domain)
-    for act in (lambda: structured(domain, divisions), lambda: am.Hierarchy.uniform(problem, [2, divisions])):
+    problem = replace(
+        am.cases.greco_bar() if len(sides) == 2 else am.cases.greco_block(), domain=domain
+    )
+    for act in (
+        lambda: structured(domain, divisions),
+        lambda: am.Hierarchy.uniform(problem, [2, divisions]),
+    ):
         with pytest.warns(UserWarning, match=re.escape(f"divisions {square}")) as caught:
             act()
         assert len(caught) == 1 and caught[0].filename == __file__

@@ -1,4 +1,5 @@
-"""Arrays to NGSolve and back: numbers, names, bodies and normals survive; other meshes are refused."""
+"""Arrays to NGSolve and back: numbers, names, bodies and normals survive; other meshes are
+refused."""
 
 from dataclasses import replace
 
@@ -13,7 +14,10 @@ from refused import refused
 from adaptmg.mesh import as_mesh, from_ngsolve, structured, with_source
 from adaptmg.problem import Box, Rectangle
 
-MESHES = {"2D": structured(Rectangle(width=1, height=2), (3, 4)), "3D": structured(Box(width=1, depth=2, height=3), 2)}
+MESHES = {
+    "2D": structured(Rectangle(width=1, height=2), (3, 4)),
+    "3D": structured(Box(width=1, depth=2, height=3), 2),
+}
 
 
 def split(mesh):
@@ -29,16 +33,24 @@ def test_ngsolve_sees_the_same_mesh_and_gives_it_back(mesh):
     for name in ("points", "facets", "facet_labels", "element_body"):
         np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name))
     np.testing.assert_array_equal(np.sort(back.elements), np.sort(mesh.elements))
-    assert back.boundaries == mesh.boundaries and back.bodies == mesh.bodies and (back.volumes > 0).all()
+    assert (
+        back.boundaries == mesh.boundaries
+        and back.bodies == mesh.bodies
+        and (back.volumes > 0).all()
+    )
     assert source.nv == mesh.n_nodes and source.ne == len(mesh.elements)
     for i, name in enumerate(mesh.bodies):
         volume = mesh.volumes[mesh.element_body == i].sum()
-        assert ngsolve.Integrate(1, source, definedon=source.Materials(name)) == pytest.approx(volume, rel=1e-12)
+        assert ngsolve.Integrate(1, source, definedon=source.Materials(name)) == pytest.approx(
+            volume, rel=1e-12
+        )
     for name in mesh.boundaries:
-        facets = sorted(sorted(v.nr for v in e.vertices) for e in source.Boundaries(name).Elements())
+        facets = sorted(
+            sorted(v.nr for v in e.vertices) for e in source.Boundaries(name).Elements()
+        )
         np.testing.assert_array_equal(facets, sorted(np.sort(mesh.boundary_facets(name)).tolist()))
     # the normals point outwards: divergence theorem
-    x = ngsolve.CF((ngsolve.x, ngsolve.y, ngsolve.z)[:mesh.dim])
+    x = ngsolve.CF((ngsolve.x, ngsolve.y, ngsolve.z)[: mesh.dim])
     flux = ngsolve.Integrate(x * ngsolve.specialcf.normal(mesh.dim), source, ngsolve.BND)
     assert flux == pytest.approx(mesh.dim * mesh.volumes.sum(), rel=1e-12)
     if mesh.dim == 3:
@@ -51,7 +63,9 @@ def periodic_square():
     geometry = SplineGeometry()
     corners = [geometry.AppendPoint(*x) for x in ((0, 0), (1, 0), (1, 1), (0, 1))]
     right = [geometry.Append(["line", corners[i], corners[i + 1]], bc="rim") for i in range(3)][1]
-    geometry.Append(["line", corners[0], corners[3]], bc="rim", leftdomain=0, rightdomain=1, copy=right)
+    geometry.Append(
+        ["line", corners[0], corners[3]], bc="rim", leftdomain=0, rightdomain=1, copy=right
+    )
     return ngsolve.Mesh(geometry.GenerateMesh(maxh=0.5))
 
 
@@ -75,13 +89,20 @@ ELEMENTS, LABELS = MESHES["2D"].elements, MESHES["2D"].facet_labels
 test_refused = refused(
     (lambda: from_ngsolve(periodic_square()), r"identified nodes \(periodic"),
     (lambda: from_ngsolve(np.zeros(3)), TypeError, r"must be an ngsolve.Mesh, got ndarray"),
-    (lambda: from_ngsolve(ngsolve.Mesh(unit_square.GenerateMesh(maxh=0.5, quad_dominated=True))),
-     r"must consist of triangles, but .* first element 0"),
+    (
+        lambda: from_ngsolve(ngsolve.Mesh(unit_square.GenerateMesh(maxh=0.5, quad_dominated=True))),
+        r"must consist of triangles, but .* first element 0",
+    ),
     (lambda: from_ngsolve(MakeStructured3DMesh(hexes=True, nx=2)), "must consist of tetrahedra"),
     # what would crash
-    *((lambda changes=changes: replace(MESHES["2D"], source=None, **changes), message) for changes, message in (
-        ({"elements": ELEMENTS[:, :2]}, r"elements must have shape \(n, 3\)"),
-        ({"facet_labels": LABELS[1:]}, "facet_labels must have shape"))))
+    *(
+        (lambda changes=changes: replace(MESHES["2D"], source=None, **changes), message)
+        for changes, message in (
+            ({"elements": ELEMENTS[:, :2]}, r"elements must have shape \(n, 3\)"),
+            ({"facet_labels": LABELS[1:]}, "facet_labels must have shape"),
+        )
+    ),
+)
 
 
 def test_as_mesh_takes_arrays_and_reads_copies(tmp_path, monkeypatch):

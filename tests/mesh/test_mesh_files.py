@@ -1,4 +1,5 @@
-"""Files of Gmsh and Netgen are read as they were written, bodies glued or split; damage is refused with the name."""
+"""Files of Gmsh and Netgen are read as they were written, bodies glued or split; damage is refused
+with the name."""
 
 import gzip
 import re
@@ -20,26 +21,45 @@ from adaptmg.problem import Assembly, Box, Rectangle
 sys.path.append(str(Path(__file__).parents[1] / "hostile"))
 import mesh_files
 
-MESHES = {"2D": structured(Rectangle(width=1, height=2), 3), "3D": structured(Box(width=1, depth=2, height=3), 2)}
+MESHES = {
+    "2D": structured(Rectangle(width=1, height=2), 3),
+    "3D": structured(Box(width=1, depth=2, height=3), 2),
+}
 BOTH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 
 
-@pytest.mark.parametrize(("version", "binary"), [("gmsh22", False), ("gmsh", False), ("gmsh", True)])
+@pytest.mark.parametrize(
+    ("version", "binary"), [("gmsh22", False), ("gmsh", False), ("gmsh", True)]
+)
 @BOTH
 def test_gmsh_round_trip(tmp_path, mesh, version, binary):
-    path = write(tmp_path / "mesh.msh", mesh, version=version, binary=binary, lift=0.7 if mesh.dim == 2 else 0.0)
+    path = write(
+        tmp_path / "mesh.msh",
+        mesh,
+        version=version,
+        binary=binary,
+        lift=0.7 if mesh.dim == 2 else 0.0,
+    )
     back = as_mesh(str(path))
-    assert back.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-13) and back.source.nv == mesh.n_nodes
+    assert (
+        back.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-13)
+        and back.source.nv == mesh.n_nodes
+    )
     assert set(back.boundaries) == set(mesh.boundaries) and back.bodies == ("body",)
     for name in mesh.boundaries:
-        np.testing.assert_allclose(np.sort(back.points[back.boundary_nodes(name)], axis=0),
-                                   np.sort(mesh.points[mesh.boundary_nodes(name)], axis=0), rtol=1e-14)
+        np.testing.assert_allclose(
+            np.sort(back.points[back.boundary_nodes(name)], axis=0),
+            np.sort(mesh.points[mesh.boundary_nodes(name)], axis=0),
+            rtol=1e-14,
+        )
 
 
 @BOTH
 def test_facets_without_a_group(tmp_path, mesh):
     path = write(tmp_path / "mesh.msh", mesh, groups=False)
-    with pytest.warns(UserWarning, match=rf"mesh.msh'?: {len(mesh.facets)} facets .* have no name in the file"):
+    with pytest.warns(
+        UserWarning, match=rf"mesh.msh'?: {len(mesh.facets)} facets .* have no name in the file"
+    ):
         assert from_file(path).boundaries == ("free",)
     everything = from_file(path, unnamed="rim")
     assert everything.boundaries == ("rim",) and len(everything.facets) == len(mesh.facets)
@@ -49,26 +69,45 @@ def test_facets_without_a_group(tmp_path, mesh):
 
 def test_groups_without_names_and_second_order(tmp_path):
     points = np.array([[0, 0], [2, 0], [0, 2], [1, 0], [1, 1], [0, 1.0]])
-    cells = [("triangle6", np.array([[0, 1, 2, 3, 4, 5]])), ("line3", np.array([[0, 1, 3], [1, 2, 4], [2, 0, 5]]))]
-    data = {"gmsh:physical": [np.array([7]), np.array([3, 3, 5])],
-            "gmsh:geometrical": [np.array([1]), np.array([1, 2, 3])]}
-    meshio.write(tmp_path / "m.msh", meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells, cell_data=data), "gmsh22")
+    cells = [
+        ("triangle6", np.array([[0, 1, 2, 3, 4, 5]])),
+        ("line3", np.array([[0, 1, 3], [1, 2, 4], [2, 0, 5]])),
+    ]
+    data = {
+        "gmsh:physical": [np.array([7]), np.array([3, 3, 5])],
+        "gmsh:geometrical": [np.array([1]), np.array([1, 2, 3])],
+    }
+    meshio.write(
+        tmp_path / "m.msh",
+        meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells, cell_data=data),
+        "gmsh22",
+    )
     mesh = from_file(tmp_path / "m.msh")
     assert mesh.boundaries == ("3", "5") and mesh.bodies == ("7",)
     np.testing.assert_array_equal(mesh.points, points)
-    assert len(mesh.elements) == 4 and [len(mesh.boundary_facets(name)) for name in ("3", "5")] == [4, 2]
+    assert len(mesh.elements) == 4 and [len(mesh.boundary_facets(name)) for name in ("3", "5")] == [
+        4,
+        2,
+    ]
 
 
 def test_groups_of_some_and_several_groups(tmp_path):
-    path, groups = tmp_path / "m.msh", {' 1 5 0\n': ' 2 5 6 0\n', '2\n1 5 "rim"': '3\n1 5 "rim"\n1 6 "all"'}
+    path, groups = (
+        tmp_path / "m.msh",
+        {" 1 5 0\n": " 2 5 6 0\n", '2\n1 5 "rim"': '3\n1 5 "rim"\n1 6 "all"'},
+    )
     for chosen in ("rim", "all"):
         path.write_text(re.sub("|".join(groups), lambda match: groups[match[0]], mesh_files.MSH))
         mesh = from_file(path, unnamed="free", unit=0.5, boundaries=[chosen])
-        assert mesh.bodies == ("steel",) and mesh.boundaries == (chosen,) and mesh.volumes.sum() == 0.5
+        assert (
+            mesh.bodies == ("steel",) and mesh.boundaries == (chosen,) and mesh.volumes.sum() == 0.5
+        )
     path.write_text(mesh_files.MSH.replace('2\n1 5 "rim"\n2 3 "steel"', '1\n1 5 "rim"'))
     assert from_file(path).bodies == ("3",) and from_file(path).boundaries == ("rim",)
     # of curves that run the other way the numbers are negative
-    path.write_text(mesh_files.MSH.replace(" 1 5 0\n", " 1 -5 0\n").replace(" 1 3 0\n", " 1 -3 0\n"))
+    path.write_text(
+        mesh_files.MSH.replace(" 1 5 0\n", " 1 -5 0\n").replace(" 1 3 0\n", " 1 -3 0\n")
+    )
     assert from_file(path).bodies == ("steel",) and from_file(path).boundaries == ("rim",)
     path.write_text(mesh_files.MSH.replace(" 1 5 0\n", " 0 0\n").replace(" 1 3 0\n", " 0 0\n"))
     mesh = from_file(path, unnamed="free")
@@ -83,38 +122,64 @@ def test_what_gmsh_files_must_hold(tmp_path):
     with pytest.raises(FileNotFoundError, match="no file"):
         from_file(path)
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1.0]])
-    for kind, nodes, message in (("triangle10", [[0, 1, 2, 3] * 2 + [0, 1]], "it holds triangle10; elements must be"),
-                                 ("line", [[0, 1]], "neither triangles and quadrilaterals nor"),
-                                 ("triangle", [[0, 1, 2], [0, 2, 3]], "not in a plane z = constant")):
+    for kind, nodes, message in (
+        ("triangle10", [[0, 1, 2, 3] * 2 + [0, 1]], "it holds triangle10; elements must be"),
+        ("line", [[0, 1]], "neither triangles and quadrilaterals nor"),
+        ("triangle", [[0, 1, 2], [0, 2, 3]], "not in a plane z = constant"),
+    ):
         meshio.write(path, meshio.Mesh(corners, [(kind, np.array(nodes))]), "gmsh22")
         with pytest.raises(ValueError, match=f"m.msh.*{message}"):
             from_file(path)
 
 
-CUBES = Assembly(parts={"lower": Box(width=1, depth=1, height=1),
-                        "upper": Box(width=1, depth=1, height=1, origin=(0, 0, 1))})
+CUBES = Assembly(
+    parts={
+        "lower": Box(width=1, depth=1, height=1),
+        "upper": Box(width=1, depth=1, height=1, origin=(0, 0, 1)),
+    }
+)
 
 
 def write_cubes(path, shared, *, skip=(), names=("lower", "upper")):
-    """Two stacked cubes of six tetrahedra each as MSH 2.2, conforming at z = 1, with shared nodes there or not."""
+    """Two stacked cubes of six tetrahedra each as MSH 2.2, conforming at z = 1, with shared nodes
+    there or not."""
     cubes = structured(CUBES, 1)
     points, numbers = cubes.points, np.arange(16)
     if shared:
         points, numbers = np.unique(points, axis=0, return_inverse=True)
         numbers = numbers.ravel()
     group = {"bottom": 11, "top": 13}
-    labels = np.array([12 if name in ("lower.top", "upper.bottom") else group.get(name.split(".")[1], 14)
-                       for name in cubes.boundaries])[cubes.facet_labels]
+    labels = np.array(
+        [
+            12 if name in ("lower.top", "upper.bottom") else group.get(name.split(".")[1], 14)
+            for name in cubes.boundaries
+        ]
+    )[cubes.facet_labels]
     facets = numbers[cubes.facets]
     if shared:
         _, once = np.unique(np.sort(facets, axis=1), axis=0, return_index=True)
         facets, labels = facets[once], labels[once]
     facets, labels = facets[~np.isin(labels, skip)], labels[~np.isin(labels, skip)]
-    field = {"base": [11, 2], "interface": [12, 2], "lid": [13, 2], "wall": [14, 2], names[0]: [1, 3], names[1]: [2, 3]}
+    field = {
+        "base": [11, 2],
+        "interface": [12, 2],
+        "lid": [13, 2],
+        "wall": [14, 2],
+        names[0]: [1, 3],
+        names[1]: [2, 3],
+    }
     tags = [labels, cubes.element_body + 1]
-    meshio.write(path, meshio.Mesh(points, [("triangle", facets), ("tetra", numbers[cubes.elements])],
-                                   cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-                                   field_data={name: np.array(g) for name, g in field.items()}), "gmsh22", binary=False)
+    meshio.write(
+        path,
+        meshio.Mesh(
+            points,
+            [("triangle", facets), ("tetra", numbers[cubes.elements])],
+            cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
+            field_data={name: np.array(g) for name, g in field.items()},
+        ),
+        "gmsh22",
+        binary=False,
+    )
     return path
 
 
@@ -127,12 +192,22 @@ def test_bodies_are_glued_by_default_or_share_no_nodes(tmp_path, shared):
     assert glued.boundaries == ("base", *["interface"][shared:], "lid", "wall")
     mesh = check_mesh(from_file(path, split_bodies=True))
     assert mesh.n_nodes == mesh.source.nv == 16 and mesh.bodies == glued.bodies
-    assert mesh.boundaries == ("lower.base", "lower.interface", "lower.wall",
-                               "upper.interface", "upper.lid", "upper.wall")
+    assert mesh.boundaries == (
+        "lower.base",
+        "lower.interface",
+        "lower.wall",
+        "upper.interface",
+        "upper.lid",
+        "upper.wall",
+    )
     for one in (glued, mesh):
         np.testing.assert_allclose(np.bincount(one.element_body, one.volumes), 1)
-    for body, name, z, up in ((0, "lower.interface", 1, 1), (1, "upper.interface", 1, -1), (0, "lower.base", 0, -1),
-                              (1, "upper.lid", 2, 1)):
+    for body, name, z, up in (
+        (0, "lower.interface", 1, 1),
+        (1, "upper.interface", 1, -1),
+        (0, "lower.base", 0, -1),
+        (1, "upper.lid", 2, 1),
+    ):
         surface = mesh.surface(name)
         assert len(surface.facets) == 2 and (mesh.points[surface.nodes, 2] == z).all()
         np.testing.assert_allclose(surface.vectors.sum(axis=0), (0, 0, up))
@@ -141,22 +216,43 @@ def test_bodies_are_glued_by_default_or_share_no_nodes(tmp_path, shared):
 
 def test_an_interface_without_a_name_and_dots_in_names(tmp_path):
     path = write_cubes(tmp_path / "m.msh", shared=True, skip=(12,), names=("a.1", "upper"))
-    assert from_file(path).boundaries == ("base", "lid", "wall") and from_file(path).bodies == ("a.1", "upper")
-    with pytest.warns(UserWarning, match=r"4 facets of the boundary, one of them at \(.*have no name in the file"):
+    assert from_file(path).boundaries == ("base", "lid", "wall") and from_file(path).bodies == (
+        "a.1",
+        "upper",
+    )
+    with pytest.warns(
+        UserWarning, match=r"4 facets of the boundary, one of them at \(.*have no name in the file"
+    ):
         mesh = from_file(path, split_bodies=True)
     # a dot would be read as body.boundary
-    assert set(mesh.boundaries) == {"a_1.base", "a_1.wall", "a_1.free", "upper.lid", "upper.wall", "upper.free"}
+    assert set(mesh.boundaries) == {
+        "a_1.base",
+        "a_1.wall",
+        "a_1.free",
+        "upper.lid",
+        "upper.wall",
+        "upper.free",
+    }
     for name in ("a_1.free", "upper.free"):
-        assert len(mesh.boundary_facets(name)) == 2 and (mesh.points[mesh.boundary_nodes(name), 2] == 1).all()
+        assert (
+            len(mesh.boundary_facets(name)) == 2
+            and (mesh.points[mesh.boundary_nodes(name), 2] == 1).all()
+        )
 
 
 def two_bodies():
     """Two squares with a common edge, whose boundaries share names."""
     geometry = SplineGeometry()
     p = [geometry.AppendPoint(*c) for c in ((0, 0), (1, 0), (1, 1), (0, 1), (2, 0), (2, 1))]
-    for a, b, name, left, right in ((0, 1, "low", 1, 0), (1, 2, "mid one", 1, 2), (2, 3, "top", 1, 0),
-                                    (3, 0, "left side", 1, 0), (1, 4, "low", 2, 0), (4, 5, "r", 2, 0),
-                                    (5, 2, "top", 2, 0)):
+    for a, b, name, left, right in (
+        (0, 1, "low", 1, 0),
+        (1, 2, "mid one", 1, 2),
+        (2, 3, "top", 1, 0),
+        (3, 0, "left side", 1, 0),
+        (1, 4, "low", 2, 0),
+        (4, 5, "r", 2, 0),
+        (5, 2, "top", 2, 0),
+    ):
         geometry.Append(["line", p[a], p[b]], bc=name, leftdomain=left, rightdomain=right)
     for number, name in ((1, "first body"), (2, "b")):
         geometry.SetMaterial(number, name)
@@ -165,13 +261,18 @@ def two_bodies():
 
 def test_netgens_interfaces_are_left_out_and_names_merged():
     mesh = from_ngsolve(ngsolve.Mesh(two_bodies()))
-    assert mesh.boundaries == ("low", "top", "left side", "r") and mesh.bodies == ("first body", "b")
+    assert mesh.boundaries == ("low", "top", "left side", "r") and mesh.bodies == (
+        "first body",
+        "b",
+    )
     np.testing.assert_allclose(np.bincount(mesh.element_body, mesh.volumes), 1, rtol=1e-13)
     low = mesh.points[mesh.boundary_nodes("low")]
     assert (low[:, 1] == 0).all() and np.ptp(low[:, 0]) == 2
 
 
-@pytest.mark.parametrize("make", [two_bodies, lambda: unit_cube.GenerateMesh(maxh=0.5)], ids=["plane", "cube"])
+@pytest.mark.parametrize(
+    "make", [two_bodies, lambda: unit_cube.GenerateMesh(maxh=0.5)], ids=["plane", "cube"]
+)
 def test_netgen_files_are_read_as_netgen_reads_them(tmp_path, make):
     made = make()
     made.Save(str(tmp_path / "m.vol"))

@@ -1,4 +1,5 @@
-"""Graded meshes: the sizes asked for are achieved, domains are met exactly, the same arguments give the same arrays."""
+"""Graded meshes: the sizes asked for are achieved, domains are met exactly, the same arguments give
+the same arrays."""
 
 from dataclasses import replace
 
@@ -14,49 +15,77 @@ from adaptmg.mesh.sizes import distance_to_boundaries, equilateral_sizes
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
 
 SQUARE = Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
-ANGLE = Polygon(vertices=((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)), boundaries=("b", "r", "c", "c", "t", "l"))
-WEDGE = Polygon(vertices=((0, -16e3), (12e3, 0), (12e3, 24e3), (0, 24e3)), boundaries=("flank", "neck", "top", "sym"))
+ANGLE = Polygon(
+    vertices=((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)),
+    boundaries=("b", "r", "c", "c", "t", "l"),
+)
+WEDGE = Polygon(
+    vertices=((0, -16e3), (12e3, 0), (12e3, 24e3), (0, 24e3)),
+    boundaries=("flank", "neck", "top", "sym"),
+)
 BOX = Box(width=40e-3, depth=20e-3, height=30e-3, origin=(0.01, 0.02, 0.03))
 
 
 @pytest.mark.parametrize("ratio", [1, 16, 500])
-@pytest.mark.parametrize(("domain", "contact", "size"), [(SQUARE, "bottom", 10e-3), (ANGLE, "c", 0.5),
-                                                         (WEDGE, "flank", 6e3)], ids=["square", "angle", "wedge"])
+@pytest.mark.parametrize(
+    ("domain", "contact", "size"),
+    [(SQUARE, "bottom", 10e-3), (ANGLE, "c", 0.5), (WEDGE, "flank", 6e3)],
+    ids=["square", "angle", "wedge"],
+)
 def test_plane_sizes_are_achieved(domain, contact, size, ratio):
     mesh = check_mesh(graded(domain, size, contact, ratio), domain.boundaries)
     at_contact = edge_lengths(mesh, contact) * ratio / size
     assert at_contact.min() > 0.6 and at_contact.max() < 1.5
     centroids = mesh.points[mesh.elements].mean(axis=1)
-    wanted = np.minimum(size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], centroids))
+    wanted = np.minimum(
+        size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], centroids)
+    )
     relative = mesh.element_sizes / wanted
     assert relative.max() < 2.5 and 0.8 < np.median(relative) < 1.4
     assert quality(mesh).min_angle > 15
-    # where the size grows fast, the centroid of an element at contact asks for less than its edge does
-    assert domain is not ANGLE or edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c").max() < 1.5 * 2 / 60
+    # where the size grows fast, the centroid of an element at contact asks for less than its edge
+    # does
+    assert (
+        domain is not ANGLE
+        or edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c").max() < 1.5 * 2 / 60
+    )
 
 
-RING = Outline(vertices=((1, 0), (2, 0), (0, 2), (0, 1)), boundaries=("foot", "outer", "side", "inner"),
-               arcs={1: (0, 0), 3: (0, 0)})
+RING = Outline(
+    vertices=((1, 0), (2, 0), (0, 2), (0, 1)),
+    boundaries=("foot", "outer", "side", "inner"),
+    arcs={1: (0, 0), 3: (0, 0)},
+)
 
 
-@pytest.mark.parametrize(("domain", "contact", "size", "ratio"), [(SQUARE, "bottom", 5e-4, 2), (ANGLE, "c", 0.025, 4),
-                                                                  (RING, "inner", 0.015, 4), (BOX, "bottom", 3e-3, 2)],
-                         ids=["square", "angle", "ring", "box"])
+@pytest.mark.parametrize(
+    ("domain", "contact", "size", "ratio"),
+    [
+        (SQUARE, "bottom", 5e-4, 2),
+        (ANGLE, "c", 0.025, 4),
+        (RING, "inner", 0.015, 4),
+        (BOX, "bottom", 3e-3, 2),
+    ],
+    ids=["square", "angle", "ring", "box"],
+)
 def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio, monkeypatch):
     monkeypatch.setattr(grading, "plane_mesh", lambda *_: pytest.fail("Netgen was asked"))
     fine, coarse = (graded(domain, h, contact, ratio) for h in (size, 2 * size))
     # whoever checked it: the arrays are sound
     check_mesh(replace(fine, source=None), dict.fromkeys(domain.boundaries))
     at = fine.points[fine.elements]
-    wanted = np.minimum(size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], at.mean(axis=1)))
+    wanted = np.minimum(
+        size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], at.mean(axis=1))
+    )
     relative = equilateral_sizes(fine.points, fine.elements) / wanted
     assert relative.max() < 1.6 and np.median(relative) > 0.75
     assert np.quantile(relative, 0.99) < (1.35 if fine.dim == 2 else 1.5)
     assert quality(fine).min_angle > 25
     if domain is RING:
         for name, radius in (("outer", 2), ("inner", 1)):
-            np.testing.assert_allclose(np.linalg.norm(fine.points[fine.boundary_nodes(name)], axis=1), radius,
-                                       rtol=1e-14)
+            np.testing.assert_allclose(
+                np.linalg.norm(fine.points[fine.boundary_nodes(name)], axis=1), radius, rtol=1e-14
+            )
     # not nested: inner nodes of the coarse mesh are not those of the fine one
     inner = np.setdiff1d(np.arange(coarse.n_nodes), coarse.facets)
     assert np.median(cKDTree(fine.points).query(coarse.points[inner])[0]) > 0.05 * size
@@ -64,24 +93,32 @@ def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio
 
 def test_a_box_that_is_far_too_thin_for_the_sizes_is_refused():
     assert graded(Box(width=1, depth=1, height=1e-2), 0.5).n_nodes < 100
-    with pytest.raises(ValueError, match=r"size 0.5 m is more than 1000 times as long as Box.* is thick"):
+    with pytest.raises(
+        ValueError, match=r"size 0.5 m is more than 1000 times as long as Box.* is thick"
+    ):
         graded(Box(width=1, depth=1, height=1e-4), 0.5)
 
 
-@pytest.mark.parametrize(("domain", "size", "ratio", "axis"), [(SQUARE, 12e-3, 40, 0), (ANGLE, 0.5, 5, 0),
-                                                               (WEDGE, 2e3, 1, 1), (BOX, 12e-3, 4, 0)])
+@pytest.mark.parametrize(
+    ("domain", "size", "ratio", "axis"),
+    [(SQUARE, 12e-3, 40, 0), (ANGLE, 0.5, 5, 0), (WEDGE, 2e3, 1, 1), (BOX, 12e-3, 4, 0)],
+)
 def test_meshes_repeat_sorted_along_the_longest_side(domain, size, ratio, axis):
     first, second = (graded(domain, size, domain.boundaries[2], ratio) for _ in range(2))
     for name in ("points", "elements", "facets", "facet_labels"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    assert (np.diff(first.points[:, axis]) >= 0).all() and (np.diff(first.elements.min(axis=1)) >= 0).all()
+    assert (np.diff(first.points[:, axis]) >= 0).all() and (
+        np.diff(first.elements.min(axis=1)) >= 0
+    ).all()
     if domain in (SQUARE, BOX):
         for name, corner in (("bottom", domain.lower), ("top", domain.upper)):
             assert (first.points[first.boundary_nodes(name), -1] == corner[-1]).all()
 
 
 @pytest.mark.filterwarnings("ignore:friction")
-@pytest.mark.parametrize("name", [name for name, case in am.cases.CASES.items() if case.function().dim == 2])
+@pytest.mark.parametrize(
+    "name", [name for name, case in am.cases.CASES.items() if case.function().dim == 2]
+)
 def test_netgen_meshes_every_plane_case(name):
     problem = am.cases.CASES[name].function()
     sizes, ratio = grading.sensible_sizes(problem.domain, problem.pair_boundaries)
@@ -89,7 +126,9 @@ def test_netgen_meshes_every_plane_case(name):
     for mesher in grading.MESHERS:
         grids = am.Hierarchy.graded(problem, sizes[:2], ratio, mesher=mesher)
         result, mesh = am.solve(grids), grids.finest.mesh
-        assert set(mesh.boundaries) == set(problem.domain.boundaries) and quality(mesh).min_angle > 20
+        assert (
+            set(mesh.boundaries) == set(problem.domain.boundaries) and quality(mesh).min_angle > 20
+        )
         energies.append(result.energy)
     assert energies[0] == pytest.approx(energies[1], rel=0.05)
 
@@ -106,15 +145,35 @@ def test_netgen_takes_over_where_triangulation_fails(monkeypatch, caplog):
 
 
 test_refused = refused(
-    (lambda: graded(SQUARE, 1e-3, mesher="gmsh"), "mesher must be one of 'own', 'netgen', got 'gmsh'"),
-    (lambda: sized(SQUARE, lambda x: np.maximum(np.linalg.norm(x - SQUARE.lower, axis=1), 1e-300), 1e-2),
-     "tend to zero at a point"),
-    (lambda: Polygon(vertices=((0, 0), (4, 0), (4, 4), (4, 2), (0, 2)), boundaries=tuple("abcde")), "edges .* meet"),
-    (lambda: Polygon(vertices=((0, 0), (4, 0), (4, 0), (0, 4)), boundaries=tuple("abcd")), "must be longer than"))
+    (
+        lambda: graded(SQUARE, 1e-3, mesher="gmsh"),
+        "mesher must be one of 'own', 'netgen', got 'gmsh'",
+    ),
+    (
+        lambda: sized(
+            SQUARE, lambda x: np.maximum(np.linalg.norm(x - SQUARE.lower, axis=1), 1e-300), 1e-2
+        ),
+        "tend to zero at a point",
+    ),
+    (
+        lambda: Polygon(
+            vertices=((0, 0), (4, 0), (4, 4), (4, 2), (0, 2)), boundaries=tuple("abcde")
+        ),
+        "edges .* meet",
+    ),
+    (
+        lambda: Polygon(vertices=((0, 0), (4, 0), (4, 0), (0, 4)), boundaries=tuple("abcd")),
+        "must be longer than",
+    ),
+)
 
 
 def test_distance():
     points = np.array([[1.5, 0.5], [0.5, 1.5], [2.0, 1.0], [0.0, 0.0]])
-    np.testing.assert_allclose(distance_to_boundaries(ANGLE, ["c"], points), [0.5, 0.5, 0, np.sqrt(2)])
-    np.testing.assert_allclose(distance_to_boundaries(BOX, ["left", "top"], BOX.lower + np.array([[5e-3, 0, 28e-3]])),
-                               [2e-3])
+    np.testing.assert_allclose(
+        distance_to_boundaries(ANGLE, ["c"], points), [0.5, 0.5, 0, np.sqrt(2)]
+    )
+    np.testing.assert_allclose(
+        distance_to_boundaries(BOX, ["left", "top"], BOX.lower + np.array([[5e-3, 0, 28e-3]])),
+        [2e-3],
+    )

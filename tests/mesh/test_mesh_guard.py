@@ -1,4 +1,5 @@
-"""Netgen and OCC in a process of their own: errors, crashes, time limits and Ctrl-C end the call and nothing else."""
+"""Netgen and OCC in a process of their own: errors, crashes, time limits and Ctrl-C end the call
+and nothing else."""
 
 import os
 import signal
@@ -27,11 +28,16 @@ def test_one_process_serves_all_calls_and_errors_keep_it():
     assert first.alive != other.alive
 
 
-@pytest.mark.parametrize(("code", "seconds", "error", "message"), [
-    ("os.abort()", 60, NetgenFails, "it breaks down, exit code -6"),
-    ("time.sleep(60)", 1, NetgenUnfinished, "it does not finish within 1 s"),
-])
-def test_a_process_that_breaks_down_or_hangs_is_replaced(monkeypatch, tmp_path, code, seconds, error, message):
+@pytest.mark.parametrize(
+    ("code", "seconds", "error", "message"),
+    [
+        ("os.abort()", 60, NetgenFails, "it breaks down, exit code -6"),
+        ("time.sleep(60)", 1, NetgenUnfinished, "it does not finish within 1 s"),
+    ],
+)
+def test_a_process_that_breaks_down_or_hangs_is_replaced(
+    monkeypatch, tmp_path, code, seconds, error, message
+):
     monkeypatch.setattr(netgen_guard, "_idle", {})
     with monkeypatch.context() as patch:
         patch.setattr(netgen_guard, "_WORKER", tmp_path / "worker.py")
@@ -48,7 +54,9 @@ def test_a_mesh_that_does_not_finish_is_refused_with_the_limit(monkeypatch):
     strip = am.Rectangle(width=1, height=1e-3)
     assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
     monkeypatch.setattr(netgen_guard, "LIMIT_S", {2: 1.0, 3: 1.0})
-    with pytest.raises(ValueError, match=r"could not mesh Outline.*does not finish within 1 s: take smaller sizes"):
+    with pytest.raises(
+        ValueError, match=r"could not mesh Outline.*does not finish within 1 s: take smaller sizes"
+    ):
         graded(am.Rectangle(width=1, height=1e-5), 0.2, mesher="netgen")
     monkeypatch.undo()
     assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
@@ -58,7 +66,9 @@ def test_threads_and_size_functions_mesh_in_their_own_processes():
     square = am.Rectangle(width=1, height=1)
 
     def mesh(_):
-        return sized(square, lambda x: np.full(len(x), 0.1 * graded(square, 0.5).volumes.sum()), 0.3)
+        return sized(
+            square, lambda x: np.full(len(x), 0.1 * graded(square, 0.5).volumes.sum()), 0.3
+        )
 
     alone = mesh(0)
     with ThreadPoolExecutor(2) as pool:
@@ -69,10 +79,12 @@ def test_threads_and_size_functions_mesh_in_their_own_processes():
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_ctrl_c_and_kill_end_both_processes(how):
     # in a shell's background the signal comes ignored; the mesh has a million nodes
-    code = ("import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-            "import adaptmg as am; from adaptmg.mesh import graded, netgen_guard\n"
-            "with netgen_guard.netgen() as worker: print(worker.process.pid, flush=True)\n"
-            "print(graded(am.Box(width=1, depth=1, height=1), 0.012, mesher='netgen').n_nodes)\n")
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "import adaptmg as am; from adaptmg.mesh import graded, netgen_guard\n"
+        "with netgen_guard.netgen() as worker: print(worker.process.pid, flush=True)\n"
+        "print(graded(am.Box(width=1, depth=1, height=1), 0.012, mesher='netgen').n_nodes)\n"
+    )
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", code], **pipes) as child:
         try:
@@ -83,7 +95,11 @@ def test_ctrl_c_and_kill_end_both_processes(how):
             done, error = child.communicate(timeout=60)
         finally:
             child.kill()  # or the end of this block would wait for it
-        assert not done and child.returncode == -how and ("KeyboardInterrupt" in error) == (how == signal.SIGINT)
+        assert (
+            not done
+            and child.returncode == -how
+            and ("KeyboardInterrupt" in error) == (how == signal.SIGINT)
+        )
     end = time.monotonic() + 60
     while time.monotonic() < end and _runs(pid):
         time.sleep(0.1)

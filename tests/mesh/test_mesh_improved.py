@@ -1,4 +1,5 @@
-"""Structured meshes, halved and improved ones: sound, nested, of the same bodies, with better shapes."""
+"""Structured meshes, halved and improved ones: sound, nested, of the same bodies, with better
+shapes."""
 
 import math
 from dataclasses import replace
@@ -13,7 +14,9 @@ from adaptmg.mesh.arrays import facet_table
 from adaptmg.mesh.improve import halved, improved
 
 BOX = am.Box(width=0.3, depth=0.2, height=0.1)
-TWO = am.Assembly(parts={"left": BOX, "right": am.Box(width=0.1, depth=0.2, height=0.1, origin=(0.3, 0, 0))})
+TWO = am.Assembly(
+    parts={"left": BOX, "right": am.Box(width=0.1, depth=0.2, height=0.1, origin=(0.3, 0, 0))}
+)
 
 
 def shaken(mesh, share=0.3):
@@ -23,8 +26,10 @@ def shaken(mesh, share=0.3):
 def shapes(mesh):
     """Mean ratios, 1 for equilateral tetrahedra."""
     corners = mesh.points[mesh.elements]
-    square = sum(np.square(corners[:, i] - corners[:, j]).sum(axis=1) for i in range(4) for j in range(i))
-    return 12 * np.cbrt(3 * mesh.volumes)**2 / square
+    square = sum(
+        np.square(corners[:, i] - corners[:, j]).sum(axis=1) for i in range(4) for j in range(i)
+    )
+    return 12 * np.cbrt(3 * mesh.volumes) ** 2 / square
 
 
 def test_shapes_get_better_and_the_boundary_stays():
@@ -40,13 +45,16 @@ def test_shapes_get_better_and_the_boundary_stays():
     assert better.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-12)
 
 
-@pytest.mark.parametrize("mesh", [structured(BOX, 2), graded(BOX, 0.06), graded(TWO, 0.07)],
-                         ids=["structured", "graded", "two bodies"])
+@pytest.mark.parametrize(
+    "mesh",
+    [structured(BOX, 2), graded(BOX, 0.06), graded(TWO, 0.07)],
+    ids=["structured", "graded", "two bodies"],
+)
 def test_halves_are_a_sound_mesh_of_the_same_bodies(mesh):
     fine = halved(mesh)
     assert fine.sound and fine.boundaries == mesh.boundaries and fine.bodies == mesh.bodies
     assert len(fine.elements) == 8 * len(mesh.elements) and len(fine.facets) == 4 * len(mesh.facets)
-    assert (fine.points[:mesh.n_nodes] == mesh.points).all()
+    assert (fine.points[: mesh.n_nodes] == mesh.points).all()
     # by what it is, not by what it says
     check_mesh(replace(fine, source=None))
     np.testing.assert_allclose(8 * fine.volumes, np.repeat(mesh.volumes, 8), rtol=1e-10)
@@ -55,7 +63,9 @@ def test_halves_are_a_sound_mesh_of_the_same_bodies(mesh):
         assert len(fine.boundary_facets(name)) == 4 * len(mesh.boundary_facets(name))
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2, 3), (1, 0, 3, 2), (2, 3, 0, 1), (0, 2, 3, 1), (0, 3, 1, 2)])
+@pytest.mark.parametrize(
+    "order", [(0, 1, 2, 3), (1, 0, 3, 2), (2, 3, 0, 1), (0, 2, 3, 1), (0, 3, 1, 2)]
+)
 def test_octahedra_are_cut_along_the_shortest_diagonal(order):
     # the middles of the edges (0, 1) and (2, 3) are the closest of opposite ones
     corners = np.array([[-1.0, 0, -0.1], [1, 0, -0.1], [0, -1, 0.1], [0, 1, 0.1]])
@@ -66,7 +76,10 @@ def test_octahedra_are_cut_along_the_shortest_diagonal(order):
     fine = halved(am.MeshArrays(corners, elements, facets, np.zeros(4), ("all",)))
     check_mesh(fine)
     inner = [set(cell) for cell in fine.elements.tolist() if min(cell) >= 4]
-    ends = {int(np.flatnonzero((fine.points == place).all(axis=1))[0]) for place in ([0, 0, -0.1], [0, 0, 0.1])}
+    ends = {
+        int(np.flatnonzero((fine.points == place).all(axis=1))[0])
+        for place in ([0, 0, -0.1], [0, 0, 0.1])
+    }
     assert len(inner) == 4 and all(ends <= cell for cell in inner)
 
 
@@ -76,8 +89,10 @@ RECTANGLE = am.Rectangle(width=0.3, height=0.7, origin=(-0.1, 0.2))
 SOLID = am.Box(width=0.3, depth=0.2, height=0.7, origin=(1, 2, 3))
 
 
-@pytest.mark.parametrize(("domain", "divisions"), [(RECTANGLE, (5, 3)), (RECTANGLE, 1), (SOLID, (3, 1, 4)),
-                                                   (SOLID, (1, 2, 2))])
+@pytest.mark.parametrize(
+    ("domain", "divisions"),
+    [(RECTANGLE, (5, 3)), (RECTANGLE, 1), (SOLID, (3, 1, 4)), (SOLID, (1, 2, 2))],
+)
 def test_counts_volumes_and_the_boundary_side_by_side(domain, divisions):
     mesh = structured(domain, divisions)
     table = facet_table(mesh.elements, mesh.n_nodes)
@@ -89,7 +104,9 @@ def test_counts_volumes_and_the_boundary_side_by_side(domain, divisions):
     np.testing.assert_array_equal(order, np.arange(len(mesh.facets)))
     assert mesh.sound and check_mesh(replace(mesh, source=None), domain.boundaries).sound
     counts = np.broadcast_to(divisions, mesh.dim)
-    assert mesh.n_nodes == np.prod(counts + 1) and len(mesh.elements) == math.factorial(mesh.dim) * np.prod(counts)
+    assert mesh.n_nodes == np.prod(counts + 1) and len(mesh.elements) == math.factorial(
+        mesh.dim
+    ) * np.prod(counts)
     # every node is one of the mesh with twice the divisions, to the last bit
     assert set(map(tuple, mesh.points)) <= set(map(tuple, structured(domain, 2 * counts).points))
     volume = np.prod(domain.upper - domain.lower)

@@ -1,4 +1,5 @@
-"""Elements of every shape become simplices that fit, whatever their numbers; decks are read with their names."""
+"""Elements of every shape become simplices that fit, whatever their numbers; decks are read with
+their names."""
 
 import itertools
 
@@ -11,26 +12,49 @@ from adaptmg.mesh import from_file, merged, structured
 from adaptmg.mesh.contents import Contents, mesh_of
 from adaptmg.mesh.shapes import KINDS, dimension, facets_of, middles, simplices
 
-CORNERS = {"triangle": [(0, 0), (1, 0), (0, 1)], "quad": [(0, 0), (1, 0), (1, 1), (0, 1)],
-           "tetra": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],
-           "pyramid": [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 1)],
-           "wedge": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)],
-           "hexahedron": [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]}
-SIZES = {"triangle": 0.5, "quad": 1, "tetra": 1 / 6, "pyramid": 1 / 3, "wedge": 0.5, "hexahedron": 1}
+CORNERS = {
+    "triangle": [(0, 0), (1, 0), (0, 1)],
+    "quad": [(0, 0), (1, 0), (1, 1), (0, 1)],
+    "tetra": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)],
+    "pyramid": [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.5, 0.5, 1)],
+    "wedge": [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (0, 1, 1)],
+    "hexahedron": [
+        (0, 0, 0),
+        (1, 0, 0),
+        (1, 1, 0),
+        (0, 1, 0),
+        (0, 0, 1),
+        (1, 0, 1),
+        (1, 1, 1),
+        (0, 1, 1),
+    ],
+}
+SIZES = {
+    "triangle": 0.5,
+    "quad": 1,
+    "tetra": 1 / 6,
+    "pyramid": 1 / 3,
+    "wedge": 0.5,
+    "hexahedron": 1,
+}
 SOLID = [kind for kind in KINDS if dimension(kind) > 1]
 
 
 def element(kind):
     """The points of one straight element."""
     corners = np.array(CORNERS[KINDS[kind][0]], dtype=float)
-    return np.concatenate([corners, *(corners[list(ends)].mean(axis=0)[None] for ends in middles(kind))])
+    return np.concatenate(
+        [corners, *(corners[list(ends)].mean(axis=0)[None] for ends in middles(kind))]
+    )
 
 
 @pytest.mark.parametrize("kind", SOLID)
 def test_cuts_fill_an_element_and_drop_no_node(kind):
     rng, dim, (shape, n) = np.random.default_rng(1), dimension(kind), KINDS[kind]
     placed = element(kind) @ (np.eye(dim) + 0.3 * rng.random((dim, dim)))
-    size = SIZES[shape] * np.linalg.det(np.linalg.lstsq(element(kind) - element(kind)[0], placed - placed[0])[0])
+    size = SIZES[shape] * np.linalg.det(
+        np.linalg.lstsq(element(kind) - element(kind)[0], placed - placed[0])[0]
+    )
     for points in (placed, None):
         numbers = rng.permutation(n)
         x = np.empty_like(placed)
@@ -43,7 +67,8 @@ def test_cuts_fill_an_element_and_drop_no_node(kind):
 
 
 def bricks(kinds):
-    """A box of 2 x 2 x 2 cells, each a brick or two wedges or six pyramids, with nodes numbered at random."""
+    """A box of 2 x 2 x 2 cells, each a brick or two wedges or six pyramids, with nodes numbered at
+    random."""
     rng, points, cells = np.random.default_rng(2), {}, []
 
     def node(x):
@@ -57,7 +82,9 @@ def bricks(kinds):
         elif shape == "wedge":
             parts = [cube[[0, 1, 3, 4, 5, 7]], cube[[1, 2, 3, 5, 6, 7]]]
         else:
-            parts = [np.vstack([cube[list(f)], cube.mean(axis=0)]) for _, f in facets_of("hexahedron")]
+            parts = [
+                np.vstack([cube[list(f)], cube.mean(axis=0)]) for _, f in facets_of("hexahedron")
+            ]
         for part in parts:
             nodes = [*part, *(part[list(ends)].mean(axis=0) for ends in middles(kind))]
             assert len(nodes) == n
@@ -69,30 +96,56 @@ def bricks(kinds):
     return place, [(kind, numbers[nodes]) for kind, nodes in cells]
 
 
-@pytest.mark.parametrize("kinds", [("hexahedron", "wedge", "pyramid"), ("hexahedron20", "wedge15", "pyramid13"),
-                                   ("hexahedron27", "wedge18", "pyramid14")])
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        ("hexahedron", "wedge", "pyramid"),
+        ("hexahedron20", "wedge15", "pyramid13"),
+        ("hexahedron27", "wedge18", "pyramid14"),
+    ],
+)
 def test_cuts_fit_across_faces(kinds):
     for some in (kinds, *((kind,) for kind in kinds)):
         points, cells = bricks(some)
-        low = [(kind, nodes[:, local]) for whole, nodes in cells for kind, local in facets_of(whole)
-               if (points[nodes[0, local], 2] == 0).all()]
-        contents = Contents(points, cells + low, {"low": [(len(cells) + k, np.zeros(1, int)) for k in range(len(low))]},
-                            {"top": np.flatnonzero(points[:, 2] == 2)})
+        low = [
+            (kind, nodes[:, local])
+            for whole, nodes in cells
+            for kind, local in facets_of(whole)
+            if (points[nodes[0, local], 2] == 0).all()
+        ]
+        contents = Contents(
+            points,
+            cells + low,
+            {"low": [(len(cells) + k, np.zeros(1, int)) for k in range(len(low))]},
+            {"top": np.flatnonzero(points[:, 2] == 2)},
+        )
         # the mesh is checked: closed, no fold, nothing degenerate
-        mesh, rest = mesh_of(contents, unit=1e-3, unnamed="free", split_bodies=False, boundaries=None, body=None)
-        assert mesh.volumes.sum() == pytest.approx(8e-9) and mesh.n_nodes == len(points) and len(rest)
+        mesh, rest = mesh_of(
+            contents, unit=1e-3, unnamed="free", split_bodies=False, boundaries=None, body=None
+        )
+        assert (
+            mesh.volumes.sum() == pytest.approx(8e-9) and mesh.n_nodes == len(points) and len(rest)
+        )
         for name, z in (("low", 0), ("top", 2e-3)):
             surface = mesh.surface(name)
-            assert surface.measures.sum() == pytest.approx(4e-6) and (mesh.points[surface.nodes, 2] == z).all()
+            assert (
+                surface.measures.sum() == pytest.approx(4e-6)
+                and (mesh.points[surface.nodes, 2] == z).all()
+            )
         assert any("each split into" in note for note in mesh.notes)
 
 
 #: Gmsh's numbers of kinds, and the corners whose middles and centres follow in its order
 GMSH = {
-    11: ("tetra", "01 12 20 30 23 13"), 17: ("hexahedron", "01 03 04 12 15 23 26 37 45 47 56 67"),
-    12: ("hexahedron", "01 03 04 12 15 23 26 37 45 47 56 67 0321 0154 0473 1265 2376 4567 01234567"),
+    11: ("tetra", "01 12 20 30 23 13"),
+    17: ("hexahedron", "01 03 04 12 15 23 26 37 45 47 56 67"),
+    12: (
+        "hexahedron",
+        "01 03 04 12 15 23 26 37 45 47 56 67 0321 0154 0473 1265 2376 4567 01234567",
+    ),
     13: ("wedge", "01 02 03 12 14 25 34 35 45 0143 0352 1254"),
-    14: ("pyramid", "01 03 04 12 14 23 24 34 0321")}
+    14: ("pyramid", "01 03 04 12 14 23 24 34 0321"),
+}
 
 
 @pytest.mark.parametrize("number", GMSH)
@@ -103,10 +156,15 @@ def test_gmsh_counts_nodes_of_second_order_in_its_own_way(tmp_path, number):
     nodes = "\n".join(f"{k + 1} {x} {y} {z}" for k, (x, y, z) in enumerate(points))
     (tmp_path / "m.msh").write_text(
         f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n{len(points)}\n{nodes}\n$EndNodes\n$Elements\n1\n"
-        f"1 {number} 2 3 3 {' '.join(map(str, range(1, len(points) + 1)))}\n$EndElements\n")
+        f"1 {number} 2 3 3 {' '.join(map(str, range(1, len(points) + 1)))}\n$EndElements\n"
+    )
     mesh = from_file(tmp_path / "m.msh", unnamed="free")
     # numbered otherwise, parts would be turned over
-    assert mesh.n_nodes == len(points) and mesh.bodies == ("3",) and mesh.volumes.sum() == pytest.approx(SIZES[shape])
+    assert (
+        mesh.n_nodes == len(points)
+        and mesh.bodies == ("3",)
+        and mesh.volumes.sum() == pytest.approx(SIZES[shape])
+    )
     assert f"1 {len(points)}-node" in mesh.notes[0]
 
 
@@ -114,11 +172,17 @@ def test_diagonals_without_neighbours_are_the_shorter_ones():
     for kind, pairs in (("quad", ((0, 2), (1, 3))), ("tetra10", ((4, 9), (5, 7), (6, 8)))):
         for stretch in np.exp(np.random.default_rng(3).normal(size=(8, dimension(kind)))):
             # sheared, so that no two diagonals are equal
-            x = element(kind) @ np.triu(np.full((dimension(kind),) * 2, 0.4), 1) + element(kind) * stretch
+            x = (
+                element(kind) @ np.triu(np.full((dimension(kind),) * 2, 0.4), 1)
+                + element(kind) * stretch
+            )
             cells, _ = simplices(kind, np.arange(len(x))[None], x)
             shortest = min(pairs, key=lambda pair: np.linalg.norm(x[pair[0]] - x[pair[1]]))
-            assert {frozenset(pair) for pair in pairs if any(set(pair) <= set(cell) for cell in cells.tolist())} == {
-                frozenset(shortest)}
+            assert {
+                frozenset(pair)
+                for pair in pairs
+                if any(set(pair) <= set(cell) for cell in cells.tolist())
+            } == {frozenset(shortest)}
 
 
 @pytest.mark.parametrize("kind", ["hexahedron", "wedge15"])
@@ -126,15 +190,28 @@ def test_twisted_elements_get_a_node_at_their_centre(kind):
     def twisted(x):
         angle = np.radians(50) * x[:, 2]
         y = x[:, :2] - x[x[:, 2] == 1, :2].mean(axis=0)
-        return np.column_stack([np.cos(angle) * y[:, 0] - np.sin(angle) * y[:, 1],
-                                np.sin(angle) * y[:, 0] + np.cos(angle) * y[:, 1], x[:, 2]])
+        return np.column_stack(
+            [
+                np.cos(angle) * y[:, 0] - np.sin(angle) * y[:, 1],
+                np.sin(angle) * y[:, 0] + np.cos(angle) * y[:, 1],
+                x[:, 2],
+            ]
+        )
 
     corners = twisted(np.array(CORNERS[KINDS[kind][0]], dtype=float))
-    points = np.concatenate([corners, *(corners[list(ends)].mean(axis=0)[None] for ends in middles(kind))])
+    points = np.concatenate(
+        [corners, *(corners[list(ends)].mean(axis=0)[None] for ends in middles(kind))]
+    )
     for k in range(8):
         numbers = np.random.default_rng(k).permutation(len(points))
-        mesh, _ = mesh_of(Contents(points[np.argsort(numbers)], [(kind, numbers[None])]), unit=1.0, unnamed="free",
-                          split_bodies=False, boundaries=None, body="b")
+        mesh, _ = mesh_of(
+            Contents(points[np.argsort(numbers)], [(kind, numbers[None])]),
+            unit=1.0,
+            unnamed="free",
+            split_bodies=False,
+            boundaries=None,
+            body="b",
+        )
         assert mesh.n_nodes in (len(points), len(points) + 1) and mesh.bodies == ("b",)
 
 
@@ -191,17 +268,29 @@ def test_a_deck_is_read_with_its_names(tmp_path):
     path.write_text(DECK)
     with pytest.warns(UserWarning, match='have no name in the file and are called "free"'):
         mesh = from_file(path, unit=1e-3)
-    # a section is cut where nothing joins it, and each piece is called after the smallest set around it
-    assert mesh.bodies == ("Low", "High part") and np.bincount(mesh.element_body, mesh.volumes) == pytest.approx(
-        [50e-6, 70e-6])
+    # a section is cut where nothing joins it, and each piece is called after the smallest set
+    # around it
+    assert mesh.bodies == ("Low", "High part") and np.bincount(
+        mesh.element_body, mesh.volumes
+    ) == pytest.approx([50e-6, 70e-6])
     assert set(mesh.boundaries) == {"free", "Seat", "foot", "held", "lid"}
     for name, y in (("Seat", 5e-3), ("foot", 5e-3), ("held", 0), ("lid", 12e-3)):
-        assert (mesh.points[mesh.boundary_nodes(name), 1] == y).all() and len(mesh.boundary_facets(name)) == 1
-    for note in ("2 4-node quadrilaterals: each split into 2 triangles", "elements of the types CPS4, CPS4R",
-                 "material 'Steel': elastic constants 210000., .3 in the units of the file", "contact pair: foot, Seat",
-                 "friction 0.25 of 'I1'", "not read: *Boundary"):
+        assert (mesh.points[mesh.boundary_nodes(name), 1] == y).all() and len(
+            mesh.boundary_facets(name)
+        ) == 1
+    for note in (
+        "2 4-node quadrilaterals: each split into 2 triangles",
+        "elements of the types CPS4, CPS4R",
+        "material 'Steel': elastic constants 210000., .3 in the units of the file",
+        "contact pair: foot, Seat",
+        "friction 0.25 of 'I1'",
+        "not read: *Boundary",
+    ):
         assert note in mesh.notes
-    assert from_file(path, boundaries=["lid"], unnamed="rest", body="all").bodies == ("all", "all_2")
+    assert from_file(path, boundaries=["lid"], unnamed="rest", body="all").bodies == (
+        "all",
+        "all_2",
+    )
 
 
 def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
@@ -209,10 +298,16 @@ def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
     path.write_text(DECK + "*Nset, nset=sides\n11, 12, 13, 14, 4, 1\n*Nset, nset=whole\nNall\n")
     mesh = from_file(path, unnamed="free")
     assert len(mesh.boundary_facets("lid")) == 1 and len(mesh.boundary_facets("sides")) == 3
-    assert "'sides': 2 of 5 facets belong to another name before it; boundaries= sets the order" in mesh.notes
+    assert (
+        "'sides': 2 of 5 facets belong to another name before it; boundaries= sets the order"
+        in mesh.notes
+    )
     assert any("set of all nodes" in note and "whole" in note for note in mesh.notes)
     mesh = from_file(path, unnamed="free", boundaries=["sides", "Seat"])
-    assert set(mesh.boundaries) == {"sides", "Seat", "free"} and len(mesh.boundary_facets("sides")) == 5
+    assert (
+        set(mesh.boundaries) == {"sides", "Seat", "free"}
+        and len(mesh.boundary_facets("sides")) == 5
+    )
     path.write_text(DECK + "*Surface, name=top, type=node\nlid\n")
     assert "top" in from_file(path, unnamed="free").boundaries
     with pytest.raises(ValueError, match="boundaries: it holds no 'side'; it holds"):
@@ -222,21 +317,39 @@ def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
 def test_a_set_of_corners_holds_the_middle_nodes_between_them(tmp_path):
     x = 2 * element("quad8")
     rows = "\n".join(f"{k + 1}, {a}, {b}" for k, (a, b) in enumerate(x))
-    (tmp_path / "m.inp").write_text(f"*NODE\n{rows}\n*ELEMENT, TYPE=CAX8R\n1, 1, 2, 3, 4, 5, 6, 7, 8\n"
-                                    "*NSET, NSET=low\n1, 2\n")
+    (tmp_path / "m.inp").write_text(
+        f"*NODE\n{rows}\n*ELEMENT, TYPE=CAX8R\n1, 1, 2, 3, 4, 5, 6, 7, 8\n*NSET, NSET=low\n1, 2\n"
+    )
     mesh = from_file(tmp_path / "m.inp", unnamed="free")
     assert len(mesh.boundary_facets("low")) == 2 and "elements of the types CAX8R" in mesh.notes
 
 
-@pytest.mark.parametrize(("old", "new", "message"), [
-    ("*Node, nset", "*Node, system=C, nset", r"line 4: \*NODE: nodes and elements that the solver generates or moves"),
-    ("*Element, type=CPS4", "*Element, type=C3D4", "element of type C3D4R? has|tetrahedra|elements name|degenerate"),
-    ("7, 1, 2,", "7, 1, 99,", "nodes that it does not hold, such as 99"), ("Low, S3", "Low, S5", "face S5 of 4-node"),
-    ("Low, S3", "Lower, S3", r"line 24: \*SURFACE: there is no set 'LOWER'"),
-    ("2, 10, 0", "2, ten, 0", r"line 4: \*NODE: could not convert"), ("*Node, nset=Nall", "",
-      "nodes that it does not hold, such as 1"),
-    ("8, 11, 12, 13, 14", "8, 11, 12, 13", "has a number and 4 nodes"),
-    ("*Node, nset", "*Part, name=P\n*Node, nset", r"line 4: \*PART: a deck of parts is not read; write it without")])
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "*Node, nset",
+            "*Node, system=C, nset",
+            r"line 4: \*NODE: nodes and elements that the solver generates or moves",
+        ),
+        (
+            "*Element, type=CPS4",
+            "*Element, type=C3D4",
+            "element of type C3D4R? has|tetrahedra|elements name|degenerate",
+        ),
+        ("7, 1, 2,", "7, 1, 99,", "nodes that it does not hold, such as 99"),
+        ("Low, S3", "Low, S5", "face S5 of 4-node"),
+        ("Low, S3", "Lower, S3", r"line 24: \*SURFACE: there is no set 'LOWER'"),
+        ("2, 10, 0", "2, ten, 0", r"line 4: \*NODE: could not convert"),
+        ("*Node, nset=Nall", "", "nodes that it does not hold, such as 1"),
+        ("8, 11, 12, 13, 14", "8, 11, 12, 13", "has a number and 4 nodes"),
+        (
+            "*Node, nset",
+            "*Part, name=P\n*Node, nset",
+            r"line 4: \*PART: a deck of parts is not read; write it without",
+        ),
+    ],
+)
 def test_decks_are_refused_with_the_line(tmp_path, old, new, message):
     (tmp_path / "part.inp").write_text(DECK.replace(old, new, 1))
     with pytest.raises(ValueError, match=f"part.inp.*({message})"):
@@ -244,7 +357,9 @@ def test_decks_are_refused_with_the_line(tmp_path, old, new, message):
 
 
 @pytest.mark.parametrize("suffix", [".msh", ".inp"])
-@pytest.mark.parametrize("body", [am.Rectangle(width=2e-3, height=1e-3), am.Box(width=1e-3, depth=2e-3, height=3e-3)])
+@pytest.mark.parametrize(
+    "body", [am.Rectangle(width=2e-3, height=1e-3), am.Box(width=1e-3, depth=2e-3, height=3e-3)]
+)
 def test_names_come_back_from_a_file(tmp_path, body, suffix):
     mesh = merged({"lower": structured(body, 2), "upper": structured(body, 3)})
     write_mesh(mesh, tmp_path / f"m{suffix}", unit=1e-3)

@@ -1,4 +1,5 @@
-"""Solids: volumes and names survive combining, nodes lie on the surfaces, sizes are achieved, failures are named."""
+"""Solids: volumes and names survive combining, nodes lie on the surfaces, sizes are achieved,
+failures are named."""
 
 import itertools
 import logging
@@ -20,16 +21,23 @@ from adaptmg.problem import Box, Outline, Polygon, Rectangle
 from adaptmg.problem.combined_domains import Common, Cut, Fuse
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 
-PROFILE = Polygon(vertices=((0.04, 0), (0.1, 0), (0.1, 0.02), (0.06, 0.025), (0.05, 0.08), (0.04, 0.08)),
-                  boundaries=("gasket", "rim", "back", "neck", "weld", "bore"))
-QUARTER = Outline(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("base", "cap", "axis"), arcs={1: (0, 0)})
+PROFILE = Polygon(
+    vertices=((0.04, 0), (0.1, 0), (0.1, 0.02), (0.06, 0.025), (0.05, 0.08), (0.04, 0.08)),
+    boundaries=("gasket", "rim", "back", "neck", "weld", "bore"),
+)
+QUARTER = Outline(
+    vertices=((0, 0), (1, 0), (0, 1)), boundaries=("base", "cap", "axis"), arcs={1: (0, 0)}
+)
 TRIANGLE = Polygon(vertices=((0, 0), (2, 0), (0, 1)), boundaries=("long", "slope", "short"))
 BALL = Ball((0, 0, 1), 1)
 UNIT = Box(width=1, depth=1, height=1)
 OCTANT = Common(BALL, UNIT)
 HALF = Common(BALL, Box(width=2, depth=2, height=1, origin=(-1, -1, 0)))
-BOLT = Fuse(Cylinder((0, 0, 0), (0, 0, 1), 0.005, 0.03), Cylinder((0, 0, 0.03), (0, 0, 1), 0.009, 0.006),
-            rename={"a.side": "shank", "b.side": "head", "b.bottom": "under", "b.top": "upside"})
+BOLT = Fuse(
+    Cylinder((0, 0, 0), (0, 0, 1), 0.005, 0.03),
+    Cylinder((0, 0, 0.03), (0, 0, 1), 0.009, 0.006),
+    rename={"a.side": "shank", "b.side": "head", "b.bottom": "under", "b.top": "upside"},
+)
 # Pappus: the volume of a full revolution of a polygon
 _X, _Y = np.array(PROFILE.vertices).T
 _CROSS = _X * np.roll(_Y, -1) - np.roll(_X, -1) * _Y
@@ -60,8 +68,12 @@ SOLIDS = {
 
 
 # names of faces that combining leaves nothing of; the top of the shank lies inside the head
-GONE = {"octant": {"bottom", "right", "back"}, "half ball": {"bottom", "left", "right", "front", "back"},
-        "bolt": {"top"}, "moved bolt": {"top"}}
+GONE = {
+    "octant": {"bottom", "right", "back"},
+    "half ball": {"bottom", "left", "right", "front", "back"},
+    "bolt": {"top"},
+    "moved bolt": {"top"},
+}
 
 
 @pytest.mark.parametrize("key", SOLIDS)
@@ -73,7 +85,9 @@ def test_shapes_have_their_volume_names_and_bounding_box(key):
     lower, upper = shape.lower + shape.scale * shape.corners
     # the bounds of turned solids are those of their turned boxes
     slack = 1e-6 * shape.scale * (1e6 if key == "moved bolt" else 1)
-    assert (lower > solid.lower - 1e-6 * shape.scale).all() and (upper < solid.upper + 1e-6 * shape.scale).all()
+    assert (lower > solid.lower - 1e-6 * shape.scale).all() and (
+        upper < solid.upper + 1e-6 * shape.scale
+    ).all()
     assert (lower < solid.lower + slack).any() and (upper > solid.upper - slack).any()
     assert pickle.loads(pickle.dumps(solid)) == solid and hash(solid) == hash(solid)
 
@@ -94,7 +108,11 @@ def test_a_ball_refined_at_its_lowest_point():
 @pytest.mark.parametrize(("ratio", "mesher"), [(8, "own"), (50, "own"), (50, "netgen")])
 def test_sizes_along_boundaries_are_achieved(ratio, mesher):
     # beyond a ratio of 16 Netgen's mesh is bisected
-    punch = Fuse(UNIT, Cylinder((0.5, 0.5, 1), (0, 0, 1), 0.1, 0.3), rename={"b.side": "shank", "b.top": "tip"})
+    punch = Fuse(
+        UNIT,
+        Cylinder((0.5, 0.5, 1), (0, 0, 1), 0.1, 0.3),
+        rename={"b.side": "shank", "b.top": "tip"},
+    )
     mesh = graded(punch, 0.5, "tip", ratio, 0.5, mesher=mesher)
     at_tip = edge_lengths(mesh, "tip") * ratio / 0.5
     assert at_tip.max() < 2.5 and 0.6 < np.median(at_tip) < 1.4
@@ -103,9 +121,14 @@ def test_sizes_along_boundaries_are_achieved(ratio, mesher):
     np.testing.assert_allclose(radius, 0.1, rtol=1e-12)
 
 
-FILLET = Revolution(Outline(vertices=((0.2, 0), (1, 0), (1, 0.2), (0.4, 0.2), (0.3, 0.3), (0.26, 1), (0.2, 1)),
-                            boundaries=("foot", "rim", "flat", "fillet", "neck", "top", "bore"),
-                            arcs={3: (0.4, 0.3)}), 90)
+FILLET = Revolution(
+    Outline(
+        vertices=((0.2, 0), (1, 0), (1, 0.2), (0.4, 0.2), (0.3, 0.3), (0.26, 1), (0.2, 1)),
+        boundaries=("foot", "rim", "flat", "fillet", "neck", "top", "bore"),
+        arcs={3: (0.4, 0.3)},
+    ),
+    90,
+)
 
 
 def from_fillet(x):
@@ -115,18 +138,43 @@ def from_fillet(x):
 
 def from_neck(x):
     """Distance from the cone above the fillet."""
-    return np.abs(0.7 * (np.hypot(x[:, 0], x[:, 1]) - 0.3) + 0.04 * (x[:, 2] - 0.3)) / np.hypot(0.7, 0.04)
+    return np.abs(0.7 * (np.hypot(x[:, 0], x[:, 1]) - 0.3) + 0.04 * (x[:, 2] - 0.3)) / np.hypot(
+        0.7, 0.04
+    )
 
 
-@pytest.mark.parametrize(("solid", "size", "contact", "gap"), [
-    (Cylinder((0, 0, 0), (0, 0, 1), 0.5, 1), 0.05, "bottom",
-     {"side": lambda x: np.abs(np.hypot(x[:, 0], x[:, 1]) - 0.5), "top": lambda x: np.abs(x[:, 2] - 1)}),
-    (OCTANT, 0.05, "surface", {"surface": lambda x: np.abs(np.linalg.norm(x - (0, 0, 1), axis=1) - 1)}),
-    (FILLET, 0.05, "flat", {"fillet": from_fillet, "neck": from_neck, "flat": lambda x: np.abs(x[:, 2] - 0.2)}),
-], ids=["cylinder", "octant", "fillet"])
+@pytest.mark.parametrize(
+    ("solid", "size", "contact", "gap"),
+    [
+        (
+            Cylinder((0, 0, 0), (0, 0, 1), 0.5, 1),
+            0.05,
+            "bottom",
+            {
+                "side": lambda x: np.abs(np.hypot(x[:, 0], x[:, 1]) - 0.5),
+                "top": lambda x: np.abs(x[:, 2] - 1),
+            },
+        ),
+        (
+            OCTANT,
+            0.05,
+            "surface",
+            {"surface": lambda x: np.abs(np.linalg.norm(x - (0, 0, 1), axis=1) - 1)},
+        ),
+        (
+            FILLET,
+            0.05,
+            "flat",
+            {"fillet": from_fillet, "neck": from_neck, "flat": lambda x: np.abs(x[:, 2] - 0.2)},
+        ),
+    ],
+    ids=["cylinder", "octant", "fillet"],
+)
 def test_a_draft_is_refined_to_the_sizes_on_the_faces(solid, size, contact, gap, monkeypatch):
     drafts, original = [], module._solid_draft
-    monkeypatch.setattr(module, "_solid_draft", lambda *given: drafts.append(original(*given)) or drafts[-1])
+    monkeypatch.setattr(
+        module, "_solid_draft", lambda *given: drafts.append(original(*given)) or drafts[-1]
+    )
     mesh = graded(solid, size, contact, 1.5)
     assert drafts[-1].n_nodes < mesh.n_nodes / 3
     check_overlap(check_mesh(replace(mesh, source=None)))
@@ -143,8 +191,15 @@ def test_a_draft_is_refined_to_the_sizes_on_the_faces(solid, size, contact, gap,
 def test_faces_of_an_unknown_kind_are_left_to_netgen(tmp_path, caplog):
     from netgen import occ
 
-    edge = occ.SplineApproximation([occ.Pnt(x, 1 + 0.2 * math.sin(3 * x), 0) for x in np.linspace(0, 1, 9)])
-    corners = [occ.Pnt(1, 1 + 0.2 * math.sin(3), 0), occ.Pnt(1, 0, 0), occ.Pnt(0, 0, 0), occ.Pnt(0, 1, 0)]
+    edge = occ.SplineApproximation(
+        [occ.Pnt(x, 1 + 0.2 * math.sin(3 * x), 0) for x in np.linspace(0, 1, 9)]
+    )
+    corners = [
+        occ.Pnt(1, 1 + 0.2 * math.sin(3), 0),
+        occ.Pnt(1, 0, 0),
+        occ.Pnt(0, 0, 0),
+        occ.Pnt(0, 1, 0),
+    ]
     wire = occ.Wire([edge, *(occ.Segment(a, b) for a, b in itertools.pairwise(corners))])
     occ.Face(wire).Extrude(occ.Vec(0, 0, 1)).WriteStep(str(tmp_path / "wavy.step"))
     with caplog.at_level(logging.INFO, logger=module.__name__):
@@ -163,8 +218,11 @@ def test_a_draft_whose_nodes_do_not_reach_the_faces_gives_way(monkeypatch, caplo
         mesh = graded(OCTANT, 0.12, "surface", 1.5)
     for factor in (1.8, 1):
         assert f"sizes times {factor} is not refined: 7 nodes" in caplog.text
-    np.testing.assert_allclose(np.linalg.norm(mesh.points[mesh.boundary_nodes("surface")] - (0, 0, 1), axis=1), 1,
-                               atol=1e-7)
+    np.testing.assert_allclose(
+        np.linalg.norm(mesh.points[mesh.boundary_nodes("surface")] - (0, 0, 1), axis=1),
+        1,
+        atol=1e-7,
+    )
 
 
 def test_netgen_is_given_a_second_chance(monkeypatch):
@@ -181,14 +239,18 @@ def test_netgen_is_given_a_second_chance(monkeypatch):
     assert graded(OCTANT, 0.5, grading=0.5).n_nodes > 10
     np.testing.assert_allclose(seen, [0.5, 0.35, 0.25])
     fails = 9
-    with pytest.raises(ValueError, match=r"could not mesh Common.*Meshing failed!.*smaller grading"):
+    with pytest.raises(
+        ValueError, match=r"could not mesh Common.*Meshing failed!.*smaller grading"
+    ):
         graded(OCTANT, 0.5)
 
 
 def test_the_volume_check_can_fail():
     shape = shape_of(OCTANT)
     mesh = graded(OCTANT, 0.5 * shape.scale)
-    unit = type(mesh)(mesh.points / shape.scale, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries)
+    unit = type(mesh)(
+        mesh.points / shape.scale, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries
+    )
     bound = module._left_by_chords(unit)
     # far from failing even on the coarsest mesh, and not without a limit
     assert abs(unit.volumes.sum() - shape.volume) < 0.6 * bound < 0.5 * shape.volume
@@ -200,7 +262,11 @@ def test_the_volume_check_can_fail():
 
 def test_scaling_changes_nothing_and_meshes_repeat():
     def pin(s):
-        return Cut(Cylinder((s, 0, 0), (0, 0, 1), s, s), Ball((s, 0, s), 0.5 * s), rename={"surface": "seat"})
+        return Cut(
+            Cylinder((s, 0, 0), (0, 0, 1), s, s),
+            Ball((s, 0, s), 0.5 * s),
+            rename={"surface": "seat"},
+        )
 
     first, again, large = (graded(pin(s), 0.5 * s, "seat", 2) for s in (1.0, 1.0, 4096.0))
     for name in ("points", "elements", "facets", "facet_labels"):
@@ -218,27 +284,47 @@ def test_renaming():
     # faces that coincide have the name given by the first solid
     flush = Cut(UNIT, Box(width=0.5, depth=1, height=1), rename={"b.right": "cut"})
     assert set(shape_of(flush).names) == {*UNIT.boundaries, "cut"} - {"left"}
-    names = shape_of(Fuse(UNIT, Box(width=1, depth=1, height=1, origin=(0, 0, 1)), rename={"b.front": "face"})).names
-    assert {"front", "face"} <= set(names) and names.count("top") == 1 and names.count("bottom") == 1
+    names = shape_of(
+        Fuse(UNIT, Box(width=1, depth=1, height=1, origin=(0, 0, 1)), rename={"b.front": "face"})
+    ).names
+    assert (
+        {"front", "face"} <= set(names) and names.count("top") == 1 and names.count("bottom") == 1
+    )
 
 
 test_refused = refused(
     (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1, 1), "axis must not be zero"),
     (lambda: Revolution(PROFILE, 361), "angle must be at most 360"),
     (lambda: Revolution(Rectangle(width=1, height=1, origin=(-0.1, 0))), "half plane r >= 0"),
-    (lambda: Revolution(Polygon(vertices=((0, 0), (1, -1), (1, 1)), boundaries=("a", "b", "c"))),
-     "axis at the single vertex 0"),
-    (lambda: Revolution(Polygon(vertices=((1, 0), (2, 0), (2, 1)), boundaries=("start", "b", "c")), 90),
-     "must not be called 'start'"),
+    (
+        lambda: Revolution(Polygon(vertices=((0, 0), (1, -1), (1, 1)), boundaries=("a", "b", "c"))),
+        "axis at the single vertex 0",
+    ),
+    (
+        lambda: Revolution(
+            Polygon(vertices=((1, 0), (2, 0), (2, 1)), boundaries=("start", "b", "c")), 90
+        ),
+        "must not be called 'start'",
+    ),
     (lambda: Extrusion(Rectangle(width=1, height=1), 1), "must not be called 'bottom'"),
     (lambda: Cut(UNIT, BALL, rename={"c.top": "x"}), "the keys of rename must be one of"),
     (lambda: Moved(UNIT, axis=(0, 0, 0)), "axis must not be zero"),
     (lambda: StepFile("a.step", names={"solid1": "a.b"}), "must not contain '.'"),
     (lambda: graded(OCTANT, 0.5, "bottom", 5), "of boundary 'bottom' no face is left"),
-    (lambda: graded(OCTANT, 1, "surfac", 10), "boundary 'surfac' does not exist; the boundaries are surface, bottom"),
+    (
+        lambda: graded(OCTANT, 1, "surfac", 10),
+        "boundary 'surfac' does not exist; the boundaries are surface, bottom",
+    ),
     (lambda: graded(OCTANT, 1, "surface", 1e4), "nodes .at most 2e"),
-    (lambda: graded(Cut(UNIT, Box(width=3, depth=3, height=3, origin=(-1, -1, -1))), 1), "leaves nothing"),
-    (lambda: graded(Cut(UNIT, Box(width=0.2, depth=3, height=3, origin=(0.4, -1, -1))), 1), "leaves 2 pieces"))
+    (
+        lambda: graded(Cut(UNIT, Box(width=3, depth=3, height=3, origin=(-1, -1, -1))), 1),
+        "leaves nothing",
+    ),
+    (
+        lambda: graded(Cut(UNIT, Box(width=0.2, depth=3, height=3, origin=(0.4, -1, -1))), 1),
+        "leaves 2 pieces",
+    ),
+)
 
 
 def test_a_boolean_operation_that_fails_is_noticed(monkeypatch):

@@ -1,4 +1,5 @@
-"""check_mesh finds what is wrong with a mesh, wherever it comes from; quality measures known elements."""
+"""check_mesh finds what is wrong with a mesh, wherever it comes from; quality measures known
+elements."""
 
 from dataclasses import replace
 
@@ -18,10 +19,14 @@ BOTH = pytest.mark.parametrize("mesh", [SQUARE, CUBE], ids=["2D", "3D"])
 def test_a_sound_mesh_is_checked_once_but_a_changed_one_again(monkeypatch):
     mesh = replace(structured(Rectangle(width=1, height=1), 2), source=None)
     assert not mesh.sound and check_mesh(mesh, mesh.boundaries) is mesh and mesh.sound
-    monkeypatch.setattr("adaptmg.mesh.soundness.facet_table", lambda *_: pytest.fail("searched again"))
+    monkeypatch.setattr(
+        "adaptmg.mesh.soundness.facet_table", lambda *_: pytest.fail("searched again")
+    )
     assert check_mesh(mesh) is mesh
     for name in ("rim", ["bottom", "rim"]):
-        with pytest.raises(ValueError, match="boundary 'rim' does not exist; the boundaries are bottom, right, top"):
+        with pytest.raises(
+            ValueError, match="boundary 'rim' does not exist; the boundaries are bottom, right, top"
+        ):
             check_mesh(mesh, name)
     monkeypatch.undo()
     with pytest.raises(ValueError, match="has a hole"):
@@ -30,7 +35,9 @@ def test_a_sound_mesh_is_checked_once_but_a_changed_one_again(monkeypatch):
     with pytest.raises(ValueError, match="'hidden' does not exist"):
         check_mesh(replace(mesh, boundaries=(*mesh.boundaries, "hidden")), ["hidden"])
     read = as_mesh(replace(SQUARE, points=2 * SQUARE.points))
-    np.testing.assert_array_equal(np.array(read.source.ngmesh.Coordinates())[:, :2], 2 * SQUARE.points)
+    np.testing.assert_array_equal(
+        np.array(read.source.ngmesh.Coordinates())[:, :2], 2 * SQUARE.points
+    )
 
 
 def faults(mesh):
@@ -45,16 +52,27 @@ def faults(mesh):
     def more(facet):
         return {"facets": np.vstack([mesh.facets, facet]), "facet_labels": labels}
 
-    yield {"elements": np.delete(mesh.elements, inner, axis=0)}, \
-        rf"^{mesh.dim + 1} .* belong to one element and to no boundary .* nodes \["
-    yield {"elements": np.vstack([mesh.elements, mesh.elements[inner]])}, "belong to more than two elements"
+    yield (
+        {"elements": np.delete(mesh.elements, inner, axis=0)},
+        rf"^{mesh.dim + 1} .* belong to one element and to no boundary .* nodes \[",
+    )
+    yield (
+        {"elements": np.vstack([mesh.elements, mesh.elements[inner]])},
+        "belong to more than two elements",
+    )
     yield {"elements": turned}, r"1 of .* elements are inverted; element 3 .* volume -0.0"
     yield {"points": flat}, r"degenerate; element .* has volume"
-    yield {"points": np.vstack([mesh.points, mesh.points[-1] + 1])}, f"1 of .* no element; node {mesh.n_nodes} "
+    yield (
+        {"points": np.vstack([mesh.points, mesh.points[-1] + 1])},
+        f"1 of .* no element; node {mesh.n_nodes} ",
+    )
     yield {"facets": inward}, "1 boundary facets have their normal inwards"
     yield more(mesh.facets[:1]), "given twice"
     yield more(table.facets[table.counts == 2][:1]), "lie inside the mesh"
-    yield more([np.array([0, mesh.n_nodes - 1, mesh.n_nodes - 2])[:mesh.dim]]), r"are no (edge|face) of any element"
+    yield (
+        more([np.array([0, mesh.n_nodes - 1, mesh.n_nodes - 2])[: mesh.dim]]),
+        r"are no (edge|face) of any element",
+    )
     yield {"boundaries": ("a", "a", *mesh.boundaries[2:])}, "boundaries must be distinct"
     yield {"bodies": ("body", "ghost")}, "body 'ghost' has no elements"
 
@@ -69,7 +87,13 @@ def test_faults_are_found_and_located(mesh):
 def test_two_pieces_need_two_bodies():
     # pieces that share only a node are two
     points = np.array([[0, 0], [1, 0], [1, 1], [2, 1], [2, 2.0]])
-    arrays = points, [[0, 1, 2], [2, 3, 4]], [[0, 1], [1, 2], [2, 0], [2, 3], [3, 4], [4, 2]], np.zeros(6), ("rim",)
+    arrays = (
+        points,
+        [[0, 1, 2], [2, 3, 4]],
+        [[0, 1], [1, 2], [2, 0], [2, 3], [3, 4], [4, 2]],
+        np.zeros(6),
+        ("rim",),
+    )
     check_mesh(MeshArrays(*arrays, [0, 1], ("low", "high")))
     with pytest.raises(ValueError, match="body 'all' consists of 2 pieces, of 1, 1 elements"):
         check_mesh(MeshArrays(*arrays, bodies=("all",)))
@@ -81,8 +105,11 @@ def test_keys_of_facets_do_not_overflow():
 
 
 TRIANGLE = [[0, 0], [1, 0], [0.5, np.sqrt(0.75)]], [[0, 1, 2]], [[0, 1], [1, 2], [2, 0]]
-TETRAHEDRON = ([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]], [[0, 2, 1, 3]],
-               element_facets(np.array([[0, 2, 1, 3]]))[0])
+TETRAHEDRON = (
+    [[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]],
+    [[0, 2, 1, 3]],
+    element_facets(np.array([[0, 2, 1, 3]]))[0],
+)
 
 
 def test_quality_of_known_elements():
@@ -91,13 +118,22 @@ def test_quality_of_known_elements():
     assert (half.h_min, half.h_max) == pytest.approx((2, 2 * np.sqrt(2)))
     for arrays, angle in ((TRIANGLE, 60), (TETRAHEDRON, np.degrees(np.arccos(1 / 3)))):
         best = quality(check_mesh(MeshArrays(*arrays, np.zeros(len(arrays[2])), ("a",))))
-        assert (best.min_angle, best.max_angle, best.aspect_ratio) == pytest.approx((angle, angle, 1))
+        assert (best.min_angle, best.max_angle, best.aspect_ratio) == pytest.approx(
+            (angle, angle, 1)
+        )
 
 
 def turned(mesh, points):
     """The mesh with other points, elements turned so that each is positive, as readers do."""
-    return normalised(points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries, mesh.element_body,
-                      mesh.bodies)
+    return normalised(
+        points,
+        mesh.elements,
+        mesh.facets,
+        mesh.facet_labels,
+        mesh.boundaries,
+        mesh.element_body,
+        mesh.bodies,
+    )
 
 
 @BOTH
@@ -117,8 +153,10 @@ def test_every_single_fold_of_a_boundary_node_is_found(mesh):
 
 @BOTH
 def test_a_body_that_runs_into_itself(mesh):
-    strip = structured(Rectangle(width=8, height=1) if mesh.dim == 2 else Box(width=8, depth=1, height=1),
-                       (32, 4) if mesh.dim == 2 else (32, 4, 4))
+    strip = structured(
+        Rectangle(width=8, height=1) if mesh.dim == 2 else Box(width=8, depth=1, height=1),
+        (32, 4) if mesh.dim == 2 else (32, 4, 4),
+    )
 
     def bent(turn):
         angle = turn * strip.points[:, 0] / 8
@@ -128,7 +166,9 @@ def test_a_body_that_runs_into_itself(mesh):
         return replace(strip, points=points, source=None)
 
     assert as_mesh(bent(1.9 * np.pi)).volumes.sum() > 0
-    with pytest.raises(ValueError, match="the boundary of body 'body' lies inside other elements of it"):
+    with pytest.raises(
+        ValueError, match="the boundary of body 'body' lies inside other elements of it"
+    ):
         as_mesh(bent(2.2 * np.pi))
     # two bodies may touch or overlap: that is contact, or a fit with interference
     assert check_mesh(bent(2.2 * np.pi)).n_nodes == strip.n_nodes

@@ -1,4 +1,5 @@
-"""STEP files, written here by OCC: names and places survive, solids are meshed apart, what is missing is said."""
+"""STEP files, written here by OCC: names and places survive, solids are meshed apart, what is
+missing is said."""
 
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ def from_step(path, size, contact=(), ratio=1.0, *, unit=1e-3, names=None):
 
 def step_names(path):
     faces = step_table(path)
-    return {solid: tuple(own.face[own.face != ""]) for solid, own in faces.groupby("solid", sort=False)}
+    return {
+        solid: tuple(own.face[own.face != ""]) for solid, own in faces.groupby("solid", sort=False)
+    }
 
 
 SIDES = ("left", "right", "front", "back", "bottom", "top")
@@ -47,10 +50,17 @@ def test_two_named_boxes(two):
     mesh = check_mesh(from_step(two, 5e-3))
     assert mesh.boundaries == tuple(f"{body}.{side}" for body in mesh.bodies for side in SIDES)
     # millimetres in the file, metres here; exactly in plane
-    boxes = {"lower": ((0, 0, 0), (0.01, 0.02, 0.005)), "upper": ((0, 0, 0.005), (0.01, 0.02, 0.012))}
-    for (body, corners), volume in zip(boxes.items(), np.bincount(mesh.element_body, mesh.volumes), strict=True):
+    boxes = {
+        "lower": ((0, 0, 0), (0.01, 0.02, 0.005)),
+        "upper": ((0, 0, 0.005), (0.01, 0.02, 0.012)),
+    }
+    for (body, corners), volume in zip(
+        boxes.items(), np.bincount(mesh.element_body, mesh.volumes), strict=True
+    ):
         for k, side in enumerate(SIDES):
-            assert (mesh.points[mesh.boundary_nodes(f"{body}.{side}"), k // 2] == corners[k % 2][k // 2]).all()
+            assert (
+                mesh.points[mesh.boundary_nodes(f"{body}.{side}"), k // 2] == corners[k % 2][k // 2]
+            ).all()
         assert volume == pytest.approx(np.prod(np.subtract(*corners[::-1])), rel=1e-12)
     # bodies touch, but share no nodes; all nodes are sorted along the longest side
     nodes = [np.unique(mesh.elements[mesh.element_body == k]) for k in range(2)]
@@ -69,11 +79,20 @@ def test_sizes_by_body_and_by_face(two):
 
 
 def test_renaming(two):
-    domain = StepFile(two, names={"solid2": "punch", "upper.face5": "contact", "lower.top": "seat",
-                                  "solid1.left": "symmetry"})
+    domain = StepFile(
+        two,
+        names={
+            "solid2": "punch",
+            "upper.face5": "contact",
+            "lower.top": "seat",
+            "solid1.left": "symmetry",
+        },
+    )
     assert domain.boundaries is None and domain.bodies is None and domain.dim == 3
-    assert step_names(domain) == {"lower": ("symmetry", *SIDES[1:5], "seat"),
-                                  "punch": (*SIDES[:4], "contact", "top")}
+    assert step_names(domain) == {
+        "lower": ("symmetry", *SIDES[1:5], "seat"),
+        "punch": (*SIDES[:4], "contact", "top"),
+    }
     mesh = graded(domain, 5e-3, "punch.contact", 2.5)
     assert (mesh.points[mesh.boundary_nodes("punch.contact"), 2] == 0.005).all()
     # several faces may share a name
@@ -90,7 +109,9 @@ def test_files_without_names(tmp_path):
     Compound([pin, pin.Move(Vec(5, 0, 0)), oblique]).WriteStep(str(path))
     assert step_names(path) == {f"solid{k}": ("face1", "face2", "face3") for k in (1, 2, 3)}
     mesh = from_step(path, 1e-3, "solid1.face2", 4)
-    np.testing.assert_allclose(np.bincount(mesh.element_body, mesh.volumes), np.pi * 2e-9, rtol=0.06)
+    np.testing.assert_allclose(
+        np.bincount(mesh.element_body, mesh.volumes), np.pi * 2e-9, rtol=0.06
+    )
     # a size on a face is not one on its copies
     fine, *others = (len(mesh.boundary_facets(f"solid{k}.face2")) for k in (1, 2, 3))
     assert fine > 2 * max(others)
@@ -105,7 +126,9 @@ def test_names_in_a_file_and_glued_solids(tmp_path):
     path = tmp_path / "glued.step"
     named_box("a.b", (0, 0, 0), (1, 1, 1)).WriteStep(str(path))
     assert step_names(path) == {"a_b": SIDES}
-    Compound([named_box("bolt", (10 * k, 0, 0), (10 * k + 1, 1, 1)) for k in range(3)]).WriteStep(str(path))
+    Compound([named_box("bolt", (10 * k, 0, 0), (10 * k + 1, 1, 1)) for k in range(3)]).WriteStep(
+        str(path)
+    )
     assert list(step_names(path)) == ["bolt", "bolt_2", "bolt_3"]
     Glue(two_boxes()).WriteStep(str(path))
     mesh = from_step(path, 5e-3, names={"upper.face5": "bottom"})
@@ -119,12 +142,23 @@ def test_units(two):
         np.testing.assert_allclose(mesh.points.max(axis=0), (10, 20, 12), rtol=1e-14)
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    ({"names": {"middle": "x"}}, "names: 'middle' is neither a solid nor a 'solid.face' of .*it holds lower: left, r"),
-    ({"names": {"lower.lid": "x"}}, "names: 'lower.lid' is neither"),
-    ({"names": {"lower": "upper"}}, "two solids are called 'upper'"),
-    ({"contact": "top"}, "boundary 'top' does not exist; the boundaries are lower.left, lower.right"),
-    ({"size": {"lower": 1e-3}}, "size must name each body once"), ({"size": 1e-6}, "nodes .at most 2e")])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            {"names": {"middle": "x"}},
+            "names: 'middle' is neither a solid nor a 'solid.face' of .*it holds lower: left, r",
+        ),
+        ({"names": {"lower.lid": "x"}}, "names: 'lower.lid' is neither"),
+        ({"names": {"lower": "upper"}}, "two solids are called 'upper'"),
+        (
+            {"contact": "top"},
+            "boundary 'top' does not exist; the boundaries are lower.left, lower.right",
+        ),
+        ({"size": {"lower": 1e-3}}, "size must name each body once"),
+        ({"size": 1e-6}, "nodes .at most 2e"),
+    ],
+)
 def test_bad_arguments(two, arguments, message):
     with pytest.raises(ValueError, match=message):
         from_step(two, **({"size": 5e-3} | arguments))
@@ -134,11 +168,21 @@ def test_bad_arguments(two, arguments, message):
 def clamped(tmp_path_factory):
     """A plate on a pin with a clearance of .1 mm, three nuts, two of them on the plate; mm."""
     plate = Box(Pnt(0, 0, 0), Pnt(20, 20, 5)) - Cylinder(Pnt(5, 5, 0), Z, 2.1, 5)
-    nut, pin = Cylinder(Pnt(0, 0, 0), Z, 4, 3) - Cylinder(Pnt(0, 0, 0), Z, 2, 3), Cylinder(Pnt(0, 0, 0), Z, 2, 9)
+    nut, pin = (
+        Cylinder(Pnt(0, 0, 0), Z, 4, 3) - Cylinder(Pnt(0, 0, 0), Z, 2, 3),
+        Cylinder(Pnt(0, 0, 0), Z, 2, 9),
+    )
     return step_assembly.write(
-        tmp_path_factory.mktemp("step") / "clamped.step", {"plate": plate, "nut": nut, "pin": pin},
-        [("plate", "plate:1", (0, 0, 0)), ("nut", "NAUO1", (5, 5, 5)), ("nut", "", (5, 5, -3)),
-         ("pin", "pin:7", (5, 5, -2)), ("nut", "nut:4", (15, 15, 5.5))])
+        tmp_path_factory.mktemp("step") / "clamped.step",
+        {"plate": plate, "nut": nut, "pin": pin},
+        [
+            ("plate", "plate:1", (0, 0, 0)),
+            ("nut", "NAUO1", (5, 5, 5)),
+            ("nut", "", (5, 5, -3)),
+            ("pin", "pin:7", (5, 5, -2)),
+            ("nut", "nut:4", (15, 15, 5.5)),
+        ],
+    )
 
 
 def test_products_name_the_solids_of_an_assembly(clamped):
@@ -149,15 +193,21 @@ def test_products_name_the_solids_of_an_assembly(clamped):
     mesh = am.mesh.graded(domain, 4e-3)
     assert mesh.bodies == ("lower", "plate") and mesh.points[:, 2].min() == pytest.approx(-3e-3)
     for wrong in ("nuts", "nut.4", "nut.0"):
-        with pytest.raises(ValueError, match=f"there is no solid '{wrong}'.*holds plate, nut, nut_2, pin, nut_3"):
+        with pytest.raises(
+            ValueError, match=f"there is no solid '{wrong}'.*holds plate, nut, nut_2, pin, nut_3"
+        ):
             step_names(StepFile(clamped, solids=[wrong]))
 
 
 def test_a_table_finds_faces_by_what_they_are_like(clamped, tmp_path):
     table = step_table(clamped)
     solids = table[table.kind == "solid"].set_index("solid")
-    assert solids.volume["pin"] == pytest.approx(np.pi * 36e-9) and solids.z["nut_2"] == pytest.approx(-1.5e-3)
-    assert solids.loc["plate", ["dx", "dy", "dz"]].tolist() == pytest.approx([20e-3, 20e-3, 5e-3], rel=1e-6)
+    assert solids.volume["pin"] == pytest.approx(np.pi * 36e-9) and solids.z[
+        "nut_2"
+    ] == pytest.approx(-1.5e-3)
+    assert solids.loc["plate", ["dx", "dy", "dz"]].tolist() == pytest.approx(
+        [20e-3, 20e-3, 5e-3], rel=1e-6
+    )
     upper = table[(table.solid == "plate") & (table.nz > 0.99)]
     assert len(upper) == 1 and upper.area.item() == pytest.approx((400 - np.pi * 2.1**2) * 1e-6)
     assert upper.z.item() == pytest.approx(5e-3) and np.isnan(upper.radius.item())
@@ -166,10 +216,17 @@ def test_a_table_finds_faces_by_what_they_are_like(clamped, tmp_path):
     # outward, whatever the orientation of a face in the file
     for _, faces in table[table.kind == "plane"].groupby("solid"):
         own = solids.loc[faces.solid.iloc[0]]
-        assert ((faces.x - own.x) * faces.nx + (faces.y - own.y) * faces.ny + (faces.z - own.z) * faces.nz > 0).all()
+        assert (
+            (faces.x - own.x) * faces.nx
+            + (faces.y - own.y) * faces.ny
+            + (faces.z - own.z) * faces.nz
+            > 0
+        ).all()
     Sphere(Pnt(1, 2, 3), 4).WriteStep(str(tmp_path / "ball.step"))
     ball = step_table(StepFile(tmp_path / "ball.step", unit=1.0)).iloc[1]
-    assert (ball.kind, ball.radius) == ("sphere", pytest.approx(4)) and ball.area == pytest.approx(64 * np.pi)
+    assert (ball.kind, ball.radius) == ("sphere", pytest.approx(4)) and ball.area == pytest.approx(
+        64 * np.pi
+    )
 
 
 def test_faces_that_lie_on_each_other_are_pairs(clamped):
@@ -181,10 +238,17 @@ def test_faces_that_lie_on_each_other_are_pairs(clamped):
     tight = found()
     # the smaller face is the slave: a nut is screwed on the pin, and one sits on the plate
     assert {(a.split(".")[0], b.split(".")[0]) for a, b in tight} == {
-        ("nut", "plate"), ("nut_2", "plate"), ("nut", "pin"), ("nut_2", "pin")}
+        ("nut", "plate"),
+        ("nut_2", "plate"),
+        ("nut", "pin"),
+        ("nut_2", "pin"),
+    }
     for slave, master in tight:
         a, b = (table.loc[tuple(name.split("."))] for name in (slave, master))
-        assert a.area <= b.area and (a.kind, b.kind) in (("plane", "plane"), ("cylinder", "cylinder"))
+        assert a.area <= b.area and (a.kind, b.kind) in (
+            ("plane", "plane"),
+            ("cylinder", "cylinder"),
+        )
         assert a.kind == "cylinder" or a.nz * b.nz == pytest.approx(-1)
     loose = found(tolerance=0.15e-3) - tight
     radii = [table.loc[tuple(name.split(".")), "radius"] for pair in loose for name in pair]
@@ -195,10 +259,17 @@ def test_faces_that_lie_on_each_other_are_pairs(clamped):
 def test_a_step_file_is_drawn_with_its_faces(clamped):
     chosen = StepFile(clamped, solids=["plate", "nut.1"])
     posed = am.ContactProblem(
-        domain=chosen, material=am.Solid(young=2e11, poisson=0.3), law=am.Coulomb(0.2), contact=touching(chosen),
-        supports=[am.Support("plate.face5", x=0, y=0, z=0)], loads=[am.Pressure("nut.face2", 1e6)])
+        domain=chosen,
+        material=am.Solid(young=2e11, poisson=0.3),
+        law=am.Coulomb(0.2),
+        contact=touching(chosen),
+        supports=[am.Support("plate.face5", x=0, y=0, z=0)],
+        loads=[am.Pressure("nut.face2", 1e6)],
+    )
     texts = {text.get_text() for text in am.plot.problem(posed).axes[0].texts}
-    assert len(texts) >= 3 and texts <= {f"{body}.face{k}" for body in ("nut", "plate") for k in range(1, 8)}
+    assert len(texts) >= 3 and texts <= {
+        f"{body}.face{k}" for body in ("nut", "plate") for k in range(1, 8)
+    }
 
 
 def test_bad_files(tmp_path):
@@ -206,9 +277,14 @@ def test_bad_files(tmp_path):
     Compound([Cylinder(Pnt(0, 0, 0), Z, 1, 4).faces[0]]).WriteStep(str(surface))
     other.write_text("")
     for call, error, message in (
-            (lambda: from_step(tmp_path / "none.step", 1e-3), FileNotFoundError, "path: there is no file"),
-            (lambda: from_step(surface, 1e-3), ValueError, "holds no solids; surfaces must be closed"),
-            (lambda: from_step(other, 1e-3), ValueError, r"is not a \.step or \.stp file"),
-            (lambda: as_mesh(surface), ValueError, "StepFile")):  # a geometry is no mesh
+        (
+            lambda: from_step(tmp_path / "none.step", 1e-3),
+            FileNotFoundError,
+            "path: there is no file",
+        ),
+        (lambda: from_step(surface, 1e-3), ValueError, "holds no solids; surfaces must be closed"),
+        (lambda: from_step(other, 1e-3), ValueError, r"is not a \.step or \.stp file"),
+        (lambda: as_mesh(surface), ValueError, "StepFile"),
+    ):  # a geometry is no mesh
         with pytest.raises(error, match=message):
             call()

@@ -15,23 +15,39 @@ from adaptmg.solver.record import Run
 @pytest.fixture(scope="module")
 def hierarchies():
     bar, block = am.cases.greco_bar(law=am.Tresca(3e7)), am.cases.greco_block(law=am.Tresca(3e7))
-    return {"nested": am.Hierarchy.uniform(bar, divisions=(2, 4, 8)),
-            "graded": am.Hierarchy.graded(bar, sizes=(20e-3, 10e-3, 5e-3), contact_ratio=2),
-            "L2": am.Hierarchy.graded(bar, sizes=(10e-3, 5e-3), contact_ratio=2, transfer=am.PseudoL2()),
-            "block": am.Hierarchy.uniform(block, divisions=(1, 2, 4))}
+    return {
+        "nested": am.Hierarchy.uniform(bar, divisions=(2, 4, 8)),
+        "graded": am.Hierarchy.graded(bar, sizes=(20e-3, 10e-3, 5e-3), contact_ratio=2),
+        "L2": am.Hierarchy.graded(
+            bar, sizes=(10e-3, 5e-3), contact_ratio=2, transfer=am.PseudoL2()
+        ),
+        "block": am.Hierarchy.uniform(block, divisions=(1, 2, 4)),
+    }
 
 
 def cycle_of(grids, **options):
     run = Run(unit=grids.finest.discrete.matrix.nnz)
-    cycle = MultigridCycle(levels_of(grids), recorder=run, **{
-        "options": am.Cycle(), "smoother": am.ProjectedGaussSeidel(), "correction": am.Monotone(),
-        "coarse": am.CoarseSolve()} | options)
+    cycle = MultigridCycle(
+        levels_of(grids),
+        recorder=run,
+        **{
+            "options": am.Cycle(),
+            "smoother": am.ProjectedGaussSeidel(),
+            "correction": am.Monotone(),
+            "coarse": am.CoarseSolve(),
+        }
+        | options,
+    )
     return cycle, local_system(grids.finest.discrete), run
 
 
 @pytest.mark.parametrize("name", ["nested", "graded", "L2", "block"])
 @settings(max_examples=8, deadline=None)
-@given(seed=st.integers(0, 10_000), shape=st.sampled_from(["V", "W", "F"]), sweeps=st.sampled_from([(0, 1), (2, 0)]))
+@given(
+    seed=st.integers(0, 10_000),
+    shape=st.sampled_from(["V", "W", "F"]),
+    sweeps=st.sampled_from([(0, 1), (2, 0)]),
+)
 def test_tresca_energy_never_rises(hierarchies, name, seed, shape, sweeps):
     grids = hierarchies[name]
     pre, post = sweeps
@@ -62,9 +78,18 @@ def test_corrections_vanish_at_the_solution_unless_frozen():
         moved = w.copy()
         cycle.correct(1, local.contact, moved, local.residual(w))
         assert np.abs(moved - w).max() < 1e-12 * np.abs(w).max()
-    result = am.solve(grids, am.FullMultigrid(correction=am.PaperCorrection(), stop="change", rtol=1e-10,
-                                              cycle=am.Cycle(shape="complete"), coarse=am.CoarseSolve(rtol=1e-10)),
-                      throw=False, reference=exact)
+    result = am.solve(
+        grids,
+        am.FullMultigrid(
+            correction=am.PaperCorrection(),
+            stop="change",
+            rtol=1e-10,
+            cycle=am.Cycle(shape="complete"),
+            coarse=am.CoarseSolve(rtol=1e-10),
+        ),
+        throw=False,
+        reference=exact,
+    )
     assert result.status is am.Status.STALLED
     assert result.history["true_error"][-1] > 1e-4
     assert "Monotone" in result.status.value
@@ -75,23 +100,36 @@ def test_hand_counted_work():
     ratio = [level.discrete.matrix.nnz / grids.finest.discrete.matrix.nnz for level in grids.levels]
     coarse = am.CoarseSolve(rtol=1e-30, max_sweeps=8)
     for shape, visits in (("V", 1), ("W", 2), ("F", 2)):
-        cycle, local, run = cycle_of(grids, options=am.Cycle(shape=shape, pre=2, post=1), coarse=coarse)
+        cycle, local, run = cycle_of(
+            grids, options=am.Cycle(shape=shape, pre=2, post=1), coarse=coarse
+        )
         cycle.cycle(2, local.contact, local.load, np.zeros(local.system.n_dofs), shape)
-        # three sweeps and one residual a level, eight sweeps on the coarsest, which is solved once a visit of level 1
+        # three sweeps and one residual a level, eight sweeps on the coarsest, which is solved once
+        # a visit of level 1
         expected = 4 + 4 * visits * ratio[1] + 8 * visits * ratio[0]
         assert run.work_units == pytest.approx(expected, rel=1e-12)
         assert sum(step == (0, "solve", 8) for step in run.path) == visits
         if shape == "V":
             assert [(level, action) for level, action, _ in run.path] == [
-                (2, "smooth"), (2, "restrict"), (1, "smooth"), (1, "restrict"), (0, "solve"), (1, "prolong"),
-                (1, "smooth"), (2, "prolong"), (2, "smooth")]
+                (2, "smooth"),
+                (2, "restrict"),
+                (1, "smooth"),
+                (1, "restrict"),
+                (0, "solve"),
+                (1, "prolong"),
+                (1, "smooth"),
+                (2, "prolong"),
+                (2, "smooth"),
+            ]
 
 
 def test_coarse_solve_meets_its_tolerance(hierarchies):
     local = local_system(hierarchies["nested"][1].discrete)
     exact, found = np.zeros((2, local.system.n_dofs))
     run = Run(unit=local.system.nonzeros)
-    am.CoarseSolve(rtol=1e-13, omega=1.0, max_sweeps=20_000).solve(local.system, local.contact, local.load, exact, run)
+    am.CoarseSolve(rtol=1e-13, omega=1.0, max_sweeps=20_000).solve(
+        local.system, local.contact, local.load, exact, run
+    )
     for rtol in (1e-3, 1e-6):
         found[:] = 0
         am.CoarseSolve(rtol=rtol).solve(local.system, local.contact, local.load, found, run)
@@ -99,7 +137,9 @@ def test_coarse_solve_meets_its_tolerance(hierarchies):
 
 
 def levels_of(grids, matrices="galerkin"):
-    return correction_levels(grids, [local_system(level.discrete) for level in grids.levels], len(grids) - 1, matrices)
+    return correction_levels(
+        grids, [local_system(level.discrete) for level in grids.levels], len(grids) - 1, matrices
+    )
 
 
 def test_galerkin_matrices_are_discretised_ones_on_nested_meshes():

@@ -1,4 +1,5 @@
-"""No wrong answer in silence: bodies held by contact alone and their rigid motions, solvers that are mistaken."""
+"""No wrong answer in silence: bodies held by contact alone and their rigid motions, solvers that
+are mistaken."""
 
 from dataclasses import replace
 
@@ -20,12 +21,22 @@ from adaptmg.solver.truncated import TruncatedIteration
 
 
 def nearly_sliding(dim, law, held):
-    """No support at all, pushed sideways by ``held`` of what friction can take: near 1 nearly all nodes slip."""
+    """No support at all, pushed sideways by ``held`` of what friction can take: near 1 nearly all
+    nodes slip."""
     pressure = 5e7
     push = held * (law.friction * pressure if isinstance(law, am.Coulomb) else law.limit)
     case = am.cases.greco_bar() if dim == 2 else am.cases.greco_block()
-    return replace(case, supports=(), law=law, reference={},
-                   loads=(am.Pressure("top", pressure), am.Pressure("left", 1.5e8 + push), am.Pressure("right", 1.5e8)))
+    return replace(
+        case,
+        supports=(),
+        law=law,
+        reference={},
+        loads=(
+            am.Pressure("top", pressure),
+            am.Pressure("left", 1.5e8 + push),
+            am.Pressure("right", 1.5e8),
+        ),
+    )
 
 
 def test_a_body_held_by_contact_alone():
@@ -34,9 +45,23 @@ def test_a_body_held_by_contact_alone():
     independent = am.Hierarchy.graded(problem, sizes=(10e-3, 5e-3, 2.5e-3), contact_ratio=2)
     far = np.full((nested.finest.n_nodes, 2), 1e-3)
     for grids, start, *solvers in (
-            (nested, None, am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.SingleGrid(omega=1.8)),
-            (nested, far, am.Multigrid(), am.ActiveSet(), am.ActiveSet(condensed=False), am.ActiveSet(linear=am.AMG())),
-            (independent, None, am.FullMultigrid())):
+        (
+            nested,
+            None,
+            am.FullMultigrid(),
+            am.FullMultigrid(correction=am.Monotone()),
+            am.SingleGrid(omega=1.8),
+        ),
+        (
+            nested,
+            far,
+            am.Multigrid(),
+            am.ActiveSet(),
+            am.ActiveSet(condensed=False),
+            am.ActiveSet(linear=am.AMG()),
+        ),
+        (independent, None, am.FullMultigrid()),
+    ):
         exact = am.solve(grids, am.ActiveSet(rtol=1e-12)).displacement
         for solver in solvers:
             result = am.solve(grids, solver, start=start)
@@ -44,9 +69,14 @@ def test_a_body_held_by_contact_alone():
             assert result.residual < 1e-7
 
 
-@pytest.mark.parametrize(("dim", "law", "held", "divisions"), [
-    (2, am.Coulomb(0.3), 0.99, (4, 8, 16, 32)), (2, am.Tresca(2e7), 0.98, (4, 8, 16, 32)),
-    (3, am.Coulomb(0.3), 0.95, (2, 4, 8))])
+@pytest.mark.parametrize(
+    ("dim", "law", "held", "divisions"),
+    [
+        (2, am.Coulomb(0.3), 0.99, (4, 8, 16, 32)),
+        (2, am.Tresca(2e7), 0.98, (4, 8, 16, 32)),
+        (3, am.Coulomb(0.3), 0.95, (2, 4, 8)),
+    ],
+)
 def test_a_body_that_nearly_slides_takes_few_cycles(dim, law, held, divisions):
     hierarchy = am.Hierarchy.uniform(nearly_sliding(dim, law, held), divisions=divisions)
     exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12))
@@ -62,7 +92,10 @@ def failing(monkeypatch):
     correct = TruncatedIteration._correct
 
     def gives_up(self):
-        return correct(self) or (am.Status.STALLED if self.run is not None and self.cycles == 3 else None)
+        return correct(self) or (
+            am.Status.STALLED if self.run is not None and self.cycles == 3 else None
+        )
+
     monkeypatch.setattr(TruncatedIteration, "_correct", gives_up)
     grids = am.Hierarchy.uniform(nearly_sliding(2, am.Tresca(2e7), 0.98), (4, 8, 16))
     return grids, am.Hierarchy.algebraic(grids.finest.discrete, max_coarse=60)
@@ -87,8 +120,10 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, mo
     if reason == "too large":
         monkeypatch.setitem(FACTORISED, 2, 0)
     else:
+
         def singular(self, hierarchy, run, start):
             raise np.linalg.LinAlgError("singular")
+
         monkeypatch.setattr(multigrid.ActiveSet, "run", singular)
     result = am.solve(failing[0], am.Multigrid(), throw=False)
     assert "Monotone from cycle" in result.fallback
@@ -96,7 +131,9 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, mo
     assert result.residual < 1e-2 and result.status.ok == (result.residual <= 1e-7)
     if reason == "gives up":
         # an error of one method is no error of the run
-        monkeypatch.setattr(ProjectedRun, "finish", lambda self, unknowns: singular(self, None, None, None))
+        monkeypatch.setattr(
+            ProjectedRun, "finish", lambda self, unknowns: singular(self, None, None, None)
+        )
         for grids in failing:
             nothing = am.solve(grids, am.Multigrid(), throw=False)
             assert not nothing.status.ok and not nothing.fallback
@@ -135,26 +172,40 @@ def test_one_wild_start_or_uneven_ratio_decides_nothing():
 @pytest.mark.parametrize(("pull", "ratio", "finest"), [(-2e7, 25, 12), (5e7, 100, 16)])
 def test_a_stiff_slave_on_a_soft_master_is_handed_over(pull, ratio, finest):
     """Little friction: left alone, cycles from zero take 39, in the last case more than 100."""
-    parts = {"upper": am.Rectangle(width=40e-3, height=40e-3),
-             "lower": am.Rectangle(width=60e-3, height=30e-3, origin=(-8e-3, -30e-3))}
+    parts = {
+        "upper": am.Rectangle(width=40e-3, height=40e-3),
+        "lower": am.Rectangle(width=60e-3, height=30e-3, origin=(-8e-3, -30e-3)),
+    }
     young = {"upper": 1e11, "lower": 1e11 / ratio}
     problem = am.ContactProblem(
-        domain=am.Assembly(parts=parts), contact=am.ContactPair("upper.bottom", "lower.top"), law=am.Coulomb(0.05),
+        domain=am.Assembly(parts=parts),
+        contact=am.ContactPair("upper.bottom", "lower.top"),
+        law=am.Coulomb(0.05),
         material={name: am.PlaneStrain(young=value, poisson=0.3) for name, value in young.items()},
         loads=(am.Pressure("upper.top", 5e7), am.Pressure("upper.left", pull)),
-        supports=(am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0)))
-    grids = am.Hierarchy.uniform(problem, [{"upper": k, "lower": (3 * k // 2 + 1, 3 * k // 4)} for k in (4, 8, finest)])
+        supports=(am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0)),
+    )
+    grids = am.Hierarchy.uniform(
+        problem, [{"upper": k, "lower": (3 * k // 2 + 1, 3 * k // 4)} for k in (4, 8, finest)]
+    )
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     for solver in (am.FullMultigrid(), am.Multigrid()):
         result = am.solve(grids, solver)
         assert result.cycles < 45
-        assert np.abs(result.displacement - exact.displacement).max() <= 1e-6 * np.abs(exact.displacement).max()
+        assert (
+            np.abs(result.displacement - exact.displacement).max()
+            <= 1e-6 * np.abs(exact.displacement).max()
+        )
 
 
 RADIUS, CLEARANCE, HOLE, OUTER = 10e-3, 0.02e-3, 5e-3, 20e-3
-LOADS = {"shaft": (am.Traction("pin.hole", (0.0, lambda x: np.minimum(0.0, x[:, 1]) / HOLE * 1e7)),),
-         "torque": (am.BodyForce((0.0, -1e10), body="pin"),
-                    am.Traction("pin.hole", (lambda x: -2e6 * x[:, 1] / HOLE, lambda x: 2e6 * x[:, 0] / HOLE)))}
+LOADS = {
+    "shaft": (am.Traction("pin.hole", (0.0, lambda x: np.minimum(0.0, x[:, 1]) / HOLE * 1e7)),),
+    "torque": (
+        am.BodyForce((0.0, -1e10), body="pin"),
+        am.Traction("pin.hole", (lambda x: -2e6 * x[:, 1] / HOLE, lambda x: 2e6 * x[:, 0] / HOLE)),
+    ),
+}
 
 
 def ring(outer, outside, inner, inside):
@@ -164,10 +215,18 @@ def ring(outer, outside, inner, inside):
 @pytest.mark.parametrize(("friction", "load"), [(0.3, "torque"), (0.6, "shaft")])
 def test_methods_solve_a_pin_that_contact_alone_holds(friction, load):
     problem = am.ContactProblem(
-        material=am.PlaneStrain(young=2.1e11, poisson=0.3), law=am.Coulomb(friction), loads=LOADS[load],
-        domain=am.Assembly(parts={"pin": ring(RADIUS, "surface", HOLE, "hole"),
-                                  "bush": ring(OUTER, "outer", RADIUS + CLEARANCE, "bore")}),
-        contact=am.ContactPair("pin.surface", "bush.bore"), supports=am.Support("bush.outer", x=0.0, y=0.0))
+        material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+        law=am.Coulomb(friction),
+        loads=LOADS[load],
+        domain=am.Assembly(
+            parts={
+                "pin": ring(RADIUS, "surface", HOLE, "hole"),
+                "bush": ring(OUTER, "outer", RADIUS + CLEARANCE, "bore"),
+            }
+        ),
+        contact=am.ContactPair("pin.surface", "bush.bore"),
+        supports=am.Support("bush.outer", x=0.0, y=0.0),
+    )
     grids = am.Hierarchy.graded(problem, (4e-3, 2e-3), contact_ratio=4)
     discrete = grids.finest.discrete
     for solver, rtol in ((None, 1e-8), (am.ActiveSet(), 1e-10)):
@@ -176,7 +235,9 @@ def test_methods_solve_a_pin_that_contact_alone_holds(friction, load):
         assert (result.contact.state != am.OPEN).sum() > 2
         # friction and pressure of the bush carry what acts on the pin
         force = discrete.coupling.physical_forces(discrete.load).reshape(-1, 2).sum(axis=0)
-        np.testing.assert_allclose(result.resultant("contact").force, -force, atol=1e-6 * np.linalg.norm(force))
+        np.testing.assert_allclose(
+            result.resultant("contact").force, -force, atol=1e-6 * np.linalg.norm(force)
+        )
 
 
 ALL_ROUND = (am.Pressure("top", 5e7), am.Pressure("left", 1.6e8), am.Pressure("right", 1.5e8))
@@ -185,7 +246,9 @@ ALL_ROUND = (am.Pressure("top", 5e7), am.Pressure("left", 1.6e8), am.Pressure("r
 def discrete(dim, law=None, **changes):
     case = am.cases.greco_bar() if dim == 2 else am.cases.greco_block()
     law = am.Tresca(4e7) if law is None else law
-    problem = replace(case, **({"supports": (), "law": law, "loads": ALL_ROUND, "reference": {}} | changes))
+    problem = replace(
+        case, **({"supports": (), "law": law, "loads": ALL_ROUND, "reference": {}} | changes)
+    )
     return am.Hierarchy.uniform(problem, divisions=(6 if dim == 2 else 3,)).finest.discrete
 
 
@@ -194,10 +257,14 @@ class Body:
 
     def __init__(self, problem, seed=0, opening=0.0):
         rng = np.random.default_rng(seed)
-        self.problem, self.contact = problem, TruncatedContact.of(problem, split(problem.matrix, problem.fixed))
+        self.problem, self.contact = (
+            problem,
+            TruncatedContact.of(problem, split(problem.matrix, problem.fixed)),
+        )
         self.unknowns = 1e-6 * rng.standard_normal(problem.n_dofs)
         self.unknowns[problem.dim * problem.contact.nodes + problem.dim - 1] = opening * rng.random(
-            len(problem.contact.nodes))
+            len(problem.contact.nodes)
+        )
         self.unknowns[problem.fixed] = 0.0
         self.contact.start(self.unknowns)
         self.before, self.past = self.unknowns.copy(), [rng.standard_normal(problem.n_dofs)]
@@ -211,11 +278,16 @@ class Body:
     def energy(self, unknowns):
         """Tresca energy without u'Au; infinite where a node penetrates."""
         problem, dim = self.problem, self.problem.dim
-        local = np.einsum("nij,nj->ni", self.contact.frames.reshape(-1, dim, dim),
-                          unknowns.reshape(-1, dim)[problem.contact.nodes])
+        local = np.einsum(
+            "nij,nj->ni",
+            self.contact.frames.reshape(-1, dim, dim),
+            unknowns.reshape(-1, dim)[problem.contact.nodes],
+        )
         if (local[:, 0] > self.contact.gap + 1e-18).any():
             return np.inf
-        return float(self.contact.limit @ np.linalg.norm(local[:, 1:], axis=1) - problem.load @ unknowns)
+        return float(
+            self.contact.limit @ np.linalg.norm(local[:, 1:], axis=1) - problem.load @ unknowns
+        )
 
 
 @pytest.mark.parametrize("opening", [0.0, 1e-6])
@@ -234,7 +306,10 @@ def test_no_rigid_motion_lowers_the_energy_further(dim, opening, seed=1):
     others = [least]
     for _ in range(300):
         mode = modes @ (rng.standard_normal(modes.shape[1]) / np.abs(modes).max(axis=0))
-        others += [body.energy(body.unknowns + 10.0 ** rng.uniform(-6, 1) * span * sign * mode) for sign in (1, -1)]
+        others += [
+            body.energy(body.unknowns + 10.0 ** rng.uniform(-6, 1) * span * sign * mode)
+            for sign in (1, -1)
+        ]
     # in 3D the gradient is small only
     work = np.abs(modes.T @ body.problem.load / np.abs(modes).max(axis=0)).max()
     assert least <= min(others) + (1e-12 if dim == 2 else 2e-2) * work * 10 * span
@@ -251,7 +326,12 @@ def test_friction_that_cannot_hold_yet_moves_nothing_far(dim):
 
 def test_motions_that_strain_the_body_are_given_up():
     problem = discrete(2)
-    body = Body(replace(problem, near_nullspace=problem.near_nullspace * np.linspace(1, 2, problem.n_dofs)[:, None]))
+    body = Body(
+        replace(
+            problem,
+            near_nullspace=problem.near_nullspace * np.linspace(1, 2, problem.n_dofs)[:, None],
+        )
+    )
     assert body.settle() == 0 and (body.unknowns == body.before).all()
 
 
@@ -259,7 +339,12 @@ def test_supports_leave_none():
     problem = discrete(2, supports=(am.Support("top", x=0.0, y=0.0),), loads=ALL_ROUND[1:])
     obstacle = TruncatedContact.of(problem, split(problem.matrix, problem.fixed))
     assert RigidMotions.of(problem, obstacle, problem.load) is None
-    assert RigidMotions.of(replace(problem, near_nullspace=None, coordinates=None), obstacle, problem.load) is None
+    assert (
+        RigidMotions.of(
+            replace(problem, near_nullspace=None, coordinates=None), obstacle, problem.load
+        )
+        is None
+    )
 
 
 def test_null_combinations_do_not_depend_on_units():
@@ -267,7 +352,10 @@ def test_null_combinations_do_not_depend_on_units():
     rows = rng.standard_normal((5, 4)) @ np.diag([1e-6, 1.0, 1e6, 1e3])
     assert null_combinations(rows).shape == (4, 0)
     found = null_combinations(rows[:3])
-    assert found.shape == (4, 1) and np.abs(rows[:3] @ found).max() < 1e-12 * np.abs(rows[:3] * found.T).max()
+    assert (
+        found.shape == (4, 1)
+        and np.abs(rows[:3] @ found).max() < 1e-12 * np.abs(rows[:3] * found.T).max()
+    )
     assert null_combinations(np.zeros((0, 4))).shape == (4, 4)
 
 

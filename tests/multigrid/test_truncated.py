@@ -1,4 +1,5 @@
-"""The truncated multigrid: agreement with independent solutions, mesh independence, failures, user-defined parts."""
+"""The truncated multigrid: agreement with independent solutions, mesh independence, failures,
+user-defined parts."""
 
 from dataclasses import replace
 from functools import cache
@@ -19,7 +20,11 @@ COLD, NESTED = am.Multigrid(), am.FullMultigrid()
 
 
 def bar(law: am.problem.Law, n: int = 32) -> am.Hierarchy:
-    problem = replace(am.cases.greco_bar(law=law), contact=am.Contact("bottom", am.GapFunction(bumpy)), reference={})
+    problem = replace(
+        am.cases.greco_bar(law=law),
+        contact=am.Contact("bottom", am.GapFunction(bumpy)),
+        reference={},
+    )
     return am.Hierarchy.uniform(problem, divisions=[d for d in (4, 8, 16, 32, 64, 128) if d <= n])
 
 
@@ -27,27 +32,37 @@ def exact(hierarchy: am.Hierarchy) -> am.Result:
     return am.solve(hierarchy, am.ActiveSet(rtol=1e-12))
 
 
-@pytest.mark.parametrize("transfer", [am.Interpolation(), am.L2(), am.PseudoL2(), am.QuasiInterpolation()], ids=str)
+@pytest.mark.parametrize(
+    "transfer", [am.Interpolation(), am.L2(), am.PseudoL2(), am.QuasiInterpolation()], ids=str
+)
 def test_independent_meshes(transfer):
-    hierarchy = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(12e-3, 6e-3, 3e-3), contact_ratio=2, transfer=transfer)
+    hierarchy = am.Hierarchy.graded(
+        am.cases.greco_bar(), sizes=(12e-3, 6e-3, 3e-3), contact_ratio=2, transfer=transfer
+    )
     result = am.solve(hierarchy, NESTED, reference=exact(hierarchy))
     assert result.history["true_error"][-1] <= 3e-8 and result.cycles <= 15
 
 
 def test_cycles_and_work_do_not_grow_with_the_mesh():
-    results = [am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=divisions), NESTED)
-               for divisions in ((4, 8, 16, 32), (4, 8, 16, 32, 64))]
+    results = [
+        am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=divisions), NESTED)
+        for divisions in ((4, 8, 16, 32), (4, 8, 16, 32, 64))
+    ]
     assert all(r.cycles <= 12 for r in results)
     assert results[-1].work_units <= 32 and results[-1].start_work_units <= 1.0
     for friction in (0.1, 2.0):
-        grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32))
+        grids = am.Hierarchy.uniform(
+            am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(4, 8, 16, 32)
+        )
         assert am.solve(grids, NESTED).cycles <= 16 and am.solve(grids, COLD).residual <= 1e-7
 
 
 def test_the_start_on_uniform_plane_grids_is_extrapolated():
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16, 32))
     # the same meshes that do not know that they are lattices
-    unknown = am.Hierarchy.from_meshes(grids.problem, [replace(level.mesh, source=None) for level in grids.levels])
+    unknown = am.Hierarchy.from_meshes(
+        grids.problem, [replace(level.mesh, source=None) for level in grids.levels]
+    )
     solution = exact(grids)
     here, there = (am.solve(of, NESTED, reference=solution) for of in (grids, unknown))
     assert here.history["true_error"][0] < 0.9 * there.history["true_error"][0]
@@ -67,10 +82,12 @@ def test_work_units_by_hand():
     cold = am.solve(two, COLD)
     searches = 2 * (cold.work_units - cold.cycles - 1)
     assert searches == pytest.approx(round(searches)) and searches >= 1
-    # on the level in between two sweeps before and after in the first cycle, one symmetric sweep after in the others
+    # on the level in between two sweeps before and after in the first cycle, one symmetric sweep
+    # after in the others
     result = am.solve(three, NESTED)
-    assert (result.work_units - result.start_work_units
-            == pytest.approx(result.cycles + 1 + 1.5 * (result.cycles + 1) * middle / fine))
+    assert result.work_units - result.start_work_units == pytest.approx(
+        result.cycles + 1 + 1.5 * (result.cycles + 1) * middle / fine
+    )
 
 
 def test_discretisation_tolerance_stops_early_below_that_error():
@@ -90,23 +107,36 @@ def test_bare_matrices():
     discrete, reference = hierarchy.finest.discrete, exact(hierarchy)
     nodal = [level.prolongation for level in hierarchy.levels[1:]]
     solver = replace(COLD, rtol=1e-10)
-    results = [am.solve(am.Hierarchy.from_prolongations(discrete, nodal), solver),
-               am.solve(am.Hierarchy.from_prolongations(discrete, [expand(P, 2) for P in nodal]), solver),
-               am.solve(am.Hierarchy.algebraic(discrete), solver)]
+    results = [
+        am.solve(am.Hierarchy.from_prolongations(discrete, nodal), solver),
+        am.solve(am.Hierarchy.from_prolongations(discrete, [expand(P, 2) for P in nodal]), solver),
+        am.solve(am.Hierarchy.algebraic(discrete), solver),
+    ]
     for result in results:
-        assert np.abs(result.displacement - reference.displacement).max() <= 1e-9 * np.abs(reference.displacement).max()
+        assert (
+            np.abs(result.displacement - reference.displacement).max()
+            <= 1e-9 * np.abs(reference.displacement).max()
+        )
     assert abs(results[0].cycles - results[1].cycles) <= 3
     block = am.cases.greco_block(law=am.Coulomb(0.5), plane_strain=False)
     solid = am.Hierarchy.algebraic(am.Hierarchy.uniform(block, (6,)).finest.discrete)
-    assert not solid.discretised and "aggregation" in repr(solid) and am.solve(solid).residual <= 1e-7
+    assert (
+        not solid.discretised and "aggregation" in repr(solid) and am.solve(solid).residual <= 1e-7
+    )
     # what needs coarse problems refuses coarse spaces
-    for needing in (NESTED, am.Multigrid(correction=am.Monotone()), am.ActiveSet(nested_start=True)):
+    for needing in (
+        NESTED,
+        am.Multigrid(correction=am.Monotone()),
+        am.ActiveSet(nested_start=True),
+    ):
         with pytest.raises(ValueError, match="only spaces"):
             am.solve(solid, needing)
 
 
 def test_cycles_of_a_nested_start():
-    one, finer = (level.discrete for level in am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8)).levels)
+    one, finer = (
+        level.discrete for level in am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8)).levels
+    )
     joint = am.Hierarchy.graded(am.cases.dovetail(), (12e-3, 9e-3, 4e-3), 1.0)
     coarse, middle, fine = (level.discrete for level in joint.levels)
     start = am.NestedStart()
@@ -143,15 +173,25 @@ def levels(name):
     if name == "joint":  # no body is held by contact alone: its coarsest matrix is regular
         return am.Hierarchy.graded(am.cases.bolted_junction(), sizes=(12e-3, 8e-3, 5e-3))
     uniform = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
-    return uniform if name == "uniform" else am.Hierarchy.algebraic(uniform.finest.discrete, max_coarse=20)
+    return (
+        uniform
+        if name == "uniform"
+        else am.Hierarchy.algebraic(uniform.finest.discrete, max_coarse=20)
+    )
 
 
-@pytest.mark.parametrize("grids, method", [
-    ("uniform", am.FullMultigrid), ("uniform", am.Multigrid), ("joint", am.FullMultigrid)])
+@pytest.mark.parametrize(
+    "grids, method",
+    [("uniform", am.FullMultigrid), ("uniform", am.Multigrid), ("joint", am.FullMultigrid)],
+)
 def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method, monkeypatch):
-    monkeypatch.setattr(TruncatedIteration, "MOVES", 0)  # the right status at once may leave a singular matrix
+    monkeypatch.setattr(
+        TruncatedIteration, "MOVES", 0
+    )  # the right status at once may leave a singular matrix
     grids, matrices = levels(grids), []
-    own = SimpleNamespace(setup=lambda matrix: matrices.append(matrix.copy()) or splu(sparse.csc_array(matrix)))
+    own = SimpleNamespace(
+        setup=lambda matrix: matrices.append(matrix.copy()) or splu(sparse.csc_array(matrix))
+    )
     expected = am.solve(grids, method())
     found = am.solve(grids, method(correction=am.Truncated(coarse_solve=own)))
     assert found.cycles == expected.cycles and found.work_units == expected.work_units
@@ -169,8 +209,10 @@ def test_an_iterative_one_is_counted():
     assert own.work_units > exact.work_units + Jacobi.passes * share * (own.cycles - 1)
 
 
-@pytest.mark.parametrize("grids, method", [("uniform", am.FullMultigrid), ("joint", am.FullMultigrid),
-                                           ("spaces", am.Multigrid)])
+@pytest.mark.parametrize(
+    "grids, method",
+    [("uniform", am.FullMultigrid), ("joint", am.FullMultigrid), ("spaces", am.Multigrid)],
+)
 def test_a_smoother_below_the_finest_level(grids, method):
     grids = levels(grids)
     assert len(grids) > 2
@@ -179,4 +221,7 @@ def test_a_smoother_below_the_finest_level(grids, method):
     assert own.status.ok and own.cycles <= expected.cycles + 4
     assert far(own, expected) < 1e-6
     idle = type("Idle", (Jacobi,), {"smooth": lambda self, rhs, x: 0})()
-    assert am.solve(grids, method(correction=am.Truncated(coarse_smoother=idle)), throw=False).cycles > expected.cycles
+    assert (
+        am.solve(grids, method(correction=am.Truncated(coarse_smoother=idle)), throw=False).cycles
+        > expected.cycles
+    )

@@ -1,4 +1,5 @@
-"""The parts of the truncated multigrid against dense algebra, and its local sweeps near contact between bodies."""
+"""The parts of the truncated multigrid against dense algebra, and its local sweeps near contact
+between bodies."""
 
 import itertools
 from dataclasses import replace
@@ -27,7 +28,9 @@ from adaptmg.transfer import galerkin_product, without_fixed
 
 def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_array:
     """Nonsymmetric, diagonally dominant, blocks of dim."""
-    dense = rng.normal(size=(n * dim, n * dim)) * np.kron(rng.random((n, n)) < 0.4, np.ones((dim, dim)))
+    dense = rng.normal(size=(n * dim, n * dim)) * np.kron(
+        rng.random((n, n)) < 0.4, np.ones((dim, dim))
+    )
     dense += np.diag(np.abs(dense).sum(axis=1) + 1)
     return sparse.bsr_array(dense, blocksize=(dim, dim))
 
@@ -45,14 +48,23 @@ def test_the_lower_half_of_a_symmetric_matrix_is_enough(dim):
     for halves in (both, lower):
         np.testing.assert_allclose(halves.matrix().toarray(), np.where(free, matrix.toarray(), 0.0))
         blocks = halves.diagonal.reshape(-1, dim, dim)
-        np.testing.assert_allclose(halves.inverse.reshape(blocks.shape), np.linalg.inv(blocks), rtol=1e-12)
+        np.testing.assert_allclose(
+            halves.inverse.reshape(blocks.shape), np.linalg.inv(blocks), rtol=1e-12
+        )
 
 
 def test_inverse_blocks_leave_out_vanishing_entries():
     blocks = [[[0, 0], [0, 2]], [[4, 0], [0, 0]], [[1, 1], [1, 1]], [[3, 1], [2, 4]]]
-    matrix = sparse.bsr_array((np.array(blocks, dtype=float), np.arange(4), np.arange(5)), shape=(8, 8))
+    matrix = sparse.bsr_array(
+        (np.array(blocks, dtype=float), np.arange(4), np.arange(5)), shape=(8, 8)
+    )
     inverse = split(matrix, np.zeros(8, dtype=bool)).inverse.reshape(-1, 2, 2)
-    expected = [[[0, 0], [0, 0.5]], [[0.25, 0], [0, 0]], [[1, 0], [0, 0]], np.array([[4, -1], [-2, 3]]) / 10]
+    expected = [
+        [[0, 0], [0, 0.5]],
+        [[0.25, 0], [0, 0]],
+        [[1, 0], [0, 0]],
+        np.array([[4, -1], [-2, 3]]) / 10,
+    ]
     np.testing.assert_allclose(inverse, expected, atol=1e-14)
 
 
@@ -67,10 +79,26 @@ def parts(dim: int, law: str):
 
 def smooth(level, contact, load, u):
     residual = load.copy()
-    level.sweep(projected_sweeps.backward, *level.lower_arrays, level.inverse, contact.contact_of, *contact.node_data,
-                u, residual, backward=True)
-    level.sweep(projected_sweeps.forward, *level.lower_arrays, level.inverse, contact.diagonal, contact.contact_of,
-                *contact.node_data, u, residual)
+    level.sweep(
+        projected_sweeps.backward,
+        *level.lower_arrays,
+        level.inverse,
+        contact.contact_of,
+        *contact.node_data,
+        u,
+        residual,
+        backward=True,
+    )
+    level.sweep(
+        projected_sweeps.forward,
+        *level.lower_arrays,
+        level.inverse,
+        contact.diagonal,
+        contact.contact_of,
+        *contact.node_data,
+        u,
+        residual,
+    )
     return residual
 
 
@@ -83,14 +111,27 @@ def test_projected_half_passes_are_the_smoother(dim, law):
     w = problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim))
     for _ in range(3):
         residual = smooth(level, contact, load, u)
-        ProjectedGaussSeidel(order="backward").smooth(problem.system, problem.contact, problem.load, w)
-        ProjectedGaussSeidel(order="forward").smooth(problem.system, problem.contact, problem.load, w)
-        np.testing.assert_allclose(problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim)), w,
-                                   atol=1e-11)
+        ProjectedGaussSeidel(order="backward").smooth(
+            problem.system, problem.contact, problem.load, w
+        )
+        ProjectedGaussSeidel(order="forward").smooth(
+            problem.system, problem.contact, problem.load, w
+        )
+        np.testing.assert_allclose(
+            problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim)), w, atol=1e-11
+        )
         np.testing.assert_allclose(residual, load - level.matrix() @ u, atol=1e-11)
     other = np.random.default_rng(0).normal(size=u.shape) * ~problem.discrete.fixed
-    product = projected_sweeps.energy_product(0, level.n_nodes, level.strips.order, ZERO[dim], *level.lower_arrays,
-                                              level.inverse, other, u)
+    product = projected_sweeps.energy_product(
+        0,
+        level.n_nodes,
+        level.strips.order,
+        ZERO[dim],
+        *level.lower_arrays,
+        level.inverse,
+        other,
+        u,
+    )
     assert product == pytest.approx((other - u) @ (level.matrix() @ (other - u)), rel=1e-10)
 
 
@@ -111,23 +152,28 @@ def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
     frames = contact.frames.reshape(-1, dim, dim)
     F = np.eye(n * dim)
     for k, node in enumerate(contact.nodes):
-        F[dim * node:dim * node + dim, dim * node:dim * node + dim] = frames[k]
+        F[dim * node : dim * node + dim, dim * node : dim * node + dim] = frames[k]
     A = F @ without_fixed(problem.discrete.matrix, problem.discrete.fixed).toarray() @ F.T
     J, T = A.copy(), np.ones(n * dim)
     for k, node in enumerate(contact.nodes):
-        at, tau = dim * node, contact.values.reshape(-1, dim)[k, 1:] - contact.reference.reshape(-1, dim - 1)[k]
+        at, tau = (
+            dim * node,
+            contact.values.reshape(-1, dim)[k, 1:] - contact.reference.reshape(-1, dim - 1)[k],
+        )
         closed, tangential = contact.codes[k] & 1, contact.codes[k] & 6
         if tangential >= 4:
             e = tau / np.linalg.norm(tau)
             if newton and closed:
-                J[at + 1:at + dim] -= contact.friction[k] * np.outer(e, A[at])
+                J[at + 1 : at + dim] -= contact.friction[k] * np.outer(e, A[at])
             if dim == 3:
                 g = contact.limit[k] + closed * contact.friction[k] * contact.pressure[k]
-                J[at + 1:at + 3, at + 1:at + 3] += g / np.linalg.norm(tau) * (np.eye(2) - np.outer(e, e))
+                J[at + 1 : at + 3, at + 1 : at + 3] += (
+                    g / np.linalg.norm(tau) * (np.eye(2) - np.outer(e, e))
+                )
         if closed:
             T[at] = 0
         if tangential == 2:
-            T[at + 1:at + dim] = 0
+            T[at + 1 : at + dim] = 0
     return F.T @ (T[:, None] * J * T) @ F
 
 
@@ -158,7 +204,9 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     if not newton:
         np.testing.assert_allclose(expected, expected.T, atol=1e-12)
     blocks = levels[1].diagonal.reshape(-1, levels[1].dim, levels[1].dim)
-    np.testing.assert_allclose(levels[1].inverse.reshape(blocks.shape), np.linalg.inv(blocks), rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(
+        levels[1].inverse.reshape(blocks.shape), np.linalg.inv(blocks), rtol=1e-6, atol=1e-10
+    )
     truncation.restore()
     np.testing.assert_allclose(levels[1].matrix().toarray(), middle.toarray(), atol=1e-12)
     np.testing.assert_allclose(levels[0].matrix().toarray(), coarsest.toarray(), atol=1e-12)
@@ -169,7 +217,9 @@ def test_restriction_returns_the_square_of_what_it_restricts(dim):
     rng = np.random.default_rng(dim)
     P, r, coarse = rng.random((12, 5)), rng.normal(size=12 * dim), np.zeros(5 * dim)
     stored = sparse.csr_array(P)
-    assert restrict(0, 12, ZERO[dim], stored.indptr, stored.indices, stored.data, r, coarse) == pytest.approx(r @ r)
+    assert restrict(
+        0, 12, ZERO[dim], stored.indptr, stored.indices, stored.data, r, coarse
+    ) == pytest.approx(r @ r)
     np.testing.assert_allclose(coarse, expand(P, dim).T @ r)
 
 
@@ -180,10 +230,14 @@ def test_singular_coarsest_dofs_alone_are_shifted(scale, dense, monkeypatch):
     singular[:3, :3] = [[1.0, -1.0, 0.0], [-1.0, 1.0 + 1e-15, 0.0], [0.0, 0.0, 0.0]]
     rhs, result = np.r_[1.0, -1.0, 0.0, np.arange(37.0)], np.empty(40)
     monkeypatch.setattr(CoarseFactors, "DENSE", dense)
-    monkeypatch.setattr(CoarseFactors, "_factors", lambda self, shift: made.append(shift) or factors(self, shift))
+    monkeypatch.setattr(
+        CoarseFactors, "_factors", lambda self, shift: made.append(shift) or factors(self, shift)
+    )
     for matrix, tolerance, trials in ((singular, 1e-5, 2), (singular + np.eye(40), 1e-13, 1)):
         made.clear()
-        coarse = CoarseFactors(split(sparse.bsr_array(scale * matrix, blocksize=(2, 2)), np.zeros(40, dtype=bool)))
+        coarse = CoarseFactors(
+            split(sparse.bsr_array(scale * matrix, blocksize=(2, 2)), np.zeros(40, dtype=bool))
+        )
         # the first matrix alone is factorised twice
         for count in (trials, trials + 1):
             coarse.renew()
@@ -202,15 +256,22 @@ def test_weights_of_past_iterates_are_those_of_least_squares():
         np.testing.assert_allclose(alpha, expected, rtol=1e-9)
         # what depends on the others, whatever its size, changes nothing
         again = least_weights(now, np.stack([*changes, 1e-9 * changes[0]]), d)
-        np.testing.assert_allclose(again[:k] @ changes + 1e-9 * again[k] * changes[0], alpha @ changes, rtol=1e-6)
+        np.testing.assert_allclose(
+            again[:k] @ changes + 1e-9 * again[k] * changes[0], alpha @ changes, rtol=1e-6
+        )
 
 
 def test_a_recombination_cuts_one_node_and_not_many():
     """The gap is 1; slips of .5 at all nodes, of which the closed ones are at the gap."""
     problem = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Tresca(1.0)), (4, 8)).finest.discrete
     problem = replace(problem, contact=replace(problem.contact, gaps=np.ones(len(problem.contact))))
-    contact, nodes = TruncatedContact.of(problem, split(problem.matrix, problem.fixed)), problem.contact.nodes
-    for closed, moved, number in itertools.product((False, True), ((-0.5, 0.0), (0.1, 1.1), (0.1, 0.9)), range(4)):
+    contact, nodes = (
+        TruncatedContact.of(problem, split(problem.matrix, problem.fixed)),
+        problem.contact.nodes,
+    )
+    for closed, moved, number in itertools.product(
+        (False, True), ((-0.5, 0.0), (0.1, 1.1), (0.1, 0.9)), range(4)
+    ):
         contact.codes[:] = SLIPS + CLOSED * closed
         local = np.tile([1.0 if closed else 0.0, 0.5], (len(nodes), 1))
         contact.values[:] = local.reshape(-1)
@@ -226,7 +287,8 @@ GAP = 2e-5
 
 
 def problem(dim, law, gap=GAP, coupling="mortar"):
-    """Stacked blocks, meshes that match or (mortar) do not, rollers at x = 0 that end on both surfaces."""
+    """Stacked blocks, meshes that match or (mortar) do not, rollers at x = 0 that end on both
+    surfaces."""
     material = (am.PlaneStrain if dim == 2 else am.Solid)(young=1e10, poisson=0.3)
     if coupling == "nodes":
         divisions = ((6, 2), (4, 2)) if dim == 2 else ((2, 2, 2), (2, 2, 1))
@@ -234,9 +296,12 @@ def problem(dim, law, gap=GAP, coupling="mortar"):
         divisions = ((6, 3), (5, 3)) if dim == 2 else ((4, 3, 2), (3, 2, 2))
     mesh = stacked(divisions, width=2 / 3)
     posed = pressed(mesh, [UPPER_ON_LOWER], (material, material), law)
-    posed = replace(posed, contact=am.ContactPair(*UPPER_ON_LOWER, gap=gap, coupling=coupling),
-                    loads=(am.Pressure("upper.top", lambda x: 1e7 * (0.2 + x[:, 0])),),
-                    supports=(*posed.supports, am.Support("lower.right", x=1e-6)))
+    posed = replace(
+        posed,
+        contact=am.ContactPair(*UPPER_ON_LOWER, gap=gap, coupling=coupling),
+        loads=(am.Pressure("upper.top", lambda x: 1e7 * (0.2 + x[:, 0])),),
+        supports=(*posed.supports, am.Support("lower.right", x=1e-6)),
+    )
     return posed, mesh, discretise(posed, mesh)
 
 
@@ -251,7 +316,9 @@ class Swept:
         self.contact = TruncatedContact.of(discrete, level)
         self.interface = Interface(level, discrete.coupling, discrete.fixed)
         self.inverse = level.inverse
-        self.load = np.where(discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values)
+        self.load = np.where(
+            discrete.fixed, 0.0, discrete.load - discrete.matrix @ discrete.fixed_values
+        )
         rng = np.random.default_rng(0)
         self.u = np.where(discrete.fixed, 0.0, amplitude * rng.normal(size=discrete.n_dofs))
         self.contact.start(self.u)
@@ -259,15 +326,26 @@ class Swept:
         self.dim = dim
 
     def sweep(self, order=None):
-        projected_sweeps.local(ZERO[self.dim], self.interface.forward if order is None else order,
-                               *self.interface.arrays, self.inverse, self.contact.contact_of,
-                               *self.contact.node_data, self.u, self.residual)
+        projected_sweeps.local(
+            ZERO[self.dim],
+            self.interface.forward if order is None else order,
+            *self.interface.arrays,
+            self.inverse,
+            self.contact.contact_of,
+            *self.contact.node_data,
+            self.u,
+            self.residual,
+        )
 
     def energy(self):
-        slip = (self.contact.values.reshape(-1, self.dim)[:, 1:]
-                - self.contact.reference.reshape(-1, self.dim - 1))
-        return (0.5 * self.u @ self.matrix @ self.u - self.load @ self.u
-                + self.contact.limit @ np.linalg.norm(slip, axis=1))
+        slip = self.contact.values.reshape(-1, self.dim)[:, 1:] - self.contact.reference.reshape(
+            -1, self.dim - 1
+        )
+        return (
+            0.5 * self.u @ self.matrix @ self.u
+            - self.load @ self.u
+            + self.contact.limit @ np.linalg.norm(slip, axis=1)
+        )
 
     def local(self):
         frames = self.contact.frames.reshape(-1, self.dim, self.dim)
@@ -283,8 +361,10 @@ def in_a_row(law):
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 0.3 * GAP, 30 * GAP], ids=["open", "near", "mixed"])
-@pytest.mark.parametrize(("kind", "law"), [*((dim, law) for dim in (2, 3) for law in LAWS), ("row", "frictionless"),
-                                           ("row", "tresca")])
+@pytest.mark.parametrize(
+    ("kind", "law"),
+    [*((dim, law) for dim in (2, 3) for law in LAWS), ("row", "frictionless"), ("row", "tresca")],
+)
 def test_sweeps(kind, law, amplitude):
     row, dim = kind == "row", 2 if kind == "row" else kind
     at = Swept(dim, LAWS[law], amplitude=amplitude, posed=in_a_row(LAWS[law]) if row else None)
@@ -298,8 +378,11 @@ def test_sweeps(kind, law, amplitude):
         size = max(size, np.abs(at.residual).max())
         tight, length = (1e-11, 1e-12) if row else (1e-12 * len(energy), 1e-14 * len(energy))
         np.testing.assert_allclose(at.residual, at.load - at.matrix @ at.u, atol=tight * size)
-        np.testing.assert_allclose(at.contact.values.reshape(-1, dim), at.local(),
-                                   atol=length * max(GAP, np.abs(at.u).max()))
+        np.testing.assert_allclose(
+            at.contact.values.reshape(-1, dim),
+            at.local(),
+            atol=length * max(GAP, np.abs(at.u).max()),
+        )
         assert (at.contact.values[::dim] <= at.contact.gap).all()
         np.testing.assert_array_equal(at.u[at.discrete.fixed], first[at.discrete.fixed])
     assert np.abs(at.u - first).max() > 0
@@ -323,18 +406,25 @@ def test_a_master_before_open_slaves_is_moved_alone(dim):
         # to the least energy there is for it
         direction = np.zeros((at.discrete.n_dofs, dim))
         direction[dim * node + np.arange(dim), np.arange(dim)] = 1.0
-        slope = coupling.relative(direction)[:, ~held[node]].T @ np.where(at.discrete.fixed, 0.0, at.residual)
+        slope = coupling.relative(direction)[:, ~held[node]].T @ np.where(
+            at.discrete.fixed, 0.0, at.residual
+        )
         assert np.abs(slope).max(initial=0.0) <= 1e-9 * np.abs(at.load).max()
         assert at.energy() <= energy + 1e-13 * abs(energy)
 
 
-@pytest.mark.parametrize(("law", "gap"), [(am.Frictionless(), 0.0), (am.Tresca(1e6), 0.0), (am.Tresca(1e6), 1.0)],
-                         ids=["frictionless", "tresca", "tresca before it closes"])
+@pytest.mark.parametrize(
+    ("law", "gap"),
+    [(am.Frictionless(), 0.0), (am.Tresca(1e6), 0.0), (am.Tresca(1e6), 1.0)],
+    ids=["frictionless", "tresca", "tresca before it closes"],
+)
 @pytest.mark.parametrize("coupling", ["mortar", "nodes"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_master_before_closed_slaves_takes_them_along(dim, coupling, law, gap):
     at = Swept(dim, law, amplitude=0.0, posed=problem(dim, law, gap, coupling))
-    at.load[:] = np.where(at.discrete.fixed, 0.0, np.random.default_rng(4).normal(size=len(at.load)))
+    at.load[:] = np.where(
+        at.discrete.fixed, 0.0, np.random.default_rng(4).normal(size=len(at.load))
+    )
     at.residual[:] = at.load
     weights = at.discrete.coupling.weights
     for node in np.unique(weights.indices):
@@ -365,6 +455,8 @@ def test_work_units_by_hand(monkeypatch):
     smoothings = with_sweeps.cycles + 1
     passes = without.work_units / (without.cycles + 1)
     # safe cycles add half a pass for a line search
-    assert with_sweeps.work_units - smoothings * (passes + share) == pytest.approx(0, abs=0.5 * smoothings + 1e-9)
+    assert with_sweeps.work_units - smoothings * (passes + share) == pytest.approx(
+        0, abs=0.5 * smoothings + 1e-9
+    )
     searches = 2 * (with_sweeps.work_units - smoothings * (1.0 + share))
     assert searches == pytest.approx(round(searches), abs=1e-9) and searches >= 0

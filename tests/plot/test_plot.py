@@ -1,4 +1,5 @@
-"""Pictures of results, meshes and loops show the data of their arguments, body by body and pair by pair."""
+"""Pictures of results, meshes and loops show the data of their arguments, body by body and pair by
+pair."""
 
 import dataclasses
 
@@ -26,15 +27,24 @@ BAR, PLANE, SOLID = result_on(square(16)), two_bodies(), two_bodies(3, 4, 3)
 
 
 def two_pairs() -> am.Result:
-    """The two blocks with the left half of the slave surface as one pair and the right half as another."""
+    """The two blocks with the left half of the slave surface as one pair and the right half as
+    another."""
     mesh, contact = PLANE.mesh, PLANE.contact
     labels = mesh.facet_labels.copy()
     slave, x = mesh.boundaries.index("upper.bottom"), mesh.points[mesh.facets].mean(axis=1)[:, 0]
     labels[(labels == slave) & (x > 0.02)] = len(mesh.boundaries)
     return dataclasses.replace(
-        PLANE, mesh=dataclasses.replace(mesh, facet_labels=labels, boundaries=(*mesh.boundaries, "upper.right half")),
-        contact=dataclasses.replace(contact, names=("upper.bottom", "upper.right half"), masters=("lower.top", ""),
-                                    boundary=(contact.x[:, 0] > 0.02).astype(int)))
+        PLANE,
+        mesh=dataclasses.replace(
+            mesh, facet_labels=labels, boundaries=(*mesh.boundaries, "upper.right half")
+        ),
+        contact=dataclasses.replace(
+            contact,
+            names=("upper.bottom", "upper.right half"),
+            masters=("lower.top", ""),
+            boundary=(contact.x[:, 0] > 0.02).astype(int),
+        ),
+    )
 
 
 def with_contact(result: am.Result, **changes) -> am.Result:
@@ -43,18 +53,27 @@ def with_contact(result: am.Result, **changes) -> am.Result:
 
 def without_nodes(result: am.Result, nodes: list[int]) -> am.Result:
     c = result.contact
-    return with_contact(result, **{name: np.delete(value, nodes, axis=0) for name, value in vars(c).items()
-                                   if isinstance(value, np.ndarray) and len(value) == len(c)})
+    return with_contact(
+        result,
+        **{
+            name: np.delete(value, nodes, axis=0)
+            for name, value in vars(c).items()
+            if isinstance(value, np.ndarray) and len(value) == len(c)
+        },
+    )
 
 
 # -- meshes and deformed bodies --------------------------------------------------------------------------------------
+
 
 def test_meshes_and_the_levels_of_a_hierarchy_are_drawn():
     assert "81 nodes, 128 elements" in words(plot.mesh(square(8), contact=["bottom"]))
     figure = plot.mesh(cube(2), contact=["bottom"])
     assert "27 nodes" in words(figure) and figure.axes[0].elev < 0  # seen from below
     colors = plot.mesh(PLANE.mesh).axes[0].collections[0].get_facecolor()
-    assert sorted(np.unique(colors, axis=0, return_counts=True)[1]) == sorted(np.bincount(PLANE.mesh.element_body))
+    assert sorted(np.unique(colors, axis=0, return_counts=True)[1]) == sorted(
+        np.bincount(PLANE.mesh.element_body)
+    )
     figure = plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
     assert len(figure.axes) == 2 and "level 1: 25 nodes" in words(figure)
     assert len(figure.axes[1].collections[0].get_paths()) == 32
@@ -68,15 +87,28 @@ def test_deformation_draws_each_body_in_a_color_and_names_it():
     (ax,) = plot.deformation(PLANE, amplify=20).axes
     moved = 1e3 * (PLANE.mesh.points + 20 * PLANE.displacement)
     (filled,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
-    legend = {text.get_text(): patch.get_facecolor() for text, patch in
-              zip(ax.get_legend().get_texts(), ax.get_legend().legend_handles, strict=True) if isinstance(patch, Patch)}
+    legend = {
+        text.get_text(): patch.get_facecolor()
+        for text, patch in zip(
+            ax.get_legend().get_texts(), ax.get_legend().legend_handles, strict=True
+        )
+        if isinstance(patch, Patch)
+    }
     assert list(legend) == ["upper", "lower"] and len(set(legend.values())) == 2
     # the large body first, the small one over it
-    mine = [np.flatnonzero(PLANE.mesh.element_body == PLANE.mesh.bodies.index(body)) for body in ("lower", "upper")]
-    np.testing.assert_allclose([path.vertices[:3] for path in filled.get_paths()],
-                               moved[PLANE.mesh.elements[np.concatenate(mine)]], rtol=1e-12)
-    np.testing.assert_array_equal(filled.get_facecolor(), np.repeat(
-        [legend["lower"], legend["upper"]], list(map(len, mine)), axis=0))
+    mine = [
+        np.flatnonzero(PLANE.mesh.element_body == PLANE.mesh.bodies.index(body))
+        for body in ("lower", "upper")
+    ]
+    np.testing.assert_allclose(
+        [path.vertices[:3] for path in filled.get_paths()],
+        moved[PLANE.mesh.elements[np.concatenate(mine)]],
+        rtol=1e-12,
+    )
+    np.testing.assert_array_equal(
+        filled.get_facecolor(),
+        np.repeat([legend["lower"], legend["upper"]], list(map(len, mine)), axis=0),
+    )
     assert ax.get_title() == "two blocks: displacement drawn 20 times"
     assert ax.get_xlabel() == "x [mm]" and ax.get_aspect() == 1
     assert "drawn to scale" in words(plot.deformation(PLANE, 1))
@@ -85,10 +117,16 @@ def test_deformation_draws_each_body_in_a_color_and_names_it():
     assert 0.03 < factor * largest / np.linalg.norm(np.ptp(PLANE.mesh.points, axis=0)) < 0.08
     # one body alone; large meshes without lines
     figure = plot.deformation(PLANE, bodies=["upper"])
-    assert len(figure.axes[0].collections[0].get_paths()) == len(mine[1]) and "lower" not in words(figure)
+    assert len(figure.axes[0].collections[0].get_paths()) == len(mine[1]) and "lower" not in words(
+        figure
+    )
     edges = np.isin(PLANE.mesh.facets, PLANE.mesh.elements[mine[1]]).all(axis=1).sum()
     assert [len(drawn.get_paths()) for drawn in figure.axes[0].collections[1:3]] == [edges, edges]
-    for result, lines, lined in ((PLANE, None, True), (PLANE, False, False), (two_bodies(n=70, m=4), None, False)):
+    for result, lines, lined in (
+        (PLANE, None, True),
+        (PLANE, False, False),
+        (two_bodies(n=70, m=4), None, False),
+    ):
         filled = plot.deformation(result, 0, lines=lines).axes[0].collections[0]
         assert (not np.array_equal(filled.get_edgecolor(), filled.get_facecolor())) is lined
 
@@ -104,10 +142,14 @@ def test_colors_of_the_displacement_are_its_length_at_the_nodes():
 def test_states_color_the_slave_surface():
     (ax,) = plot.deformation(PLANE, 10, states=True).axes
     inks, c = {to_rgba(STATE_INKS[s]): s for s in (OPEN, SLIP, STICK)}, PLANE.contact
-    (drawn,) = [c for c in ax.collections if isinstance(c, LineCollection) and len(c.get_colors()) > 1]
+    (drawn,) = [
+        c for c in ax.collections if isinstance(c, LineCollection) and len(c.get_colors()) > 1
+    ]
     moved = 1e3 * (PLANE.mesh.points + 10 * PLANE.displacement)[c.node]
     state_at = {tuple(np.round(p, 9)): s for p, s in zip(moved, c.state, strict=True)}
-    for k, (segment, color) in enumerate(zip(drawn.get_segments(), drawn.get_colors(), strict=True)):
+    for k, (segment, color) in enumerate(
+        zip(drawn.get_segments(), drawn.get_colors(), strict=True)
+    ):
         assert inks[tuple(color)] == state_at[tuple(np.round(segment[k % 2], 9))]
     assert len(drawn.get_segments()) == 2 * (len(c) - 1)
     assert {"open", "slip", "stick"} <= set(words(ax.figure).split("\n"))
@@ -117,7 +159,9 @@ def test_states_color_the_slave_surface():
 @pytest.mark.parametrize("result", [PLANE, SOLID], ids=["2D", "3D"])
 def test_stress_is_that_of_each_body_in_megapascal(result):
     figure = plot.deformation(result, 0, stress=True)
-    stress = von_mises(full_stress(result.mesh, MATERIALS if result.dim == 2 else SOLIDS, result.displacement))
+    stress = von_mises(
+        full_stress(result.mesh, MATERIALS if result.dim == 2 else SOLIDS, result.displacement)
+    )
     label = f"von Mises stress [MPa], maximum {1e-6 * stress.max():.3g}"
     (bar,) = (ax for ax in figure.axes if ax.get_ylabel() == label)
     assert bar.get_ylim()[1] == pytest.approx(1e-6 * np.quantile(stress, 0.99))
@@ -125,38 +169,60 @@ def test_stress_is_that_of_each_body_in_megapascal(result):
         # the larger body below, the second one, first
         order = np.argsort(1 - result.mesh.element_body, kind="stable")
         colors = plt.colormaps["viridis"](np.minimum(stress / np.quantile(stress, 0.99), 1.0))
-        np.testing.assert_allclose(figure.axes[0].collections[0].get_facecolor(), colors[order], atol=0.01)
+        np.testing.assert_allclose(
+            figure.axes[0].collections[0].get_facecolor(), colors[order], atol=0.01
+        )
     else:
         # rubber low, steel high: each facet shows the element behind it
         (surface,) = figure.findobj(ShadedSurface)
         lower = surface.corners.mean(axis=1)[:, 2] < -1.0
         assert lower.any() and np.ptp(surface.colors[lower], axis=(0, 1)).max() < 0.05
-        assert np.abs(surface.colors[~lower].mean(axis=(0, 1)) - surface.colors[lower].mean(axis=(0, 1))).max() > 0.3
+        assert (
+            np.abs(
+                surface.colors[~lower].mean(axis=(0, 1)) - surface.colors[lower].mean(axis=(0, 1))
+            ).max()
+            > 0.3
+        )
 
 
 # -- contact ---------------------------------------------------------------------------------------------------------
 
+
 def stated(ax) -> np.ndarray:
     """Points of the curve coloured by state."""
-    return np.asarray(next(c for c in ax.collections if isinstance(c, PathCollection)).get_offsets())
+    return np.asarray(
+        next(c for c in ax.collections if isinstance(c, PathCollection)).get_offsets()
+    )
 
 
 def test_contact_draws_pressure_friction_gap_and_slip():
     figure = plot.contact(PLANE)
     c, order = PLANE.contact, np.argsort(PLANE.contact.x[:, 0])
-    for ax, values in zip(figure.axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], 1e6 * c.gap), strict=True):
-        np.testing.assert_allclose(stated(ax), np.column_stack([1e3 * c.x[order, 0], values[order]]))
+    for ax, values in zip(
+        figure.axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], 1e6 * c.gap), strict=True
+    ):
+        np.testing.assert_allclose(
+            stated(ax), np.column_stack([1e3 * c.x[order, 0], values[order]])
+        )
         (curve,) = [c for c in ax.collections if isinstance(c, LineCollection)]
-        np.testing.assert_array_equal(curve.get_colors(),
-                                      [to_rgba(STATE_INKS[s]) for s in np.repeat(c.state[order], 2)[1:-1]])
+        np.testing.assert_array_equal(
+            curve.get_colors(), [to_rgba(STATE_INKS[s]) for s in np.repeat(c.state[order], 2)[1:-1]]
+        )
     (slip,) = [drawn for drawn in figure.axes[2].lines if drawn.get_label() == "slip"]
     np.testing.assert_allclose(slip.get_ydata(), 1e6 * c.slip[order, 0])
     (band,) = [b for b in figure.axes[1].collections if isinstance(b, PolyCollection)]
-    assert band.get_paths()[0].get_extents().y0 == pytest.approx(-1e-6 * (c.limit / c.weights).max())
+    assert band.get_paths()[0].get_extents().y0 == pytest.approx(
+        -1e-6 * (c.limit / c.weights).max()
+    )
     shown = words(figure)
-    assert all(text in shown for text in ("'upper.bottom' on 'lower.top'", "pressure p\n[MPa]", "gap, slip\n[µm]"))
+    assert all(
+        text in shown
+        for text in ("'upper.bottom' on 'lower.top'", "pressure p\n[MPa]", "gap, slip\n[µm]")
+    )
     assert "gap, slip\n[mm]" in words(plot.contact(with_contact(PLANE, gap=c.gap + 2e-3)))
-    assert "frictionless" in words(plot.contact(with_contact(PLANE, limit=0 * c.limit, force_t=0 * c.force_t)))
+    assert "frictionless" in words(
+        plot.contact(with_contact(PLANE, limit=0 * c.limit, force_t=0 * c.force_t))
+    )
     axes = Figure().subplots(3)
     assert plot.contact(BAR, axes) is axes[0].figure
     assert plot.contact(result_on(None)).axes[2].get_xlabel() == "contact node"
@@ -164,25 +230,37 @@ def test_contact_draws_pressure_friction_gap_and_slip():
 
 def test_contact_shades_the_zones_half_way_between_nodes():
     ax, x, state = plot.contact(BAR).axes[0], 1e3 * BAR.contact.x[:, 0], BAR.contact.state
-    spans = {tuple(np.round(p.get_facecolor(), 6)): p.get_extents().transformed(ax.transData.inverted())
-             for p in ax.patches}
+    spans = {
+        tuple(np.round(p.get_facecolor(), 6)): p.get_extents().transformed(ax.transData.inverted())
+        for p in ax.patches
+    }
     ends = 0.5 * (np.r_[x[0], x] + np.r_[x, x[-1]])
     for code in (OPEN, SLIP, STICK):
-        span, inside = spans[tuple(np.round(to_rgba(STATE_COLORS[code]), 6))], np.flatnonzero(state == code)
-        assert (span.x0, span.x1) == pytest.approx((ends[inside[0]], ends[inside[-1] + 1]), abs=1e-9)
+        span, inside = (
+            spans[tuple(np.round(to_rgba(STATE_COLORS[code]), 6))],
+            np.flatnonzero(state == code),
+        )
+        assert (span.x0, span.x1) == pytest.approx(
+            (ends[inside[0]], ends[inside[-1] + 1]), abs=1e-9
+        )
 
 
 def test_contact_draws_each_pair_or_one():
     assert len(plot.contact(two_pairs()).axes) == 6
     shown = words(plot.contact(two_pairs(), boundary="upper.right half"))
     assert "'upper.right half'" in shown and "lower.top" not in shown
-    assert "lower.top" in words(plot.contact(two_pairs(), boundary=am.ContactPair("upper.bottom", "lower.top")))
+    assert "lower.top" in words(
+        plot.contact(two_pairs(), boundary=am.ContactPair("upper.bottom", "lower.top"))
+    )
 
 
 def test_polylines_use_every_edge_once_and_close_rings():
     ring, other, line = [[1, 2], [0, 1], [2, 0]], [[4, 5], [5, 4]], [[6, 9], [7, 6]]
     assert [one.tolist() for one in polylines(np.array([*ring, *line, *other]))] == [
-        [7, 6, 9], [0, 1, 2, 0], [4, 5, 4]]
+        [7, 6, 9],
+        [0, 1, 2, 0],
+        [4, 5, 4],
+    ]
 
 
 def test_a_curved_contact_line_is_drawn_against_its_arc_length():
@@ -190,8 +268,12 @@ def test_a_curved_contact_line_is_drawn_against_its_arc_length():
     inner, outer = (radius * np.stack([np.cos(angle), np.sin(angle)], 1) for radius in (1, 2))
     k = np.arange(8)
     elements = np.vstack([np.stack([k, 9 + k, 10 + k], 1), np.stack([k, 10 + k, 1 + k], 1)])
-    facets = np.vstack([np.stack([9 + k, 10 + k], 1), np.stack([1 + k, k], 1)[::-1], [[0, 9], [17, 8]]])
-    mesh = am.MeshArrays(np.vstack([inner, outer]), elements, facets, [0] * 8 + [1] * 10, ("bottom", "rest"))
+    facets = np.vstack(
+        [np.stack([9 + k, 10 + k], 1), np.stack([1 + k, k], 1)[::-1], [[0, 9], [17, 8]]]
+    )
+    mesh = am.MeshArrays(
+        np.vstack([inner, outer]), elements, facets, [0] * 8 + [1] * 10, ("bottom", "rest")
+    )
     result, h = result_on(mesh), np.linalg.norm(outer[1] - outer[0])
     (only,) = lines_of(result, "bottom")
     assert only.label == "arc length from (2, 0) [m]"
@@ -214,44 +296,82 @@ def test_parts_without_contact_nodes_interrupt_the_line():
 
 def test_surfaces_are_drawn_flat_and_a_hole_is_unrolled():
     # on the wall of a hole about the line x = 0.1, y = 0.2 along z
-    angle, z = (part.ravel() for part in np.meshgrid(np.arange(-170, 180, 20.0), np.linspace(0.0, 0.03, 5)))
+    angle, z = (
+        part.ravel() for part in np.meshgrid(np.arange(-170, 180, 20.0), np.linspace(0.0, 0.03, 5))
+    )
     normal = -np.stack([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0 * angle], 1)
     n, zero, flat = len(z), np.zeros((len(z), 2)), 0 * z
     contact = dataclasses.replace(
-        SOLID.contact, node=np.arange(n), x=[0.1, 0.2, 0.0] - 0.015 * normal + np.stack([flat, flat, z], 1),
-        frames=np.stack([normal, np.cross([0, 0, 1.0], normal), np.tile([0, 0, 1.0], (n, 1))], axis=1), u_t=zero,
-        slip=zero, force_t=zero, gap=flat, u_n=flat, force_n=1e3 * z, weights=np.full(n, 1e-6), limit=flat,
-        state=np.full(n, 1), boundary=np.zeros(n, int))
+        SOLID.contact,
+        node=np.arange(n),
+        x=[0.1, 0.2, 0.0] - 0.015 * normal + np.stack([flat, flat, z], 1),
+        frames=np.stack(
+            [normal, np.cross([0, 0, 1.0], normal), np.tile([0, 0, 1.0], (n, 1))], axis=1
+        ),
+        u_t=zero,
+        slip=zero,
+        force_t=zero,
+        gap=flat,
+        u_n=flat,
+        force_n=1e3 * z,
+        weights=np.full(n, 1e-6),
+        limit=flat,
+        state=np.full(n, 1),
+        boundary=np.zeros(n, int),
+    )
     result = dataclasses.replace(SOLID, contact=contact, mesh=None)
     flat = flattened(result, "upper.bottom")
-    np.testing.assert_allclose(flat.points, np.column_stack([(angle + 360) % 360 - 180, 1e3 * z]), atol=1e-9)
+    np.testing.assert_allclose(
+        flat.points, np.column_stack([(angle + 360) % 360 - 180, 1e3 * z]), atol=1e-9
+    )
     assert flat.labels == ("angle of the normal around z [°]", "z [mm]") and not flat.equal
     # closed everywhere: no scale from 0 to 1
     shown = words(plot.contact(result))
     assert "gap = 0" in shown and "gap [µm]" not in shown
     shown = words(plot.contact(SOLID))
-    assert all(text in shown for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "gap [µm]"))
+    assert all(
+        text in shown
+        for text in ("'upper.bottom' on 'lower.rest'", "contact pressure p [MPa]", "gap [µm]")
+    )
 
 
 # -- histories -------------------------------------------------------------------------------------------------------
 
+
 def test_history_draws_what_was_recorded():
     ax = plot.history(BAR).axes[0]
     drawn = {line.get_label(): line for line in ax.lines}
-    residual, estimate = drawn["natural residual (relative)"], drawn["estimated error (relative, energy norm)"]
-    np.testing.assert_array_equal(residual.get_xydata().T, [BAR.history["work_units"], BAR.history["residual"]])
+    residual, estimate = (
+        drawn["natural residual (relative)"],
+        drawn["estimated error (relative, energy norm)"],
+    )
+    np.testing.assert_array_equal(
+        residual.get_xydata().T, [BAR.history["work_units"], BAR.history["residual"]]
+    )
     np.testing.assert_array_equal(estimate.get_ydata(), BAR.history["error_estimate"][1:])
     assert ax.get_yscale() == "log" and ax.get_xlabel() == "work units"
     # several results by what all recorded
     ax = plot.history({"a": BAR, "b": BAR}, against="cycle").axes[0]
-    assert ax.get_ylabel().startswith("natural residual") and {x.get_label() for x in ax.lines} >= {"a", "b"}
-    short = dataclasses.replace(BAR, history={k: v for k, v in BAR.history.items() if k != "residual"})
+    assert ax.get_ylabel().startswith("natural residual") and {x.get_label() for x in ax.lines} >= {
+        "a",
+        "b",
+    }
+    short = dataclasses.replace(
+        BAR, history={k: v for k, v in BAR.history.items() if k != "residual"}
+    )
     assert plot.history({"a": BAR, "b": short}).axes[0].get_ylabel().startswith("estimated error")
 
 
 def test_the_cycle_diagram_climbs_from_level_to_level():
     ax = plot.path(BAR, steps=11).axes[0]
-    assert [tuple(line.get_ydata()) for line in ax.lines] == [(0, 1), (1, 0), (0, 1), (1, 2), (2, 1), (1, 0)]
+    assert [tuple(line.get_ydata()) for line in ax.lines] == [
+        (0, 1),
+        (1, 0),
+        (0, 1),
+        (1, 2),
+        (2, 1),
+        (1, 0),
+    ]
     shown = words(ax.figure)
     assert "first 11 of" in shown and "level 2\n289 nodes" in shown and "restrict residual" in shown
 
@@ -259,19 +379,35 @@ def test_the_cycle_diagram_climbs_from_level_to_level():
 def test_adaptation_draws_meshes_states_indicator_and_errors():
     steps = list(am.adapt(am.cases.dovetail(), 10e-3, engine=am.Bisect(), max_nodes=300))
     figure = plot.adaptation(steps)
-    for name, x in (("nodes", [s.nodes for s in steps]), ("time", [s.total_seconds for s in steps])):
+    for name, x in (
+        ("nodes", [s.nodes for s in steps]),
+        ("time", [s.total_seconds for s in steps]),
+    ):
         ax = next(ax for ax in figure.axes if ax.get_xlabel().startswith(name))
-        np.testing.assert_allclose(ax.lines[0].get_xydata().T, [x, [s.estimate.relative for s in steps]])
-        assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log") and "estimate" in ax.get_ylabel()
+        np.testing.assert_allclose(
+            ax.lines[0].get_xydata().T, [x, [s.estimate.relative for s in steps]]
+        )
+        assert (ax.get_xscale(), ax.get_yscale()) == (
+            "log",
+            "log",
+        ) and "estimate" in ax.get_ylabel()
     titles = [ax.get_title() for ax in figure.axes]
-    assert f"step 0: {steps[0].nodes} nodes" in titles and f"step {len(steps) - 1}: {steps[-1].nodes} nodes" in titles
+    assert (
+        f"step 0: {steps[0].nodes} nodes" in titles
+        and f"step {len(steps) - 1}: {steps[-1].nodes} nodes" in titles
+    )
     assert {text.get_text() for text in figure.legends[0].get_texts()} <= {"open", "slip", "stick"}
     assert len(figure.axes[0].collections[0].get_paths()) == len(steps[0].result.mesh.elements)
     (bar,) = [ax for ax in figure.axes if ax.get_label() == "<colorbar>"]
     low, high = bar.get_ylim()
-    assert high == pytest.approx(np.sqrt(steps[-1].estimate.squares).max()) and low >= 1e-4 * high * 0.99
+    assert (
+        high == pytest.approx(np.sqrt(steps[-1].estimate.squares).max())
+        and low >= 1e-4 * high * 0.99
+    )
     # the rate of smooth solutions, of a goal twice that of the energy norm
-    goal = am.adapt(am.cases.greco_bar(), 20e-3, indicator=am.Goal(am.ContactForce("bottom", "x")), max_nodes=60)
+    goal = am.adapt(
+        am.cases.greco_bar(), 20e-3, indicator=am.Goal(am.ContactForce("bottom", "x")), max_nodes=60
+    )
     for each, power in ((steps, "-1/2"), (list(goal), "-1")):
         assert f"nodes$^{{{power}}}$" in words(plot.adaptation(each))
 
@@ -281,39 +417,60 @@ def test_load_history_draws_quantities_and_pressures():
     figure = plot.load_history(steps, FACTORS, QUANTITIES)
     for ax, (label, function) in zip(figure.axes[:2], QUANTITIES.items(), strict=True):
         assert ax.get_ylabel() == label and ax.get_xlabel() == "load factor"
-        np.testing.assert_allclose(ax.lines[0].get_xydata().T, [FACTORS, [function(step) for step in steps]])
+        np.testing.assert_allclose(
+            ax.lines[0].get_xydata().T, [FACTORS, [function(step) for step in steps]]
+        )
     order = np.argsort(PLANE.contact.x[:, 0])
     for ax, step, factor in zip(figure.axes[2:], steps, FACTORS, strict=True):
         np.testing.assert_allclose(stated(ax)[:, 1], 1e-6 * step.contact.pressure[order])
         assert ax.get_title() == f"load factor {factor:g}"
-    # as many steps as requested, the first, the last and those of the largest factor or pressure among them
+    # as many steps as requested, the first, the last and those of the largest factor or pressure
+    # among them
     figure = plot.load_history(steps, FACTORS, {}, steps=2)
     assert [ax.get_title() for ax in figure.axes] == ["load factor 0.25", "load factor 0.5"]
     assert "2 of 4 steps" in words(figure)
     for factors, title in ((range(4), "load factor 1"), ((0, 4, 2, 3), "load factor 4")):
         assert title in words(plot.load_history(steps[::-1], factors, {}, steps=3)).split("\n")
     assert len(plot.load_history(steps, FACTORS, QUANTITIES, steps=0).axes) == 2
-    assert "contact pressure [MPa]" in words(plot.load_history(steps_of(SOLID), FACTORS, QUANTITIES, against="step"))
+    assert "contact pressure [MPa]" in words(
+        plot.load_history(steps_of(SOLID), FACTORS, QUANTITIES, against="step")
+    )
     assert len(plot.load_history(steps_of(two_pairs()), FACTORS, {}, steps=3).axes) == 6
 
 
 EMPTY = dataclasses.replace(BAR, history={"cycle": [1], "work_units": [1.0]})
 test_refused = refused(
-    (lambda: plot.mesh("bar.msh"), TypeError, "MeshArrays"), (lambda: plot.grids([square(2)]), TypeError, "Hierarchy"),
-    (lambda: plot.grids(am.Hierarchy.single(am.Hierarchy.uniform(am.cases.greco_bar(), 2).finest.discrete)), "no mesh"),
-    *((lambda result=result, options=options: plot.deformation(result, **options), message)
-      for result, options, message in (
-        (result_on(None), {}, "no mesh"), (PLANE, {"amplify": float("nan")}, "amplify"),
-        (PLANE, {"bodies": ["middle"]}, "must be one of 'upper', 'lower'"),
-        (dataclasses.replace(PLANE, stress_data=None), {"stress": True}, "no materials"),
-        (SOLID, {"stress": True, "displacement": True}, "two pictures"),
-        (SOLID, {"ax": Figure().subplots()}, "three-dimensional"))),
+    (lambda: plot.mesh("bar.msh"), TypeError, "MeshArrays"),
+    (lambda: plot.grids([square(2)]), TypeError, "Hierarchy"),
+    (
+        lambda: plot.grids(
+            am.Hierarchy.single(am.Hierarchy.uniform(am.cases.greco_bar(), 2).finest.discrete)
+        ),
+        "no mesh",
+    ),
+    *(
+        (lambda result=result, options=options: plot.deformation(result, **options), message)
+        for result, options, message in (
+            (result_on(None), {}, "no mesh"),
+            (PLANE, {"amplify": float("nan")}, "amplify"),
+            (PLANE, {"bodies": ["middle"]}, "must be one of 'upper', 'lower'"),
+            (dataclasses.replace(PLANE, stress_data=None), {"stress": True}, "no materials"),
+            (SOLID, {"stress": True, "displacement": True}, "two pictures"),
+            (SOLID, {"ax": Figure().subplots()}, "three-dimensional"),
+        )
+    ),
     (lambda: plot.contact(BAR, boundary="top"), "boundary must be one of 'bottom'"),
     (lambda: plot.contact(BAR, Figure().subplots()), "3 matplotlib axes"),
-    (lambda: plot.history({"a": BAR, "b": EMPTY}), "in common"), (lambda: plot.history(BAR, "time"), "against"),
+    (lambda: plot.history({"a": BAR, "b": EMPTY}), "in common"),
+    (lambda: plot.history(BAR, "time"), "against"),
     (lambda: plot.history({"a": 1}), TypeError, "Result"),
     (lambda: plot.path(dataclasses.replace(BAR, path=[])), "no cycles"),
-    (lambda: plot.adaptation([]), "steps"), (lambda: plot.adaptation([1]), TypeError, "steps"),
-    (lambda: plot.load_history(steps_of(PLANE), FACTORS, {"force": lambda r: np.nan}), "'force'.*step 0 must be"),
+    (lambda: plot.adaptation([]), "steps"),
+    (lambda: plot.adaptation([1]), TypeError, "steps"),
+    (
+        lambda: plot.load_history(steps_of(PLANE), FACTORS, {"force": lambda r: np.nan}),
+        "'force'.*step 0 must be",
+    ),
     (lambda: plot.load_history([*steps_of(PLANE)[:3], SOLID], FACTORS, QUANTITIES), "same mesh"),
-    (lambda: plot.load_history(steps_of(PLANE), FACTORS, {}, steps=0), "nothing to draw"))
+    (lambda: plot.load_history(steps_of(PLANE), FACTORS, {}, steps=0), "nothing to draw"),
+)

@@ -1,4 +1,5 @@
-"""In every kind of picture nothing leaves the canvas, no title covers a label, and odd names are shown unchanged."""
+"""In every kind of picture nothing leaves the canvas, no title covers a label, and odd names are
+shown unchanged."""
 
 import dataclasses
 import io
@@ -33,7 +34,9 @@ PICTURES = {
     "problem 3D": lambda: plot.problem(two_solids(), mesh=SOLID.mesh),
     "mesh 2D": lambda: plot.mesh(PLANE.mesh, contact=["upper.bottom"]),
     "mesh 3D": lambda: plot.mesh(SOLID.mesh, contact=["upper.bottom"]),
-    "grids 2D": lambda: plot.grids(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 3, 4, 5, 6))),
+    "grids 2D": lambda: plot.grids(
+        am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 3, 4, 5, 6))
+    ),
     "contact 2D": lambda: plot.contact(PLANE),
     "contact 3D": lambda: plot.contact(SOLID),
     "deformation 2D stress": lambda: plot.deformation(PLANE, stress=True, states=True),
@@ -41,16 +44,28 @@ PICTURES = {
     "deformation 3D from below": lambda: turned(plot.deformation(SOLID, displacement=True)),
     "history": lambda: plot.history({"truncated": PLANE, "a long label of a method": SOLID}),
     "path": lambda: plot.path(result_on(square(4)), steps=8),
-    "load_history 2D": lambda: plot.load_history([*steps_of(PLANE), PLANE], (*FACTORS, 1.0), QUANTITIES),
+    "load_history 2D": lambda: plot.load_history(
+        [*steps_of(PLANE), PLANE], (*FACTORS, 1.0), QUANTITIES
+    ),
     "adaptation 2D": lambda: plot.adaptation(adapted(am.cases.dovetail(), 10e-3, 100)),
     "adaptation 3D": lambda: plot.adaptation(adapted(am.cases.greco_block(), 20e-3, 60)),
 }
 
 
 def inked_border(pixels: np.ndarray) -> bool:
-    return bool((np.concatenate([pixels[:2].reshape(-1, pixels.shape[2]), pixels[-2:].reshape(-1, pixels.shape[2]),
-                                 pixels[:, :2].reshape(-1, pixels.shape[2]),
-                                 pixels[:, -2:].reshape(-1, pixels.shape[2])])[:, :3] < 0.98 * pixels.max()).any())
+    return bool(
+        (
+            np.concatenate(
+                [
+                    pixels[:2].reshape(-1, pixels.shape[2]),
+                    pixels[-2:].reshape(-1, pixels.shape[2]),
+                    pixels[:, :2].reshape(-1, pixels.shape[2]),
+                    pixels[:, -2:].reshape(-1, pixels.shape[2]),
+                ]
+            )[:, :3]
+            < 0.98 * pixels.max()
+        ).any()
+    )
 
 
 @pytest.mark.parametrize("name", PICTURES)
@@ -62,11 +77,21 @@ def test_no_artist_leaves_the_canvas_and_no_title_covers_a_label(name):
     box = figure.get_tightbbox(renderer)
     width, height = figure.get_size_inches()
     assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
-    shown = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    shown = [
+        text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()
+    ]
     axes = figure.axes
-    headings = [text for text in shown if text in (getattr(figure, "_suptitle", None), *(ax.title for ax in axes))
-                or any(text is axis.label for ax in axes for axis in ax._axis_map.values()
-                       if getattr(ax, "_axis3don", ax.axison))]
+    headings = [
+        text
+        for text in shown
+        if text in (getattr(figure, "_suptitle", None), *(ax.title for ax in axes))
+        or any(
+            text is axis.label
+            for ax in axes
+            for axis in ax._axis_map.values()
+            if getattr(ax, "_axis3don", ax.axison)
+        )
+    ]
     for one, other in combinations(headings, 2):
         first, second = one.get_window_extent(renderer), other.get_window_extent(renderer)
         assert not first.overlaps(second), (one.get_text(), other.get_text())
@@ -89,26 +114,43 @@ NAMES = ("a$b$c", "_$\\frac{<b>&amp; 50 % #1 ~^{ends\\")
 
 
 def posed(name: str, dim: int) -> tuple[am.ContactProblem, am.MeshArrays | None]:
-    """A problem whose name, and that of a body, is ``name``; in 3D to be drawn on a mesh, with a boundary of it too."""
+    """A problem whose name, and that of a body, is ``name``; in 3D to be drawn on a mesh, with a
+    boundary of it too."""
     if dim == 2:
-        parts = {name: am.Rectangle(width=1, height=1), "b_": am.Rectangle(width=1, height=1, origin=(0, -1))}
+        parts = {
+            name: am.Rectangle(width=1, height=1),
+            "b_": am.Rectangle(width=1, height=1, origin=(0, -1)),
+        }
         return am.ContactProblem(
-            material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Frictionless(), name=name,
-            domain=am.Assembly(parts=parts), contact=am.ContactPair(f"{name}.bottom", "b_.top"),
+            material=am.PlaneStrain(young=2e11, poisson=0.3),
+            law=am.Frictionless(),
+            name=name,
+            domain=am.Assembly(parts=parts),
+            contact=am.ContactPair(f"{name}.bottom", "b_.top"),
             supports=(am.Support("b_.bottom", x=0, y=0),),
-            loads=(am.InitialStrain(name, (1e-3, 0)), am.BodyForce((0, -1e4), body=name))), None
+            loads=(am.InitialStrain(name, (1e-3, 0)), am.BodyForce((0, -1e4), body=name)),
+        ), None
     mesh = cube(2)
     mesh = dataclasses.replace(mesh, boundaries=(name, *mesh.boundaries[1:]), bodies=(name,))
     return am.ContactProblem(
-        material=am.Solid(young=2e11, poisson=0.3), law=am.Frictionless(), name=name,
-        supports=(am.Support("rest", x=0),), contact=am.Contact(name, am.Plane((0.0,) * 3, (0.0, 0.0, 1.0)))), mesh
+        material=am.Solid(young=2e11, poisson=0.3),
+        law=am.Frictionless(),
+        name=name,
+        supports=(am.Support("rest", x=0),),
+        contact=am.Contact(name, am.Plane((0.0,) * 3, (0.0, 0.0, 1.0))),
+    ), mesh
 
 
 def pairs(name: str, dim: int) -> am.Result:
     """Two bodies; the upper one, its boundaries and the problem are called ``name``."""
     result = two_bodies(dim, 4, 3)
-    mesh = dataclasses.replace(result.mesh, bodies=(name, "lower"), boundaries=tuple(
-        boundary.replace("upper.bottom", name) for boundary in result.mesh.boundaries))
+    mesh = dataclasses.replace(
+        result.mesh,
+        bodies=(name, "lower"),
+        boundaries=tuple(
+            boundary.replace("upper.bottom", name) for boundary in result.mesh.boundaries
+        ),
+    )
     contact = dataclasses.replace(result.contact, names=(name,), masters=(name,))
     return dataclasses.replace(result, mesh=mesh, contact=contact, problem_name=name)
 
@@ -120,13 +162,27 @@ def test_every_picture_shows_odd_names_unchanged(dim, name):
     # balanced dollars are math in the user's own labels
     label = "abc" if name == "a$b$c" else name
     drawn = texts(plot.problem(problem, mesh=mesh))
-    for use in ("contact on", *(("initial strain in", "body force (0, -10) kN/m³ in") if dim == 2 else ())):
+    for use in (
+        "contact on",
+        *(("initial strain in", "body force (0, -10) kN/m³ in") if dim == 2 else ()),
+    ):
         assert any(use in text and name in text for text in drawn), use
     for figure, expected in (
-            (plot.contact(result), name), (plot.deformation(result, states=True), name),
-            (plot.deformation(result, stress=True), name),
-            *(() if dim == 3 else (
-                (plot.history(result), name), (plot.history({name: result, "other": result}), label),
-                (plot.load_history([result] * 2, [0, 1], {name: lambda r: 1.0}, against=name), name)))):
+        (plot.contact(result), name),
+        (plot.deformation(result, states=True), name),
+        (plot.deformation(result, stress=True), name),
+        *(
+            ()
+            if dim == 3
+            else (
+                (plot.history(result), name),
+                (plot.history({name: result, "other": result}), label),
+                (
+                    plot.load_history([result] * 2, [0, 1], {name: lambda r: 1.0}, against=name),
+                    name,
+                ),
+            )
+        ),
+    ):
         found = [text.replace("$", "") if expected == "abc" else text for text in texts(figure)]
         assert any(expected in text for text in found), (found, expected)

@@ -6,12 +6,14 @@ from matplotlib.figure import Figure
 
 from adaptmg.plot.surfaces import ShadedSurface, raster_segments, raster_triangles
 
-CORNERS = np.array([[[0, 0, 1], [8, 0, 1], [0, 8, 1]], [[0, 0, 2], [8, 0, 0], [8, 8, 0]]], dtype=float)
+CORNERS = np.array(
+    [[[0, 0, 1], [8, 0, 1], [0, 8, 1]], [[0, 0, 2], [8, 0, 0], [8, 8, 0]]], dtype=float
+)
 
 
 def rastered(kernel, corners=CORNERS, width=0.0) -> tuple[np.ndarray, np.ndarray]:
     image, depth = np.zeros((8, 8, 4)), np.full((8, 8), np.inf)
-    colors = np.repeat(np.eye(3)[:len(corners), None], 3, axis=1)
+    colors = np.repeat(np.eye(3)[: len(corners), None], 3, axis=1)
     kernel(corners, colors, np.array([1.0, 1, 1]), width, image, depth)
     return image, depth
 
@@ -40,7 +42,9 @@ def test_segments_show_where_no_triangle_is_in_front():
 
 def test_a_surface_shows_the_front_of_a_body_from_any_side():
     mesh = cube(2, 1.0)
-    outward = np.cross(*(mesh.points[mesh.facets[:, k]] - mesh.points[mesh.facets[:, 0]] for k in (1, 2)))
+    outward = np.cross(
+        *(mesh.points[mesh.facets[:, k]] - mesh.points[mesh.facets[:, 0]] for k in (1, 2))
+    )
     axis = np.argmax(np.abs(outward), axis=1)
     side = (np.sign(outward[np.arange(len(axis)), axis]) > 0).astype(int)
     tints = np.linspace(0.1, 1.0, 6)

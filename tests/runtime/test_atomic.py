@@ -1,4 +1,5 @@
-"""The one writer: files are whole or not there, with the permissions of others, and nothing is left beside them."""
+"""The one writer: files are whole or not there, with the permissions of others, and nothing is left
+beside them."""
 
 import os
 import signal
@@ -68,7 +69,9 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, f
     with pytest.raises(KeyError), waiting_folder(tmp_path) as waiting:
         (waiting / "x").write_bytes(b"")
         raise KeyError
-    monkeypatch.setattr(os, failing, lambda *arguments: (_ for _ in ()).throw(OSError(28, "disk full")))
+    monkeypatch.setattr(
+        os, failing, lambda *arguments: (_ for _ in ()).throw(OSError(28, "disk full"))
+    )
     with pytest.raises(OSError, match="disk full"):
         write_bytes(target, b"new")
     monkeypatch.setattr(os, "access", lambda path, how: False)
@@ -78,12 +81,16 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, f
 
 
 def test_a_kill_leaves_whole_files(tmp_path):
-    code = ("import sys\nfrom pathlib import Path\nfrom adaptmg._files import write_bytes\n"
-            "sys.stdout.write('x'); sys.stdout.flush()\n"
-            "for k in range(10**9):\n"
-            "    write_bytes(Path(sys.argv[1], f'f{k % 3}'), bytes([k % 256]) * 10**6)\n")
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom adaptmg._files import write_bytes\n"
+        "sys.stdout.write('x'); sys.stdout.flush()\n"
+        "for k in range(10**9):\n"
+        "    write_bytes(Path(sys.argv[1], f'f{k % 3}'), bytes([k % 256]) * 10**6)\n"
+    )
     for k in range(4):
-        with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE) as writer:
+        with subprocess.Popen(
+            [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE
+        ) as writer:
             writer.stdout.read(1)
             time.sleep(0.02 + 0.02 * k)
             writer.send_signal(signal.SIGKILL)
@@ -97,13 +104,18 @@ def test_only_regular_files_of_a_bounded_size_are_opened(tmp_path, path):
     os.mkfifo(tmp_path / "a pipe")
     (tmp_path / "a folder").mkdir()
     (tmp_path / "too large").write_bytes(b"x" * 11)
-    with pytest.raises(ValueError, match=f"{path} must (be a file|have at most 10 bytes, it has 11)"):
+    with pytest.raises(
+        ValueError, match=f"{path} must (be a file|have at most 10 bytes, it has 11)"
+    ):
         read_bytes(tmp_path / path, 10)
     assert read_bytes(tmp_path / "too large", 11) == b"x" * 11
 
 
 def test_many_threads_may_write_one_file(tmp_path):
-    threads = [threading.Thread(target=write_bytes, args=(tmp_path / "a", bytes([k]) * 10_000)) for k in range(8)]
+    threads = [
+        threading.Thread(target=write_bytes, args=(tmp_path / "a", bytes([k]) * 10_000))
+        for k in range(8)
+    ]
     for act in (threading.Thread.start, threading.Thread.join):
         for thread in threads:
             act(thread)

@@ -1,4 +1,5 @@
-"""Kernels: their options, where no cache can be written, and what is said and counted while they are compiled."""
+"""Kernels: their options, where no cache can be written, and what is said and counted while they
+are compiled."""
 
 import gc
 import os
@@ -51,17 +52,26 @@ def package(tmp_path):
     shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns("__pycache__"))
 
     def run(code: str, **environment: str) -> str:
-        done = subprocess.run([sys.executable, "-B", "-c", code], capture_output=True, text=True, timeout=200,
-                              cwd=tmp_path, env={k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
-                              | {"PYTHONPATH": str(copy.parent)} | environment)
+        done = subprocess.run(
+            [sys.executable, "-B", "-c", code],
+            capture_output=True,
+            text=True,
+            timeout=200,
+            cwd=tmp_path,
+            env={k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+            | {"PYTHONPATH": str(copy.parent)}
+            | environment,
+        )
         assert done.returncode == 0, done.stderr
         return done.stderr
 
     return copy / "geometry", run
 
 
-TREE = ("import numpy as np\nfrom adaptmg.geometry.search import BoxTree\n"
-         "assert len(BoxTree(np.random.default_rng(1).random((5, 2)), np.eye(5, 3, dtype=np.int32)).boxes) == 3\n")
+TREE = (
+    "import numpy as np\nfrom adaptmg.geometry.search import BoxTree\n"
+    "assert len(BoxTree(np.random.default_rng(1).random((5, 2)), np.eye(5, 3, dtype=np.int32)).boxes) == 3\n"
+)
 
 
 def test_kernels_run_where_no_cache_can_be_written(package):

@@ -1,4 +1,5 @@
-"""Results do not depend on BLAS threads, on random numbers, on the run, nor on what another thread solves."""
+"""Results do not depend on BLAS threads, on random numbers, on the run, nor on what another thread
+solves."""
 
 import hashlib
 import json
@@ -22,28 +23,49 @@ AMG_STEPS = am.ActiveSet(linear=am.AMG(), rtol=1e-8)
 
 def outcome(grids, solver):
     result = am.solve(grids, solver, throw=False)
-    arrays = (grids.finest.discrete.matrix.data, result.displacement, result.contact.force, result.reaction,
-              np.array([result.residual, result.error_estimate, result.certificate().energy_error]))
-    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:16]
+    arrays = (
+        grids.finest.discrete.matrix.data,
+        result.displacement,
+        result.contact.force,
+        result.reaction,
+        np.array([result.residual, result.error_estimate, result.certificate().energy_error]),
+    )
+    return hashlib.sha256(
+        b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
+    ).hexdigest()[:16]
 
 
 uniform = partial(am.Hierarchy.uniform, am.cases.greco_bar(), (8, 16, 32))
 graded = partial(am.Hierarchy.graded, am.cases.greco_bar(), (10e-3, 5e-3))
 two_bodies = partial(bar_hierarchy, bar_on_block(am.Coulomb(0.3)), 2)
 block = partial(am.Hierarchy.uniform, am.cases.greco_block(), (2, 4, 8))
-CASES = {"nested start": (uniform, am.FullMultigrid()), "graded": (graded, am.FullMultigrid()),
-         "graded, monotone": (graded, am.FullMultigrid(correction=am.Monotone(), rtol=1e-4)),
-         "L2": (lambda: graded(transfer=am.L2()), am.Multigrid()), "active set": (graded, am.ActiveSet()),
-         "active set, pyamg": (uniform, AMG_STEPS), "two bodies": (two_bodies, am.FullMultigrid()),
-         "two bodies, active set": (two_bodies, am.ActiveSet()), "3D": (block, am.FullMultigrid()),
-         "3D, active set": (block, am.ActiveSet()),
-         "aggregation": (lambda: am.Hierarchy.algebraic(uniform().finest.discrete), am.Multigrid(rtol=1e-5))}
+CASES = {
+    "nested start": (uniform, am.FullMultigrid()),
+    "graded": (graded, am.FullMultigrid()),
+    "graded, monotone": (graded, am.FullMultigrid(correction=am.Monotone(), rtol=1e-4)),
+    "L2": (lambda: graded(transfer=am.L2()), am.Multigrid()),
+    "active set": (graded, am.ActiveSet()),
+    "active set, pyamg": (uniform, AMG_STEPS),
+    "two bodies": (two_bodies, am.FullMultigrid()),
+    "two bodies, active set": (two_bodies, am.ActiveSet()),
+    "3D": (block, am.FullMultigrid()),
+    "3D, active set": (block, am.ActiveSet()),
+    "aggregation": (
+        lambda: am.Hierarchy.algebraic(uniform().finest.discrete),
+        am.Multigrid(rtol=1e-5),
+    ),
+}
 
 
 def in_a_child(threads):
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": str(threads), "OMP_NUM_THREADS": str(threads),
-                                "PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.Popen([sys.executable, __file__], env=environment, stdout=subprocess.PIPE, text=True)
+    environment = os.environ | {
+        "OPENBLAS_NUM_THREADS": str(threads),
+        "OMP_NUM_THREADS": str(threads),
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
+    return subprocess.Popen(
+        [sys.executable, __file__], env=environment, stdout=subprocess.PIPE, text=True
+    )
 
 
 def test_bits_do_not_depend_on_the_run_or_on_blas_threads():
@@ -84,7 +106,11 @@ def test_the_global_random_numbers_are_left_alone():
 
 
 def blas_threads():
-    return [info["num_threads"] for info in threadpoolctl.threadpool_info() if info["user_api"] == "blas"]
+    return [
+        info["num_threads"]
+        for info in threadpoolctl.threadpool_info()
+        if info["user_api"] == "blas"
+    ]
 
 
 @pytest.fixture
@@ -158,13 +184,17 @@ def test_user_defined_parts_see_one_thread():
 
 
 def test_a_fork_inside_is_free_again():
-    code = ("import os, threadpoolctl\nfrom adaptmg._threads import one_blas_thread\nimport scipy.linalg\n"
-            "with one_blas_thread():\n    child = os.fork()\n    if child == 0:\n"
-            "        with one_blas_thread():\n            pass\n        os._exit(0)\n"
-            "assert os.waitpid(child, 0)[1] == 0\n")
+    code = (
+        "import os, threadpoolctl\nfrom adaptmg._threads import one_blas_thread\nimport scipy.linalg\n"
+        "with one_blas_thread():\n    child = os.fork()\n    if child == 0:\n"
+        "        with one_blas_thread():\n            pass\n        os._exit(0)\n"
+        "assert os.waitpid(child, 0)[1] == 0\n"
+    )
     done = subprocess.run([sys.executable, "-c", code], timeout=60, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps({name: outcome(make(), solver) for name, (make, solver) in CASES.items()}))
+    sys.stdout.write(
+        json.dumps({name: outcome(make(), solver) for name, (make, solver) in CASES.items()})
+    )

@@ -1,4 +1,5 @@
-"""The smoother: solves at a node by every law, sweeps and the natural residual on networks and meshes."""
+"""The smoother: solves at a node by every law, sweeps and the natural residual on networks and
+meshes."""
 
 from dataclasses import replace
 from functools import cache
@@ -13,37 +14,55 @@ import adaptmg as am
 from adaptmg.smoother import ProjectedGaussSeidel
 from adaptmg.smoother.conditions import natural_residual, states
 from adaptmg.smoother.node_solve import _inside, slip_3d, solve_2d, solve_3d
-from adaptmg.smoother.system import LocalProblem, contact_codes, contact_states, inverse_blocks, local_system
+from adaptmg.smoother.system import (
+    LocalProblem,
+    contact_codes,
+    contact_states,
+    inverse_blocks,
+    local_system,
+)
 
 NETWORKS = [f"network {dim}D {law}" for dim in (2, 3) for law in LAWS]
 MESHES = {
     "bar": lambda law: am.Hierarchy.uniform(am.cases.greco_bar(law=law), (4,)),
     "block": lambda law: am.Hierarchy.uniform(am.cases.greco_block(law=law), (2,)),
-    "pair": lambda law: am.Hierarchy.uniform(am.cases.two_block_patch(law=law), [{"upper": 3, "lower": 4}]),
-    "pair 3D": lambda law: am.Hierarchy.uniform(am.cases.two_block_patch(law=law, dim=3), [{"upper": 1, "lower": 2}]),
-    "axisymmetric pair": lambda law: am.Hierarchy.graded(am.cases.hertz_sphere(law=law), (5e-3,))}
+    "pair": lambda law: am.Hierarchy.uniform(
+        am.cases.two_block_patch(law=law), [{"upper": 3, "lower": 4}]
+    ),
+    "pair 3D": lambda law: am.Hierarchy.uniform(
+        am.cases.two_block_patch(law=law, dim=3), [{"upper": 1, "lower": 2}]
+    ),
+    "axisymmetric pair": lambda law: am.Hierarchy.graded(am.cases.hertz_sphere(law=law), (5e-3,)),
+}
 CASES = [*NETWORKS, *(f"{mesh}, {law}" for mesh in MESHES for law in ("tresca", "coulomb"))]
 ORDERS = ["forward", "backward", "symmetric"]
 every_case = pytest.mark.parametrize("case", CASES)
-every_network = pytest.mark.parametrize(("dim", "law"), [(dim, law) for dim in (2, 3) for law in LAWS])
+every_network = pytest.mark.parametrize(
+    ("dim", "law"), [(dim, law) for dim in (2, 3) for law in LAWS]
+)
 
 
 @cache
 def posed(case: str) -> tuple[LocalProblem, np.ndarray, float]:
-    """A problem, its solution by a method that shares nothing with the smoother, and the size of its forces."""
+    """A problem, its solution by a method that shares nothing with the smoother, and the size of
+    its forces."""
     if case in NETWORKS:
         _, dim, law = case.split()
         problem = network(int(dim[0]), law, fixed_tangent=True)
         return problem, dual_solution(problem), 1.0
     mesh, law = case.split(", ")
-    discrete = MESHES[mesh]({"tresca": am.Tresca(2e7), "coulomb": am.Coulomb(0.3)}[law]).finest.discrete
+    discrete = MESHES[mesh](
+        {"tresca": am.Tresca(2e7), "coulomb": am.Coulomb(0.3)}[law]
+    ).finest.discrete
     problem = local_system(discrete)
     exact = am.solve(discrete, am.ActiveSet(rtol=1e-13)).displacement
     return problem, problem.to_local(discrete.relative(exact)), np.linalg.norm(problem.load)
 
 
 def smooth(problem, unknowns, sweeps=1, **options):
-    return ProjectedGaussSeidel(**options).smooth(problem.system, problem.contact, problem.load, unknowns, sweeps)
+    return ProjectedGaussSeidel(**options).smooth(
+        problem.system, problem.contact, problem.load, unknowns, sweeps
+    )
 
 
 def random_start(problem, seed, size=1.0):
@@ -69,7 +88,9 @@ def test_the_solution_alone_is_a_fixed_point_without_residual(case):
     for dof in np.flatnonzero(~problem.system.fixed)[::5]:
         moved = exact.copy()
         moved[dof] += 1e-3 * size
-        assert natural_norm(problem, moved) > 1e-5 * size * np.abs(stiffness).min(initial=np.inf, where=stiffness != 0)
+        assert natural_norm(problem, moved) > 1e-5 * size * np.abs(stiffness).min(
+            initial=np.inf, where=stiffness != 0
+        )
 
 
 def normal_force(problem, w):
@@ -80,13 +101,20 @@ def normal_force(problem, w):
 def frozen_at(problem, w):
     """The Tresca problem with the bound of an iterate."""
     contact = problem.contact
-    return replace(problem, contact=replace(contact, limit=contact.limit + contact.friction * normal_force(problem, w),
-                                            friction=np.zeros_like(contact.friction)))
+    return replace(
+        problem,
+        contact=replace(
+            contact,
+            limit=contact.limit + contact.friction * normal_force(problem, w),
+            friction=np.zeros_like(contact.friction),
+        ),
+    )
 
 
 @every_case
 def test_what_every_sweep_keeps(case, seed=1):
-    """No node penetrates, fixed dofs stay, the Tresca energy never rises; the last node has no natural residual."""
+    """No node penetrates, fixed dofs stay, the Tresca energy never rises; the last node has no
+    natural residual."""
     problem, exact, force = posed(case)
     dim, rng = problem.system.dim, np.random.default_rng(seed)
     if "coulomb" in case:
@@ -102,12 +130,15 @@ def test_what_every_sweep_keeps(case, seed=1):
     assert (np.diff(energy) <= 1e-12 * np.abs(energy).max()).all() and energy[-1] < energy[0]
     smooth(problem, w, order="backward")
     last = natural_residual(problem, w, problem.residual(w))[:dim]
-    assert np.linalg.norm(last) <= 1e-9 * max(force, np.abs(problem.system.diagonal).max() * np.abs(w).max())
+    assert np.linalg.norm(last) <= 1e-9 * max(
+        force, np.abs(problem.system.diagonal).max() * np.abs(w).max()
+    )
 
 
 @every_case
 def test_the_natural_residual_is_the_jacobi_step(case):
-    """At the first contact node of a sweep it is D times the step with the bound frozen, elsewhere the residual."""
+    """At the first contact node of a sweep it is D times the step with the bound frozen, elsewhere
+    the residual."""
     problem, exact, _ = posed(case)
     system, dim = problem.system, problem.system.dim
     w = random_start(problem, 5, np.abs(exact).max())
@@ -118,13 +149,17 @@ def test_the_natural_residual_is_the_jacobi_step(case):
     # nodes before it are not visited: they do not move
     rows = np.zeros((system.n_nodes, dim), dtype=bool)
     rows[:first] = True
-    still = replace(system, inverse=np.where(np.repeat(rows.any(axis=1), dim * dim), 0.0, system.inverse))
+    still = replace(
+        system, inverse=np.where(np.repeat(rows.any(axis=1), dim * dim), 0.0, system.inverse)
+    )
     moved = w.copy()
     smooth(replace(frozen, system=still), moved)
     block = system.diagonal.reshape(-1, dim, dim)[first]
     scale = np.abs(system.diagonal).max() * np.abs(w).max()
     if problem.contact.held is None:
-        np.testing.assert_allclose(vector[first], block @ (moved - w).reshape(-1, dim)[first], atol=1e-11 * scale)
+        np.testing.assert_allclose(
+            vector[first], block @ (moved - w).reshape(-1, dim)[first], atol=1e-11 * scale
+        )
     elsewhere = np.setdiff1d(np.arange(system.n_nodes), system.nodes)
     np.testing.assert_array_equal(vector[elsewhere], linear.reshape(-1, dim)[elsewhere])
 
@@ -169,18 +204,39 @@ def test_a_singular_block_is_named():
         inverse_blocks(blocks)
 
 
-@pytest.mark.parametrize(("changes", "error", "message"), [
-    ({"load": np.zeros(31)}, ValueError, r"load must have shape \(32,\)"),
-    ({"unknowns": np.zeros(32, dtype=np.float32)}, TypeError, "unknowns must be a numpy array of float64, got an"),
-    ({"unknowns": [0.0] * 32}, TypeError, "unknowns must be a numpy array of float64, got list"),
-    ({"unknowns": np.zeros(64)[::2]}, ValueError, "unknowns must be contiguous"),
-    ({"unknowns": np.frombuffer(bytes(256))}, ValueError, "unknowns is read-only"),
-    ({"contact": {"slip_reference": np.zeros(4)}}, ValueError, r"contact\.slip_reference must have shape \(4, 1\)"),
-    ({"contact": None}, TypeError, "contact must be NodalContact"),
-    ({"sweeps": -1}, ValueError, "sweeps must be >= 0")])
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"load": np.zeros(31)}, ValueError, r"load must have shape \(32,\)"),
+        (
+            {"unknowns": np.zeros(32, dtype=np.float32)},
+            TypeError,
+            "unknowns must be a numpy array of float64, got an",
+        ),
+        (
+            {"unknowns": [0.0] * 32},
+            TypeError,
+            "unknowns must be a numpy array of float64, got list",
+        ),
+        ({"unknowns": np.zeros(64)[::2]}, ValueError, "unknowns must be contiguous"),
+        ({"unknowns": np.frombuffer(bytes(256))}, ValueError, "unknowns is read-only"),
+        (
+            {"contact": {"slip_reference": np.zeros(4)}},
+            ValueError,
+            r"contact\.slip_reference must have shape \(4, 1\)",
+        ),
+        ({"contact": None}, TypeError, "contact must be NodalContact"),
+        ({"sweeps": -1}, ValueError, "sweeps must be >= 0"),
+    ],
+)
 def test_bad_arrays(changes, error, message):
     problem = network(2, "coulomb")
-    given = {"contact": problem.contact, "load": problem.load, "unknowns": np.zeros(32), "sweeps": 1} | changes
+    given = {
+        "contact": problem.contact,
+        "load": problem.load,
+        "unknowns": np.zeros(32),
+        "sweeps": 1,
+    } | changes
     if isinstance(given["contact"], dict):
         given["contact"] = replace(problem.contact, **given["contact"])
     with pytest.raises(error, match=message):
@@ -188,7 +244,12 @@ def test_bad_arrays(changes, error, message):
 
 
 EXAMPLES = settings(max_examples=100, deadline=None)
-BOUNDS = {"frictionless": (0.0, 0.0), "tresca": (1.0, 0.0), "coulomb": (0.0, 1.0), "both": (1.0, 1.0)}
+BOUNDS = {
+    "frictionless": (0.0, 0.0),
+    "tresca": (1.0, 0.0),
+    "coulomb": (0.0, 1.0),
+    "both": (1.0, 1.0),
+}
 laws = st.sampled_from(sorted(BOUNDS))
 seeds = st.integers(0, 2**32 - 1)
 dims = st.sampled_from([2, 3])
@@ -197,7 +258,11 @@ exponents = st.floats(-2, 2)
 
 def solve(block, force, gap, reference, limit, friction):
     if len(force) == 2:
-        return np.array(solve_2d(block[0, 0], block[0, 1], block[1, 1], *force, gap, *reference, limit, friction))
+        return np.array(
+            solve_2d(
+                block[0, 0], block[0, 1], block[1, 1], *force, gap, *reference, limit, friction
+            )
+        )
     upper = block[np.triu_indices(3)]
     return np.array(solve_3d(*upper, *force, gap, *reference, limit, friction))
 
@@ -207,23 +272,38 @@ def problem(dim, seed, law, exponent):
     rng = np.random.default_rng(seed)
     block = spd(rng, dim) * 10.0**exponent
     limit, friction = BOUNDS[law]
-    return (block, 3 * rng.normal(size=dim), rng.normal() / 10.0**exponent, rng.normal(size=dim - 1) / 10.0**exponent,
-            limit * rng.uniform(), friction * 5.0**rng.uniform(-2, 1))
+    return (
+        block,
+        3 * rng.normal(size=dim),
+        rng.normal() / 10.0**exponent,
+        rng.normal(size=dim - 1) / 10.0**exponent,
+        limit * rng.uniform(),
+        friction * 5.0 ** rng.uniform(-2, 1),
+    )
 
 
 def assert_conditions(w, block, force, gap, reference, limit, friction, relative=2e-14):
     q = force - block @ w
     slip = w[1:] - reference
-    rounding = relative * (1 + friction) * (np.abs(force).sum() + np.abs(block @ np.diag(w)).sum()
-                                            + np.abs(block[:, 1:] @ np.diag(reference)).sum()
-                                            + np.abs(block[:, 0] * gap).sum())
+    rounding = (
+        relative
+        * (1 + friction)
+        * (
+            np.abs(force).sum()
+            + np.abs(block @ np.diag(w)).sum()
+            + np.abs(block[:, 1:] @ np.diag(reference)).sum()
+            + np.abs(block[:, 0] * gap).sum()
+        )
+    )
     assert w[0] <= gap
     assert q[0] >= -rounding
     assert w[0] == gap or abs(q[0]) <= rounding
     bound = limit + friction * max(q[0], 0.0)
     size = np.linalg.norm(slip)
     if size > 0:
-        np.testing.assert_allclose(q[1:], bound * slip / size, atol=rounding * (1 + np.abs(reference).max() / size))
+        np.testing.assert_allclose(
+            q[1:], bound * slip / size, atol=rounding * (1 + np.abs(reference).max() / size)
+        )
     else:
         assert np.linalg.norm(q[1:]) <= bound + rounding
 
@@ -238,7 +318,8 @@ def test_optimality_conditions(dim, seed, law, exponent, omega):
 @EXAMPLES
 @given(seeds)
 def test_large_friction_against_strong_coupling(seed):
-    """mu |a| >> b: several solutions or a wedged node; whatever is returned meets the conditions."""
+    """mu |a| >> b: several solutions or a wedged node; whatever is returned meets the
+    conditions."""
     rng = np.random.default_rng(seed)
     block = spd(rng, 3, 1e4)
     arguments = (block, rng.normal(size=3), 0.0, np.zeros(2), 0.0, 20.0)
@@ -261,7 +342,12 @@ def test_a_gap_that_closes_by_rounding_changes_nothing(seed, share):
 @given(st.floats(1e-9, 1e9), st.floats(1e-9, 1e9), st.floats(1e-9, 1e9))
 def test_a_point_inside_a_bracket_of_any_extent(low, extent, stiffness):
     inside = getattr(_inside, "py_func", _inside)
-    for bounds in ((low, low + max(extent, 1e-6 * low)), (0.0, extent), (low, np.inf), (0.0, np.inf)):
+    for bounds in (
+        (low, low + max(extent, 1e-6 * low)),
+        (0.0, extent),
+        (low, np.inf),
+        (0.0, np.inf),
+    ):
         assert bounds[0] < inside(*bounds, stiffness) < bounds[1]
 
 
@@ -269,5 +355,9 @@ def test_a_point_inside_a_bracket_of_any_extent(low, extent, stiffness):
 def test_slip_just_beyond_the_bound(size):
     """The slip is accurate relative to itself, however little the force exceeds the bound."""
     limit = 2.0
-    slip = np.array(slip_3d(4.0, 0.0, 4.0, (limit + size) * 0.6, (limit + size) * 0.8, 0.0, 0.0, 0.0, limit, 0.0))
+    slip = np.array(
+        slip_3d(
+            4.0, 0.0, 4.0, (limit + size) * 0.6, (limit + size) * 0.8, 0.0, 0.0, 0.0, limit, 0.0
+        )
+    )
     np.testing.assert_allclose(slip, [0.15 * size, 0.2 * size], rtol=1e-15 * limit / size + 1e-14)

@@ -32,7 +32,9 @@ def shuffled(dim: int, seed: int | None) -> sparse.bsr_array:
         return matrix
     order = np.random.default_rng(seed).permutation(matrix.shape[0] // dim)
     dofs = (dim * order[:, None] + np.arange(dim)).reshape(-1)
-    return sparse.bsr_array(sparse.csr_array(matrix)[dofs][:, dofs], blocksize=(dim, dim)).sorted_indices()
+    return sparse.bsr_array(
+        sparse.csr_array(matrix)[dofs][:, dofs], blocksize=(dim, dim)
+    ).sorted_indices()
 
 
 @pytest.mark.parametrize("seed", [None, 1], ids=["rows of nodes", "shuffled"])
@@ -43,11 +45,22 @@ def test_strips_of_a_colour_have_no_common_neighbour(dim, seed):
     strips = strips_module.Strips.of(matrix.indptr, matrix.indices, dim * dim)
     assert len(strips.colours) == 2 and sum(map(len, strips.colours)) > strips_module.FEWEST
     np.testing.assert_array_equal(strips.order[strips.rank], np.arange(len(strips.order)))
-    covered = [place for ranges in strips.colours for first, last in ranges for place in range(first, last)]
+    covered = [
+        place for ranges in strips.colours for first, last in ranges for place in range(first, last)
+    ]
     assert covered == list(range(len(strips.order)))
     for ranges in strips.colours:
-        touched = [set(np.concatenate([matrix.indices[matrix.indptr[i]:matrix.indptr[i + 1]]
-                                       for i in strips.order[first:last]])) for first, last in ranges]
+        touched = [
+            set(
+                np.concatenate(
+                    [
+                        matrix.indices[matrix.indptr[i] : matrix.indptr[i + 1]]
+                        for i in strips.order[first:last]
+                    ]
+                )
+            )
+            for first, last in ranges
+        ]
         assert not any(a & b for a, b in combinations(touched, 2))
 
 
@@ -58,16 +71,39 @@ def test_a_sweep_over_strips_is_gauss_seidel_in_their_order(seed, compiled, monk
         uncompile(monkeypatch, split_matrix, blocks)
     am.set_threads(2)
     matrix = shuffled(2, seed)
-    halves, f = split(matrix, np.zeros(matrix.shape[0], dtype=bool)), np.random.default_rng(0).normal(size=882)
+    halves, f = (
+        split(matrix, np.zeros(matrix.shape[0], dtype=bool)),
+        np.random.default_rng(0).normal(size=882),
+    )
     dofs = (2 * halves.strips.order[:, None] + np.arange(2)).reshape(-1)
     dense = matrix.toarray()[np.ix_(dofs, dofs)]
-    before = np.tril(np.kron(np.ones((441, 441)), np.ones((2, 2)))) + np.kron(np.eye(441), [[0, 1], [0, 0]])
+    before = np.tril(np.kron(np.ones((441, 441)), np.ones((2, 2)))) + np.kron(
+        np.eye(441), [[0, 1], [0, 0]]
+    )
     u, kept = np.empty(882), np.empty(882)
-    halves.sweep(split_matrix.gauss_seidel, False, *halves.lower_arrays, *halves.no_half, halves.inverse, f, u, kept)
+    halves.sweep(
+        split_matrix.gauss_seidel,
+        False,
+        *halves.lower_arrays,
+        *halves.no_half,
+        halves.inverse,
+        f,
+        u,
+        kept,
+    )
     expected = np.linalg.solve(dense * before, f[dofs])
     np.testing.assert_allclose(u[dofs], expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
-    halves.sweep(split_matrix.gauss_seidel, True, *halves.no_half, *halves.upper_arrays, halves.inverse, kept, u, kept,
-                 backward=True)
+    halves.sweep(
+        split_matrix.gauss_seidel,
+        True,
+        *halves.no_half,
+        *halves.upper_arrays,
+        halves.inverse,
+        kept,
+        u,
+        kept,
+        backward=True,
+    )
     rest = f - kept
     halves.sweep(split_matrix.subtract_half, *halves.lower_arrays, u, rest)
     np.testing.assert_allclose(rest, f - matrix @ u, atol=1e-9 * np.abs(f).max())
@@ -75,10 +111,16 @@ def test_a_sweep_over_strips_is_gauss_seidel_in_their_order(seed, compiled, monk
 
 @pytest.mark.parametrize("case", ["plane", "solid", "independent", "two bodies"])
 def test_bits_do_not_depend_on_the_number_of_threads(case, monkeypatch):
-    grids = {"plane": lambda: am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16, 32)),
-             "solid": lambda: am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4, 8)),
-             "independent": lambda: am.Hierarchy.graded(am.cases.greco_bar(), sizes=(10e-3, 5e-3, 2.5e-3, 1.2e-3)),
-             "two bodies": lambda: am.Hierarchy.uniform(am.cases.two_block_patch(), divisions=(4, 8, 16))}[case]
+    grids = {
+        "plane": lambda: am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16, 32)),
+        "solid": lambda: am.Hierarchy.uniform(am.cases.greco_block(), divisions=(2, 4, 8)),
+        "independent": lambda: am.Hierarchy.graded(
+            am.cases.greco_bar(), sizes=(10e-3, 5e-3, 2.5e-3, 1.2e-3)
+        ),
+        "two bodies": lambda: am.Hierarchy.uniform(
+            am.cases.two_block_patch(), divisions=(4, 8, 16)
+        ),
+    }[case]
     results = []
     for number in (2, 3, 1):
         am.set_threads(number)
@@ -111,7 +153,6 @@ def test_parts_cover_the_rows_and_pass_errors_on():
     assert (seen == 1).all()
     matrix, v = shuffled(3, None), np.random.default_rng(0).normal(size=10125)
     np.testing.assert_array_equal(strips_module.product(matrix, v), matrix @ v)
-
 
 
 def test_rows_that_scatter_at_the_same_time_share_no_column():

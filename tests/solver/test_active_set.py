@@ -1,4 +1,5 @@
-"""The active set method: its steps are few, from any start; that they are right: tests/agreement."""
+"""The active set method: its steps are few, from any start; that they are right:
+tests/agreement."""
 
 from dataclasses import replace
 from functools import cache
@@ -44,7 +45,10 @@ def test_solution_does_not_depend_on_the_start(name):
 @pytest.mark.parametrize(("friction", "most"), [(0.2, 10), (1.0, 11), (2.0, 13)])
 def test_steps_are_few_and_fewer_from_coarser_grids(friction, most):
     hierarchy = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), (4, 8, 16, 32))
-    cold, nested = am.solve(hierarchy, am.ActiveSet()), am.solve(hierarchy, am.ActiveSet(nested_start=True))
+    cold, nested = (
+        am.solve(hierarchy, am.ActiveSet()),
+        am.solve(hierarchy, am.ActiveSet(nested_start=True)),
+    )
     assert cold.cycles <= most and nested.cycles <= 4
     assert nested.start_work_units > 0 == cold.start_work_units
     assert {level for level, _, _ in nested.path} == {0, 1, 2, 3}
@@ -68,15 +72,22 @@ def cantilever(slenderness: int, law: object) -> am.Hierarchy:
     height, length, gap = 1e-3, 1e-3 * slenderness, 1e-5 * slenderness
     pressure = 3 * 8 * 2.1e11 / 0.91 * height**3 / 12 * gap / length**4
     problem = am.ContactProblem(
-        name="cantilever", material=am.PlaneStrain(young=2.1e11, poisson=0.3), law=law,
+        name="cantilever",
+        material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+        law=law,
         domain=am.Rectangle(width=length, height=height),
         contact=am.Contact("bottom", am.Plane((0.0, -gap), (0.0, 1.0))),
-        loads=am.Pressure("top", pressure), supports=am.Support("left", x=0.0, y=0.0))
+        loads=am.Pressure("top", pressure),
+        supports=am.Support("left", x=0.0, y=0.0),
+    )
     return am.Hierarchy.uniform(problem, [(slenderness * across, across) for across in (1, 2, 4)])
 
 
-@pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(0.3), am.Coulomb(1.0), am.Tresca(1e4)],
-                         ids=["frictionless", "0.3", "1.0", "tresca"])
+@pytest.mark.parametrize(
+    "law",
+    [am.Frictionless(), am.Coulomb(0.3), am.Coulomb(1.0), am.Tresca(1e4)],
+    ids=["frictionless", "0.3", "1.0", "tresca"],
+)
 @pytest.mark.parametrize("slenderness", [6, 24, 96])
 def test_slenderness_costs_neither_steps_nor_cycles(slenderness, law):
     grids = cantilever(slenderness, law)
@@ -84,22 +95,34 @@ def test_slenderness_costs_neither_steps_nor_cycles(slenderness, law):
     assert exact.cycles <= 24 and (exact.contact.state != am.OPEN).any()
     for solver in (am.FullMultigrid(rtol=1e-6), am.Multigrid(rtol=1e-6)):
         result = am.solve(grids, solver, reference=exact)
-        assert result.cycles <= 20 and not result.fallback and result.history["true_error"][-1] < 1.5e-6
+        assert (
+            result.cycles <= 20
+            and not result.fallback
+            and result.history["true_error"][-1] < 1.5e-6
+        )
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_linear_solvers_get_the_symmetry_and_modes_of_what_moves(name):
     class Watching:
-        def setup(self, matrix, near_nullspace=None, *, symmetric=True, preconditioner=None, **options):
+        def setup(
+            self, matrix, near_nullspace=None, *, symmetric=True, preconditioner=None, **options
+        ):
             dense = matrix.toarray()
             assert (np.abs(dense - dense.T).max() < 1e-12 * np.abs(dense).max()) == symmetric
-            assert preconditioner is None or abs(preconditioner - preconditioner.T).max() < 1e-12 * abs(matrix).max()
+            assert (
+                preconditioner is None
+                or abs(preconditioner - preconditioner.T).max() < 1e-12 * abs(matrix).max()
+            )
             assert near_nullspace.any() and not near_nullspace[(dense != 0).sum(axis=1) == 1].any()
             seen.append(symmetric)
             return am.Direct().setup(matrix, symmetric=symmetric)
 
     seen = []
-    for problem in (grids(name), replace(grids(name).finest.discrete, coordinates=None, near_nullspace=None)):
+    for problem in (
+        grids(name),
+        replace(grids(name).finest.discrete, coordinates=None, near_nullspace=None),
+    ):
         am.solve(problem, am.ActiveSet(linear=Watching()))
     assert all(seen) is ("friction " not in name)
 

@@ -1,4 +1,5 @@
-"""Warnings on what exceeds the theory: each fires where it should, and none on any case; the default of one mesh."""
+"""Warnings on what exceeds the theory: each fires where it should, and none on any case; the
+default of one mesh."""
 
 import logging
 import time
@@ -15,12 +16,24 @@ from adaptmg.solver import outcome as solving
 from adaptmg.solver import record
 
 
-def bar(scale=1.0, young=1.3e11, poisson=0.2, material=am.PlaneStrain, pressure=1e7, above=0.0, divisions=(4, 8)):
+def bar(
+    scale=1.0,
+    young=1.3e11,
+    poisson=0.2,
+    material=am.PlaneStrain,
+    pressure=1e7,
+    above=0.0,
+    divisions=(4, 8),
+):
     """A bar over a plane, pressed on it from its top, which is held sideways."""
     problem = am.ContactProblem(
-        domain=am.Rectangle(width=40e-3 * scale, height=40e-3 * scale), material=material(young=young, poisson=poisson),
-        contact=am.Contact("bottom", am.Plane(point=(0.0, -above), normal=(0.0, 1.0))), law=am.Coulomb(0.2),
-        loads=(am.Pressure("left", pressure),), supports=(am.Support("top", x=0.0, y=-1e-5),))
+        domain=am.Rectangle(width=40e-3 * scale, height=40e-3 * scale),
+        material=material(young=young, poisson=poisson),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, -above), normal=(0.0, 1.0))),
+        law=am.Coulomb(0.2),
+        loads=(am.Pressure("left", pressure),),
+        supports=(am.Support("top", x=0.0, y=-1e-5),),
+    )
     return am.Hierarchy.uniform(problem, divisions=divisions)
 
 
@@ -32,39 +45,69 @@ def warned(act):
 
 
 def test_a_tied_slave_in_front_of_an_obstacle_is_warned_of():
-    parts = {"a": am.Rectangle(width=1, height=1, origin=(0, 1)), "b": am.Rectangle(width=1, height=1)}
+    parts = {
+        "a": am.Rectangle(width=1, height=1, origin=(0, 1)),
+        "b": am.Rectangle(width=1, height=1),
+    }
     for tie, loud in ((am.Tied("a.bottom", "b.top"), True), (am.Tied("b.top", "a.bottom"), False)):
         problem = am.ContactProblem(
-            domain=am.Assembly(parts=parts), material=am.PlaneStrain(young=1e9, poisson=0.3), law=am.Frictionless(),
-            ties=tie, contact=am.Contact("a.right", am.Plane((1, 1), (-1, 0))), loads=am.Traction("a.left", (1e6, 0)),
-            supports=am.Support("b.bottom", x=0, y=0))
+            domain=am.Assembly(parts=parts),
+            material=am.PlaneStrain(young=1e9, poisson=0.3),
+            law=am.Frictionless(),
+            ties=tie,
+            contact=am.Contact("a.right", am.Plane((1, 1), (-1, 0))),
+            loads=am.Traction("a.left", (1e6, 0)),
+            supports=am.Support("b.bottom", x=0, y=0),
+        )
         grids = am.Hierarchy.uniform(problem, [{"a": 4, "b": 5}])
         texts = [str(one.message) for one in warned(lambda grids=grids: am.solve(grids))]
         assert ["exchange slave and master of the tie" in text for text in texts] == [True] * loud
 
 
 BEYOND = {
-    "poisson is 0.46": ({"poisson": 0.46}, {"poisson": 0.45}, {"poisson": 0.46, "material": am.PlaneStress}),
-    "span 40 m, with young .*1.3e\\+11 Pa.*in mm\\?": ({"scale": 1e3}, {"scale": 100},
-                                                        {"scale": 1e3, "young": 1e9}),
-    "in mm and moduli in N/mm": ({"scale": 1e3, "young": 1.3e5, "pressure": 1e2}, {"young": 1.3e5, "pressure": 1e2}),
+    "poisson is 0.46": (
+        {"poisson": 0.46},
+        {"poisson": 0.45},
+        {"poisson": 0.46, "material": am.PlaneStress},
+    ),
+    "span 40 m, with young .*1.3e\\+11 Pa.*in mm\\?": (
+        {"scale": 1e3},
+        {"scale": 100},
+        {"scale": 1e3, "young": 1e9},
+    ),
+    "in mm and moduli in N/mm": (
+        {"scale": 1e3, "young": 1.3e5, "pressure": 1e2},
+        {"young": 1.3e5, "pressure": 1e2},
+    ),
     "strains exceed 5 %.*young \\(1.3e\\+08 Pa": ({"young": 1.3e8}, {"young": 1.3e9}),
-    "stays at least .* they cannot meet": ({"above": 1e-3}, {"above": 5e-5})}
+    "stays at least .* they cannot meet": ({"above": 1e-3}, {"above": 5e-5}),
+}
 
 
 def test_a_mesh_that_is_not_one_of_the_domain_is_named():
     problem = am.cases.greco_bar()
     mesh = am.mesh.structured(problem.domain, 4)
-    for points, wrong in ((mesh.points, False), (1e3 * mesh.points, True), (mesh.points + np.array([0.0, 0.02]), True)):
-        caught = warned(lambda points=points: am.Hierarchy.from_meshes(problem, replace(mesh, points=points)))
-        assert ["spans" in str(one.message) and one.filename == __file__ for one in caught] == [True] * wrong
+    for points, wrong in (
+        (mesh.points, False),
+        (1e3 * mesh.points, True),
+        (mesh.points + np.array([0.0, 0.02]), True),
+    ):
+        caught = warned(
+            lambda points=points: am.Hierarchy.from_meshes(problem, replace(mesh, points=points))
+        )
+        assert ["spans" in str(one.message) and one.filename == __file__ for one in caught] == [
+            True
+        ] * wrong
 
 
 @pytest.mark.parametrize("message", BEYOND)
 def test_a_limit_of_the_theory_is_named_once_at_the_users_line(message):
     beyond, *within = BEYOND[message]
     grids = bar(**beyond)
-    for act in (lambda: am.solve(grids), lambda: am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}))):
+    for act in (
+        lambda: am.solve(grids),
+        lambda: am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]})),
+    ):
         with pytest.warns(UserWarning, match=message) as caught:
             act()
         assert len(caught) == 1 and caught[0].filename == __file__
@@ -94,29 +137,52 @@ def test_an_adaptive_loop_warns_once():
 def test_no_case_is_beyond_the_theory_and_all_adapt_by_default(name):
     caught = warned(lambda: next(am.adapt(am.cases.get(name).function())))
     # what the strut is about
-    assert all(name == "leaning_strut" and "may not be unique" in str(one.message) for one in caught), caught
+    assert all(
+        name == "leaning_strut" and "may not be unique" in str(one.message) for one in caught
+    ), caught
 
 
 def test_one_mesh_takes_the_quickest_method_but_a_named_one(monkeypatch, tmp_path):
     grids = bar(divisions=(21,))
     result = am.solve(grids)
-    assert result.solver_name.startswith("ActiveSet(") and "the quickest is the active set method" in repr(result)
+    assert result.solver_name.startswith(
+        "ActiveSet("
+    ) and "the quickest is the active set method" in repr(result)
     assert am.solve(grids.finest.discrete).choice == result.choice
     result.save(tmp_path / "bar.npz")
     assert am.Result.load(tmp_path / "bar.npz").choice == result.choice
     monkeypatch.setattr(solving, "FACTORISED", {2: 400, 3: 400})
     large = am.solve(grids)
-    assert large.solver_name == "Multigrid()" and "coarse spaces" in repr(large) and len(large.levels) > 1
+    assert (
+        large.solver_name == "Multigrid()"
+        and "coarse spaces" in repr(large)
+        and len(large.levels) > 1
+    )
     assert large.mesh is grids.finest.mesh and "transfer" in large.timings
-    assert large.displacement == pytest.approx(result.displacement, abs=1e-7 * np.abs(result.displacement).max())
+    assert large.displacement == pytest.approx(
+        result.displacement, abs=1e-7 * np.abs(result.displacement).max()
+    )
     pair = bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 3).truncated(coarsest=2)
-    assert am.solve(pair).status.ok and am.solve_path(pair, am.LoadPath({"upper.left": [0.5, 1.0]})).complete
+    assert (
+        am.solve(pair).status.ok
+        and am.solve_path(pair, am.LoadPath({"upper.left": [0.5, 1.0]})).complete
+    )
     given = am.solve(grids, am.SingleGrid(rtol=1e-3))
-    assert given.solver_name == "SingleGrid(rtol=0.001)" and given.choice == "" and "solver=None" not in repr(given)
+    assert (
+        given.solver_name == "SingleGrid(rtol=0.001)"
+        and given.choice == ""
+        and "solver=None" not in repr(given)
+    )
 
 
-@pytest.mark.parametrize(("divisions", "large", "method", "levels"), [
-    ((2, 3, 4, 8), 80, "FullMultigrid()", 3), ((4, 5, 6), 300, "ActiveSet(", 3), ((2, 4, 8), 80, "FullMultigrid()", 3)])
+@pytest.mark.parametrize(
+    ("divisions", "large", "method", "levels"),
+    [
+        ((2, 3, 4, 8), 80, "FullMultigrid()", 3),
+        ((4, 5, 6), 300, "ActiveSet(", 3),
+        ((2, 4, 8), 80, "FullMultigrid()", 3),
+    ],
+)
 def test_a_default_takes_the_levels_that_pay(monkeypatch, divisions, large, method, levels):
     monkeypatch.setattr(solving, "LARGE_COARSEST", large)
     grids = am.Hierarchy.uniform(am.cases.greco_block(), divisions=divisions)
@@ -124,7 +190,9 @@ def test_a_default_takes_the_levels_that_pay(monkeypatch, divisions, large, meth
     assert every.choice == "" and len(every.levels) == len(divisions)
     assert result.solver_name.startswith(method) and len(result.levels) == levels
     assert bool(result.choice) is (divisions != (2, 4, 8)) and result.choice in repr(result)
-    assert result.displacement == pytest.approx(every.displacement, abs=1e-6 * np.abs(every.displacement).max())
+    assert result.displacement == pytest.approx(
+        every.displacement, abs=1e-6 * np.abs(every.displacement).max()
+    )
 
 
 def test_seconds_of_compiling_are_counted_apart():
@@ -146,9 +214,14 @@ def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
         result = am.solve(grids, progress=True)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == len(result.history["cycle"]) and lines[0].startswith("cycle 0: 1.")
-    records = [(one.levelno, one.getMessage()) for one in caplog.records if one.name == "adaptmg.solver.solve"]
+    records = [
+        (one.levelno, one.getMessage())
+        for one in caplog.records
+        if one.name == "adaptmg.solver.solve"
+    ]
     assert [text for level, text in records if level == logging.INFO] == [
-        text for level, text in records if "CONVERGED after" in text]
+        text for level, text in records if "CONVERGED after" in text
+    ]
     assert set(lines) < {text for _, text in records}
     steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}), progress=True)
     written = [line.partition("=")[0] for line in capsys.readouterr().err.splitlines()]
@@ -156,6 +229,9 @@ def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
     assert steps.complete
     meshes = list(am.adapt(grids.problem, max_nodes=300, progress=True))
     assert len(capsys.readouterr().err.splitlines()) == 2 * len(meshes)
-    for call in (lambda: am.solve(grids, progress=1), lambda: am.adapt(grids.problem, progress="bar")):
+    for call in (
+        lambda: am.solve(grids, progress=1),
+        lambda: am.adapt(grids.problem, progress="bar"),
+    ):
         with pytest.raises(TypeError, match="progress must be"):
             call()

@@ -1,4 +1,5 @@
-"""The certificate: each line catches its fault, and the status needs it (what it may import: pyproject.toml)."""
+"""The certificate: each line catches its fault, and the status needs it (what it may import:
+pyproject.toml)."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,7 +25,9 @@ LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(2e7), "coulomb": 
 def grids(law="coulomb", dim=2, divisions=None):
     """The bar (block) pressed at one end, so that nodes are open, slip and stick."""
     case = am.cases.greco_bar if dim == 2 else am.cases.greco_block
-    return am.Hierarchy.uniform(case(law=LAWS[law]), divisions or ((4, 8, 16) if dim == 2 else (2, 4)))
+    return am.Hierarchy.uniform(
+        case(law=LAWS[law]), divisions or ((4, 8, 16) if dim == 2 else (2, 4))
+    )
 
 
 @cache
@@ -38,7 +41,9 @@ class Returns:
     rtol: float = 1e-6
 
     def run(self, hierarchy, run, start):
-        return Outcome(self.displacement, am.Status.CONVERGED, cycles=1, rtol=self.rtol, error_estimate=0.0)
+        return Outcome(
+            self.displacement, am.Status.CONVERGED, cycles=1, rtol=self.rtol, error_estimate=0.0
+        )
 
 
 def energy(discrete, displacement):
@@ -51,12 +56,18 @@ def energy(discrete, displacement):
 def test_a_solution_violates_nothing(law, dim):
     certificate = exact(law, dim).certificate()
     assert not certificate.contradictions(1e-11)
-    assert max(line.relative for line in certificate.lines) <= 1e-11 and certificate.energy_error <= 1e-11
+    assert (
+        max(line.relative for line in certificate.lines) <= 1e-11
+        and certificate.energy_error <= 1e-11
+    )
 
 
 def test_the_scales_are_forces_and_the_largest_displacement():
     result, discrete, certificate = exact(), grids().finest.discrete, exact().certificate()
-    supports, load, contact = result.reaction.copy(), *map(np.linalg.norm, (discrete.load, result.contact.force))
+    supports, load, contact = (
+        result.reaction.copy(),
+        *map(np.linalg.norm, (discrete.load, result.contact.force)),
+    )
     supports[result.contact.node] -= result.contact.force
     held = np.linalg.norm(supports[discrete.fixed.reshape(supports.shape)])
     assert certificate.force == pytest.approx(max(load, contact, held))
@@ -93,7 +104,9 @@ def glued():
     u = np.zeros_like(exact().displacement)
     free = ~bare().fixed.reshape(u.shape)
     free[exact().contact.node] = False
-    u[free] = spsolve(bare().matrix.tocsc()[free.ravel()][:, free.ravel()], bare().load[free.ravel()])
+    u[free] = spsolve(
+        bare().matrix.tocsc()[free.ravel()][:, free.ravel()], bare().load[free.ravel()]
+    )
     return u
 
 
@@ -101,16 +114,39 @@ def glued():
 FAULTS = {
     "perturbed": (perturbed, ("equilibrium", "penetration", "energy error"), None),
     "flipped": (lambda: -exact().displacement, ("equilibrium", "energy error"), None),
-    "moved supports": (lambda: solution_of(replace(bare(), fixed_values=1e-5 * bare().fixed)),
-                       ("prescribed values", "energy error"), 1e-5),
+    "moved supports": (
+        lambda: solution_of(replace(bare(), fixed_values=1e-5 * bare().fixed)),
+        ("prescribed values", "energy error"),
+        1e-5,
+    ),
     "a node too deep": (with_a_penetrating_node, ("penetration", "equilibrium"), 1e-7),
-    "all too deep": (lambda: solution_of(posed(gaps=bare().contact.gaps + 1e-6)), ("penetration",), 1e-6),
-    "hovering": (lambda: solution_of(posed(gaps=bare().contact.gaps - 1e-6, allow_interference=True)),
-                 ("open, touching", "complementarity"), None),
+    "all too deep": (
+        lambda: solution_of(posed(gaps=bare().contact.gaps + 1e-6)),
+        ("penetration",),
+        1e-6,
+    ),
+    "hovering": (
+        lambda: solution_of(posed(gaps=bare().contact.gaps - 1e-6, allow_interference=True)),
+        ("open, touching", "complementarity"),
+        None,
+    ),
     "glued": (glued, ("tension", "friction bound"), None),
-    "more friction": (lambda: solution_of(replace(bare(), law=am.Coulomb(2.0))), ("friction bound",), None),
-    "less friction": (lambda: solution_of(replace(bare(), law=am.Coulomb(0.5))), ("slip direction",), None),
-    "no friction": (lambda: solution_of(replace(bare(), law=am.Frictionless())), ("slip direction",), None)}
+    "more friction": (
+        lambda: solution_of(replace(bare(), law=am.Coulomb(2.0))),
+        ("friction bound",),
+        None,
+    ),
+    "less friction": (
+        lambda: solution_of(replace(bare(), law=am.Coulomb(0.5))),
+        ("slip direction",),
+        None,
+    ),
+    "no friction": (
+        lambda: solution_of(replace(bare(), law=am.Frictionless())),
+        ("slip direction",),
+        None,
+    ),
+}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -120,7 +156,9 @@ def test_a_faulty_displacement_is_named_and_does_not_converge(fault):
     assert not result.status.ok
     found = result.certificate().contradictions(1e-6)
     assert set(names) <= set(found), found
-    assert largest is None or result.certificate()[names[0]].largest == pytest.approx(largest, rel=1e-6)
+    assert largest is None or result.certificate()[names[0]].largest == pytest.approx(
+        largest, rel=1e-6
+    )
 
 
 def test_not_finite_or_run_away():
@@ -137,68 +175,113 @@ class TestFaultyClaims:
         contact = replace(exact().contact, **changes)
         return certify(bare(), exact().displacement, contact).contradictions(1e-8)
 
-    @pytest.mark.parametrize(("factor_n", "factor_t", "names"), [
-        (1, -1, {"equilibrium", "slip direction", "slip along the force"}), (-1, 1, {"equilibrium", "tension"}),
-        (1, 2, {"equilibrium", "friction bound"}), (0, 0, {"equilibrium", "balance"})])
+    @pytest.mark.parametrize(
+        ("factor_n", "factor_t", "names"),
+        [
+            (1, -1, {"equilibrium", "slip direction", "slip along the force"}),
+            (-1, 1, {"equilibrium", "tension"}),
+            (1, 2, {"equilibrium", "friction bound"}),
+            (0, 0, {"equilibrium", "balance"}),
+        ],
+    )
     def test_wrong_forces(self, factor_n, factor_t, names):
         contact = exact().contact
-        assert names <= set(self.contradictions(force_n=factor_n * contact.force_n, force_t=factor_t * contact.force_t))
+        assert names <= set(
+            self.contradictions(
+                force_n=factor_n * contact.force_n, force_t=factor_t * contact.force_t
+            )
+        )
 
-    @pytest.mark.parametrize(("was", "claimed", "name"), [
-        (am.SLIP, am.STICK, "slip, sticking"), (am.SLIP, am.OPEN, "open, touching"),
-        (am.STICK, am.OPEN, "open, touching"), (am.OPEN, am.SLIP, "touching, open")])
+    @pytest.mark.parametrize(
+        ("was", "claimed", "name"),
+        [
+            (am.SLIP, am.STICK, "slip, sticking"),
+            (am.SLIP, am.OPEN, "open, touching"),
+            (am.STICK, am.OPEN, "open, touching"),
+            (am.OPEN, am.SLIP, "touching, open"),
+        ],
+    )
     def test_wrong_states(self, was, claimed, name):
         contact = exact().contact
         free = ~bare().fixed.reshape(-1, 2)[contact.node].any(axis=1)
         assert (contact.state[free] == was).any()
-        assert self.contradictions(state=np.where(contact.state == was, claimed, contact.state)) == (name,)
+        assert self.contradictions(
+            state=np.where(contact.state == was, claimed, contact.state)
+        ) == (name,)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=1e-3), am.FullMultigrid(rtol=1e-6),
-                                    am.SingleGrid(rtol=1e-3, omega=1.8)], ids=repr)
+@pytest.mark.parametrize(
+    "solver",
+    [am.FullMultigrid(rtol=1e-3), am.FullMultigrid(rtol=1e-6), am.SingleGrid(rtol=1e-3, omega=1.8)],
+    ids=repr,
+)
 def test_the_energy_error_is_estimated(solver, law, dim):
     discrete, u = grids(law, dim).finest.discrete, exact(law, dim).displacement
     result = am.solve(grids(law, dim), solver, throw=False)
     # where the solver ends far below its tolerance, both are rounding
-    estimate, bound = (max(found.energy_error, ROUNDING)
-                       for found in (result.certificate(), result.certificate(discrete, bound=True)))
+    estimate, bound = (
+        max(found.energy_error, ROUNDING)
+        for found in (result.certificate(), result.certificate(discrete, bound=True))
+    )
     true = max(energy(discrete, result.displacement - u) / energy(discrete, u), ROUNDING)
     assert 0.5 * true <= estimate <= 1.5 * true and 0.8 * true <= bound <= 1.2 * true
 
 
 @pytest.mark.parametrize("seed", [60055, 60083, 60187])
 def test_the_estimate_misses_no_errors_that_converge_slowly(seed):
-    """Bodies of very different sizes and stiffness: what steps had removed alone was .81 to .87 of the error."""
+    """Bodies of very different sizes and stiffness: what steps had removed alone was .81 to .87 of
+    the error."""
     hierarchy = load("random_problems").random_problem(seed)
     for cycles in (3, 10):
-        result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-12, max_cycles=cycles, correction=am.Monotone()),
-                          throw=False)
-        estimate, bound = (result.certificate(hierarchy.finest.discrete, bound=exactly).energy_error
-                           for exactly in (False, True))
+        result = am.solve(
+            hierarchy,
+            am.FullMultigrid(rtol=1e-12, max_cycles=cycles, correction=am.Monotone()),
+            throw=False,
+        )
+        estimate, bound = (
+            result.certificate(hierarchy.finest.discrete, bound=exactly).energy_error
+            for exactly in (False, True)
+        )
         assert 0.93 * bound <= estimate <= 1.2 * bound
 
 
 def scaled_ring(length, force):
     """A ring that contact alone holds, above a plane, its lengths and pressures scaled."""
-    return am.Hierarchy.graded(am.ContactProblem(
-        name="ring", domain=am.Rectangle(width=length, height=length, origin=(0.3 * length, 0.0)),
-        material=am.Axisymmetric(young=2e11, poisson=0.3), law=am.Frictionless(),
-        contact=am.Contact("bottom", am.Plane(point=(0.0, -1e-4 * length * force), normal=(0.0, 1.0))),
-        loads=(am.Pressure("top", 1e6 * force), am.Pressure("right", 2e6 * force))),
-        [0.3 * length, 0.16 * length, 0.08 * length], 3.0)
+    return am.Hierarchy.graded(
+        am.ContactProblem(
+            name="ring",
+            domain=am.Rectangle(width=length, height=length, origin=(0.3 * length, 0.0)),
+            material=am.Axisymmetric(young=2e11, poisson=0.3),
+            law=am.Frictionless(),
+            contact=am.Contact(
+                "bottom", am.Plane(point=(0.0, -1e-4 * length * force), normal=(0.0, 1.0))
+            ),
+            loads=(am.Pressure("top", 1e6 * force), am.Pressure("right", 2e6 * force)),
+        ),
+        [0.3 * length, 0.16 * length, 0.08 * length],
+        3.0,
+    )
 
 
-@pytest.mark.parametrize("make", [lambda: scaled_ring(*10 ** np.random.default_rng().uniform(-1, 1, 2)),
-                                  *(lambda seed=seed: load("random_problems").random_floating(seed)
-                                    for seed in (4, 25))], ids=["ring", "blocks", "smooth blocks"])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: scaled_ring(*10 ** np.random.default_rng().uniform(-1, 1, 2)),
+        *(lambda seed=seed: load("random_problems").random_floating(seed) for seed in (4, 25)),
+    ],
+    ids=["ring", "blocks", "smooth blocks"],
+)
 def test_bodies_that_contact_alone_holds(make):
     hierarchy = make()
     discrete = hierarchy.finest.discrete
     exact = am.solve(hierarchy, am.ActiveSet(rtol=1e-12)).displacement
-    for solver in (am.SingleGrid(rtol=0.05, omega=1.8), am.SingleGrid(rtol=5e-3, omega=1.8),
-                   am.Multigrid(correction=am.Monotone(), rtol=1e-2)):
+    for solver in (
+        am.SingleGrid(rtol=0.05, omega=1.8),
+        am.SingleGrid(rtol=5e-3, omega=1.8),
+        am.Multigrid(correction=am.Monotone(), rtol=1e-2),
+    ):
         u = am.solve(hierarchy, solver).displacement
         assert energy(discrete, u - exact) <= 1.5 * solver.rtol * energy(discrete, exact)
 
@@ -228,18 +311,28 @@ def test_a_status_that_hides_the_error_may_change():
 
 def test_nothing_is_missing_where_all_dofs_are_fixed():
     contact = am.ContactNodes(nodes=[], normals=np.empty((0, 2)), gaps=[])
-    problem = am.DiscreteProblem(matrix=sparse.eye_array(4), load=np.ones(4), fixed=np.ones(4, dtype=bool),
-                                 law=am.Frictionless(), contact=contact)
+    problem = am.DiscreteProblem(
+        matrix=sparse.eye_array(4),
+        load=np.ones(4),
+        fixed=np.ones(4, dtype=bool),
+        law=am.Frictionless(),
+        contact=contact,
+    )
     assert am.solve(problem, am.SingleGrid()).checked.energy_error == 0.0
 
 
 def test_one_step_sees_what_is_smooth():
-    """Hats that keep the contact status; constants over boxes that leave contact out see a third of it here."""
+    """Hats that keep the contact status; constants over boxes that leave contact out see a third of
+    it here."""
     hierarchy = grids(divisions=(4, 8, 16, 32, 64))
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6), throw=False)
     true = result.certificate(hierarchy.finest.discrete, bound=True).energy_error
-    one_step, more = (certify(hierarchy.finest.discrete, result.displacement, result.contact, rtol=rtol).energy_error
-                      for rtol in (100 * true, 0.0))
+    one_step, more = (
+        certify(
+            hierarchy.finest.discrete, result.displacement, result.contact, rtol=rtol
+        ).energy_error
+        for rtol in (100 * true, 0.0)
+    )
     assert 0.75 * true <= one_step < more
 
 
@@ -251,10 +344,19 @@ def test_a_result_shares_no_array_with_the_solver():
 
 
 def test_no_error_estimate_is_better_than_the_certificate():
-    for factor, rtol, status in ((0.0, 0.5, "STALLED"), (0.9, 0.5, "CONVERGED"), (0.9, 1e-2, "STALLED"),
-                                 (1.0, 1e-8, "CONVERGED"), (1.0001, 1e-8, "STALLED"), (1e15, 1e-8, "DIVERGED")):
+    for factor, rtol, status in (
+        (0.0, 0.5, "STALLED"),
+        (0.9, 0.5, "CONVERGED"),
+        (0.9, 1e-2, "STALLED"),
+        (1.0, 1e-8, "CONVERGED"),
+        (1.0001, 1e-8, "STALLED"),
+        (1e15, 1e-8, "DIVERGED"),
+    ):
         result = am.solve(grids(), Returns(factor * exact().displacement, rtol), throw=False)
-        assert result.error_estimate >= result.checked.energy_error and result.status is am.Status[status]
+        assert (
+            result.error_estimate >= result.checked.energy_error
+            and result.status is am.Status[status]
+        )
         assert result.checked.energy_error > 0.05 or factor >= 1
     with pytest.raises(am.NotConverged):
         am.solve(grids(), Returns(1.0001 * exact().displacement, 1e-8))
@@ -271,7 +373,9 @@ def test_it_is_printed_saved_and_computed_again(tmp_path):
     assert all(line.name in text for line in result.certificate().lines) and "energy error" in text
     result.save(tmp_path / "run.npz")
     loaded = am.Result.load(tmp_path / "run.npz")
-    assert loaded.certificate() == result.certificate() and isinstance(loaded.certificate(), Certificate)
+    assert loaded.certificate() == result.certificate() and isinstance(
+        loaded.certificate(), Certificate
+    )
     again = loaded.certificate(grids().finest.discrete, bound=True)
     assert again.exact_energy and again.lines == result.certificate().lines
     with pytest.raises(ValueError, match=r"^problem: this result keeps no matrix"):
@@ -284,9 +388,16 @@ def test_it_is_printed_saved_and_computed_again(tmp_path):
 
 def test_faults_of_friction_at_supports_are_caught():
     """Nodes that a support drives along the contact: friction acts there as everywhere."""
-    problem = replace(bar_on_block(am.Coulomb(0.4)), loads=(am.Pressure("upper.top", 1e7),), supports=(
-        am.Support("upper.left", x=0.0), am.Support("upper.right", x=0.0), am.Support("lower.right", x=1e-3),
-        am.Support("lower.bottom", x=1e-3, y=0.0)))
+    problem = replace(
+        bar_on_block(am.Coulomb(0.4)),
+        loads=(am.Pressure("upper.top", 1e7),),
+        supports=(
+            am.Support("upper.left", x=0.0),
+            am.Support("upper.right", x=0.0),
+            am.Support("lower.right", x=1e-3),
+            am.Support("lower.bottom", x=1e-3, y=0.0),
+        ),
+    )
     hierarchy = bar_hierarchy(problem, 2)
     # 1 mm of slip against micrometres of strain: fewer digits
     discrete, result = hierarchy.finest.discrete, am.solve(hierarchy, am.ActiveSet(rtol=1e-10))
@@ -296,22 +407,30 @@ def test_faults_of_friction_at_supports_are_caught():
     assert held.sum() == 1 and (contact.force_n[held] > 0).all()
 
     def found(**changes):
-        return certify(discrete, result.displacement, replace(contact, **changes)).contradictions(1e-6)
+        return certify(discrete, result.displacement, replace(contact, **changes)).contradictions(
+            1e-6
+        )
 
     assert "slip direction" in found(force_t=contact.force_t * ~held[:, None])
     assert "friction bound" in found(force_t=contact.force_t * (1 + held[:, None]))
     assert found(state=np.where(held, am.STICK, contact.state)) == ("slip, sticking",)
     # the master must carry the friction of held nodes, too
     share = np.zeros_like(contact.master_force)
-    share[np.argmax(np.abs(contact.master_force[:, 0])), 0] = 0.1 * np.abs(contact.master_force).max()
+    share[np.argmax(np.abs(contact.master_force[:, 0])), 0] = (
+        0.1 * np.abs(contact.master_force).max()
+    )
     assert "equilibrium" in found(master_force=contact.master_force + share)
     assert {"equilibrium", "balance"} <= set(found(master_force=-contact.master_force))
     assert {line.unit for line in result.certificate().lines} == {"N", "m", "N m", ""}
 
 
-@pytest.mark.parametrize("problem", [am.cases.greco_bar(), am.cases.greco_block()], ids=["2D", "3D"])
+@pytest.mark.parametrize(
+    "problem", [am.cases.greco_bar(), am.cases.greco_block()], ids=["2D", "3D"]
+)
 def test_the_coarse_correction_is_galerkins(problem):
-    discrete = am.Hierarchy.uniform(problem, divisions=(17 if problem.dim == 2 else 6,)).finest.discrete
+    discrete = am.Hierarchy.uniform(
+        problem, divisions=(17 if problem.dim == 2 else 6,)
+    ).finest.discrete
     n, dim = discrete.n_nodes, discrete.dim
     every, kept = np.arange(n), np.tile(np.eye(dim), (n, 1, 1))
     kept[:3, 0] = 0.0
@@ -321,7 +440,9 @@ def test_the_coarse_correction_is_galerkins(problem):
     blocks = np.stack([np.diag(row) for row in discrete.matrix.diagonal().reshape(n, dim)])
     coarse = np.zeros(n * dim)
     CoarseCorrection(discrete.matrix, aggregates, motions, every, blocks).add(residual, coarse)
-    basis = sparse.bsr_array((motions.swapaxes(1, 2), aggregates.label, aggregates.starts)).toarray()
+    basis = sparse.bsr_array(
+        (motions.swapaxes(1, 2), aggregates.label, aggregates.starts)
+    ).toarray()
     dense += np.diag(np.diag(dense))
     exact = basis @ np.linalg.solve(basis.T @ dense @ basis, basis.T @ residual)
     np.testing.assert_allclose(coarse, exact, atol=1e-8 * abs(exact).max())

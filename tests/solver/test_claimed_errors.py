@@ -1,5 +1,5 @@
-"""Errors are what methods claim: of deformation and forces, not of a nodal jump; where estimates are too small the
-certificate makes a method go on."""
+"""Errors are what methods claim: of deformation and forces, not of a nodal jump; where estimates
+are too small the certificate makes a method go on."""
 
 from dataclasses import replace
 from functools import cache
@@ -24,16 +24,25 @@ STEEL = am.PlaneStrain(young=1.3e11, poisson=0.2)
 def lowered(down=DOWN):
     """A block lowered through a gap until it is pressed by 10 micrometres."""
     return am.ContactProblem(
-        name="lowered", domain=am.Rectangle(width=40e-3, height=40e-3), material=STEEL, law=am.Coulomb(0.3),
+        name="lowered",
+        domain=am.Rectangle(width=40e-3, height=40e-3),
+        material=STEEL,
+        law=am.Coulomb(0.3),
         contact=am.Contact("bottom", am.GapFunction(lambda points: np.full(len(points), GAP))),
-        supports=(am.Support("top", x=0.0, y=-down),))
+        supports=(am.Support("top", x=0.0, y=-down),),
+    )
 
 
-METHODS = {"truncated, nested": am.FullMultigrid(), "truncated, from zero": am.Multigrid(),
-           "monotone, nested": am.FullMultigrid(correction=am.Monotone()),
-           "monotone, from zero": am.Multigrid(correction=am.Monotone()), "single grid": am.SingleGrid(omega=1.9),
-           "single grid, condensed": am.SingleGrid(condensed=True), "active set": am.ActiveSet(),
-           "active set, AMG": am.ActiveSet(linear=am.AMG())}
+METHODS = {
+    "truncated, nested": am.FullMultigrid(),
+    "truncated, from zero": am.Multigrid(),
+    "monotone, nested": am.FullMultigrid(correction=am.Monotone()),
+    "monotone, from zero": am.Multigrid(correction=am.Monotone()),
+    "single grid": am.SingleGrid(omega=1.9),
+    "single grid, condensed": am.SingleGrid(condensed=True),
+    "active set": am.ActiveSet(),
+    "active set, AMG": am.ActiveSet(linear=am.AMG()),
+}
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +71,16 @@ def test_sizes_against_the_matrix(grids, frames):
     """From unknowns that count from the prescribed values, in Cartesian and local components."""
     discrete = grids.finest.discrete
     local = local_system(discrete)
-    u = np.where(discrete.fixed, discrete.fixed_values,
-                 1e-3 * np.random.default_rng(0).standard_normal(discrete.n_dofs))
+    u = np.where(
+        discrete.fixed,
+        discrete.fixed_values,
+        1e-3 * np.random.default_rng(0).standard_normal(discrete.n_dofs),
+    )
     eliminated = u - discrete.fixed_values
-    w, sizes = local.to_local(u) if frames else eliminated, Sizes(discrete, local.frames if frames else None)
+    w, sizes = (
+        local.to_local(u) if frames else eliminated,
+        Sizes(discrete, local.frames if frames else None),
+    )
     energy = eliminated @ (discrete.matrix @ eliminated)
     assert sizes.norm(w, energy) == pytest.approx(np.sqrt(u @ (discrete.matrix @ u)), rel=1e-9)
     reactions = (discrete.matrix @ u - discrete.load)[discrete.fixed]
@@ -74,14 +89,22 @@ def test_sizes_against_the_matrix(grids, frames):
 
 
 def heated(kind):
-    """A block that expands a hundred to a thousand times more than the pressure on it compresses it."""
+    """A block that expands a hundred to a thousand times more than the pressure on it compresses
+    it."""
     solid = kind is am.Solid
     heat = (am.InitialStrain("body", (value,) * 3) for value in (8e-4, 2e-4))
     problem = am.ContactProblem(
-        domain=am.Box(width=0.04, depth=0.04, height=0.04) if solid else am.Rectangle(width=0.04, height=0.04),
-        material=kind(young=2e11, poisson=0.3), law=am.Coulomb(0.3), loads=(am.Pressure("top", 1e6), *heat),
-        contact=am.Contact("bottom", am.Plane((0.0, 0.0, 0.0)[not solid:], (0.0, 0.0, 1.0)[not solid:])),
-        supports=(am.Support("left", x=0.0), *([am.Support("front", y=0.0)] if solid else [])))
+        domain=am.Box(width=0.04, depth=0.04, height=0.04)
+        if solid
+        else am.Rectangle(width=0.04, height=0.04),
+        material=kind(young=2e11, poisson=0.3),
+        law=am.Coulomb(0.3),
+        loads=(am.Pressure("top", 1e6), *heat),
+        contact=am.Contact(
+            "bottom", am.Plane((0.0, 0.0, 0.0)[not solid :], (0.0, 0.0, 1.0)[not solid :])
+        ),
+        supports=(am.Support("left", x=0.0), *([am.Support("front", y=0.0)] if solid else [])),
+    )
     return am.Hierarchy.uniform(problem, (2, 4) if solid else (4, 8, 16))
 
 
@@ -89,18 +112,32 @@ def heated(kind):
 def test_expansion_that_meets_no_resistance_does_not_count(kind):
     grids = heated(kind)
     exact = am.solve(grids, am.ActiveSet(rtol=1e-11))
-    stresses = displacement_norm(grids.finest.discrete, grids.finest.discrete.relative(exact.displacement))
-    if kind is not am.PlaneStrain:  # where the strain through the thickness is suppressed, and counts for the energy
+    stresses = displacement_norm(
+        grids.finest.discrete, grids.finest.discrete.relative(exact.displacement)
+    )
+    if (
+        kind is not am.PlaneStrain
+    ):  # where the strain through the thickness is suppressed, and counts for the energy
         assert stresses**2 == pytest.approx(2 * exact.energy, rel=1e-4)
-    for solver in (am.Multigrid(rtol=0.2), am.SingleGrid(rtol=0.1, omega=1.7), am.SingleGrid(rtol=0.1, condensed=True)):
+    for solver in (
+        am.Multigrid(rtol=0.2),
+        am.SingleGrid(rtol=0.1, omega=1.7),
+        am.SingleGrid(rtol=0.1, condensed=True),
+    ):
         result = am.solve(grids, solver)
-        assert distance(grids.finest.discrete, result.displacement, exact.displacement) <= solver.rtol
-        assert result.contact.force_n.sum() == pytest.approx(exact.contact.force_n.sum(), rel=2 * solver.rtol)
+        assert (
+            distance(grids.finest.discrete, result.displacement, exact.displacement) <= solver.rtol
+        )
+        assert result.contact.force_n.sum() == pytest.approx(
+            exact.contact.force_n.sum(), rel=2 * solver.rtol
+        )
 
 
 def test_load_steps(grids, exact):
     """Half way down nothing touches; then the block is pressed."""
-    apart, pressed = am.solve_path(grids, am.LoadPath({"top": [0.5, 1.0]}), am.FullMultigrid(rtol=1e-8))
+    apart, pressed = am.solve_path(
+        grids, am.LoadPath({"top": [0.5, 1.0]}), am.FullMultigrid(rtol=1e-8)
+    )
     assert (apart.contact.state == am.OPEN).all()
     assert distance(grids.finest.discrete, pressed.displacement, exact.displacement) <= 3e-8
 
@@ -115,12 +152,15 @@ def test_a_body_that_nothing_strains():
 
 @pytest.mark.parametrize("method", [name for name in METHODS if name != "active set"])
 def test_the_certificate_makes_a_method_go_on(method, monkeypatch):
-    """Estimates of a thousandth, and residuals that say nothing: only the certificate keeps a method going."""
+    """Estimates of a thousandth, and residuals that say nothing: only the certificate keeps a
+    method going."""
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16))
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     for kind in (StopTest, TruncatedIteration):
         monkeypatch.setattr(kind, "_estimate", lambda self, own=kind._estimate: 1e-3 * own(self))
-    monkeypatch.setattr(StopTest, "change", property(lambda self, own=StopTest.change: 1e-3 * own.fget(self)))
+    monkeypatch.setattr(
+        StopTest, "change", property(lambda self, own=StopTest.change: 1e-3 * own.fget(self))
+    )
     monkeypatch.setattr(StopTest, "RESIDUAL_FACTOR", 1e5)
     # cycles take up again what large problems set aside for the certificate
     monkeypatch.setattr("adaptmg.multigrid.split_matrix.LARGE", 0)
@@ -139,18 +179,33 @@ def test_an_estimate_that_the_certificate_refutes_is_not_told(monkeypatch):
 
 @cache
 def folded():
-    """A serpentine of eight arms, 40 : 1, on a plane, its top pressed down and moved aside; and its solution."""
-    meshes = [slender.cut_out(slender.spring(8, 40), 1e-3, divisions, (0.0, 0.0)) for divisions in (1, 2)]
-    grids = am.Hierarchy.from_meshes(am.ContactProblem(
-        name="spring", material=am.PlaneStrain(young=2.1e11, poisson=0.3), law=am.Coulomb(0.3),
-        contact=am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))),
-        supports=(am.Support("top", x=5e-5, y=-2e-4),)), meshes)
+    """A serpentine of eight arms, 40 : 1, on a plane, its top pressed down and moved aside; and its
+    solution."""
+    meshes = [
+        slender.cut_out(slender.spring(8, 40), 1e-3, divisions, (0.0, 0.0)) for divisions in (1, 2)
+    ]
+    grids = am.Hierarchy.from_meshes(
+        am.ContactProblem(
+            name="spring",
+            material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+            law=am.Coulomb(0.3),
+            contact=am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))),
+            supports=(am.Support("top", x=5e-5, y=-2e-4),),
+        ),
+        meshes,
+    )
     return grids, am.solve(grids, am.ActiveSet(rtol=1e-6)).displacement
 
 
-@pytest.mark.parametrize("solver", [am.FullMultigrid(rtol=0.1), am.FullMultigrid(rtol=1e-3),
-                                    am.FullMultigrid(correction=am.Monotone(), rtol=0.1)],
-                         ids=["nested", "nested, closer", "monotone"])
+@pytest.mark.parametrize(
+    "solver",
+    [
+        am.FullMultigrid(rtol=0.1),
+        am.FullMultigrid(rtol=1e-3),
+        am.FullMultigrid(correction=am.Monotone(), rtol=0.1),
+    ],
+    ids=["nested", "nested, closer", "monotone"],
+)
 def test_on_a_folded_body(solver):
     grids, exact = folded()
     result = am.solve(grids, solver)
@@ -160,7 +215,8 @@ def test_on_a_folded_body(solver):
 
 
 def test_contact_nodes_that_open_one_after_the_other():
-    # Newton steps shrink while the contact zone does; the certificate, which holds the status, sees a twelfth of it
+    # Newton steps shrink while the contact zone does; the certificate, which holds the status, sees
+    # a twelfth of it
     grids, rtol = slender.random_slender(71012), 5.5e-3
     exact, result = (am.solve(grids, am.ActiveSet(rtol=value)) for value in (1e-10, rtol))
     assert distance(grids.finest.discrete, result.displacement, exact.displacement) <= 3 * rtol
@@ -170,11 +226,17 @@ def test_a_tolerance_below_rounding_is_refused_with_the_least():
     # a beam of 200 : 1: rounding of its residual is 1e-7 of the load
     cells = np.zeros((200, 3), dtype=bool)
     cells[:, 1] = cells[0, 2] = cells[50:, 0] = True
-    grids = am.Hierarchy.from_meshes(am.ContactProblem(
-        name="beam", material=am.PlaneStrain(young=2e11, poisson=0.3), law=am.Coulomb(0.3),
-        contact=am.Contact("bottom", am.Plane(point=(0, -2e-3), normal=(0, 1))),
-        loads=(am.BodyForce((0.0, -1e6)),), supports=(am.Support("top", x=0.0, y=0.0),)),
-        [slender.cut_out(cells, 1e-3, divisions, (0.0, 0.0)) for divisions in (1, 2)])
+    grids = am.Hierarchy.from_meshes(
+        am.ContactProblem(
+            name="beam",
+            material=am.PlaneStrain(young=2e11, poisson=0.3),
+            law=am.Coulomb(0.3),
+            contact=am.Contact("bottom", am.Plane(point=(0, -2e-3), normal=(0, 1))),
+            loads=(am.BodyForce((0.0, -1e6)),),
+            supports=(am.Support("top", x=0.0, y=0.0),),
+        ),
+        [slender.cut_out(cells, 1e-3, divisions, (0.0, 0.0)) for divisions in (1, 2)],
+    )
     for solver in (am.ActiveSet(rtol=1e-12), am.Multigrid(rtol=1e-12)):
         result = am.solve(grids, solver, throw=False)
         assert result.status is am.Status.ROUNDING and result.cycles <= 50
@@ -182,7 +244,8 @@ def test_a_tolerance_below_rounding_is_refused_with_the_least():
 
 
 def test_a_patch_test_to_the_discretisation_error():
-    # the nested start is exact: no cycle shows a discretisation error, whose tenth would be the tolerance
+    # the nested start is exact: no cycle shows a discretisation error, whose tenth would be the
+    # tolerance
     grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Frictionless()), divisions=(2, 4, 8))
     result = am.solve(grids, am.FullMultigrid(rtol="discretisation"))
     assert result.status.ok and result.cycles == 0 and result.residual < 1e-13
@@ -208,10 +271,25 @@ def exactly(case, friction):
     return am.solve(bars(case, friction), am.ActiveSet(rtol=1e-13))
 
 
-@pytest.mark.parametrize(("case", "friction", "rtol"), [("bar", 0.1, 1e-6), ("bar", 1.5, 1e-6), ("bar", 0.6, 3e-9),
-                                                        ("block", 0.3, 1e-6), ("bar", 0.6, 1e-2)])
-@pytest.mark.parametrize("solver", [am.FullMultigrid, am.ActiveSet, lambda rtol: am.FullMultigrid(
-    correction=am.Monotone(), rtol=rtol)], ids=["truncated", "active set", "monotone"])
+@pytest.mark.parametrize(
+    ("case", "friction", "rtol"),
+    [
+        ("bar", 0.1, 1e-6),
+        ("bar", 1.5, 1e-6),
+        ("bar", 0.6, 3e-9),
+        ("block", 0.3, 1e-6),
+        ("bar", 0.6, 1e-2),
+    ],
+)
+@pytest.mark.parametrize(
+    "solver",
+    [
+        am.FullMultigrid,
+        am.ActiveSet,
+        lambda rtol: am.FullMultigrid(correction=am.Monotone(), rtol=rtol),
+    ],
+    ids=["truncated", "active set", "monotone"],
+)
 def test_the_true_error_is_at_most_rtol(case, friction, rtol, solver):
     result = am.solve(bars(case, friction), solver(rtol=rtol))
     solution = exactly(case, friction).displacement

@@ -1,4 +1,5 @@
-"""Linear solvers: elimination order, direct solver, algebraic multigrid; the glued problem and condensation."""
+"""Linear solvers: elimination order, direct solver, algebraic multigrid; the glued problem and
+condensation."""
 
 from dataclasses import replace
 
@@ -53,19 +54,27 @@ def test_every_node_comes_once_and_the_last_come_last(seed, n, density):
     for coordinates in (rng.integers(0, 3, size=(n, 2)).astype(float), None):
         order = nested_dissection(graph, coordinates, last=last)
         assert np.array_equal(np.sort(order), np.arange(n))
-        assert set(order[n - len(last):]) == set(last)
+        assert set(order[n - len(last) :]) == set(last)
 
 
 @pytest.mark.parametrize("with_coordinates", [True, False])
 def test_fill_is_that_of_a_good_order(with_coordinates):
     discrete = bar(40)
     matrix = discrete.matrix + sparse.eye_array(discrete.n_dofs) * discrete.matrix.diagonal().max()
-    nodes = nested_dissection(node_graph(discrete.matrix), discrete.coordinates if with_coordinates else None)
+    nodes = nested_dissection(
+        node_graph(discrete.matrix), discrete.coordinates if with_coordinates else None
+    )
     order = (2 * nodes[:, None] + np.arange(2)).ravel()
     ordered = sparse.csr_array(matrix)[order][:, order]
     ours, natural, minimum_degree = (
-        splu(sparse.csc_array(m), permc_spec=name, diag_pivot_thresh=0.0, options={"SymmetricMode": True}).nnz
-        for m, name in ((ordered, "NATURAL"), (matrix, "NATURAL"), (matrix, "MMD_AT_PLUS_A")))
+        splu(
+            sparse.csc_array(m),
+            permc_spec=name,
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        ).nnz
+        for m, name in ((ordered, "NATURAL"), (matrix, "NATURAL"), (matrix, "MMD_AT_PLUS_A"))
+    )
     assert ours < 0.6 * natural and ours < 1.1 * minimum_degree
 
 
@@ -75,7 +84,9 @@ def test_solutions_are_those_of_dense_algebra(linear, symmetric):
     matrix, load, modes = glued_system(bar(10))
     load = np.random.default_rng(0).normal(size=len(load)) * modes.any(axis=1)
     wanted = matrix if symmetric else skewed(matrix)
-    prepared = linear.setup(wanted, modes, symmetric=symmetric, preconditioner=None if symmetric else matrix)
+    prepared = linear.setup(
+        wanted, modes, symmetric=symmetric, preconditioner=None if symmetric else matrix
+    )
     solution = prepared.solve(load, rtol=1e-11)
     exact = np.linalg.solve(wanted.toarray(), load)
     assert solution.converged and solution.residual <= 1.1e-11
@@ -98,27 +109,36 @@ def test_direct_uses_the_order_of_a_like_matrix_without_work():
     second = am.Direct().setup(sparse.bsr_array(2 * matrix, blocksize=(2, 2)), previous=first)
     assert second.factors.order is first.factors.order
     one, half = first.solve(load), second.solve(load)
-    assert half.unknowns == pytest.approx(0.5 * one.unknowns, rel=1e-10) and (one.iterations, one.passes) == (0, 0.0)
+    assert half.unknowns == pytest.approx(0.5 * one.unknowns, rel=1e-10) and (
+        one.iterations,
+        one.passes,
+    ) == (0, 0.0)
 
 
 def test_work_is_that_of_products_and_cycles():
     matrix, load, modes = glued_system(bar(16))
     prepared = am.AMG().setup(matrix, modes)
     *levels, coarsest = prepared.hierarchy.levels
-    cycle = (sum(5 * level.A.nnz + 2 * level.P.nnz for level in levels) + coarsest.A.shape[0]**2) / matrix.nnz
+    cycle = (
+        sum(5 * level.A.nnz + 2 * level.P.nnz for level in levels) + coarsest.A.shape[0] ** 2
+    ) / matrix.nnz
     assert prepared.cycle_passes == pytest.approx(cycle)
     few, more = prepared.solve(load, rtol=1e-2), prepared.solve(load, rtol=1e-4)
     # products: a residual before, after, and in the first and every eighth iteration
     assert 1 <= few.iterations < more.iterations <= 7
     assert few.passes == pytest.approx(few.iterations + 3 + (few.iterations + 3) * cycle)
     # the cost of an iteration: a product and a cycle
-    assert more.passes - few.passes == pytest.approx((more.iterations - few.iterations) * (1 + cycle))
+    assert more.passes - few.passes == pytest.approx(
+        (more.iterations - few.iterations) * (1 + cycle)
+    )
 
 
 def test_rigid_body_modes_pay_and_few_iterations_show(monkeypatch):
     matrix, load, modes = glued_system(bar(32))
     constants = np.tile(np.eye(2), (len(load) // 2, 1)) * modes.any(axis=1)[:, None]
-    counts = [am.AMG().setup(matrix, b).solve(load, rtol=1e-8).iterations for b in (modes, constants)]
+    counts = [
+        am.AMG().setup(matrix, b).solve(load, rtol=1e-8).iterations for b in (modes, constants)
+    ]
     assert counts[0] <= 18 and counts[1] >= 1.3 * counts[0]
     monkeypatch.setattr(am.AMG, "MAX_ITERATIONS", 2)
     for symmetric in (True, False):
@@ -135,22 +155,35 @@ def dense_condensation(local: LocalProblem) -> tuple[np.ndarray, np.ndarray]:
     matrix, c = local.system.matrix.toarray(), contact_dofs(local)
     i = np.setdiff1d(np.arange(len(matrix)), c)
     through = matrix[np.ix_(c, i)] @ np.linalg.inv(matrix[np.ix_(i, i)])
-    return matrix[np.ix_(c, c)] - through @ matrix[np.ix_(i, c)], local.load[c] - through @ local.load[i]
+    return matrix[np.ix_(c, c)] - through @ matrix[np.ix_(i, c)], local.load[
+        c
+    ] - through @ local.load[i]
 
 
 def copies(one: DiscreteProblem, n: int) -> DiscreteProblem:
     """Bodies that do not touch each other, their contact nodes in turns."""
     nodes = (one.contact.nodes[:, None] + one.n_nodes * np.arange(n)).reshape(-1)
-    contact = ContactNodes(nodes=nodes, normals=np.repeat(one.contact.normals, n, axis=0),
-                           gaps=np.repeat(one.contact.gaps, n))
-    return DiscreteProblem(matrix=sparse.block_diag(n * [one.matrix], format="csr"), load=np.tile(one.load, n),
-                           fixed=np.tile(one.fixed, n), law=am.Coulomb(1.0), contact=contact)
+    contact = ContactNodes(
+        nodes=nodes,
+        normals=np.repeat(one.contact.normals, n, axis=0),
+        gaps=np.repeat(one.contact.gaps, n),
+    )
+    return DiscreteProblem(
+        matrix=sparse.block_diag(n * [one.matrix], format="csr"),
+        load=np.tile(one.load, n),
+        fixed=np.tile(one.fixed, n),
+        law=am.Coulomb(1.0),
+        contact=contact,
+    )
 
 
-PROBLEMS = {"bar": lambda: bar(6), "block": lambda: bar(3, am.cases.greco_block(plane_strain=False)),
-            "network": lambda: network(3, "coulomb", fixed_tangent=True).discrete,
-            "three bodies": lambda: copies(bar(3), 3),
-            "no coordinates": lambda: replace(bar(6), coordinates=None)}
+PROBLEMS = {
+    "bar": lambda: bar(6),
+    "block": lambda: bar(3, am.cases.greco_block(plane_strain=False)),
+    "network": lambda: network(3, "coulomb", fixed_tangent=True).discrete,
+    "three bodies": lambda: copies(bar(3), 3),
+    "no coordinates": lambda: replace(bar(6), coordinates=None),
+}
 
 
 @pytest.mark.parametrize("dense", [0, 10**6])
@@ -161,17 +194,26 @@ def test_condensation_and_recovery_are_those_of_dense_algebra(name, dense, monke
     condensed, (schur, load) = condense(local), dense_condensation(local)
     for matrix in (condensed.matrix, condensed.problem.system.matrix.toarray()):
         assert np.abs(matrix - schur).max() < 1e-13 * np.abs(schur).max()
-    assert np.abs(condensed.problem.load - load).max() < 1e-13 * np.abs(local.load).max() * len(load)
+    assert np.abs(condensed.problem.load - load).max() < 1e-13 * np.abs(local.load).max() * len(
+        load
+    )
     assert not condensed.problem.load[condensed.problem.system.fixed].any()
     unknowns = np.random.default_rng(0).normal(size=len(load)) * 1e-5
     unknowns[condensed.problem.system.fixed] = 0.0
     full = condensed.recover(unknowns)
-    rest, forces = local.load - local.system.matrix @ full, np.abs(local.system.matrix) @ np.abs(full)
+    rest, forces = (
+        local.load - local.system.matrix @ full,
+        np.abs(local.system.matrix) @ np.abs(full),
+    )
     away = np.setdiff1d(np.arange(len(full)), contact_dofs(local))
     assert np.array_equal(condensed.restrict(full), unknowns)
     assert np.abs(rest[away]).max() < 1e-13 * forces.max()
-    assert np.abs(condensed.restrict(rest) - condensed.problem.load
-                  + condensed.matrix @ unknowns).max() < 1e-12 * forces.max()
+    assert (
+        np.abs(
+            condensed.restrict(rest) - condensed.problem.load + condensed.matrix @ unknowns
+        ).max()
+        < 1e-12 * forces.max()
+    )
 
 
 @pytest.mark.parametrize("dense", [0, 10**6])
@@ -180,7 +222,9 @@ def test_a_body_that_nothing_holds_is_refused_or_left_out(dense, monkeypatch):
     held = bar(3)
     both = copies(held, 2)
     of_held = {name: getattr(held.contact, name) for name in ("nodes", "normals", "gaps")}
-    loose = replace(both, fixed=np.r_[held.fixed, np.zeros_like(held.fixed)], contact=ContactNodes(**of_held))
+    loose = replace(
+        both, fixed=np.r_[held.fixed, np.zeros_like(held.fixed)], contact=ContactNodes(**of_held)
+    )
     lenient = condense_problem(loose, lenient=True)
     for refuses in (condense_problem, lambda problem: condense(local_system(problem))):
         with pytest.raises(ValueError, match="singular even with all contact dofs fixed"):

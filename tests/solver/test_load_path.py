@@ -1,4 +1,5 @@
-"""Load histories: friction acts on increments, every step is solved, and an interrupted path goes on where it was."""
+"""Load histories: friction acts on increments, every step is solved, and an interrupted path goes
+on where it was."""
 
 from dataclasses import replace
 
@@ -23,8 +24,10 @@ CYCLE_OF_BODIES = am.LoadPath({"upper.left": [0.5, 1, 0.5, 0]}, default=1.0)
 STEEL = am.PlaneStrain(young=2.1e11, poisson=0.3)
 
 
-def bar(law: am.problem.Law = am.Coulomb(1.0), n: int = 16) -> am.Hierarchy:  # noqa: B008
-    return am.Hierarchy.uniform(am.cases.greco_bar(law=law), divisions=[d for d in (4, 8, 16, 32) if d <= n])
+def bar(law: am.problem.Law = am.Coulomb(1.0), n: int = 16) -> am.Hierarchy:
+    return am.Hierarchy.uniform(
+        am.cases.greco_bar(law=law), divisions=[d for d in (4, 8, 16, 32) if d <= n]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -43,18 +46,28 @@ def bodies() -> am.Hierarchy:
     return bar_hierarchy(bar_on_block(am.Coulomb(0.3)), 2)
 
 
-def pulled(law: am.problem.Law = am.Coulomb(0.3)) -> am.Hierarchy:  # noqa: B008
+def pulled(law: am.problem.Law = am.Coulomb(0.3)) -> am.Hierarchy:
     """A block pressed on a plane and moved along it by its top."""
     problem = am.ContactProblem(
-        name="moved block", material=STEEL, domain=am.Rectangle(width=0.04, height=0.02),
-        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))), law=law,
-        loads=(am.Pressure("left", 1e6),), supports=(am.Support("top", x=4e-6, y=-1e-5),))
+        name="moved block",
+        material=STEEL,
+        domain=am.Rectangle(width=0.04, height=0.02),
+        contact=am.Contact("bottom", am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))),
+        law=law,
+        loads=(am.Pressure("left", 1e6),),
+        supports=(am.Support("top", x=4e-6, y=-1e-5),),
+    )
     return am.Hierarchy.uniform(problem, divisions=[(4, 2), (8, 4), (16, 8)])
 
 
-def check_step(grids: am.Hierarchy, factors: dict[str, float], before: np.ndarray, result: am.Result) -> None:
-    """All conditions of contact, on matrix and load made again from a problem of this step; ``before`` is relative."""
-    posed = am.discretise(step_problem(grids.problem, factors), grids.finest.mesh, slip_reference=before)
+def check_step(
+    grids: am.Hierarchy, factors: dict[str, float], before: np.ndarray, result: am.Result
+) -> None:
+    """All conditions of contact, on matrix and load made again from a problem of this step;
+    ``before`` is relative."""
+    posed = am.discretise(
+        step_problem(grids.problem, factors), grids.finest.mesh, slip_reference=before
+    )
     certificate = result.certificate(posed)
     assert not certificate.contradictions(4e-10) and certificate["penetration"].relative <= 1e-12
 
@@ -63,13 +76,17 @@ class TestSteps:
     @pytest.mark.parametrize(("grids", "path"), [("rough", CYCLE), ("bodies", CYCLE_OF_BODIES)])
     def test_each_step_satisfies_its_contact_conditions(self, grids, path, request):
         grids = request.getfixturevalue(grids)
-        results, *others = (am.solve_path(grids, path, solver) for solver in (FINE, EXACT, MONOTONE))
+        results, *others = (
+            am.solve_path(grids, path, solver) for solver in (FINE, EXACT, MONOTONE)
+        )
         before = np.zeros_like(results[0].displacement)
         for k, result in enumerate(results):
             assert all(distance(result, other[k]) <= 1e-8 for other in others)
             check_step(grids, {name: path.of(name)[k] for name in results.factors}, before, result)
             before = grids.finest.discrete.relative(result.displacement)
-            assert result.resultant(grids.problem.contact_boundaries[0]).force[1] == pytest.approx(5e7 * 0.04)
+            assert result.resultant(grids.problem.contact_boundaries[0]).force[1] == pytest.approx(
+                5e7 * 0.04
+            )
         # unloaded: what has slipped is held back by friction, which turns round
         loaded, unloaded = results[1].contact, results[-1].contact
         assert np.abs(unloaded.u_t).max() > 0.05 * np.abs(loaded.u_t).max()
@@ -81,17 +98,25 @@ class TestSteps:
         grids = bar(law)
         path = am.solve_path(grids, am.LoadPath(default=np.linspace(0.2, 1, 5)), FINE)
         assert distance(path[-1], am.solve(grids, FINE)) <= 1e-9
-        cheap, scratch = am.solve_path(grids, am.LoadPath(default=np.linspace(0.2, 1, 5))), am.solve(grids)
+        cheap, scratch = (
+            am.solve_path(grids, am.LoadPath(default=np.linspace(0.2, 1, 5))),
+            am.solve(grids),
+        )
         assert all(result.cycles <= 2 for result in cheap[1:])
         back = am.solve_path(grids, am.LoadPath({"left": [1, 0.8, 0.6]}))
         first = am.solve_path(grids, am.LoadPath())[0]
-        assert back[0].cycles == first.cycles <= scratch.cycles + 1 and distance(back[0], first) <= 1e-13
+        assert (
+            back[0].cycles == first.cycles <= scratch.cycles + 1
+            and distance(back[0], first) <= 1e-13
+        )
         assert all(result.work_units <= 1.1 * first.work_units for result in back)
 
 
 class TestHistory:
     def test_the_order_of_loads_matters_equal_steps_change_nothing(self, rough):
-        side_first = am.solve_path(rough, am.LoadPath({"left": [1, 1, 1], "top": [0.05, 1, 1]}), FINE)
+        side_first = am.solve_path(
+            rough, am.LoadPath({"left": [1, 1, 1], "top": [0.05, 1, 1]}), FINE
+        )
         top_first = am.solve_path(rough, am.LoadPath({"left": [0.05, 1], "top": [1, 1]}), FINE)
         assert distance(side_first[1], top_first[1]) > 1e-2
         assert distance(side_first[2], side_first[1]) <= 1e-10
@@ -103,14 +128,18 @@ class TestHistory:
         results = am.solve_path(grids, path, FINE)
         before = np.zeros_like(results[0].displacement)
         for k, result in enumerate(results[:3]):
-            np.testing.assert_allclose(result.displacement[grids.finest.mesh.boundary_nodes("top")],
-                                       [[4e-6 * path.of("top")[k], -1e-5 * path.of("top")[k]]] * 17)
+            np.testing.assert_allclose(
+                result.displacement[grids.finest.mesh.boundary_nodes("top")],
+                [[4e-6 * path.of("top")[k], -1e-5 * path.of("top")[k]]] * 17,
+            )
             check_step(grids, {"top": path.of("top")[k], "left": 0.0}, before, result)
             before = result.displacement
         # nothing acts any more
         assert results.complete and not results[3].displacement.any()
 
-    @pytest.mark.parametrize("solver", [am.Multigrid(), EXACT, am.SingleGrid()], ids=["cold", "exact", "single"])
+    @pytest.mark.parametrize(
+        "solver", [am.Multigrid(), EXACT, am.SingleGrid()], ids=["cold", "exact", "single"]
+    )
     def test_unloaded_is_undeformed(self, solver):
         results = am.solve_path(pulled(), am.LoadPath(default=[0, 1, 0.3 - 3 * 0.1, 1]), solver)
         assert results.complete
@@ -119,8 +148,10 @@ class TestHistory:
         assert distance(results[3], results[1]) <= 1e-6
 
     def test_unloaded_is_deformed_where_friction_holds_by_itself(self):
-        results, exact = (am.solve_path(pulled(am.Tresca(2e6)), am.LoadPath(default=[1, 0]), solver)
-                          for solver in (FINE, EXACT))
+        results, exact = (
+            am.solve_path(pulled(am.Tresca(2e6)), am.LoadPath(default=[1, 0]), solver)
+            for solver in (FINE, EXACT)
+        )
         assert results[1].displacement.any() and distance(results[1], exact[1]) <= 1e-8
 
 
@@ -128,14 +159,18 @@ class TestOtherGrids:
     def test_bare_discrete_problem(self, rough):
         for grids in (rough, pulled()):
             results = am.solve_path(grids.finest.discrete, am.LoadPath(default=[0.5, 1]), EXACT)
-            assert distance(results[1], am.solve(grids, FINE)) <= 1e-8 and list(results.factors) == ["default"]
+            assert distance(results[1], am.solve(grids, FINE)) <= 1e-8 and list(
+                results.factors
+            ) == ["default"]
         with pytest.raises(ValueError, match="have no names: give default"):
             am.solve_path(rough.finest.discrete, CYCLE, EXACT)
 
     def test_coarse_spaces_only(self, rough):
         grids = am.Hierarchy.algebraic(rough.finest.discrete, max_coarse=60)
-        results, exact = (am.solve_path(grids, am.LoadPath(default=[1, 0.5]), solver)
-                          for grids, solver in ((grids, am.Multigrid(rtol=1e-10)), (rough, EXACT)))
+        results, exact = (
+            am.solve_path(grids, am.LoadPath(default=[1, 0.5]), solver)
+            for grids, solver in ((grids, am.Multigrid(rtol=1e-10)), (rough, EXACT))
+        )
         assert distance(results[1], exact[1]) <= 1e-8
 
     def test_tolerance_of_the_discretisation(self, rough, cycle):
@@ -147,40 +182,69 @@ class TestOtherGrids:
         moved = rough.finest.discrete
         shift = np.full_like(moved.contact.slip_reference, 1e-5)
         moved = replace(moved, contact=replace(moved.contact, slip_reference=shift))
-        assert distance(am.solve_path(moved, am.LoadPath(), EXACT)[0], am.solve(moved, EXACT)) <= 1e-14
+        assert (
+            distance(am.solve_path(moved, am.LoadPath(), EXACT)[0], am.solve(moved, EXACT)) <= 1e-14
+        )
 
 
 class TestData:
     def test_bad_factors_unknown_and_ambiguous_names(self, rough):
         for factors, default, message in (
-                ({"top": [1, 2], "left": [1, 2, 3]}, 1.0, "one at least, got 2 for 'top', 3 for 'left'"),
-                ({"top": [1, 2]}, [1.0], "1 for 'default'"), ({"top": []}, 1.0, "one at least")):
+            (
+                {"top": [1, 2], "left": [1, 2, 3]},
+                1.0,
+                "one at least, got 2 for 'top', 3 for 'left'",
+            ),
+            ({"top": [1, 2]}, [1.0], "1 for 'default'"),
+            ({"top": []}, 1.0, "one at least"),
+        ):
             with pytest.raises(ValueError, match=message):
                 am.LoadPath(factors, default)
         for name in ("lid", "right", "bottom", "body", "default"):
             with pytest.raises(ValueError, match=f"names '{name}'.*known are 'top', 'left'"):
                 am.solve_path(rough, am.LoadPath({name: [1, 2]}))
-        loads = am.Pressure("part", 1.0), am.InitialStrain("part", (1e-5, 0.0)), am.BodyForce((0.0, 1.0), name="weight")
+        loads = (
+            am.Pressure("part", 1.0),
+            am.InitialStrain("part", (1e-5, 0.0)),
+            am.BodyForce((0.0, 1.0), name="weight"),
+        )
         part = replace(am.cases.greco_bar(), domain=None, loads=loads)
-        with pytest.raises(ValueError, match=r"'part', where a Pressure and a InitialStrain act: give each a name="):
+        with pytest.raises(
+            ValueError, match=r"'part', where a Pressure and a InitialStrain act: give each a name="
+        ):
             am.LoadPath({"part": 1.0}).resolved(part)
-        assert set(am.LoadPath({"weight": [1, 2]}, default=[3, 4]).resolved(part)) == {"part", "weight"}
+        assert set(am.LoadPath({"weight": [1, 2]}, default=[3, 4]).resolved(part)) == {
+            "part",
+            "weight",
+        }
         # a name of one load that is the place of another
         for one in (am.Traction("top", (1.0, 0.0)), am.BodyForce((0.0, 1.0), name="top")):
-            with pytest.raises(ValueError, match=r"'top', where a Pressure and a .* act: give each"):
-                am.LoadPath({"top": [1, 2]}).resolved(replace(part, loads=(am.Pressure("top", 1.0), one)))
+            with pytest.raises(
+                ValueError, match=r"'top', where a Pressure and a .* act: give each"
+            ):
+                am.LoadPath({"top": [1, 2]}).resolved(
+                    replace(part, loads=(am.Pressure("top", 1.0), one))
+                )
 
     @pytest.mark.parametrize("dim", [2, 3])
     def test_loads_on_one_face_have_factors_of_their_own(self, dim):
-        """Fretting: a constant pressure and a cyclic shear on the same face, and a support that moves it."""
+        """Fretting: a constant pressure and a cyclic shear on the same face, and a support that
+        moves it."""
         pressure, shear, factors = 1e6, 2e5, [0.5, 1.0, -1.0, 0.0, 1.0]
-        box = am.Box(width=1, depth=1, height=0.5) if dim == 3 else am.Rectangle(width=1, height=0.5)
+        box = (
+            am.Box(width=1, depth=1, height=0.5) if dim == 3 else am.Rectangle(width=1, height=0.5)
+        )
         floor = [0.0] * (dim - 1) + [1.0]
         problem = am.ContactProblem(
-            domain=box, material=(am.Solid if dim == 3 else am.PlaneStrain)(young=2e11, poisson=0.3),
-            law=am.Coulomb(0.3), contact=am.Contact("bottom", am.Plane([0.0] * dim, floor)),
-            loads=(am.Pressure("top", pressure, name="press"),
-                   am.Traction("top", (shear, *[0.0] * (dim - 1)), name="shear")))
+            domain=box,
+            material=(am.Solid if dim == 3 else am.PlaneStrain)(young=2e11, poisson=0.3),
+            law=am.Coulomb(0.3),
+            contact=am.Contact("bottom", am.Plane([0.0] * dim, floor)),
+            loads=(
+                am.Pressure("top", pressure, name="press"),
+                am.Traction("top", (shear, *[0.0] * (dim - 1)), name="shear"),
+            ),
+        )
         grids = am.Hierarchy.uniform(problem, [(2,) * dim, (4,) * dim])
         path = am.LoadPath({"press": 1.0, "shear": factors})
         steps = am.solve_path(grids, path, FINE)
@@ -190,24 +254,42 @@ class TestData:
         # the history matters: the same loads, reached otherwise
         assert distance(steps[4], steps[1]) > 1e-6
         # one name for several, and for what supports prescribe
-        sinks = replace(problem, loads=(), supports=(am.Support("top", **{"xyz"[dim - 1]: -1e-6}, name="sink"),
-                                                     am.Support("top", x=1e-7, name="slide")))
-        moved = am.solve_path(am.Hierarchy.uniform(sinks, [(2,) * dim, (4,) * dim]),
-                              am.LoadPath({"sink": 1.0, "slide": [0, 2]}), FINE)
+        sinks = replace(
+            problem,
+            loads=(),
+            supports=(
+                am.Support("top", **{"xyz"[dim - 1]: -1e-6}, name="sink"),
+                am.Support("top", x=1e-7, name="slide"),
+            ),
+        )
+        moved = am.solve_path(
+            am.Hierarchy.uniform(sinks, [(2,) * dim, (4,) * dim]),
+            am.LoadPath({"sink": 1.0, "slide": [0, 2]}),
+            FINE,
+        )
         top = moved[0].mesh.boundary_nodes("top")
         for k, factor in enumerate((0, 2)):
-            np.testing.assert_allclose(moved[k].displacement[top][:, [0, -1]], [[factor * 1e-7, -1e-6]] * len(top))
+            np.testing.assert_allclose(
+                moved[k].displacement[top][:, [0, -1]], [[factor * 1e-7, -1e-6]] * len(top)
+            )
 
     def test_supports_that_part(self):
-        problem = replace(pulled().problem, supports=(
-            am.Support("top", x=1e-6, y=-1e-5, name="lid"), am.Support("left", x=1e-6, name="side")))
+        problem = replace(
+            pulled().problem,
+            supports=(
+                am.Support("top", x=1e-6, y=-1e-5, name="lid"),
+                am.Support("left", x=1e-6, name="side"),
+            ),
+        )
         grids = am.Hierarchy.uniform(problem, divisions=[(4, 2), (8, 4)])
         am.solve_path(grids, am.LoadPath({"lid": [1, 2], "side": [1, 2]}))
         with pytest.raises(ValueError, match="'lid' and 'side' prescribe different displacements"):
             am.solve_path(grids, am.LoadPath({"lid": [1, 2], "side": [1, 1]}))
 
     def test_rigid_motion_in_a_step_is_named(self, rough):
-        with pytest.raises(ValueError, match=r"step 1 of 2 \(top=-1, left=1\): .*translation along y"):
+        with pytest.raises(
+            ValueError, match=r"step 1 of 2 \(top=-1, left=1\): .*translation along y"
+        ):
             am.solve_path(rough, am.LoadPath({"top": [1, -1]}))
 
 
@@ -219,21 +301,35 @@ def solved_steps(*arguments, **options) -> list[int]:
 
 
 class TestStore:
-    @pytest.mark.parametrize(("grids", "solver"), [
-        ("rough", am.FullMultigrid(rtol="discretisation")), ("rough", EXACT), ("bodies", am.FullMultigrid()),
-        ("bodies", am.Multigrid())], ids=["discretisation", "exact", "nested", "cold"])
+    @pytest.mark.parametrize(
+        ("grids", "solver"),
+        [
+            ("rough", am.FullMultigrid(rtol="discretisation")),
+            ("rough", EXACT),
+            ("bodies", am.FullMultigrid()),
+            ("bodies", am.Multigrid()),
+        ],
+        ids=["discretisation", "exact", "nested", "cold"],
+    )
     def test_an_interrupted_path_goes_on(self, grids, solver, tmp_path, request):
         path, grids = CYCLE if grids == "rough" else CYCLE_OF_BODIES, request.getfixturevalue(grids)
         whole = am.solve_path(grids, path, solver)
         with pytest.raises(ZeroDivisionError):
-            am.solve_path(grids, path, solver, store=tmp_path, callback=lambda k, result: 1 / (1 - k))
+            am.solve_path(
+                grids, path, solver, store=tmp_path, callback=lambda k, result: 1 / (1 - k)
+            )
         assert len(am.PathResult.load(tmp_path)) == 2 and not am.PathResult.load(tmp_path).complete
         assert solved_steps(grids, path, solver, store=tmp_path) == [2, 3]
         resumed = am.PathResult.load(tmp_path)
         assert resumed.complete
         for result, wanted in zip(resumed, whole, strict=True):
-            # what is stored is the physical displacement: between bodies the unknowns come back rounded
-            size = 0.0 if grids.finest.discrete.coupling is None else 1e-12 * np.abs(wanted.displacement).max()
+            # what is stored is the physical displacement: between bodies the unknowns come back
+            # rounded
+            size = (
+                0.0
+                if grids.finest.discrete.coupling is None
+                else 1e-12 * np.abs(wanted.displacement).max()
+            )
             np.testing.assert_allclose(result.displacement, wanted.displacement, rtol=0, atol=size)
             assert (result.cycles, result.rtol) == (wanted.cycles, wanted.rtol)
         assert not solved_steps(grids, path, solver, store=tmp_path)
@@ -241,15 +337,19 @@ class TestStore:
     def test_another_run_is_refused(self, rough, tmp_path):
         path = am.LoadPath({"left": [0.5, 1]})
         am.solve_path(rough, path, store=tmp_path)
-        others = {"path": (rough, am.LoadPath({"left": [0.5, 0.9]}), None),
-                  "grids, transfers, loads, supports, contact, law": (bar(n=8), path, None),
-                  "value of solver": (rough, path, am.FullMultigrid(rtol=1e-6)),
-                  "law": (bar(am.Coulomb(0.9)), path, None)}
+        others = {
+            "path": (rough, am.LoadPath({"left": [0.5, 0.9]}), None),
+            "grids, transfers, loads, supports, contact, law": (bar(n=8), path, None),
+            "value of solver": (rough, path, am.FullMultigrid(rtol=1e-6)),
+            "law": (bar(am.Coulomb(0.9)), path, None),
+        }
         for named, (grids, other, solver) in others.items():
             with pytest.raises(ValueError, match=f"belongs to another run: {named} differ"):
                 am.solve_path(grids, other, solver, store=tmp_path)
         # rounding is not another run
-        close = am.Hierarchy.uniform(am.cases.greco_bar(top_pressure=5e7 * (1 + 1e-14)), divisions=(4, 8, 16))
+        close = am.Hierarchy.uniform(
+            am.cases.greco_bar(top_pressure=5e7 * (1 + 1e-14)), divisions=(4, 8, 16)
+        )
         assert not solved_steps(close, path, store=tmp_path)
 
     def test_save_and_load(self, rough, cycle, tmp_path):
@@ -272,10 +372,18 @@ class TestStore:
 class TestOutcome:
     def test_failure_names_the_step_and_keeps_the_others(self, rough, tmp_path):
         path = am.LoadPath({"left": [0.5, 1, 0.1]}, default=1.0)
-        with pytest.raises(StepNotConverged, match=r"step 2 of 3 \(top=1, left=0.1\): .*LIMIT") as caught:
+        with pytest.raises(
+            StepNotConverged, match=r"step 2 of 3 \(top=1, left=0.1\): .*LIMIT"
+        ) as caught:
             am.solve_path(rough, path, am.Multigrid(max_cycles=11), store=tmp_path)
-        assert caught.value.step == 2 and len(caught.value.partial) == 3 and not caught.value.partial.complete
-        assert caught.value.result is caught.value.partial[-1] and isinstance(caught.value, am.NotConverged)
+        assert (
+            caught.value.step == 2
+            and len(caught.value.partial) == 3
+            and not caught.value.partial.complete
+        )
+        assert caught.value.result is caught.value.partial[-1] and isinstance(
+            caught.value, am.NotConverged
+        )
         assert len(am.PathResult.load(tmp_path)) == 2
         results = am.solve_path(rough, CYCLE, am.FullMultigrid(max_cycles=3), throw=False)
         assert len(results) == 1 and not results.complete and results[-1].status is am.Status.LIMIT
@@ -285,18 +393,34 @@ class TestOutcome:
 
     def test_table_sequence_and_progress(self, rough, cycle):
         table = cycle.table()
-        assert list(table["factor left"]) == [0.5, 1, 0.5, 0] and (table["status"] == "CONVERGED").all()
-        assert (table[["open", "slip", "stick"]].sum(axis=1) == len(rough.finest.discrete.contact)).all()
+        assert (
+            list(table["factor left"]) == [0.5, 1, 0.5, 0]
+            and (table["status"] == "CONVERGED").all()
+        )
+        assert (
+            table[["open", "slip", "stick"]].sum(axis=1) == len(rough.finest.discrete.contact)
+        ).all()
         np.testing.assert_allclose(table["force_y [N/m]"], 5e7 * 0.04)
-        assert cycle[-1] is cycle.results[3] and len(cycle[1:3]) == 2 and list(cycle) == list(cycle.results)
+        assert (
+            cycle[-1] is cycle.results[3]
+            and len(cycle[1:3]) == 2
+            and list(cycle) == list(cycle.results)
+        )
         rows = []
-        am.solve_path(rough, am.LoadPath({"left": [0.5, 1]}), progress=lambda k, row: rows.append((k, row["cycle"])))
+        am.solve_path(
+            rough,
+            am.LoadPath({"left": [0.5, 1]}),
+            progress=lambda k, row: rows.append((k, row["cycle"])),
+        )
         assert {k for k, _ in rows} == {0, 1}
 
     def test_when_the_fast_cycle_gives_up_the_path_goes_on(self, rough, cycle, monkeypatch):
         made = []
-        monkeypatch.setattr(truncated_steps, "KeptMultigrid",
-                            lambda *arguments: made.append(KeptMultigrid(*arguments)) or made[-1])
+        monkeypatch.setattr(
+            truncated_steps,
+            "KeptMultigrid",
+            lambda *arguments: made.append(KeptMultigrid(*arguments)) or made[-1],
+        )
         monkeypatch.setattr(TruncatedIteration, "stalled", property(lambda watch: True))
         results = am.solve_path(rough, CYCLE, FINE)
         assert distance(results[-1], cycle[-1]) <= 1e-8

@@ -1,4 +1,5 @@
-"""Obstacles that move or are pressed, and bolts that are tightened: motions, forces and friction."""
+"""Obstacles that move or are pressed, and bolts that are tightened: motions, forces and
+friction."""
 
 from dataclasses import replace
 
@@ -15,19 +16,29 @@ from adaptmg.problem import step_problem
 E, NU, PRESS = 2e9, 0.3, 1e6
 
 
-def turned_block(rng, obstacle, law=am.Frictionless()):  # noqa: B008
-    """A clamped square, turned, shifted and scaled at random, under an obstacle made by ``obstacle(place, size)``."""
-    turn, shift, size = rotation(rng.uniform(0, 2 * np.pi)), rng.normal(size=2), 10 ** rng.uniform(-3, 1)
+def turned_block(rng, obstacle, law=am.Frictionless()):
+    """A clamped square, turned, shifted and scaled at random, under an obstacle made by
+    ``obstacle(place, size)``."""
+    turn, shift, size = (
+        rotation(rng.uniform(0, 2 * np.pi)),
+        rng.normal(size=2),
+        10 ** rng.uniform(-3, 1),
+    )
 
     def place(points):
         return shift + size * np.asarray(points) @ turn.T
 
-    domain = am.Polygon(vertices=tuple(map(tuple, place([(0, 0), (1, 0), (1, 1), (0, 1)]))),
-                        boundaries=("bottom", "right", "top", "left"))
+    domain = am.Polygon(
+        vertices=tuple(map(tuple, place([(0, 0), (1, 0), (1, 1), (0, 1)]))),
+        boundaries=("bottom", "right", "top", "left"),
+    )
     problem = am.ContactProblem(
-        domain=domain, material=am.PlaneStrain(young=E, poisson=NU), law=law,
+        domain=domain,
+        material=am.PlaneStrain(young=E, poisson=NU),
+        law=law,
         supports=(am.Support("bottom", x=0, y=0),),
-        contact=am.Contact("top", obstacle(place, lambda vector: size * turn @ vector)))
+        contact=am.Contact("top", obstacle(place, lambda vector: size * turn @ vector)),
+    )
     return am.Hierarchy.graded(problem, sizes=(0.4 * size, 0.2 * size)), turn, size
 
 
@@ -42,24 +53,38 @@ def test_force_and_moment_find_the_motion_that_made_them(seed):
     depth, angle = rng.uniform(1e-3, 3e-3), rng.uniform(-1e-3, 1e-3)
 
     def moving(place, vector):
-        return am.Moving(plane(place), displacement=vector(np.array([0.0, -depth])), rotation=angle,
-                         about=place((0.5, 1)))
+        return am.Moving(
+            plane(place),
+            displacement=vector(np.array([0.0, -depth])),
+            rotation=angle,
+            about=place((0.5, 1)),
+        )
 
     grids, _, size = turned_block(np.random.default_rng(seed), moving, sticks)
     obstacle, moved = grids.problem.contact[0].obstacle, am.solve(grids)
     total = moved.resultant("top", about=obstacle.about)
 
     def rigid(place, vector):
-        return am.Rigid(plane(place), force=tuple(total.force), moment=float(total.moment), about=place((0.5, 1)))
+        return am.Rigid(
+            plane(place),
+            force=tuple(total.force),
+            moment=float(total.moment),
+            about=place((0.5, 1)),
+        )
 
     pressed = turned_block(np.random.default_rng(seed), rigid, sticks)[0]
     found = am.solve(pressed)
     expected = np.r_[obstacle.displacement / size, angle]
-    np.testing.assert_allclose(found.motions["obstacle"] / np.array([size, size, 1]), expected, atol=1e-5 * depth)
+    np.testing.assert_allclose(
+        found.motions["obstacle"] / np.array([size, size, 1]), expected, atol=1e-5 * depth
+    )
     np.testing.assert_allclose(found.displacement, moved.displacement, atol=1e-5 * depth * size)
     placed = pressed.with_problem(step_problem(pressed.problem, {}, found.motions))
     for indicator in (am.Residual(), am.Goal(am.MeanDisplacement("top", 1))):
-        estimates = [indicator.indicate(one, result).total for one, result in ((placed, found), (grids, moved))]
+        estimates = [
+            indicator.indicate(one, result).total
+            for one, result in ((placed, found), (grids, moved))
+        ]
         assert estimates[0] == pytest.approx(estimates[1], rel=1e-3, abs=1e-9 * size)
         with pytest.raises(ValueError, match="obstacles in other places"):
             indicator.indicate(pressed, found)
@@ -67,7 +92,8 @@ def test_force_and_moment_find_the_motion_that_made_them(seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_friction_follows_the_sliding_obstacle(seed):
-    """Pressed, slid far, and slid back: the tangential force is the friction bound, against the motion."""
+    """Pressed, slid far, and slid back: the tangential force is the friction bound, against the
+    motion."""
     friction = 0.2
 
     def obstacle(place, vector):
@@ -75,30 +101,49 @@ def test_friction_follows_the_sliding_obstacle(seed):
         return am.Moving(slide, displacement=vector(np.array([0.0, -1e-3])), name="press")
 
     grids, turn, _ = turned_block(np.random.default_rng(seed), obstacle, am.Coulomb(friction))
-    steps = am.solve_path(grids, am.LoadPath({"press": [1, 1, 1, 1], "slide": [0, 1, 1, 0]}), am.ActiveSet(rtol=1e-10))
+    steps = am.solve_path(
+        grids, am.LoadPath({"press": [1, 1, 1, 1], "slide": [0, 1, 1, 0]}), am.ActiveSet(rtol=1e-10)
+    )
     forces = np.array([turn.T @ step.resultant("top").force for step in steps])
     assert forces[0, 1] < 0 and abs(forces[0, 0]) < 0.1 * abs(forces[0, 1])
-    np.testing.assert_allclose(forces[[1, 3], 0] / forces[[1, 3], 1], [-friction, friction], rtol=1e-9)
+    np.testing.assert_allclose(
+        forces[[1, 3], 0] / forces[[1, 3], 1], [-friction, friction], rtol=1e-9
+    )
     np.testing.assert_allclose(forces[2], forces[1], rtol=1e-7)  # nothing moves: nothing changes
     multigrid = am.solve_path(grids, am.LoadPath({"press": [1, 1, 1, 1], "slide": [0, 1, 1, 0]}))
     for one, other in zip(steps, multigrid, strict=True):
-        np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max())
+        np.testing.assert_allclose(
+            one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max()
+        )
 
 
 def test_planes_move_exactly_and_other_obstacles_to_first_order():
     rng = np.random.default_rng(5)
     for dim in (2, 3):
         turn = Rotation.random(rng=rng).as_matrix() if dim == 3 else rotation(rng.uniform(0, 6))
-        normal, about, shift, points = turn[0], rng.normal(size=dim), rng.normal(size=dim), rng.normal(size=(7, dim))
+        normal, about, shift, points = (
+            turn[0],
+            rng.normal(size=dim),
+            rng.normal(size=dim),
+            rng.normal(size=(7, dim)),
+        )
         small = 0.2 * rng.normal(size=2 * dim - 3)
-        moving = am.Moving(am.Plane(rng.normal(size=dim), normal), displacement=shift, rotation=small, about=about)
+        moving = am.Moving(
+            am.Plane(rng.normal(size=dim), normal), displacement=shift, rotation=small, about=about
+        )
         turning = Rotation.from_rotvec(small).as_matrix() if dim == 3 else rotation(small[0])
         back = about + (points - about - shift) @ turning  # in the frame of the obstacle
         normals, gaps = moving.contact(points, np.tile(-turning @ normal, (7, 1)))
-        np.testing.assert_allclose(gaps, moving.obstacle.contact(back, np.tile(-normal, (7, 1)))[1], atol=1e-13)
+        np.testing.assert_allclose(
+            gaps, moving.obstacle.contact(back, np.tile(-normal, (7, 1)))[1], atol=1e-13
+        )
         np.testing.assert_allclose(normals, np.tile(-turning @ normal, (7, 1)), atol=1e-13)
-    ball = am.GapFunction(lambda x: 0.5 * (x ** 2).sum(axis=1))
-    shift, points, up = np.array([0.3, -0.2]), np.stack([rng.normal(size=5), np.zeros(5)], axis=1), np.array([0.0, 1.0])
+    ball = am.GapFunction(lambda x: 0.5 * (x**2).sum(axis=1))
+    shift, points, up = (
+        np.array([0.3, -0.2]),
+        np.stack([rng.normal(size=5), np.zeros(5)], axis=1),
+        np.array([0.0, 1.0]),
+    )
     _, gaps = am.Moving(ball, displacement=shift).contact(points, np.tile(up, (5, 1)))
     np.testing.assert_allclose(gaps, 0.5 * (points[:, 0] - 0.3) ** 2 - 0.2, atol=1e-14)
 
@@ -123,15 +168,28 @@ def test_a_preload_is_carried_by_cut_heads_and_joint(joint):
     steps = am.solve_path(grids, am.LoadPath({"bolt": [1, 1], **FILLED}))
     first, second = steps
     at_cut = [cut_force(one.mesh, one.stress_data, one.displacement, bolt) for one in steps]
-    heads = [[sign * one.resultant(f"bolt.{side}_head").force[1] for side, sign in (("upper", 1), ("lower", -1))]
-             for one in steps]
-    np.testing.assert_allclose([at_cut[0], *heads[0], first.resultant("upper.joint").force[1]], bolt.force, rtol=1e-6)
-    np.testing.assert_allclose(heads[1], at_cut[1], rtol=1e-6)  # the bolt keeps its length, its force changes
+    heads = [
+        [
+            sign * one.resultant(f"bolt.{side}_head").force[1]
+            for side, sign in (("upper", 1), ("lower", -1))
+        ]
+        for one in steps
+    ]
+    np.testing.assert_allclose(
+        [at_cut[0], *heads[0], first.resultant("upper.joint").force[1]], bolt.force, rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        heads[1], at_cut[1], rtol=1e-6
+    )  # the bolt keeps its length, its force changes
     assert second.motions == first.motions and abs(at_cut[1] / bolt.force - 1) > 1e-4
     relieved = second.resultant("upper.joint").force[1]
     thrust = grids.problem.reference["thrust"]
-    assert relieved + thrust == pytest.approx(at_cut[1], rel=1e-2)  # the bore's corner faces the joint's gap
-    placed = grids.with_problem(step_problem(grids.problem, dict.fromkeys(FILLED, 0.0), first.motions))
+    assert relieved + thrust == pytest.approx(
+        at_cut[1], rel=1e-2
+    )  # the bore's corner faces the joint's gap
+    placed = grids.with_problem(
+        step_problem(grids.problem, dict.fromkeys(FILLED, 0.0), first.motions)
+    )
     assert am.Residual().indicate(placed, first).total > 0  # its loads are those of the step
     hot = am.InitialStrain("bolt", (0.0, 1e-4))
     with pytest.raises(ValueError, match="'bolt' is the name of a Preload and of another load"):
@@ -139,16 +197,24 @@ def test_a_preload_is_carried_by_cut_heads_and_joint(joint):
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.4999, 0.5])
-def test_a_bolt_between_walls_bears_its_force_alone_and_is_found_as_fast_for_any_poissons_ratio(poisson):
+def test_a_bolt_between_walls_bears_its_force_alone_and_is_found_as_fast_for_any_poissons_ratio(
+    poisson,
+):
     width = 10 ** np.random.default_rng(9).uniform(-3, 1)
     force = 1e-3 * E * width
     problem = am.ContactProblem(
-        material=am.PlaneStrain(young=E, poisson=poisson), domain=am.Rectangle(width=width, height=width),
-        elements="smoothed", law=am.Frictionless(), contact=am.Contact("right", am.Plane((1.0001 * width, 0), (-1, 0))),
+        material=am.PlaneStrain(young=E, poisson=poisson),
+        domain=am.Rectangle(width=width, height=width),
+        elements="smoothed",
+        law=am.Frictionless(),
+        contact=am.Contact("right", am.Plane((1.0001 * width, 0), (-1, 0))),
         loads=(am.Preload("body", force=force, axis="y"),),
-        supports=(am.Support("bottom", y=0), am.Support("top", y=0), am.Support("left", x=0)))
+        supports=(am.Support("bottom", y=0), am.Support("top", y=0), am.Support("left", x=0)),
+    )
     result = am.solve(am.Hierarchy.uniform(problem, (2, 4)), am.FullMultigrid(rtol=1e-8))
-    np.testing.assert_allclose(result.stress()[:, [0, 1, 3]] * width / force, [[0, 1, 0]] * 32, atol=1e-6)
+    np.testing.assert_allclose(
+        result.stress()[:, [0, 1, 3]] * width / force, [[0, 1, 0]] * 32, atol=1e-6
+    )
     assert result.motions["body"] == pytest.approx([force / width * (1 - poisson**2) / E], rel=1e-6)
     assert result.cycles <= 50
 
@@ -164,23 +230,36 @@ def test_a_stored_path_goes_on_with_its_motions(joint, tmp_path):
         am.solve_path(tightened(1e6)[0], path, store=tmp_path / "path")
     for one, other in zip(whole, again, strict=True):
         assert one.motions["bolt"] == pytest.approx(other.motions["bolt"], rel=1e-6)
-        np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max())
+        np.testing.assert_allclose(
+            one.displacement, other.displacement, atol=1e-6 * np.abs(one.displacement).max()
+        )
 
 
 @pytest.mark.parametrize("law", [am.Coulomb(0.1), am.Tresca(4e5)], ids=["Coulomb", "Tresca"])
 def test_a_periodic_layer_under_a_sliding_wall_bears_uniform_stress(law):
-    """It sticks, then slides, and the node that follows its partner hands its share of the surface to it."""
+    """It sticks, then slides, and the node that follows its partner hands its share of the surface
+    to it."""
     turn, depth, slide = rotation(0.7), 1e-3, 2e-4
     meshes = [structured(am.Rectangle(width=1, height=0.5), (4 * k, 2 * k)) for k in (1, 2)]
-    wall = am.Moving(am.Plane(turn @ (0, 0.5), turn @ (0, -1)), displacement=turn @ (0, -depth), name="press")
+    wall = am.Moving(
+        am.Plane(turn @ (0, 0.5), turn @ (0, -1)), displacement=turn @ (0, -depth), name="press"
+    )
     problem = am.ContactProblem(
-        material=am.PlaneStrain(young=E, poisson=NU), law=law, ties=am.Periodic("left", "right"),
+        material=am.PlaneStrain(young=E, poisson=NU),
+        law=law,
+        ties=am.Periodic("left", "right"),
         contact=am.Contact("top", am.Moving(wall, displacement=turn @ (slide, 0), name="slide")),
-        supports=am.Support("bottom", x=0, y=0))
-    grids = am.Hierarchy.from_meshes(problem, [replace(one, points=one.points @ turn.T, source=None) for one in meshes])
+        supports=am.Support("bottom", x=0, y=0),
+    )
+    grids = am.Hierarchy.from_meshes(
+        problem, [replace(one, points=one.points @ turn.T, source=None) for one in meshes]
+    )
     steps = am.solve_path(grids, am.LoadPath({"slide": [0, 1, 0.5, 100]}), am.Multigrid(rtol=1e-10))
     pressure = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU)) * depth / 0.5
-    shear, bound = E / (2 * (1 + NU)) * slide / 0.5, 0.1 * pressure if isinstance(law, am.Coulomb) else 4e5
+    shear, bound = (
+        E / (2 * (1 + NU)) * slide / 0.5,
+        0.1 * pressure if isinstance(law, am.Coulomb) else 4e5,
+    )
     for step, expected in zip(steps, (0, shear, 0.5 * shear, bound), strict=True):
         force = turn.T @ step.resultant("top").force
         np.testing.assert_allclose(force, [expected, -pressure], atol=1e-7 * pressure)
@@ -189,15 +268,21 @@ def test_a_periodic_layer_under_a_sliding_wall_bears_uniform_stress(law):
 
 @pytest.mark.parametrize("turn", [np.eye(2), rotation(0.7)], ids=["straight", "turned"])
 def test_a_punch_on_a_roller_may_be_tilted_by_any_angle(turn):
-    """The roller holds a part of its normal, however small: forces depend on the angle without jumps."""
+    """The roller holds a part of its normal, however small: forces depend on the angle without
+    jumps."""
     meshes = [structured(am.Rectangle(width=1, height=1), n) for n in (4, 8)]
     meshes = [replace(mesh, points=mesh.points @ turn.T, source=None) for mesh in meshes]
     forces = []
     for angle in (0.0, 1e-9, 1e-7, 1e-5, 1e-4):
-        punch = am.Moving(am.Plane(turn @ (0, 1), turn @ (0, -1)), displacement=turn @ (0, -1e-3), rotation=angle)
+        punch = am.Moving(
+            am.Plane(turn @ (0, 1), turn @ (0, -1)), displacement=turn @ (0, -1e-3), rotation=angle
+        )
         problem = am.ContactProblem(
-            material=am.PlaneStrain(young=E, poisson=NU), law=am.Coulomb(0.3), contact=am.Contact("top", punch),
-            supports=(am.Support("bottom", x=0, y=0), am.Symmetry("left")))
+            material=am.PlaneStrain(young=E, poisson=NU),
+            law=am.Coulomb(0.3),
+            contact=am.Contact("top", punch),
+            supports=(am.Support("bottom", x=0, y=0), am.Symmetry("left")),
+        )
         result = am.solve(am.Hierarchy.from_meshes(problem, meshes), am.ActiveSet(rtol=1e-11))
         forces.append(turn.T @ result.resultant("top").force)
         assert np.abs(forces[-1] - forces[0]).max() <= E * angle + 1e-8 * np.abs(forces[0]).max()
@@ -208,7 +293,9 @@ def test_no_obstacle_goes_through_what_a_support_holds(kind):
     def obstacle(place, vector):
         if kind == "moved":
             return am.Moving(plane(place), displacement=vector(np.array([0.0, -1e-3])))
-        return am.Rigid(plane(place), force=tuple(PRESS * vector(np.array([0.0, -1.0]))), moment=None)
+        return am.Rigid(
+            plane(place), force=tuple(PRESS * vector(np.array([0.0, -1.0]))), moment=None
+        )
 
     grids, *_ = turned_block(np.random.default_rng(3), obstacle, am.Coulomb(0.5))
     held = replace(grids.problem, supports=(*grids.problem.supports, am.Support("left", x=0, y=0)))
@@ -217,17 +304,22 @@ def test_no_obstacle_goes_through_what_a_support_holds(kind):
 
 
 def test_what_cannot_be_found_is_refused():
-    def refused(obstacle, words, path=am.LoadPath(), law=am.Frictionless()):  # noqa: B008
+    def refused(obstacle, words, path=am.LoadPath(), law=am.Frictionless()):
         grids, *_ = turned_block(np.random.default_rng(1), obstacle, law)
         with pytest.raises(ValueError, match=words):
             am.solve_path(grids, path)
 
     def rigid(direction, name="punch"):
-        return lambda place, vector: am.Rigid(plane(place), force=tuple(PRESS * vector(np.array(direction))), name=name)
+        return lambda place, vector: am.Rigid(
+            plane(place), force=tuple(PRESS * vector(np.array(direction))), name=name
+        )
 
     refused(rigid((0.0, 1.0)), "pulls it away")
-    refused(rigid((0.0, -1.0)), "the factor of 'punch', which a force presses, must be > 0, got 0",
-            am.LoadPath({"punch": [0, 1]}))
+    refused(
+        rigid((0.0, -1.0)),
+        "the factor of 'punch', which a force presses, must be > 0, got 0",
+        am.LoadPath({"punch": [0, 1]}),
+    )
     refused(rigid((0.5, -1.0)), "nothing resists 'punch'")
     grids, *_ = turned_block(np.random.default_rng(1), rigid((0.0, -1.0)))
     with pytest.raises(ValueError, match="start must be None"):
@@ -235,22 +327,33 @@ def test_what_cannot_be_found_is_refused():
     with pytest.raises(ValueError, match="Rigid obstacle or a Preload"):
         am.adapt(grids.problem, max_nodes=100)
     free = am.ContactProblem(
-        domain=am.Rectangle(width=0.01, height=0.1), material=am.PlaneStrain(young=2e11, poisson=0.3),
-        loads=am.Preload("body", force=1e5, axis="y"), supports=am.Support("bottom", x=0, y=0))
+        domain=am.Rectangle(width=0.01, height=0.1),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        loads=am.Preload("body", force=1e5, axis="y"),
+        supports=am.Support("bottom", x=0, y=0),
+    )
     for method in (None, am.Multigrid(rtol=1e-4)):
         with pytest.raises(ValueError, match=r"nothing resists .body.: .* hold a bolt"):
             am.solve(am.Hierarchy.uniform(free, [(1, 8), (2, 16)]), method)
     ring, floor = am.Axisymmetric(young=E, poisson=NU), am.Plane((0, 0), (0, 1))
-    for obstacle in (am.Moving(floor, displacement=(1.0, 0.0)), am.Moving(floor, displacement=(0, 1), rotation=1e-3),
-                     am.Rigid(floor, force=(0.0, 1.0)), am.Rigid(floor, force=(None, 1.0), moment=0.0)):
+    for obstacle in (
+        am.Moving(floor, displacement=(1.0, 0.0)),
+        am.Moving(floor, displacement=(0, 1), rotation=1e-3),
+        am.Rigid(floor, force=(0.0, 1.0)),
+        am.Rigid(floor, force=(None, 1.0), moment=0.0),
+    ):
         with pytest.raises(ValueError, match="must move along the axis only"):
-            am.ContactProblem(material=ring, contact=am.Contact("bottom", obstacle), law=am.Frictionless())
-    for make, words in ((lambda: am.Rigid(floor, force=(None, None)), "force and moment are None"),
-                        (lambda: am.Rigid(floor, force=(0.0, None)), "component other than zero"),
-                        (lambda: am.Moving(floor, displacement=(0, 0, 1)), "displacement must have 2 components"),
-                        (lambda: am.Moving(floor, displacement=(0, np.nan)), "displacement"),
-                        (lambda: am.Preload("bolt", force=-1.0, axis="y"), "force must be > 0"),
-                        (lambda: am.Preload("bolt", force=1.0, axis="w"), "axis must be")):
+            am.ContactProblem(
+                material=ring, contact=am.Contact("bottom", obstacle), law=am.Frictionless()
+            )
+    for make, words in (
+        (lambda: am.Rigid(floor, force=(None, None)), "force and moment are None"),
+        (lambda: am.Rigid(floor, force=(0.0, None)), "component other than zero"),
+        (lambda: am.Moving(floor, displacement=(0, 0, 1)), "displacement must have 2 components"),
+        (lambda: am.Moving(floor, displacement=(0, np.nan)), "displacement"),
+        (lambda: am.Preload("bolt", force=-1.0, axis="y"), "force must be > 0"),
+        (lambda: am.Preload("bolt", force=1.0, axis="w"), "axis must be"),
+    ):
         with pytest.raises(ValueError, match=words):
             make()
     with pytest.raises(TypeError, match="must not be Rigid"):

@@ -1,4 +1,5 @@
-"""What a result answers about stress, strain, energy and contact; that it comes back from files and processes."""
+"""What a result answers about stress, strain, energy and contact; that it comes back from files and
+processes."""
 
 import copy
 import os
@@ -29,7 +30,8 @@ AT = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)]).T
 
 
 def stretched(kind: type, initial: float = 0.0) -> tuple[am.Result, np.ndarray, np.ndarray]:
-    """A linear displacement, with an initial strain; its strain and stress by the compliance of Hooke's law."""
+    """A linear displacement, with an initial strain; its strain and stress by the compliance of
+    Hooke's law."""
     dim = 3 if kind is am.Solid else 2
     mesh, rng = random_box(5, dim, 3), np.random.default_rng(1)
     slope = 1e-3 * rng.standard_normal((dim, dim))
@@ -44,11 +46,23 @@ def stretched(kind: type, initial: float = 0.0) -> tuple[am.Result, np.ndarray, 
         elastic = strain - free
         strain[2, 2] = initial - POISSON / (1 - POISSON) * (elastic[0, 0] + elastic[1, 1])
     elastic = strain - free
-    stress = YOUNG / (1 + POISSON) * (elastic + POISSON / (1 - 2 * POISSON) * np.trace(elastic) * np.eye(3))
-    data = StressData.of(mesh, kind(young=YOUNG, poisson=POISSON),
-                         [am.InitialStrain("body", (initial,) * 3)] if initial else ())
-    moved = replace(result_on(None), mesh=mesh, displacement=mesh.points @ slope.T, stress_data=data,
-                    reaction=np.zeros(mesh.points.shape))
+    stress = (
+        YOUNG
+        / (1 + POISSON)
+        * (elastic + POISSON / (1 - 2 * POISSON) * np.trace(elastic) * np.eye(3))
+    )
+    data = StressData.of(
+        mesh,
+        kind(young=YOUNG, poisson=POISSON),
+        [am.InitialStrain("body", (initial,) * 3)] if initial else (),
+    )
+    moved = replace(
+        result_on(None),
+        mesh=mesh,
+        displacement=mesh.points @ slope.T,
+        stress_data=data,
+        reaction=np.zeros(mesh.points.shape),
+    )
     return moved, strain, stress
 
 
@@ -58,23 +72,40 @@ def test_a_linear_displacement_has_one_strain_and_stress(kind, initial):
     result, strain, stress = stretched(kind, initial)
     inside = result.mesh.points[result.mesh.elements].mean(axis=1)[::7]
     deviator = stress - np.trace(stress) / 3 * np.eye(3)
-    for at, recovered, n in (("elements", False, len(result.mesh.elements)), (inside, False, len(inside)),
-                             ("elements", True, len(result.mesh.elements)), (inside, True, len(inside)),
-                             ("nodes", True, result.mesh.n_nodes), (inside[0], True, 1)):
-        found = {name: getattr(result, name)(at, recovered=recovered)
-                 for name in ("stress", "strain", "von_mises", "principal_stresses")}
-        for name, wanted, unit in (("stress", stress[*AT], YOUNG), ("strain", strain[*AT], 1.0),
-                                   ("von_mises", np.sqrt(1.5 * np.sum(deviator**2)), YOUNG),
-                                   ("principal_stresses", np.sort(np.linalg.eigvals(stress))[::-1], YOUNG)):
-            np.testing.assert_allclose(found[name], np.broadcast_to(wanted, (n, *np.shape(wanted))), rtol=1e-8,
-                                       atol=1e-12 * unit)
+    for at, recovered, n in (
+        ("elements", False, len(result.mesh.elements)),
+        (inside, False, len(inside)),
+        ("elements", True, len(result.mesh.elements)),
+        (inside, True, len(inside)),
+        ("nodes", True, result.mesh.n_nodes),
+        (inside[0], True, 1),
+    ):
+        found = {
+            name: getattr(result, name)(at, recovered=recovered)
+            for name in ("stress", "strain", "von_mises", "principal_stresses")
+        }
+        for name, wanted, unit in (
+            ("stress", stress[*AT], YOUNG),
+            ("strain", strain[*AT], 1.0),
+            ("von_mises", np.sqrt(1.5 * np.sum(deviator**2)), YOUNG),
+            ("principal_stresses", np.sort(np.linalg.eigvals(stress))[::-1], YOUNG),
+        ):
+            np.testing.assert_allclose(
+                found[name],
+                np.broadcast_to(wanted, (n, *np.shape(wanted))),
+                rtol=1e-8,
+                atol=1e-12 * unit,
+            )
     volumes = result.mesh.volumes.copy()
     if kind is am.Axisymmetric:
         volumes *= 2 * np.pi * result.mesh.points[result.mesh.elements, 0].mean(axis=1)
     elastic = strain - initial * np.eye(3)
     assert result.energy == pytest.approx(0.5 * np.sum(stress * elastic) * volumes.sum(), rel=1e-10)
     if not initial:
-        u, matrix = np.sin(9 * result.mesh.points), stiffness(result.mesh, kind(young=YOUNG, poisson=POISSON))
+        u, matrix = (
+            np.sin(9 * result.mesh.points),
+            stiffness(result.mesh, kind(young=YOUNG, poisson=POISSON)),
+        )
         wanted = 0.5 * u.reshape(-1) @ (matrix @ u.reshape(-1))
         assert replace(result, displacement=u).energy == pytest.approx(wanted, rel=1e-12)
 
@@ -85,8 +116,12 @@ def test_elements_answer_for_their_points_nodes_need_recovery():
     inside = result.mesh.points[result.mesh.elements].mean(axis=1)
     np.testing.assert_array_equal(result.stress(inside), result.stress())
     nodal = result.stress("nodes", recovered=True)
-    np.testing.assert_allclose(result.stress(inside, recovered=True), nodal[result.mesh.elements].mean(axis=1))
-    np.testing.assert_allclose(result.stress("elements", recovered=True), nodal[result.mesh.elements].mean(axis=1))
+    np.testing.assert_allclose(
+        result.stress(inside, recovered=True), nodal[result.mesh.elements].mean(axis=1)
+    )
+    np.testing.assert_allclose(
+        result.stress("elements", recovered=True), nodal[result.mesh.elements].mean(axis=1)
+    )
     # what diverged has none
     moved = result.displacement.copy()
     moved[result.mesh.elements[0]] = np.nan
@@ -107,10 +142,13 @@ def squeezed(kind: type = am.PlaneStrain, strain: float = -2e-4) -> am.ContactPr
     """A warm plate between a support and a smooth plane."""
     plate = am.Rectangle(width=0.02, height=0.01, origin=(0.01, 0.0))
     return am.ContactProblem(
-        material=kind(young=2e11, poisson=0.3), domain=plate, law=am.Frictionless(),
+        material=kind(young=2e11, poisson=0.3),
+        domain=plate,
+        law=am.Frictionless(),
         contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))),
         supports=(am.Support("top", y=0), am.Support("left", x=0)),
-        loads=(am.InitialStrain("body", (strain, strain, strain)), am.Pressure("right", 1e7)))
+        loads=(am.InitialStrain("body", (strain, strain, strain)), am.Pressure("right", 1e7)),
+    )
 
 
 @pytest.mark.parametrize("kind", [am.PlaneStrain, am.PlaneStress, am.Axisymmetric])
@@ -121,14 +159,20 @@ def test_results_and_steps_have_the_stresses_of_their_problem(kind, tmp_path):
     steps = am.solve_path(grids, am.LoadPath({"body": factors, "right": (1.0, 1.0, 0.5)}))
     steps.save(tmp_path / "path")
     loaded = am.PathResult.load(tmp_path / "path")
-    for factor, result, again in ((1.0, am.solve(grids), None), *zip(factors, steps, loaded, strict=True)):
+    for factor, result, again in (
+        (1.0, am.solve(grids), None),
+        *zip(factors, steps, loaded, strict=True),
+    ):
         loads = [am.InitialStrain("body", tuple(factor * c for c in problem.loads[0].components))]
         wanted = full_stress(result.mesh, problem.material, result.displacement, loads)
         assert np.abs(wanted[:, 0, 0]).max() > 1e6
-        np.testing.assert_allclose(result.stress(), wanted[:, *AT], rtol=1e-9,
-                                   atol=1e-9 * np.abs(wanted).max())
+        np.testing.assert_allclose(
+            result.stress(), wanted[:, *AT], rtol=1e-9, atol=1e-9 * np.abs(wanted).max()
+        )
         np.testing.assert_allclose(result.von_mises(), von_mises(wanted), rtol=1e-9)
-        if kind is not am.PlaneStrain:  # whose stress through the thickness has energy whatever the displacement is
+        if (
+            kind is not am.PlaneStrain
+        ):  # whose stress through the thickness has energy whatever the displacement is
             assert result.checked.energy_norm**2 == pytest.approx(2 * result.energy, rel=1e-6)
         if again is not None:
             np.testing.assert_array_equal(again.stress(), result.stress())
@@ -140,7 +184,9 @@ def test_a_result_without_materials_says_so():
     for result in (am.solve(grids.finest.discrete), result_on(square(2)), result_on(None)):
         assert result.stress_data is None
         for method in (result.stress, result.von_mises):
-            with pytest.raises(ValueError, match=r"no materials.*bare DiscreteProblem.*StressData\.of"):
+            with pytest.raises(
+                ValueError, match=r"no materials.*bare DiscreteProblem.*StressData\.of"
+            ):
                 method()
     given = replace(result_on(square(2)), stress_data=StressData.of(square(2), squeezed().material))
     assert given.stress().shape == (8, 6)
@@ -150,21 +196,43 @@ def test_a_result_without_materials_says_so():
 
 def answers(result: am.Result) -> list[object]:
     points = [(1e-4, 2e-4), (2e-4, 1e-3)]
-    return [*(method(at, recovered=recovered) for at, recovered in ((points, False), (points, True), ("nodes", True))
-              for method in (result.stress, result.strain, result.von_mises, result.principal_stresses)),
-            result.energy, result.contact_area, result.contact_extent, result.max_pressure, result.work_to(1e-3),
-            result.pairs().to_dict("list"), {k: list(v) for k, v in result.contact.table().items()}, repr(result),
-            repr(result.contact), result._repr_html_()]
+    return [
+        *(
+            method(at, recovered=recovered)
+            for at, recovered in ((points, False), (points, True), ("nodes", True))
+            for method in (
+                result.stress,
+                result.strain,
+                result.von_mises,
+                result.principal_stresses,
+            )
+        ),
+        result.energy,
+        result.contact_area,
+        result.contact_extent,
+        result.max_pressure,
+        result.work_to(1e-3),
+        result.pairs().to_dict("list"),
+        {k: list(v) for k, v in result.contact.table().items()},
+        repr(result),
+        repr(result.contact),
+        result._repr_html_(),
+    ]
 
 
-@pytest.mark.parametrize(("case", "finest"), [(cases.hertz_cylinder, 1 / 30), (cases.hertz_sphere, 1 / 20)])
+@pytest.mark.parametrize(
+    ("case", "finest"), [(cases.hertz_cylinder, 1 / 30), (cases.hertz_sphere, 1 / 20)]
+)
 def test_hertz_contact_and_the_pressure_below_it(case, finest, tmp_path):
-    """Half a model: half the width and force of a line; of an axisymmetric body forces and areas of the whole ring."""
+    """Half a model: half the width and force of a line; of an axisymmetric body forces and areas of
+    the whole ring."""
     problem, line = case(), case is cases.hertz_cylinder
     grids = am.Hierarchy.from_meshes(problem, contact_meshes(problem, finest, 2, 0.2))
     result, form = am.solve(grids), problem.reference["closed_form"]
     a, p0 = form.half_width, form.peak
-    half, area, force, unit = (a / 2, a, 0.5 * form.load, "N/m") if line else (a, np.pi * a**2, form.load, "N")
+    half, area, force, unit = (
+        (a / 2, a, 0.5 * form.load, "N/m") if line else (a, np.pi * a**2, form.load, "N")
+    )
     assert result.contact_extent[0] == pytest.approx(half, rel=0.05)
     assert result.contact_area == pytest.approx(area, rel=0.05 if line else 0.1)
     assert result.max_pressure == pytest.approx(p0, rel=0.02 if line else 0.1)
@@ -174,7 +242,9 @@ def test_hertz_contact_and_the_pressure_below_it(case, finest, tmp_path):
     depth = np.array([0.5, 0.79, 1.1])
     below = np.column_stack([np.full(3, 1e-9), -depth * a])
     found = result.principal_stresses(below, recovered=True)[:, 2] / p0
-    np.testing.assert_allclose(found, -(1 + depth**2) ** (-0.5 if line else -1.0), atol=0.02 if line else 0.04)
+    np.testing.assert_allclose(
+        found, -((1 + depth**2) ** (-0.5 if line else -1.0)), atol=0.02 if line else 0.04
+    )
     result.save(tmp_path / "r.npz")
     assert same(answers(am.Result.load(tmp_path / "r.npz")), answers(result))
 
@@ -187,11 +257,22 @@ def moved(result: am.Result, folder) -> am.Result:
     return am.Result.load(folder / "r.npz")
 
 
-@pytest.mark.parametrize("result", [result_on(square(3)), result_on(cube(2)), result_on(None),
-                                    result_on(square(2), history={}, path=[], levels=[], timings={}),
-                                    result_on(square(2), status=am.Status.DIVERGED, residual=float("inf"),
-                                              displacement=np.full((9, 2), np.nan))],
-                         ids=["2D", "3D", "bare", "without a history", "diverged"])
+@pytest.mark.parametrize(
+    "result",
+    [
+        result_on(square(3)),
+        result_on(cube(2)),
+        result_on(None),
+        result_on(square(2), history={}, path=[], levels=[], timings={}),
+        result_on(
+            square(2),
+            status=am.Status.DIVERGED,
+            residual=float("inf"),
+            displacement=np.full((9, 2), np.nan),
+        ),
+    ],
+    ids=["2D", "3D", "bare", "without a history", "diverged"],
+)
 def test_every_field_comes_back(tmp_path, result):
     found = moved(result, tmp_path)
     assert same(found, result)
@@ -200,10 +281,18 @@ def test_every_field_comes_back(tmp_path, result):
 
 def test_numbers_of_numpy_become_plain_ones(tmp_path):
     plain = result_on(square(2))
-    given = replace(plain, cycles=np.int32(11), work_units=np.float32(47), residual=np.array(1e-9),
-                    timings=MappingProxyType({"setup": np.float64(0.01), np.str_("cycles"): np.float64(0.2)}),
-                    path=[(np.int64(level), np.str_(action), np.int8(times)) for level, action, times in plain.path],
-                    levels=[{name: np.float64(v) for name, v in row.items()} for row in plain.levels])
+    given = replace(
+        plain,
+        cycles=np.int32(11),
+        work_units=np.float32(47),
+        residual=np.array(1e-9),
+        timings=MappingProxyType({"setup": np.float64(0.01), np.str_("cycles"): np.float64(0.2)}),
+        path=[
+            (np.int64(level), np.str_(action), np.int8(times))
+            for level, action, times in plain.path
+        ],
+        levels=[{name: np.float64(v) for name, v in row.items()} for row in plain.levels],
+    )
     found = moved(given, tmp_path)
     assert type(found.cycles) is int and found.levels == plain.levels
     assert found.timings == plain.timings and found.path == plain.path
@@ -237,7 +326,11 @@ def count(n):
 
 def test_a_part_of_a_path_is_a_result_too(tmp_path):
     result = result_on(square(2))
-    more = {"a.b": np.arange(3), "a": {"b": np.ones(2)}, "c/d": (result.displacement, [result.mesh, result])}
+    more = {
+        "a.b": np.arange(3),
+        "a": {"b": np.ones(2)},
+        "c/d": (result.displacement, [result.mesh, result]),
+    }
     (tmp_path / "s.npz").write_bytes(packed(result, KINDS, more, {"step": 3, "key": "k"}))
     assert same(am.Result.load(tmp_path / "s.npz"), result)
     back = read(tmp_path / "s.npz", KINDS, more=True)
@@ -251,8 +344,12 @@ def test_the_largest_of_files_is_not_taken_for_a_bomb(tmp_path):
     n = 60_000
     points = np.random.default_rng(1).random((n, 2))
     elements = np.zeros((4, 3), dtype=int)
-    big = replace(result_on(square(2)), displacement=points, reaction=np.zeros((n, 2)),
-                  mesh=MeshArrays(points, elements, elements[:, :2], np.zeros(4), ("bottom",)))
+    big = replace(
+        result_on(square(2)),
+        displacement=points,
+        reaction=np.zeros((n, 2)),
+        mesh=MeshArrays(points, elements, elements[:, :2], np.zeros(4), ("bottom",)),
+    )
     assert same(moved(big, tmp_path), big)
 
 
@@ -261,14 +358,30 @@ def unfinished() -> am.Result:
 
 
 def some_path() -> am.PathResult:
-    return am.PathResult((result_on(square(3)), unfinished()), {"left": np.array([0.5, 1.0, 0.0])}, {"problem": "x"}, 3)
+    return am.PathResult(
+        (result_on(square(3)), unfinished()),
+        {"left": np.array([0.5, 1.0, 0.0])},
+        {"problem": "x"},
+        3,
+    )
 
 
-WAYS = {"pickle": lambda x: pickle.loads(pickle.dumps(x)), "oldest": lambda x: pickle.loads(pickle.dumps(x, 2)),
-        "cloudpickle": lambda x: cloudpickle.loads(cloudpickle.dumps(x)), "copy": copy.copy, "deepcopy": copy.deepcopy}
-THINGS = {"result": unfinished, "contact": lambda: unfinished().contact, "path": some_path, "mesh": lambda: cube(2),
-          "meshed": lambda: am.mesh.structured(am.Rectangle(width=1.0, height=1.0), 2),
-          "bare": lambda: result_on(None), "load path": lambda: am.LoadPath({"left": [1, 0.5]})}
+WAYS = {
+    "pickle": lambda x: pickle.loads(pickle.dumps(x)),
+    "oldest": lambda x: pickle.loads(pickle.dumps(x, 2)),
+    "cloudpickle": lambda x: cloudpickle.loads(cloudpickle.dumps(x)),
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+}
+THINGS = {
+    "result": unfinished,
+    "contact": lambda: unfinished().contact,
+    "path": some_path,
+    "mesh": lambda: cube(2),
+    "meshed": lambda: am.mesh.structured(am.Rectangle(width=1.0, height=1.0), 2),
+    "bare": lambda: result_on(None),
+    "load path": lambda: am.LoadPath({"left": [1, 0.5]}),
+}
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -278,16 +391,22 @@ def test_data_come_back_as_they_were(thing, way):
     found = WAYS[way](given)
     assert same(given, found)
     if isinstance(given, am.MeshArrays):
-        assert not any(getattr(found, name).flags.writeable for name in ("points", "elements", "facets"))
+        assert not any(
+            getattr(found, name).flags.writeable for name in ("points", "elements", "facets")
+        )
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("error", [am.NotConverged(unfinished()),
-                                   StepNotConverged(unfinished(), 1, "left 1", some_path())])
+@pytest.mark.parametrize(
+    "error",
+    [am.NotConverged(unfinished()), StepNotConverged(unfinished(), 1, "left 1", some_path())],
+)
 def test_exceptions_keep_what_they_carry(error, way):
     error.add_note("seen in a worker")
     found = WAYS[way](error)
-    assert type(found) is type(error) and str(found) == str(error) and same(found.result, error.result)
+    assert (
+        type(found) is type(error) and str(found) == str(error) and same(found.result, error.result)
+    )
     if isinstance(error, StepNotConverged):
         assert found.step == 1 and same(found.partial, error.partial)
 

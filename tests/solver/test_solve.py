@@ -1,4 +1,5 @@
-"""solve() and the loop below it: records, what ends it, user-defined parts; that all methods agree: tests/agreement."""
+"""solve() and the loop below it: records, what ends it, user-defined parts; that all methods agree:
+tests/agreement."""
 
 import gc
 import weakref
@@ -29,7 +30,9 @@ def test_the_estimate_is_of_the_error_not_of_the_change(bar):
     result = am.solve(grids, am.SingleGrid(rtol=1e-5), reference=reference)
     assert result.history["true_error"][-1] < 2e-5
     assert result.path == [(len(grids) - 1, "smooth", result.cycles)]
-    paper = am.solve(grids, am.SingleGrid(rtol=1e-5, stop="change"), reference=reference, throw=False)
+    paper = am.solve(
+        grids, am.SingleGrid(rtol=1e-5, stop="change"), reference=reference, throw=False
+    )
     assert paper.history["true_error"][-1] > 1e-4
     assert paper.status is am.Status.STALLED
 
@@ -57,7 +60,9 @@ def test_history_is_reported_as_it_goes(bar):
 
 def test_contact_without_names_has_a_resultant():
     result = result_on(None)
-    np.testing.assert_array_equal(result.resultant("contact").force, result.contact.force.sum(axis=0))
+    np.testing.assert_array_equal(
+        result.resultant("contact").force, result.contact.force.sum(axis=0)
+    )
     with pytest.raises(ValueError, match="boundary '' is not known"):
         result.resultant("")
 
@@ -67,17 +72,27 @@ def test_a_force_at_a_corner_belongs_to_its_supports(law, tmp_path):
     """A square between two supports and the plane."""
     smooth = isinstance(law, am.Frictionless)
     problem = am.ContactProblem(
-        material=am.PlaneStrain(young=1e9, poisson=0.3), domain=am.Rectangle(width=1.0, height=1.0), law=law,
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        domain=am.Rectangle(width=1.0, height=1.0),
+        law=law,
         contact=am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0))),
         loads=(am.Pressure("right", 1e6) if smooth else am.Traction("right", (2e5, -1e5)),),
-        supports=(am.Support("left", x=0.0), am.Support("top", y=-1e-3) if smooth else am.Support("top", x=0.0, y=0.0)))
+        supports=(
+            am.Support("left", x=0.0),
+            am.Support("top", y=-1e-3) if smooth else am.Support("top", x=0.0, y=0.0),
+        ),
+    )
     result = am.solve(am.Hierarchy.uniform(problem, (3,)), am.ActiveSet())
     result.save(tmp_path / "run.npz")
     for found in (result, am.Result.load(tmp_path / "run.npz")):
-        left, top, right, bottom = (found.resultant(name).force for name in ("left", "top", "right", "bottom"))
+        left, top, right, bottom = (
+            found.resultant(name).force for name in ("left", "top", "right", "bottom")
+        )
         if smooth:
             # homogeneous: each side carries its pressure
-            assert left == pytest.approx([1e6, 0], abs=1e-3) and right == pytest.approx([0, 0], abs=1e-3)
+            assert left == pytest.approx([1e6, 0], abs=1e-3) and right == pytest.approx(
+                [0, 0], abs=1e-3
+            )
             assert top == pytest.approx([0, -found.resultant("contact").force[1]], abs=1e-3)
             continue
         assert left + top + right + bottom == pytest.approx([-2e5, 1e5], abs=1e-3)
@@ -88,16 +103,46 @@ def test_a_force_at_a_corner_belongs_to_its_supports(law, tmp_path):
         assert top == pytest.approx(found.reaction[inner].sum(axis=0) + shared, abs=1e-3)
 
 
-@pytest.mark.parametrize(("make", "error", "message"), [
-    (lambda grids: am.solve("bar"), TypeError, "Hierarchy or a DiscreteProblem"),
-    (lambda grids: am.solve(grids.truncated(coarsest=2), am.Multigrid()), ValueError, "at least two levels"),
-    (lambda grids: am.solve(replace(grids.finest.discrete, law=am.Frictionless(), fixed=np.zeros(578, dtype=bool)),
-                            am.SingleGrid()), ValueError, "translation along x"),
-    (lambda grids: am.FullMultigrid(correction=am.Monotone(), rtol="discretisation"), ValueError, "needs Full"),
-    *((lambda grids, option=option: am.FullMultigrid(**option), ValueError,
-       f"{next(iter(option))} must not be given.*give correction=am.Monotone")
-      for option in ({"smoother": am.ProjectedGaussSeidel(order="forward")}, {"cycle": am.Cycle(pre=2)},
-                     {"coarse": am.CoarseSolve()}, {"stop": "error"}, {"coarse_matrices": "galerkin"}))])
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda grids: am.solve("bar"), TypeError, "Hierarchy or a DiscreteProblem"),
+        (
+            lambda grids: am.solve(grids.truncated(coarsest=2), am.Multigrid()),
+            ValueError,
+            "at least two levels",
+        ),
+        (
+            lambda grids: am.solve(
+                replace(
+                    grids.finest.discrete, law=am.Frictionless(), fixed=np.zeros(578, dtype=bool)
+                ),
+                am.SingleGrid(),
+            ),
+            ValueError,
+            "translation along x",
+        ),
+        (
+            lambda grids: am.FullMultigrid(correction=am.Monotone(), rtol="discretisation"),
+            ValueError,
+            "needs Full",
+        ),
+        *(
+            (
+                lambda grids, option=option: am.FullMultigrid(**option),
+                ValueError,
+                f"{next(iter(option))} must not be given.*give correction=am.Monotone",
+            )
+            for option in (
+                {"smoother": am.ProjectedGaussSeidel(order="forward")},
+                {"cycle": am.Cycle(pre=2)},
+                {"coarse": am.CoarseSolve()},
+                {"stop": "error"},
+                {"coarse_matrices": "galerkin"},
+            )
+        ),
+    ],
+)
 def test_bad_input_is_refused(bar, make, error, message):
     with pytest.raises(error, match=message):
         make(bar[0])
@@ -121,14 +166,24 @@ def test_error_and_residual_end_it():
     method, stop, run = Halving(), StopTest(1e-3, 100), Run(unit=1)
     assert iterate(method, stop, run) is am.Status.CONVERGED
     # with a rate of a half the error that remains is the last change
-    assert method.cycles == 10 and stop.error_estimate == pytest.approx(0.5**10) and stop.rate == pytest.approx(0.5)
+    assert (
+        method.cycles == 10
+        and stop.error_estimate == pytest.approx(0.5**10)
+        and stop.rate == pytest.approx(0.5)
+    )
     assert [row["cycle"] for row in run.history] == list(range(11))
 
 
-@pytest.mark.parametrize(("method", "limit", "status", "cycles"), [
-    (Halving(), 4, am.Status.LIMIT, 4), (Halving(gives_up=3), 100, am.Status.CYCLING, 3),
-    (Halving(1.0), 1000, am.Status.STALLED, StopTest.PATIENCE + 1), (Halving(100.0), 100, am.Status.DIVERGED, 7),
-    (Halving(np.nan), 100, am.Status.DIVERGED, 1)])
+@pytest.mark.parametrize(
+    ("method", "limit", "status", "cycles"),
+    [
+        (Halving(), 4, am.Status.LIMIT, 4),
+        (Halving(gives_up=3), 100, am.Status.CYCLING, 3),
+        (Halving(1.0), 1000, am.Status.STALLED, StopTest.PATIENCE + 1),
+        (Halving(100.0), 100, am.Status.DIVERGED, 7),
+        (Halving(np.nan), 100, am.Status.DIVERGED, 1),
+    ],
+)
 def test_what_else_ends_it(method, limit, status, cycles):
     assert iterate(method, StopTest(1e-3, limit)) is status
     assert method.cycles == cycles
@@ -138,7 +193,10 @@ def test_what_else_ends_it(method, limit, status, cycles):
 def test_at_the_limit_of_cycles_the_certificate_decides(last, status):
     """After a refusal the test asks for more than rtol, and the cycles may end before."""
     answers = [3.0, last]
-    assert iterate(Halving(), StopTest(1e-3, 11, lambda rtol: answers.pop(0))) is status and not answers
+    assert (
+        iterate(Halving(), StopTest(1e-3, 11, lambda rtol: answers.pop(0))) is status
+        and not answers
+    )
 
 
 @pytest.mark.parametrize("make", [am.cases.greco_bar, am.cases.greco_block])
@@ -153,8 +211,10 @@ def test_other_laws_and_loads_share_factors_and_aggregates(make):
     assert ours.factors is theirs.factors is not fresh.factors
     assert theirs.full.discrete is shared and not np.array_equal(ours.full.load, theirs.full.load)
     am.solve(grids, am.ActiveSet())
-    again, once = (am.solve(one, am.ActiveSet())
-                   for one in (grids.with_problem(other), am.Hierarchy.uniform(other, (2, 4))))
+    again, once = (
+        am.solve(one, am.ActiveSet())
+        for one in (grids.with_problem(other), am.Hierarchy.uniform(other, (2, 4)))
+    )
     np.testing.assert_array_equal(again.displacement, once.displacement)
 
 
@@ -162,14 +222,23 @@ def test_nothing_outlives_its_problem():
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4))
     am.solve(grids)
     gone = [weakref.ref(level.discrete) for level in grids.levels] + [
-        weakref.ref(aggregates_of(grids.finest.discrete)), weakref.ref(condense_problem(grids[0].discrete).factors)]
+        weakref.ref(aggregates_of(grids.finest.discrete)),
+        weakref.ref(condense_problem(grids[0].discrete).factors),
+    ]
     del grids
     gc.collect()
     assert [one() for one in gone] == [None] * 4
 
 
-@pytest.mark.parametrize("solver", [am.FullMultigrid(), am.FullMultigrid(correction=am.Monotone()), am.ActiveSet(),
-                                    am.SingleGrid(max_sweeps=5)])
+@pytest.mark.parametrize(
+    "solver",
+    [
+        am.FullMultigrid(),
+        am.FullMultigrid(correction=am.Monotone()),
+        am.ActiveSet(),
+        am.SingleGrid(max_sweeps=5),
+    ],
+)
 def test_what_a_solve_needs_is_freed_when_it_returns(solver):
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4))
     gc.collect()

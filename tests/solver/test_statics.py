@@ -1,4 +1,5 @@
-"""Rigid-body statics: what contact can hold passes, what it cannot is named; friction with several solutions."""
+"""Rigid-body statics: what contact can hold passes, what it cannot is named; friction with several
+solutions."""
 
 import warnings
 from dataclasses import replace
@@ -18,9 +19,19 @@ PLATE = am.mesh.structured(am.Rectangle(width=4.0, height=1.0), (8, 2))
 BLOCK = am.mesh.structured(am.Box(width=4.0, depth=4.0, height=1.0), (6, 6, 1))
 
 
-def posed(mesh, material, contact, law=am.Frictionless(), loads=(am.Pressure("top", 1.0),), supports=()):  # noqa: B008
-    return am.discretise(am.ContactProblem(material=material(young=1e3, poisson=0.3), contact=contact, law=law,
-                                           loads=loads, supports=supports), mesh)
+def posed(
+    mesh, material, contact, law=am.Frictionless(), loads=(am.Pressure("top", 1.0),), supports=()
+):
+    return am.discretise(
+        am.ContactProblem(
+            material=material(young=1e3, poisson=0.3),
+            contact=contact,
+            law=law,
+            loads=loads,
+            supports=supports,
+        ),
+        mesh,
+    )
 
 
 plate = partial(posed, PLATE, am.PlaneStrain, contact=FLOOR)
@@ -31,49 +42,99 @@ def weight(*direction: float) -> tuple[am.BodyForce]:
     return (am.BodyForce(direction),)
 
 
-LEFT, TIPPING = (am.Support("left", x=0.0),), (am.Pressure("top", 0.3), am.Traction("left", (0.0, 1.0)))
+LEFT, TIPPING = (
+    (am.Support("left", x=0.0),),
+    (am.Pressure("top", 0.3), am.Traction("left", (0.0, 1.0))),
+)
 SIDES = (am.Support("left", x=0.0), am.Support("front", y=0.0))
-SPIN = (am.Pressure("top", 1.0), am.Traction("top", (lambda x: -(x[:, 1] - 2), lambda x: x[:, 0] - 2, 0.0)))
+SPIN = (
+    am.Pressure("top", 1.0),
+    am.Traction("top", (lambda x: -(x[:, 1] - 2), lambda x: x[:, 0] - 2, 0.0)),
+)
 
 #: what stands
 STANDING = {
-    "on supports": plate(loads=weight(3.0, 5.0), supports=(
-        *LEFT, am.Support("right", x=0.0), am.Support("top", y=0.0))),
-    "between support and floor": plate(supports=LEFT), "by friction": plate(law=am.Coulomb(0.01)),
-    "by adhesion": plate(law=am.Tresca(1e-3)), "without any load": plate(loads=(), supports=(
-        *LEFT, am.Support("top", y=-1e-3))),
+    "on supports": plate(
+        loads=weight(3.0, 5.0),
+        supports=(*LEFT, am.Support("right", x=0.0), am.Support("top", y=0.0)),
+    ),
+    "between support and floor": plate(supports=LEFT),
+    "by friction": plate(law=am.Coulomb(0.01)),
+    "by adhesion": plate(law=am.Tresca(1e-3)),
+    "without any load": plate(loads=(), supports=(*LEFT, am.Support("top", y=-1e-3))),
     "by friction at one node": plate(law=am.Coulomb(lambda x: np.where(x[:, 0] == 2.0, 0.1, 0.0))),
-    "enclosed": plate(loads=(), contact=tuple(am.Contact(name, TOUCHING) for name in PLATE.boundaries)),
-    "above a gap": plate(contact=am.Contact("bottom", am.Plane(point=(0.0, -1.0), normal=(0.0, 1.0))), supports=LEFT),
-    **{f"loads {size:g}": plate(law=am.Coulomb(0.5), loads=weight(0.4 * size, -abs(size))) for size in (1e-9, -1e9)},
+    "enclosed": plate(
+        loads=(), contact=tuple(am.Contact(name, TOUCHING) for name in PLATE.boundaries)
+    ),
+    "above a gap": plate(
+        contact=am.Contact("bottom", am.Plane(point=(0.0, -1.0), normal=(0.0, 1.0))), supports=LEFT
+    ),
+    **{
+        f"loads {size:g}": plate(law=am.Coulomb(0.5), loads=weight(0.4 * size, -abs(size)))
+        for size in (1e-9, -1e9)
+    },
     # 4 m of contact under a limit of .25 bear a side load of 1 on 4 m2
     "below the limit": plate(law=am.Tresca(0.25), loads=weight(0.25 * 0.999, -1.0)),
-    # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond slope 4
+    # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond
+    # slope 4
     "about to tip": plate(law=am.Coulomb(5.0), loads=weight(3.99, -1.0)),
-    "solid between supports": block(supports=SIDES), "solid by friction": block(law=am.Coulomb(0.1)),
-    "solid by adhesion": block(law=am.Tresca(0.1)), "solid that does not spin": block(law=am.Coulomb(2.0), loads=SPIN),
-    "solid about to tip": block(law=am.Coulomb(9.0), loads=weight(3.9, 0.0, -1.0))}
+    "solid between supports": block(supports=SIDES),
+    "solid by friction": block(law=am.Coulomb(0.1)),
+    "solid by adhesion": block(law=am.Tresca(0.1)),
+    "solid that does not spin": block(law=am.Coulomb(2.0), loads=SPIN),
+    "solid about to tip": block(law=am.Coulomb(9.0), loads=weight(3.9, 0.0, -1.0)),
+}
 
 #: what does not, and the motion that is named
 FALLING = {
-    "lifted": (plate(loads=weight(0.0, 1.0), supports=LEFT),
-               "nothing holds a translation along y: the supports leave it free"),
+    "lifted": (
+        plate(loads=weight(0.0, 1.0), supports=LEFT),
+        "nothing holds a translation along y: the supports leave it free",
+    ),
     "pushed": (plate(loads=weight(-0.01, -1.0)), "nothing holds a translation along -x"),
     "free to slide": (plate(), "the solution is not unique: a translation along x is left free"),
-    "beyond the limit": (plate(law=am.Tresca(0.25), loads=weight(0.25 * 1.001, -1.0)), "holds a translation along x"),
-    "tipped": (plate(law=am.Coulomb(5.0), loads=weight(4.01, -1.0)), r"nothing holds a rotation about \(4, 0\)"),
+    "beyond the limit": (
+        plate(law=am.Tresca(0.25), loads=weight(0.25 * 1.001, -1.0)),
+        "holds a translation along x",
+    ),
+    "tipped": (
+        plate(law=am.Coulomb(5.0), loads=weight(4.01, -1.0)),
+        r"nothing holds a rotation about \(4, 0\)",
+    ),
     # 1.2 down at x = 2 and 1 up at x = 0: .2 down at x = 12, beyond the right foot
-    "pulled up at one end": (plate(law=am.Coulomb(1.0), loads=TIPPING), "nothing holds a rotation about"),
-    "no load": (plate(loads=(), supports=LEFT), "nothing presses the body against its obstacle: a translation along y"),
-    "squeezed": (plate(law=am.Coulomb(0.5), loads=(am.Pressure("left", 1.0), am.Pressure("right", 1.0))),
-                 "nothing presses the body"),
-    **{f"loads {size:g}": (plate(law=am.Coulomb(0.5), loads=weight(0.6 * size, -abs(size))), "nothing holds")
-       for size in (1e-9, -1e9)},
+    "pulled up at one end": (
+        plate(law=am.Coulomb(1.0), loads=TIPPING),
+        "nothing holds a rotation about",
+    ),
+    "no load": (
+        plate(loads=(), supports=LEFT),
+        "nothing presses the body against its obstacle: a translation along y",
+    ),
+    "squeezed": (
+        plate(law=am.Coulomb(0.5), loads=(am.Pressure("left", 1.0), am.Pressure("right", 1.0))),
+        "nothing presses the body",
+    ),
+    **{
+        f"loads {size:g}": (
+            plate(law=am.Coulomb(0.5), loads=weight(0.6 * size, -abs(size))),
+            "nothing holds",
+        )
+        for size in (1e-9, -1e9)
+    },
     "solid free to slide": (block(supports=SIDES[:1]), "not unique: a translation along y"),
-    "solid lifted": (block(law=am.Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)), "nothing holds a translation along z"),
-    "solid spun": (block(law=am.Coulomb(0.1), loads=SPIN), "rotation about the axis along z through"),
-    "solid tipped": (block(law=am.Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)),
-                     "rotation about the axis along y through")}
+    "solid lifted": (
+        block(law=am.Coulomb(1.0), loads=weight(0.0, 0.0, 1.0)),
+        "nothing holds a translation along z",
+    ),
+    "solid spun": (
+        block(law=am.Coulomb(0.1), loads=SPIN),
+        "rotation about the axis along z through",
+    ),
+    "solid tipped": (
+        block(law=am.Coulomb(9.0), loads=weight(4.1, 0.0, -1.0)),
+        "rotation about the axis along y through",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", STANDING)
@@ -102,8 +163,10 @@ class TestBareProblems:
     def test_modes_without_coordinates_and_none(self):
         lifted, turning = plate(loads=weight(0.0, 1.0)), plate(law=am.Coulomb(1.0), loads=TIPPING)
         check_statics(replace(lifted, coordinates=None, near_nullspace=None))
-        for problem, motion in ((lifted, "translation along y"),
-                                (turning, r"motion \(a combination of near_nullspace\)")):
+        for problem, motion in (
+            (lifted, "translation along y"),
+            (turning, r"motion \(a combination of near_nullspace\)"),
+        ):
             with pytest.raises(ValueError, match=f"nothing holds a {motion}"):
                 check_statics(replace(problem, coordinates=None))
 
@@ -115,7 +178,8 @@ class TestBareProblems:
             check_statics(replace(problem, near_nullspace=mixed, load=-problem.load))
 
     def test_modes_that_are_no_rigid_motions(self):
-        # in skew coordinates of the user's: nothing is known about the shape of the motion, but it is found
+        # in skew coordinates of the user's: nothing is known about the shape of the motion, but it
+        # is found
         problem = plate(law=am.Coulomb(1.0), loads=TIPPING)
         shaken = problem.coordinates + np.random.default_rng(0).random(problem.coordinates.shape)
         with pytest.raises(ValueError, match=r"nothing holds a motion \(a combination"):
@@ -133,10 +197,15 @@ class TestBareProblems:
     def beside(self, one, matrix, load, points):
         """A problem, and next to it what has this matrix, load and nodes, nothing fixed."""
         return am.DiscreteProblem(
-            matrix=sparse.block_diag([one.matrix, matrix], format="csr"), load=np.r_[one.load, load],
-            fixed=np.r_[one.fixed, np.zeros(len(load), dtype=bool)], law=am.Frictionless(),
-            contact=am.ContactNodes(nodes=one.contact.nodes, normals=one.contact.normals, gaps=one.contact.gaps),
-            coordinates=np.vstack([one.coordinates, points]))
+            matrix=sparse.block_diag([one.matrix, matrix], format="csr"),
+            load=np.r_[one.load, load],
+            fixed=np.r_[one.fixed, np.zeros(len(load), dtype=bool)],
+            law=am.Frictionless(),
+            contact=am.ContactNodes(
+                nodes=one.contact.nodes, normals=one.contact.normals, gaps=one.contact.gaps
+            ),
+            coordinates=np.vstack([one.coordinates, points]),
+        )
 
     def test_two_bodies_are_checked_one_by_one(self):
         """A pressed plate, and a second one that no support and no contact holds."""
@@ -146,35 +215,52 @@ class TestBareProblems:
         with pytest.raises(ValueError, match=f"not unique: .* of the body of node {n // 2} "):
             check_statics(pair)
         check_statics(replace(pair, fixed=pair.fixed | (np.arange(2 * n) >= n)))
-        with pytest.raises(ValueError, match="nothing holds a translation along -x of the body of node"):
+        with pytest.raises(
+            ValueError, match="nothing holds a translation along -x of the body of node"
+        ):
             check_statics(replace(pair, load=np.r_[one.load, np.tile([-1.0, 0.0], n // 2)]))
 
     def test_lone_nodes_are_no_bodies(self):
-        # nodes decoupled from all others (eliminated by the user, say) are held by their own diagonal
-        check_statics(self.beside(plate(supports=LEFT), sparse.eye_array(6), np.ones(6), np.zeros((3, 2))))
+        # nodes decoupled from all others (eliminated by the user, say) are held by their own
+        # diagonal
+        check_statics(
+            self.beside(plate(supports=LEFT), sparse.eye_array(6), np.ones(6), np.zeros((3, 2)))
+        )
 
 
 @pytest.fixture(scope="module")
 def strut():
-    return am.Hierarchy.graded(am.cases.leaning_strut(), sizes=(20e-3, 10e-3, 5e-3), contact_ratio=2)
+    return am.Hierarchy.graded(
+        am.cases.leaning_strut(), sizes=(20e-3, 10e-3, 5e-3), contact_ratio=2
+    )
 
 
 def with_friction(grids, law):
-    return am.Hierarchy.from_meshes(replace(grids.problem, law=law), [level.mesh for level in grids.levels])
+    return am.Hierarchy.from_meshes(
+        replace(grids.problem, law=law), [level.mesh for level in grids.levels]
+    )
 
 
 @pytest.mark.filterwarnings("ignore:friction:RuntimeWarning")
 def test_the_strut_has_three_equilibria(strut):
-    related = [am.solve(with_friction(strut, law), am.ActiveSet()) for law in (am.Tresca(1e6), am.Frictionless())]
-    found = [am.solve(strut, am.ActiveSet(rtol=1e-9, start="held")),
-             *(am.solve(strut, am.ActiveSet(rtol=1e-9), start=start) for start in related)]
+    related = [
+        am.solve(with_friction(strut, law), am.ActiveSet())
+        for law in (am.Tresca(1e6), am.Frictionless())
+    ]
+    found = [
+        am.solve(strut, am.ActiveSet(rtol=1e-9, start="held")),
+        *(am.solve(strut, am.ActiveSet(rtol=1e-9), start=start) for start in related),
+    ]
     touching = [result.contact.state[result.contact.state != am.OPEN].tolist() for result in found]
     assert touching == [[am.STICK], [am.SLIP], []]
     for result in found:
         # each is one: Newton steps from it stay, and the conditions of contact hold
         assert result.residual <= 1e-7
         again = am.solve(strut, am.ActiveSet(rtol=1e-10), start=result)
-        assert np.abs(again.displacement - result.displacement).max() <= 1e-6 * np.abs(result.displacement).max()
+        assert (
+            np.abs(again.displacement - result.displacement).max()
+            <= 1e-6 * np.abs(result.displacement).max()
+        )
 
 
 def test_a_warning_says_so_but_not_where_friction_is_small(strut):
@@ -200,4 +286,6 @@ def test_the_estimate_against_the_compliance(strut):
         stiffness = np.linalg.inv(unit.T @ np.linalg.solve(matrix, unit))
         assert critical[i] == pytest.approx(stiffness[1, 1] / abs(stiffness[0, 1]), rel=1e-8)
     # a body that contact holds has none
-    assert np.isnan(critical_friction(am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4)).finest.discrete)).all()
+    assert np.isnan(
+        critical_friction(am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4)).finest.discrete)
+    ).all()

@@ -1,9 +1,11 @@
-"""The studies run, check themselves and write their section; ``reproduce.py`` makes a page and the recorded numbers.
+"""The studies run, check themselves and write their section; ``reproduce.py`` makes a page and the
+recorded numbers.
 
 Studies that are not run here are run by ``reproduce.py --quick`` in CI.
 """
 
 import argparse
+import ast
 import dataclasses
 import json
 import os
@@ -26,12 +28,20 @@ ALL = reproduce.STUDIES | reproduce.LARGE
 
 def run(name, folder, *options):
     """A script in a process of its own."""
-    return subprocess.run([sys.executable, str(STUDIES / f"{name}.py"), "--out", str(folder), *options], text=True,
-                          capture_output=True, env=os.environ | {"MPLBACKEND": "Agg"}, timeout=900, check=False)
+    return subprocess.run(
+        [sys.executable, str(STUDIES / f"{name}.py"), "--out", str(folder), *options],
+        text=True,
+        capture_output=True,
+        env=os.environ | {"MPLBACKEND": "Agg"},
+        timeout=900,
+        check=False,
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["table_1_grids", "table_3_full_multigrid"])   # .ci/run runs all of them
+@pytest.mark.parametrize(
+    "name", ["table_1_grids", "table_3_full_multigrid"]
+)  # .ci/run runs all of them
 def test_a_quick_run_meets_its_number_and_writes_its_section(name, tmp_path):
     ended = run(name, tmp_path, "--quick")
     assert ended.returncode == 0, ended.stderr[-2000:]
@@ -50,8 +60,14 @@ def test_every_study_is_listed_with_its_question_and_is_short():
     assert scripts == set(ALL)
     for name in scripts:
         lines = (STUDIES / f"{name}.py").read_text().splitlines()
-        assert len(lines) <= (80 if name.startswith("table") else 250)
-        assert reproduce.question(name).endswith("?") and f"    python studies/{name}.py [--quick | --full]" in lines[2]
+        statements = sum(
+            isinstance(node, ast.stmt) for node in ast.walk(ast.parse("\n".join(lines)))
+        )
+        assert statements <= (60 if name.startswith("table") else 180)
+        assert (
+            reproduce.question(name).endswith("?")
+            and f"    python studies/{name}.py [--quick | --full]" in lines[2]
+        )
     described = run("reproduce", "x", "--help").stdout
     assert all(f"  {name} " in described for name in ALL)
 
@@ -60,8 +76,15 @@ def made(folder, value=1.0):
     """Sections of two studies and none of the others."""
     for name, card in (("table_1_grids", "Table 1 on the first screen"), ("dovetail", "")):
         out = common.Output(name, folder)
-        out.table("one", pd.DataFrame({"n": [1, 2], "time": [0.5, value]}), f"caption of {name}", "a note", card=card,
-                  units={"time": "s"}, formats={"time": ".2f"})
+        out.table(
+            "one",
+            pd.DataFrame({"n": [1, 2], "time": [0.5, value]}),
+            f"caption of {name}",
+            "a note",
+            card=card,
+            units={"time": "s"},
+            formats={"time": ".2f"},
+        )
         figure, ax = common.drawing()
         ax.plot([1, 2], label="a line")
         out.figure("picture", figure, "A picture.", card=card and "A picture on the first screen")
@@ -72,13 +95,25 @@ def made(folder, value=1.0):
 
 
 def test_the_page_shows_what_studies_left_and_what_is_missing(tmp_path, capsys):
-    assert not made(tmp_path).failed and made(tmp_path, 3.0).failed == ["the value: 3 (at most 2; NOT MET)"]
+    assert not made(tmp_path).failed and made(tmp_path, 3.0).failed == [
+        "the value: 3 (at most 2; NOT MET)"
+    ]
     names = ["table_1_grids", "dovetail", "hertz"]
     path = reproduce.report(names, tmp_path, argparse.Namespace(quick=True), {"hertz"})
     page = Page(path.read_text(encoding="utf-8"))
-    assert {"#table_1_grids", "#hertz", "table_1_grids/one.csv"} <= {a["href"] for a in page.all("a")}
-    assert len(page.all("div", "card")) == 2 and len(page.all("img")) == 3 and "3.00" in page.text("td")
-    assert "This study failed" in page.text("p") and "quick run" in page.text("p") and "NOT MET" in page.text("p")
+    assert {"#table_1_grids", "#hertz", "table_1_grids/one.csv"} <= {
+        a["href"] for a in page.all("a")
+    }
+    assert (
+        len(page.all("div", "card")) == 2
+        and len(page.all("img")) == 3
+        and "3.00" in page.text("td")
+    )
+    assert (
+        "This study failed" in page.text("p")
+        and "quick run" in page.text("p")
+        and "NOT MET" in page.text("p")
+    )
 
 
 def test_recorded_numbers_are_those_of_the_sections(tmp_path, monkeypatch):
@@ -89,16 +124,26 @@ def test_recorded_numbers_are_those_of_the_sections(tmp_path, monkeypatch):
     reproduce.record(tmp_path, ALL)
     assert {file.name for file in reproduce.MEASURED.iterdir()} == {"one.csv", "readme.csv"}
     assert reproduce.README.read_text().splitlines()[4:] == [
-        "| time of table_1_grids | 1.25 s |", "| time of dovetail | 1.25 s |", "", "end | of"]
+        "| time of table_1_grids | 1.25 s |",
+        "| time of dovetail | 1.25 s |",
+        "",
+        "end | of",
+    ]
     rows = pd.read_csv(reproduce.MEASURED / "readme.csv", dtype=str)
-    assert rows.to_numpy().tolist() == [[f"time of {name}", "1.25 s"] for name in ("table_1_grids", "dovetail")]
+    assert rows.to_numpy().tolist() == [
+        [f"time of {name}", "1.25 s"] for name in ("table_1_grids", "dovetail")
+    ]
     assert (reproduce.MEASURED / "one.csv").read_text() == "n,time [s]\n1,0.50\n2,1.25\n"
 
 
 def test_the_readme_has_the_numbers_that_were_recorded():
     recorded = pd.read_csv(ROOT / "data" / "measured" / "readme.csv", dtype=str).to_numpy().tolist()
     files = list((ROOT / "data" / "measured").glob("*.csv"))
-    assert 0 < len(recorded) <= 15 and len(files) <= 6 and all(len(pd.read_csv(file)) <= 15 for file in files)
+    assert (
+        0 < len(recorded) <= 15
+        and len(files) <= 6
+        and all(len(pd.read_csv(file)) <= 15 for file in files)
+    )
     shown = reproduce.TABLE.search(reproduce.README.read_text(encoding="utf-8"))[0].splitlines()[2:]
     assert [line.strip("| ").split(" | ") for line in shown] == recorded
 
@@ -111,7 +156,10 @@ def test_the_campaign_of_loops_sees_spoilt_meshes():
     assert loops.mesh_faults(mesh, mesh, False) == []
     inside = mesh.points.copy()
     inside[0] = [0.1, 0.1]
-    for words, change in (("sizes", {"points": inside}), ("names of", {"boundaries": ("a", *mesh.boundaries[1:])}),
-                          ("no edge of", {"elements": mesh.elements[1:], "element_body": None})):
+    for words, change in (
+        ("sizes", {"points": inside}),
+        ("names of", {"boundaries": ("a", *mesh.boundaries[1:])}),
+        ("no edge of", {"elements": mesh.elements[1:], "element_body": None}),
+    ):
         faults = loops.mesh_faults(dataclasses.replace(mesh, source=None, **change), mesh, False)
         assert any(words in fault for fault in faults), words

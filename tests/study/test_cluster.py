@@ -38,10 +38,17 @@ def cluster():
 
 
 def solved(friction, divisions):
-    grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(divisions // 2, divisions))
+    grids = am.Hierarchy.uniform(
+        am.cases.greco_bar(law=am.Coulomb(friction)), divisions=(divisions // 2, divisions)
+    )
     result = am.solve(grids, am.FullMultigrid(), throw=False)
-    return {"cycles": result.cycles, "residual": result.residual, "u": result.displacement, "result": result,
-            "norm": float(np.linalg.norm(result.displacement))}
+    return {
+        "cycles": result.cycles,
+        "residual": result.residual,
+        "u": result.displacement,
+        "result": result,
+        "norm": float(np.linalg.norm(result.displacement)),
+    }
 
 
 def test_results_are_those_of_one_process_bit_by_bit(cluster, tmp_path):
@@ -49,8 +56,11 @@ def test_results_are_those_of_one_process_bit_by_bit(cluster, tmp_path):
     serial = Study(solved, design, tmp_path / "serial.sqlite")
     spread = Study(solved, design, tmp_path / "spread.sqlite")
     one, two = serial.run(progress=False), spread.run(progress=False, scheduler=cluster)
-    pd.testing.assert_frame_equal(one.drop(columns=["seconds", "result"]), two.drop(columns=["seconds", "result"]),
-                                  check_exact=True)
+    pd.testing.assert_frame_equal(
+        one.drop(columns=["seconds", "result"]),
+        two.drop(columns=["seconds", "result"]),
+        check_exact=True,
+    )
     assert (two["status"] == "done").all()
     for row in range(4):
         assert serial.load(row, "u").tobytes() == spread.load(row, "u").tobytes()
@@ -65,16 +75,23 @@ def test_a_closure_runs_elsewhere_on_one_thread_and_warm(cluster):
     def run(n):
         from adaptmg.study import execute
 
-        return {"m": factor * n, "here": os.getpid() == here, "threads": os.environ["OMP_NUM_THREADS"],
-                "numba": os.environ["NUMBA_NUM_THREADS"], "warm": bool(execute.warm.cache_info().currsize),
-                "problem": am.cases.greco_bar().name}
+        return {
+            "m": factor * n,
+            "here": os.getpid() == here,
+            "threads": os.environ["OMP_NUM_THREADS"],
+            "numba": os.environ["NUMBA_NUM_THREADS"],
+            "warm": bool(execute.warm.cache_info().currsize),
+            "problem": am.cases.greco_bar().name,
+        }
 
     table = Study(run, {"n": range(7)}).run(progress=False, scheduler=cluster)
     assert table["m"].tolist() == [3 * n for n in range(7)] and table["warm"].all()
     assert not table["here"].any() and set(table["threads"]) == set(table["numba"]) == {"1"}
     folder = cluster.run_on_scheduler(lambda dask_scheduler: dask_scheduler._original_local_dir)
     assert os.path.isdir(folder) and folder.startswith(dask.config.get("temporary-directory"))
-    assert set(cluster.run(lambda dask_worker: dask_worker._original_local_dir).values()) == {folder}
+    assert set(cluster.run(lambda dask_worker: dask_worker._original_local_dir).values()) == {
+        folder
+    }
 
 
 def test_a_worker_that_dies_is_survived(cluster, tmp_path):
@@ -106,10 +123,17 @@ def test_runs_over_their_limits_are_stopped(cluster):
             return {"m": len(kept)}
         return {"m": 1}
 
-    timed = Study(run, {"what": ["short", "locked"]}).run(progress=False, scheduler=cluster, limit_s=4)
-    assert timed["error"].tolist() == ["", "TimeLimit: stopped after limit_s=4 s"] and timed["m"][0] == 1
+    timed = Study(run, {"what": ["short", "locked"]}).run(
+        progress=False, scheduler=cluster, limit_s=4
+    )
+    assert (
+        timed["error"].tolist() == ["", "TimeLimit: stopped after limit_s=4 s"]
+        and timed["m"][0] == 1
+    )
     held = Study(run, {"what": ["short", "large"]}).run(progress=False, workers=1, memory_limit=1e9)
-    assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith("MemoryLimit")
+    assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith(
+        "MemoryLimit"
+    )
 
 
 def test_errors_come_with_type_text_and_traceback(cluster):
@@ -121,8 +145,10 @@ def test_errors_come_with_type_text_and_traceback(cluster):
         raise OddError(n, "more") if n else ValueError("zero")
 
     study = Study(run, {"n": [0, 1]})
-    assert study.run(progress=False, scheduler=cluster)["error"].tolist() == ["ValueError: zero",
-                                                                              "OddError: 1 and more"]
+    assert study.run(progress=False, scheduler=cluster)["error"].tolist() == [
+        "ValueError: zero",
+        "OddError: 1 and more",
+    ]
     assert "in run" in study.table(details=True)["traceback"][0]
     with pytest.raises(Exception, match=r"zero|more"):
         study.run(progress=False, scheduler=cluster, throw=True)
@@ -150,7 +176,9 @@ def test_values_set_in_modules_do_not_reach_workers_in_silence(cluster, monkeypa
         return {"m": settings.SETTING * n, "text": tables.as_text.__name__}
 
     # this module goes by name, and there the value is another one
-    with pytest.raises(RuntimeError, match=r"worker tls.*value of test_cluster.SETTING is changed.*as parameters"):
+    with pytest.raises(
+        RuntimeError, match=r"worker tls.*value of test_cluster.SETTING is changed.*as parameters"
+    ):
         Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)
     monkeypatch.setattr(settings, "SETTING", 1)
     study = Study(run, {"n": [1]})
@@ -176,7 +204,9 @@ def test_studies_can_share_a_cluster_from_several_threads(cluster, tmp_path):
         def run(n):
             return {"m": k * n}
 
-        return Study(run, {"n": range(10)}, tmp_path / "s.sqlite", name=f"s{k}").run(progress=False, scheduler=cluster)
+        return Study(run, {"n": range(10)}, tmp_path / "s.sqlite", name=f"s{k}").run(
+            progress=False, scheduler=cluster
+        )
 
     with ThreadPoolExecutor(3) as pool:
         tables = list(pool.map(sweep, range(3)))
@@ -223,8 +253,11 @@ def test_a_script_that_is_ended_keeps_rows_and_no_process(tmp_path, kind):
     """A script without a guard for ``__main__``, whose runs cannot be interrupted."""
     script, path = tmp_path / "script.py", tmp_path / "s.sqlite"
     script.write_text(textwrap.dedent(SCRIPT), encoding="utf-8")
-    started = subprocess.Popen([sys.executable, str(script), str(path)], stdout=subprocess.DEVNULL,
-                               stderr=subprocess.DEVNULL)
+    started = subprocess.Popen(
+        [sys.executable, str(script), str(path)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     end = time.monotonic() + 240
     while time.monotonic() < end and (not path.exists() or len(Store(path).get("hanging")) < 5):
         time.sleep(0.2)
@@ -238,7 +271,8 @@ def test_a_script_that_is_ended_keeps_rows_and_no_process(tmp_path, kind):
 
 @pytest.mark.slow
 def test_a_study_that_is_killed_and_resumed_has_every_run_once():
-    """Equal to the last bit to those of a study that was not killed: its main process, a worker, and all."""
+    """Equal to the last bit to those of a study that was not killed: its main process, a worker,
+    and all."""
     from killing import campaign
 
     assert campaign(runs=8, kills=2, seed=1) == {"done": 8, "different": 0, "left": []}
@@ -246,25 +280,34 @@ def test_a_study_that_is_killed_and_resumed_has_every_run_once():
 
 def test_the_serial_way_does_not_load_dask():
     # pandas itself loads cloudpickle where pyarrow is installed
-    code = ("import sys, pandas\nbefore = set(sys.modules)\nfrom adaptmg.study import Study\n"
-            "Study(lambda n: {'m': n}, {'n': [1, 2]}).run()\n"
-            "sys.exit(bool({'dask', 'distributed', 'cloudpickle'} & (set(sys.modules) - before)))")
+    code = (
+        "import sys, pandas\nbefore = set(sys.modules)\nfrom adaptmg.study import Study\n"
+        "Study(lambda n: {'m': n}, {'n': [1, 2]}).run()\n"
+        "sys.exit(bool({'dask', 'distributed', 'cloudpickle'} & (set(sys.modules) - before)))"
+    )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
-# a cluster of the user, started as the README says: ``dask scheduler`` and ``dask worker`` in a shell
+# a cluster of the user, started as the README says: ``dask scheduler`` and ``dask worker`` in a
+# shell
 
 
 @contextlib.contextmanager
 def dask(*arguments: str):
-    """A command of dask, ended with all it started; dask itself starts a run that ended its worker once more."""
-    started = subprocess.Popen([sys.executable, "-m", "dask", *arguments], stdout=subprocess.DEVNULL,
-                               stderr=subprocess.DEVNULL,
-                               env=os.environ | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"})
+    """A command of dask, ended with all it started; dask itself starts a run that ended its worker
+    once more."""
+    started = subprocess.Popen(
+        [sys.executable, "-m", "dask", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"},
+    )
     try:
         yield started
     finally:
-        children = psutil.Process(started.pid).children(recursive=True) if started.poll() is None else []
+        children = (
+            psutil.Process(started.pid).children(recursive=True) if started.poll() is None else []
+        )
         for process in [*children, started]:
             with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
                 process.kill()
@@ -275,14 +318,35 @@ def dask(*arguments: str):
 def address(tmp_path_factory):
     """Of a scheduler with two workers of one thread."""
     file = tmp_path_factory.mktemp("dask") / "scheduler.json"
-    with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0",
-              "--scheduler-file", str(file)):
+    with dask(
+        "scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--dashboard-address",
+        "127.0.0.1:0",
+        "--scheduler-file",
+        str(file),
+    ):
         end = time.monotonic() + 120
         while not file.exists() and time.monotonic() < end:
             time.sleep(0.1)
         found = json.loads(file.read_text(encoding="utf-8"))["address"]
-        with dask("worker", found, "--nthreads", "1", "--nworkers", "2", "--host", "127.0.0.1",
-                  "--dashboard-address", "127.0.0.1:0", "--local-directory", str(file.parent)):
+        with dask(
+            "worker",
+            found,
+            "--nthreads",
+            "1",
+            "--nworkers",
+            "2",
+            "--host",
+            "127.0.0.1",
+            "--dashboard-address",
+            "127.0.0.1:0",
+            "--local-directory",
+            str(file.parent),
+        ):
             yield found
 
 
@@ -314,8 +378,20 @@ def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
 
 
 def test_workers_of_several_threads_are_refused(address):
-    with dask("worker", address, "--nthreads", "2", "--no-nanny", "--host", "127.0.0.1",
-              "--dashboard-address", "127.0.0.1:0"), distributed.Client(address, set_as_default=False) as client:
+    with (
+        dask(
+            "worker",
+            address,
+            "--nthreads",
+            "2",
+            "--no-nanny",
+            "--host",
+            "127.0.0.1",
+            "--dashboard-address",
+            "127.0.0.1:0",
+        ),
+        distributed.Client(address, set_as_default=False) as client,
+    ):
         client.wait_for_workers(3, timeout=120)
         with pytest.raises(ValueError, match=r"has 2 threads.*--nthreads 1"):
             Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=client)
@@ -325,13 +401,19 @@ def test_workers_of_several_threads_are_refused(address):
 
 
 def _client(workers=None, **given):
-    return SimpleNamespace(scheduler=SimpleNamespace(address="tcp://s"), wait_for_workers=lambda n, timeout: None,
-                           scheduler_info=lambda n_workers: {"workers": workers or {}}, **given)
+    return SimpleNamespace(
+        scheduler=SimpleNamespace(address="tcp://s"),
+        wait_for_workers=lambda n, timeout: None,
+        scheduler_info=lambda n_workers: {"workers": workers or {}},
+        **given,
+    )
 
 
 def test_limits_are_refused_where_no_nanny_restarts_a_worker():
     with pytest.raises(ValueError, match="has no nanny"):
-        executor.check_workers(_client({"tcp://w": {"nthreads": 1, "nanny": None}}), None, limited=True)
+        executor.check_workers(
+            _client({"tcp://w": {"nthreads": 1, "nanny": None}}), None, limited=True
+        )
 
 
 def test_a_worker_that_leaves_during_the_check_is_not_unfit():
@@ -339,14 +421,20 @@ def test_a_worker_that_leaves_during_the_check_is_not_unfit():
     client = _client(run=lambda *a, **k: found)
     executor.check_workers(client, None, limited=False)
     found["tcp://v"] = ModuleNotFoundError("No module named 'adaptmg'")
-    with pytest.raises(RuntimeError, match="tcp://v cannot compute this study: ModuleNotFoundError: No module named"):
+    with pytest.raises(
+        RuntimeError,
+        match="tcp://v cannot compute this study: ModuleNotFoundError: No module named",
+    ):
         executor.check_workers(client, None, limited=False)
 
 
 def test_failed_starts_and_ctrl_c_leave_no_process(monkeypatch):
     before = {child.pid for child in psutil.Process().children(recursive=True)}
     monkeypatch.setattr(sys, "executable", shutil.which("false"))
-    with pytest.raises(OSError, match=r"2 processes could not be started .*fewer workers"), local_cluster(2):
+    with (
+        pytest.raises(OSError, match=r"2 processes could not be started .*fewer workers"),
+        local_cluster(2),
+    ):
         pass
     monkeypatch.undo()
     with pytest.raises(KeyboardInterrupt), local_cluster(1):
@@ -361,9 +449,14 @@ def test_others_cannot_compute_in_the_processes(cluster):
     for page in ("", "status", "health", "metrics", "info/main/workers.html", "json/counts.json"):
         with pytest.raises(urllib.error.HTTPError, match="404"):
             urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}")
-    workers = [worker["nanny"] for worker in cluster.scheduler_info(n_workers=-1)["workers"].values()]
-    for other, security in ((address, distributed.Security.temporary()), (address.replace("tls", "tcp"), None),
-                            (workers[0].replace("tls", "tcp"), None)):
+    workers = [
+        worker["nanny"] for worker in cluster.scheduler_info(n_workers=-1)["workers"].values()
+    ]
+    for other, security in (
+        (address, distributed.Security.temporary()),
+        (address.replace("tls", "tcp"), None),
+        (workers[0].replace("tls", "tcp"), None),
+    ):
         with pytest.raises((OSError, TimeoutError)):
             distributed.Client(other, security=security, set_as_default=False, timeout=1)
 
@@ -378,7 +471,9 @@ def _runs(client=None, limit_s=None, **out):
 def test_the_death_of_a_worker_is_not_a_time_limit():
     """Whenever it is reported: only a run that this process stopped is over its limit."""
     runs = _runs(limit_s=3.0, run=executor._Run({"n": 6}, time.monotonic() - 60.0, None))
-    assert runs._outcome("run", executor.KilledWorker("run", None, 0)).record.error.startswith("WorkerDied")
+    assert runs._outcome("run", executor.KilledWorker("run", None, 0)).record.error.startswith(
+        "WorkerDied"
+    )
 
 
 @pytest.mark.parametrize("local", [True, False])
@@ -388,8 +483,13 @@ def test_a_study_waits_for_a_queue_not_for_dead_processes(local, monkeypatch, ca
     monkeypatch.setattr(executor, "PATIENCE_S", 0.02)
     processes = object.__new__(executor.LocalCluster)
     processes.status = Status.closed  # it cannot be closed
-    runs = _runs(SimpleNamespace(cluster=processes if local else None, nthreads=dict,
-                                 scheduler=SimpleNamespace(address="tcp://s")))
+    runs = _runs(
+        SimpleNamespace(
+            cluster=processes if local else None,
+            nthreads=dict,
+            scheduler=SimpleNamespace(address="tcp://s"),
+        )
+    )
     assert runs._slots() == 1
     time.sleep(0.03)
     if local:
@@ -402,9 +502,14 @@ def test_a_study_waits_for_a_queue_not_for_dead_processes(local, monkeypatch, ca
 
 @pytest.mark.parametrize("there", [True, False], ids=["it computes", "its worker died"])
 def test_a_clock_stops_only_a_run_that_its_worker_computes(there):
-    client = SimpleNamespace(processing=lambda: {"tcp://a": ("late",) if there else ()},
-                             cancel=lambda *a, **k: None, run=lambda *a, **k: None)
-    run = executor._Run({"n": 6}, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a", began=0.0)
+    client = SimpleNamespace(
+        processing=lambda: {"tcp://a": ("late",) if there else ()},
+        cancel=lambda *a, **k: None,
+        run=lambda *a, **k: None,
+    )
+    run = executor._Run(
+        {"n": 6}, 0.0, SimpleNamespace(done=lambda: False), worker="tcp://a", began=0.0
+    )
     runs = _runs(client, 1.0, late=run)
     runs._stop_late()
     assert runs._back.empty() is not there

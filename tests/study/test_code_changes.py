@@ -1,9 +1,9 @@
 """Ways in which what a run computes can change, and ways in which its text can that change nothing.
 
-Each is a script with a function ``run``, before and after, loaded anew; ``code_changes.txt`` is the table. '=== KIND:
-NAME' begins a change, '### FILE' a file beside script.py, '<<a|>b>>' is a before the change and b after it. KIND: seen
-(rows become stale), refused (with a way out), unseen (as the documentation says), same.
-"""
+Each is a script with a function ``run``, before and after, loaded anew; ``code_changes.txt`` is the
+table. '=== KIND: NAME' begins a change, '### FILE' a file beside script.py, '<<a|>b>>' is a before
+the change and b after it. KIND: seen (rows become stale), refused (with a way out), unseen (as the
+documentation says), same."""
 
 import importlib
 import re
@@ -15,8 +15,13 @@ import pytest
 
 from adaptmg.solver.fingerprint import fingerprint
 
-TABLE = [re.match(r"(\w+): (.*?)\n(.*)", block, re.DOTALL).groups() for block in
-         Path(__file__).with_name("code_changes.txt").read_text(encoding="utf-8").split("=== ")[1:]]
+TABLE = [
+    re.match(r"(\w+): (.*?)\n(.*)", block, re.DOTALL).groups()
+    for block in Path(__file__)
+    .with_name("code_changes.txt")
+    .read_text(encoding="utf-8")
+    .split("=== ")[1:]
+]
 BOTH = re.compile(r"<<(.*?)\|>(.*?)>>", re.DOTALL)
 
 
@@ -29,7 +34,10 @@ def load(tmp_path, monkeypatch):
     def forget():
         for name in set(sys.modules) - before:
             module = sys.modules[name]
-            if str(tmp_path) in f"{getattr(module, '__file__', '')} {getattr(module, '__path__', '')}":
+            if (
+                str(tmp_path)
+                in f"{getattr(module, '__file__', '')} {getattr(module, '__path__', '')}"
+            ):
                 del sys.modules[name]
 
     def loaded(text: str) -> Any:
@@ -50,7 +58,8 @@ def load(tmp_path, monkeypatch):
 
 
 def known(script: Any) -> str:
-    """The fingerprint, or why there is none; it does not depend on what a run has loaded or called."""
+    """The fingerprint, or why there is none; it does not depend on what a run has loaded or
+    called."""
     try:
         code = fingerprint(script.run).code
     except TypeError as error:
@@ -65,7 +74,9 @@ def value(script: Any) -> str:
         return repr(error)
 
 
-@pytest.mark.parametrize(("kind", "text"), [pytest.param(kind, text, id=name) for kind, name, text in TABLE])
+@pytest.mark.parametrize(
+    ("kind", "text"), [pytest.param(kind, text, id=name) for kind, name, text in TABLE]
+)
 def test_a_change_is_seen_where_it_changes_what_a_run_gives(load, kind, text):
     found = []
     for side in (r"\1", r"\2"):

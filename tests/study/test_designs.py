@@ -18,7 +18,12 @@ def points(design):
 
 
 def test_grids_and_lists():
-    assert points(Grid({"n": [1, 2], "law": ["a", "b"]})) == [(1, "a"), (1, "b"), (2, "a"), (2, "b")]
+    assert points(Grid({"n": [1, 2], "law": ["a", "b"]})) == [
+        (1, "a"),
+        (1, "b"),
+        (2, "a"),
+        (2, "b"),
+    ]
     rows = [{"n": 1, "law": "a"}, {"law": "b", "n": 2}]
     assert points(Points(rows)) == [(1, "a"), ("b", 2)]
     assert Study(run, rows).run(progress=False)["m"].tolist() == [1, -2]
@@ -45,16 +50,20 @@ def test_a_sobol_sequence_is_extended_and_no_point_runs_twice():
     assert sorted(points(Random({"n": (1, 3)}, 50))) == [(1,), (2,), (3,)]
 
 
-@pytest.mark.parametrize(("make", "error", "match"), [
-    (lambda: Grid({"n": itertools.count()}), TypeError, "no end"),
-    (lambda: Grid({"n": (k for k in range(3))}), TypeError, "no end"),
-    (lambda: Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
-    (lambda: Points([{"n": 1}, {"n": 1}]), ValueError, "the same as one before it"),
-    (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
-    (lambda: Points([]), TypeError, "list of mappings"),
-    (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "go up"),
-    (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
-    (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite")])
+@pytest.mark.parametrize(
+    ("make", "error", "match"),
+    [
+        (lambda: Grid({"n": itertools.count()}), TypeError, "no end"),
+        (lambda: Grid({"n": (k for k in range(3))}), TypeError, "no end"),
+        (lambda: Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
+        (lambda: Points([{"n": 1}, {"n": 1}]), ValueError, "the same as one before it"),
+        (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
+        (lambda: Points([]), TypeError, "list of mappings"),
+        (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "go up"),
+        (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
+        (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite"),
+    ],
+)
 def test_wrong_designs_are_refused_before_memory_is(make, error, match):
     with pytest.raises(error, match=match):
         make()

@@ -23,20 +23,30 @@ def uses_factor(n):
 
 def test_rows_of_another_version_of_the_fingerprint_are_stale(tmp_path):
     study = Study(uses_factor, {"n": [1]}, tmp_path / "s.sqlite")
-    old = Record(parameters={"n": 1}, status="done", results={"m": 5}, code="of another form", versions=environment())
+    old = Record(
+        parameters={"n": 1},
+        status="done",
+        results={"m": 5},
+        code="of another form",
+        versions=environment(),
+    )
     study._store.put("uses_factor", [old], {"module test_fingerprint": "1"})
     assert study.status().reasons["module test_fingerprint is gone"] == 1
     assert study.run(progress=False)["m"].tolist() == [2] and study.status().done == 1
 
 
 def test_a_script_is_the_same_run_or_imported(tmp_path, monkeypatch):
-    script = ("from dataclasses import dataclass\nLIMIT = 3\n@dataclass\nclass Size:\n    h: float = 1.0\n"
-              "    def area(self):\n        return self.h**2\nSIZE = Size()\n"
-              "def run(n):\n    return {'m': n * LIMIT * SIZE.area()}\n"
-              "if __name__ == '__main__':\n    from adaptmg.solver.fingerprint import fingerprint\n"
-              "    f = fingerprint(run)\n    print(f.code, *sorted(f.parts), sep='\\n')\n")
+    script = (
+        "from dataclasses import dataclass\nLIMIT = 3\n@dataclass\nclass Size:\n    h: float = 1.0\n"
+        "    def area(self):\n        return self.h**2\nSIZE = Size()\n"
+        "def run(n):\n    return {'m': n * LIMIT * SIZE.area()}\n"
+        "if __name__ == '__main__':\n    from adaptmg.solver.fingerprint import fingerprint\n"
+        "    f = fingerprint(run)\n    print(f.code, *sorted(f.parts), sep='\\n')\n"
+    )
     (tmp_path / "started.py").write_text(script, encoding="utf-8")
-    run = subprocess.run([sys.executable, str(tmp_path / "started.py")], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, str(tmp_path / "started.py")], capture_output=True, text=True, check=True
+    )
     monkeypatch.syspath_prepend(tmp_path)
     imported = fingerprint(importlib.import_module("started").run)
     assert run.stdout.splitlines() == [imported.code, *sorted(imported.parts)]
@@ -55,7 +65,10 @@ def test_adaptmg_and_packages_count_where_they_are_used():
         return {"m": np.sqrt(n)}
 
     assert "adaptmg" in fingerprint(uniform).parts and "adaptmg" not in fingerprint(none).parts
-    assert "package numpy" not in fingerprint(none).parts and "package numpy" in fingerprint(numbers).parts
+    assert (
+        "package numpy" not in fingerprint(none).parts
+        and "package numpy" in fingerprint(numbers).parts
+    )
 
 
 def test_sources_edited_after_they_were_loaded_are_refused(monkeypatch):
@@ -63,7 +76,9 @@ def test_sources_edited_after_they_were_loaded_are_refused(monkeypatch):
 
     assert _sources.__wrapped__() == _sources()
     monkeypatch.setattr(am, "_LOADED", 0.0)
-    with pytest.raises(RuntimeError, match=r"\.py was edited after adaptmg was loaded: start Python again"):
+    with pytest.raises(
+        RuntimeError, match=r"\.py was edited after adaptmg was loaded: start Python again"
+    ):
         _sources.__wrapped__()
 
 
@@ -85,7 +100,8 @@ def test_what_is_named_for_an_attribute_replaces_it_alone(monkeypatch):
     assert fingerprint(uses_locked, {"lock": "seed 0"}).code != before.code
     monkeypatch.setitem(globals(), "FACTOR", 3)
     assert fingerprint(uses_locked, {"lock": None}).differences(before.parts) == [
-        "value of test_fingerprint.FACTOR is changed"]
+        "value of test_fingerprint.FACTOR is changed"
+    ]
 
 
 def test_contents_of_files_count_wherever_depends_names_them(tmp_path):
@@ -117,13 +133,17 @@ def test_a_run_that_sets_a_global_is_not_stored_under_the_old(tmp_path):
 
 def test_deep_calls_and_circles_are_walked():
     namespace = {"__name__": "__main__"}
-    exec("\n".join(f"def f{k}(n):\n    return f{k + 1}(n)" for k in range(2000))
-         + "\ndef f2000(n):\n    return {'m': n, 'f': f0.__name__}", namespace)
+    exec(
+        "\n".join(f"def f{k}(n):\n    return f{k + 1}(n)" for k in range(2000))
+        + "\ndef f2000(n):\n    return {'m': n, 'f': f0.__name__}",
+        namespace,
+    )
     assert len(fingerprint(namespace["f0"]).parts) == 2001
 
 
 def test_the_closure_of_a_run_function_of_adaptmg_is_seen():
     """Such as that of a study file."""
+
     def made(size):
         def run(n):
             return {"m": n * size}

@@ -1,4 +1,5 @@
-"""Workers that a queue starts: the example of the guide with dask-jobqueue, on a SLURM that is none."""
+"""Workers that a queue starts: the example of the guide with dask-jobqueue, on a SLURM that is
+none."""
 
 import contextlib
 import os
@@ -11,6 +12,7 @@ import pytest
 from adaptmg.study import Study
 
 pytest.importorskip("dask_jobqueue")
+
 
 @pytest.fixture
 def jobs(tmp_path, monkeypatch):
@@ -39,18 +41,28 @@ def test_jobs_that_wait_and_one_that_is_cancelled(jobs, tmp_path, monkeypatch, c
         time.sleep(0.2)
         return {"m": n * n, "job": os.getpgid(0)}
 
-    with SLURMCluster(cores=1, processes=1, memory="2GB", walltime="00:10:00", interface="lo",
-                      log_directory=str(tmp_path)) as cluster:
+    with SLURMCluster(
+        cores=1,
+        processes=1,
+        memory="2GB",
+        walltime="00:10:00",
+        interface="lo",
+        log_directory=str(tmp_path),
+    ) as cluster:
         cluster.scale(jobs=2)
         with Client(cluster, set_as_default=False) as client:
             study = Study(run, {"n": range(6)}, tmp_path / "s.sqlite")
             table = study.run(progress=False, scheduler=client, limit_s=2.5)
             assert "no workers yet: 2 were requested" in caplog.text
             assert table["status"].tolist() == ["done", "failed", *["done"] * 4]
-            assert table["error"][1].startswith("TimeLimit") and set(table["job"].dropna()) <= set(jobs())
+            assert table["error"][1].startswith("TimeLimit") and set(table["job"].dropna()) <= set(
+                jobs()
+            )
             os.killpg(jobs()[0], signal.SIGTERM)
             end = time.monotonic() + 120
             while len(client.nthreads()) > 1 and time.monotonic() < end:
                 time.sleep(0.1)
-            again = Study(lambda n: {"job": os.getpgid(0)}, {"n": range(4)}).run(progress=False, scheduler=client)
+            again = Study(lambda n: {"job": os.getpgid(0)}, {"n": range(4)}).run(
+                progress=False, scheduler=client
+            )
             assert set(again["job"]) <= set(jobs()[1:])

@@ -1,4 +1,5 @@
-"""The store: two processes that write, a file that changes while it is in use, results that are kept as files."""
+"""The store: two processes that write, a file that changes while it is in use, results that are
+kept as files."""
 
 import json
 import math
@@ -50,9 +51,16 @@ def _locked(path):
     _locked.other.execute("BEGIN EXCLUSIVE")
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    (_removed, "was removed"), (_replaced, "replaced by another file"), (_folder_removed, "was removed"),
-    (_damaged, "damaged"), (_locked, "another process holds it")])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_removed, "was removed"),
+        (_replaced, "replaced by another file"),
+        (_folder_removed, "was removed"),
+        (_damaged, "damaged"),
+        (_locked, "another process holds it"),
+    ],
+)
 def test_a_store_that_changes_while_it_is_in_use_is_named(tmp_path, monkeypatch, change, words):
     path = tmp_path / "deep" / "s.sqlite"
     monkeypatch.setattr(study_store, "_PATIENCE_S", 0.05)
@@ -67,11 +75,15 @@ def test_a_store_that_changes_while_it_is_in_use_is_named(tmp_path, monkeypatch,
         study.run(progress=False)
     if change is _locked:
         _locked.other.close()
-        assert [record.results["square"] for record in Store(path).get("run").values()] == [n * n for n in range(6)]
+        assert [record.results["square"] for record in Store(path).get("run").values()] == [
+            n * n for n in range(6)
+        ]
 
 
-@pytest.mark.parametrize(("pragma", "words"), [("PRAGMA query_only = ON", "write-protected"),
-                                               ("PRAGMA max_page_count = 1", "make room")])
+@pytest.mark.parametrize(
+    ("pragma", "words"),
+    [("PRAGMA query_only = ON", "write-protected"), ("PRAGMA max_page_count = 1", "make room")],
+)
 def test_a_full_disk_or_a_store_that_is_read_only(tmp_path, pragma, words):
     """Root may write everywhere and a test does not fill a disk: SQLite is told so."""
     path = tmp_path / "s.sqlite"
@@ -88,13 +100,20 @@ def test_a_full_disk_or_a_store_that_is_read_only(tmp_path, pragma, words):
 
 def test_processes_that_share_a_store_do_not_disturb_each_other(tmp_path):
     path = tmp_path / "s.sqlite"
-    code = ("import sys\nfrom adaptmg.study import Study\n"
-            "def run(n):\n    return {'m': n}\n"
-            "sys.stdout.write('x'); sys.stdout.flush(); sys.stdin.read(1)\n"
-            "Study(run, {'n': range(*map(int, sys.argv[2:4]))}, sys.argv[1], name=sys.argv[4]).run(progress=False)\n")
-    started = [subprocess.Popen([sys.executable, "-c", code, str(path), first, last, name], stdin=subprocess.PIPE,
-                                stdout=subprocess.PIPE)
-               for first, last, name in (("0", "40", "one"), ("20", "60", "one"), ("0", "40", "two"))]
+    code = (
+        "import sys\nfrom adaptmg.study import Study\n"
+        "def run(n):\n    return {'m': n}\n"
+        "sys.stdout.write('x'); sys.stdout.flush(); sys.stdin.read(1)\n"
+        "Study(run, {'n': range(*map(int, sys.argv[2:4]))}, sys.argv[1], name=sys.argv[4]).run(progress=False)\n"
+    )
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, str(path), first, last, name],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        for first, last, name in (("0", "40", "one"), ("20", "60", "one"), ("0", "40", "two"))
+    ]
     for process in started:
         process.stdout.read(1)
     for process in started:
@@ -136,7 +155,9 @@ def test_a_row_whose_writing_was_interrupted_is_written(tmp_path, monkeypatch):
     monkeypatch.setattr(study._store, "_check_there", interrupted)
     with pytest.raises(KeyboardInterrupt):
         study.run(progress=False)
-    assert [record.parameters["n"] for record in Store(tmp_path / "s.sqlite").get("squares").values()] == [0, 1, 2]
+    assert [
+        record.parameters["n"] for record in Store(tmp_path / "s.sqlite").get("squares").values()
+    ] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("rerun", [False, True])
@@ -157,7 +178,9 @@ def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun, monkey
     together = threading.Barrier(3)  # who looks into the store when others have run computes again
     monkeypatch.setattr(study_module, "in_order", lambda points, *_: (together.wait(), points)[1])
     with ThreadPoolExecutor(3) as pool:
-        tables = list(pool.map(lambda one: one.run(progress=False, rerun=rerun), [study() for _ in range(3)]))
+        tables = list(
+            pool.map(lambda one: one.run(progress=False, rerun=rerun), [study() for _ in range(3)])
+        )
     assert sorted(done) == list(range(8))
     assert all(table["m"].tolist() == list(range(8)) for table in tables)
 
@@ -168,9 +191,15 @@ def test_claims_of_live_processes_hold_those_of_dead_ones_not(tmp_path):
     ended.wait()
     here = new_owner()
     machine, _, created, claimed, number = json.loads(here)
-    owners = {json.dumps(owner): lives for owner, lives in (
-        ([machine, ended.pid, created, claimed, number], False), ([machine, os.getpid(), 5.0, claimed, number], False),
-        (["other", 1, 5.0, claimed, number], True), (["other", 1, 5.0, claimed - 1e5, number], False))}
+    owners = {
+        json.dumps(owner): lives
+        for owner, lives in (
+            ([machine, ended.pid, created, claimed, number], False),
+            ([machine, os.getpid(), 5.0, claimed, number], False),
+            (["other", 1, 5.0, claimed, number], True),
+            (["other", 1, 5.0, claimed - 1e5, number], False),
+        )
+    }
     for owner, lives in (owners | {here: True}).items():
         assert store.claim("s", [key], owner) == [True]
         assert store.claim("s", [key, canonical({"n": 2})], here) == [not lives, True]
@@ -185,7 +214,9 @@ def test_errors_are_bounded_and_any_text_is_stored(tmp_path):
         return {"name": "\udcff.msh"}
 
     table = Study(run, {"n": [0, 1]}, tmp_path / "s.sqlite").run(progress=False)
-    assert table["error"][0].startswith("ValueError: \udcff\x00xxx") and len(table["error"][0]) == 4000
+    assert (
+        table["error"][0].startswith("ValueError: \udcff\x00xxx") and len(table["error"][0]) == 4000
+    )
     assert table["name"][1] == "\udcff.msh"
 
 
@@ -193,10 +224,20 @@ def test_errors_are_bounded_and_any_text_is_stored(tmp_path):
 def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
     result = am.solve(grids, am.FullMultigrid(), throw=False)
-    given = {"array": np.arange(6.0).reshape(2, 3), "mesh": grids.finest.mesh, "result": result, "n_nodes": 25,
-             "figure": Figure()}
-    study = Study(lambda n: given, {"n": [1]}, tmp_path / "s.sqlite" if where == "file" else None, name="s",
-                  depends={"given": None})
+    given = {
+        "array": np.arange(6.0).reshape(2, 3),
+        "mesh": grids.finest.mesh,
+        "result": result,
+        "n_nodes": 25,
+        "figure": Figure(),
+    }
+    study = Study(
+        lambda n: given,
+        {"n": [1]},
+        tmp_path / "s.sqlite" if where == "file" else None,
+        name="s",
+        depends={"given": None},
+    )
     table = study.run(progress=False)
     assert table["status"][0] == "done" and table["n_nodes"][0] == 25, table["error"][0]
     back = study.load(table.iloc[0])
@@ -224,8 +265,12 @@ def test_what_is_kept_is_stored_with_its_row_or_not_at_all(tmp_path, monkeypatch
     row = Record(parameters={"n": 3}, status="done")
     with pytest.raises(ValueError, match="binding parameter"):
         store.put("s", [row], None, [{"a": Packed("array", object())}])
-    assert study.load(0, "a").tolist() == [0, 1, 2] and store.get("s")[canonical({"n": 3})].results == {"a": "array"}
-    large = am.MeshArrays(np.zeros((10**7, 2)), np.zeros((1, 3), int), np.zeros((1, 2), int), [0], ["a"])
+    assert study.load(0, "a").tolist() == [0, 1, 2] and store.get("s")[
+        canonical({"n": 3})
+    ].results == {"a": "array"}
+    large = am.MeshArrays(
+        np.zeros((10**7, 2)), np.zeros((1, 3), int), np.zeros((1, 2), int), [0], ["a"]
+    )
     store.put("s", [row], None, [{"a": pack(large)}])
     with pytest.raises(ValueError, match="would unpack to"):
         study.load(0)
@@ -237,19 +282,44 @@ def test_what_is_kept_is_stored_with_its_row_or_not_at_all(tmp_path, monkeypatch
 def test_a_link_to_a_store_is_followed(tmp_path):
     (tmp_path / "real").mkdir()
     (tmp_path / "link.sqlite").symlink_to(tmp_path / "real" / "s.sqlite")
-    Study(lambda n: {"a": np.ones(2)}, {"n": [1]}, tmp_path / "link.sqlite", name="s").run(progress=False)
+    Study(lambda n: {"a": np.ones(2)}, {"n": [1]}, tmp_path / "link.sqlite", name="s").run(
+        progress=False
+    )
     assert sorted(path.name for path in (tmp_path / "real").iterdir()) == ["s.sqlite"]
     assert (tmp_path / "link.sqlite").is_symlink()
 
 
 def test_the_text_of_a_point_is_json_and_of_no_other_value(tmp_path):
-    values = [1, 1.0, True, "1", 0, 0.0, -0.0, False, None, "None", (1,), (1.0,), math.nan, math.inf, (), 10**30, 1e300,
-              "a\"\\\n\u00e9", (1, (2.0, "b"))]
+    values = [
+        1,
+        1.0,
+        True,
+        "1",
+        0,
+        0.0,
+        -0.0,
+        False,
+        None,
+        "None",
+        (1,),
+        (1.0,),
+        math.nan,
+        math.inf,
+        (),
+        10**30,
+        1e300,
+        'a"\\\n\u00e9',
+        (1, (2.0, "b")),
+    ]
     for value in values:
         point = {"b": value, "a\u00e9": 1}
-        assert canonical(point) == json.dumps(point, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        assert canonical(point) == json.dumps(
+            point, sort_keys=True, separators=(",", ":"), ensure_ascii=False
+        )
         assert canonical(point) == canonical(dict(reversed(point.items())))
-    study = Study(lambda x: {"kind": type(x).__name__}, {"x": values}, tmp_path / "s.sqlite", name="s")
+    study = Study(
+        lambda x: {"kind": type(x).__name__}, {"x": values}, tmp_path / "s.sqlite", name="s"
+    )
     assert study.run(progress=False)["kind"].tolist() == [type(value).__name__ for value in values]
     back = [record.parameters["x"] for record in Store(tmp_path / "s.sqlite").get("s").values()]
     assert repr(back) == repr(values)

@@ -28,7 +28,12 @@ def case(sweeps, friction=0.3):
     CALLS.append({"sweeps": sweeps, "friction": friction})
     if sweeps == 3:
         raise RuntimeError("three is too many")
-    return {"work": np.float64(sweeps) * friction, "cycles": np.int64(10 - sweeps), "ok": np.bool_(True), "kind": "v"}
+    return {
+        "work": np.float64(sweeps) * friction,
+        "cycles": np.int64(10 - sweeps),
+        "ok": np.bool_(True),
+        "kind": "v",
+    }
 
 
 def another(sweeps, friction=0.3):
@@ -43,10 +48,25 @@ def sweep(*given, **options):
 
 def test_rows_come_in_grid_order_with_plain_results():
     table = sweep(case, {"sweeps": [2, 1], "friction": np.array([0.5, 1.0])}).run(progress=False)
-    assert list(zip(table["sweeps"], table["friction"], strict=True)) == [(2, 0.5), (2, 1.0), (1, 0.5), (1, 1.0)]
+    assert list(zip(table["sweeps"], table["friction"], strict=True)) == [
+        (2, 0.5),
+        (2, 1.0),
+        (1, 0.5),
+        (1, 1.0),
+    ]
     assert table["work"].tolist() == [1.0, 2.0, 0.5, 1.0]
     assert table["cycles"].tolist() == [8, 8, 9, 9]
-    assert list(table.columns) == ["sweeps", "friction", "work", "cycles", "ok", "kind", "status", "seconds", "error"]
+    assert list(table.columns) == [
+        "sweeps",
+        "friction",
+        "work",
+        "cycles",
+        "ok",
+        "kind",
+        "status",
+        "seconds",
+        "error",
+    ]
     assert (table["status"] == "done").all() and (table["seconds"] >= 0).all()
 
 
@@ -54,9 +74,13 @@ def test_a_failed_run_is_a_row_and_is_tried_again(tmp_path):
     path = tmp_path / "deep" / "store.sqlite"
     table = sweep(case, GRID, path).run(progress=False)
     assert table["status"].tolist() == ["done"] * 4 + ["failed"] * 2
-    assert table["error"].tolist()[-1] == "RuntimeError: three is too many" and np.isnan(table["work"].iloc[-1])
+    assert table["error"].tolist()[-1] == "RuntimeError: three is too many" and np.isnan(
+        table["work"].iloc[-1]
+    )
     CALLS.clear()
-    pd.testing.assert_frame_equal(sweep(case, GRID, path).run(progress=False).iloc[:4], table.iloc[:4])
+    pd.testing.assert_frame_equal(
+        sweep(case, GRID, path).run(progress=False).iloc[:4], table.iloc[:4]
+    )
     assert [c["sweeps"] for c in CALLS] == [3, 3]
     sweep(case, GRID, path).run(progress=False, retry_failed=False)
     assert len(CALLS) == 2
@@ -107,7 +131,9 @@ def test_a_file_changed_by_others_is_not_blamed_on_runs(tmp_path):
 def test_a_store_holds_several_studies_by_fixed_parameters(tmp_path):
     path = tmp_path / "s.sqlite"
     for friction in (0.5, 1.0):
-        table = sweep(case, {"sweeps": [1, 2]}, path, fixed={"friction": friction}).run(progress=False)
+        table = sweep(case, {"sweeps": [1, 2]}, path, fixed={"friction": friction}).run(
+            progress=False
+        )
         assert table["work"].tolist() == [friction, 2 * friction]
         assert table.attrs == {"study": "case", "fixed": {"friction": friction}}
     sweep(another, {"sweeps": [1]}, path).run(progress=False)
@@ -116,14 +142,18 @@ def test_a_store_holds_several_studies_by_fixed_parameters(tmp_path):
 
 
 def test_long_runs_and_runs_without_a_record_go_first():
-    stored = {n: Record(parameters={"n": n}, status="done", seconds=known, results={"cost": known})
-              for n, known in ((0, 1.0), (2, 5.0), (3, math.nan))}
+    stored = {
+        n: Record(parameters={"n": n}, status="done", seconds=known, results={"cost": known})
+        for n, known in ((0, 1.0), (2, 5.0), (3, math.nan))
+    }
     todo = {canonical({"n": n}): ({"n": n}, stored.get(n)) for n in range(4)}
     for cost, order in (("seconds", [1, 3, 2, 0]), ("cost", [1, 3, 2, 0]), ("n", [3, 2, 1, 0])):
         assert [point["n"] for point, _ in in_order(todo, cost).values()] == order
     with pytest.raises(TypeError, match="cost must be"):
         in_order(todo, 3)
-    table = Study(lambda n: {"began": time.monotonic_ns()}, {"n": range(4)}).run(progress=False, cost="n")
+    table = Study(lambda n: {"began": time.monotonic_ns()}, {"n": range(4)}).run(
+        progress=False, cost="n"
+    )
     assert table["began"].is_monotonic_decreasing
 
 
@@ -135,26 +165,41 @@ def generator(sweeps):
     yield {"m": sweeps}
 
 
-@pytest.mark.parametrize(("run", "parameters", "fixed", "error", "match"), [
-    (case, {}, None, TypeError, "parameters"), (case, {"sweeps": []}, None, ValueError, "empty"),
-    (case, {"sweeps": "abc"}, None, TypeError, "sequence"), (case, {"sweeps": [1, 1]}, None, ValueError, "twice"),
-    (case, {"sweep": [1]}, None, TypeError, "does not take"),
-    (case, {"sweeps": [1]}, {"sweeps": 2}, ValueError, "both"),
-    (case, {"sweeps": [1], "status": [1]}, None, ValueError, "column"),
-    *((case, {"sweeps": [value]}, None, TypeError, "sweeps")
-      for value in ([1, 2], {"a": 1}, object(), (1, [2]), np.array([1.0, 2.0]), 1j)),
-    (functools.partial(case, friction=1.0), {"sweeps": [1]}, None, TypeError, "plain function"),
-    (coroutine, {"sweeps": [1]}, None, TypeError, "generator or a coroutine"),
-    (generator, {"sweeps": [1]}, None, TypeError, "generator or a coroutine")])
+@pytest.mark.parametrize(
+    ("run", "parameters", "fixed", "error", "match"),
+    [
+        (case, {}, None, TypeError, "parameters"),
+        (case, {"sweeps": []}, None, ValueError, "empty"),
+        (case, {"sweeps": "abc"}, None, TypeError, "sequence"),
+        (case, {"sweeps": [1, 1]}, None, ValueError, "twice"),
+        (case, {"sweep": [1]}, None, TypeError, "does not take"),
+        (case, {"sweeps": [1]}, {"sweeps": 2}, ValueError, "both"),
+        (case, {"sweeps": [1], "status": [1]}, None, ValueError, "column"),
+        *(
+            (case, {"sweeps": [value]}, None, TypeError, "sweeps")
+            for value in ([1, 2], {"a": 1}, object(), (1, [2]), np.array([1.0, 2.0]), 1j)
+        ),
+        (functools.partial(case, friction=1.0), {"sweeps": [1]}, None, TypeError, "plain function"),
+        (coroutine, {"sweeps": [1]}, None, TypeError, "generator or a coroutine"),
+        (generator, {"sweeps": [1]}, None, TypeError, "generator or a coroutine"),
+    ],
+)
 def test_a_wrong_study_is_refused_before_anything_runs(run, parameters, fixed, error, match):
     with pytest.raises(error, match=match):
         Study(run, parameters, fixed=fixed)
     assert not CALLS
 
 
-@pytest.mark.parametrize(("returned", "match"), [
-    (3.0, "must return a dict"), ({"n": 1}, "a parameter"), ({"status": "CONVERGED"}, "solver_status"),
-    ({"a": [1]}, "must be a number"), ({1: 1}, "must be strings")])
+@pytest.mark.parametrize(
+    ("returned", "match"),
+    [
+        (3.0, "must return a dict"),
+        ({"n": 1}, "a parameter"),
+        ({"status": "CONVERGED"}, "solver_status"),
+        ({"a": [1]}, "must be a number"),
+        ({1: 1}, "must be strings"),
+    ],
+)
 def test_results_that_cannot_be_stored_end_the_first_run(tmp_path, returned, match):
     done = []
 
@@ -162,7 +207,9 @@ def test_results_that_cannot_be_stored_end_the_first_run(tmp_path, returned, mat
         done.append(n)
         return {"m": n} if n == 2 else returned
 
-    study = Study(run, {"n": [1, 2, 3]}, tmp_path / "s.sqlite", depends={"done": None, "returned": None})
+    study = Study(
+        run, {"n": [1, 2, 3]}, tmp_path / "s.sqlite", depends={"done": None, "returned": None}
+    )
     with pytest.raises(ValueError, match=f"cannot be used.*{match}"):
         study.run(progress=False)
     assert done == [1] and study.status().missing == 3
@@ -171,8 +218,13 @@ def test_results_that_cannot_be_stored_end_the_first_run(tmp_path, returned, mat
     assert study.run(progress=False)["status"].tolist() == ["done", "failed"]
 
 
-@pytest.mark.parametrize(("returned", "match"), [
-    ({"r": 10**5000}, "ValueError"), ({"a": np.ma.array([1, 2], mask=[False, True])}, "mask would be lost")])
+@pytest.mark.parametrize(
+    ("returned", "match"),
+    [
+        ({"r": 10**5000}, "ValueError"),
+        ({"a": np.ma.array([1, 2], mask=[False, True])}, "mask would be lost"),
+    ],
+)
 def test_results_that_cannot_be_stored_are_failures(returned, match):
     table = Study(lambda n: returned, {"n": [1]}, depends={"returned": None}).run(progress=False)
     assert table["status"].tolist() == ["failed"] and match in table["error"].iloc[0]
@@ -189,7 +241,9 @@ class OddBaseError(BaseException):
         raise GeneratorExit
 
 
-@pytest.mark.parametrize("error", [SystemExit(3), GeneratorExit(), OddBaseError(), KeyboardInterrupt()])
+@pytest.mark.parametrize(
+    "error", [SystemExit(3), GeneratorExit(), OddBaseError(), KeyboardInterrupt()]
+)
 def test_any_exception_of_a_run_is_its_failure(error):
     def run(n):
         raise error
@@ -208,9 +262,15 @@ def test_each_run_is_reported(capsys, caplog, monkeypatch):
     reported, study = [], Study(lambda n: {"m": 1 / n}, {"n": [1, 0, 2]}, name="s")
     caplog.set_level("INFO", logger="adaptmg.study")
     study.run(lambda watch: reported.append((watch.name, watch.done, watch.total, watch.failed)))
-    assert reported == [("s", 1, 3, 0), ("s", 2, 3, 1), ("s", 3, 3, 1)] and capsys.readouterr().err == ""
+    assert (
+        reported == [("s", 1, 3, 0), ("s", 2, 3, 1), ("s", 3, 3, 1)]
+        and capsys.readouterr().err == ""
+    )
     study.run(progress=False, rerun=True)
-    assert "study s: [2/3] n=0 failed: ZeroDivisionError" in caplog.text and "[1/3] n=1 done" in caplog.text
+    assert (
+        "study s: [2/3] n=0 failed: ZeroDivisionError" in caplog.text
+        and "[1/3] n=1 done" in caplog.text
+    )
     study.run(progress=True)
     out, err = capsys.readouterr()
     assert out == "" and "3/3" in err and "1 failed, 0 left" in err
@@ -220,6 +280,14 @@ def test_each_run_is_reported(capsys, caplog, monkeypatch):
 
 
 def test_tables_name_units():
-    table = pd.DataFrame({"mesh <h>": ["33 x 33", "a&b"], "seconds": [0.123456, float("nan")], "ok": [True, False]})
-    text = as_text(table, caption="Table 1", note="rtol 1e-8", units={"seconds": "s"}, formats={"seconds": ".2f"})
+    table = pd.DataFrame(
+        {"mesh <h>": ["33 x 33", "a&b"], "seconds": [0.123456, float("nan")], "ok": [True, False]}
+    )
+    text = as_text(
+        table,
+        caption="Table 1",
+        note="rtol 1e-8",
+        units={"seconds": "s"},
+        formats={"seconds": ".2f"},
+    )
     assert text.splitlines()[1].split("  ")[1:3] == ["seconds [s]", "ok"] and "0.12  yes" in text

@@ -1,4 +1,5 @@
-"""Point location: every point is found, exactly, on any mesh; and ratios of the sizes of two meshes there."""
+"""Point location: every point is found, exactly, on any mesh; and ratios of the sizes of two meshes
+there."""
 
 import numpy as np
 import pytest
@@ -10,9 +11,14 @@ from simplex_meshes import disk, log_graded, mesh_of, random_box, structured, tw
 from adaptmg.mesh import MeshArrays
 from adaptmg.transfer import PointLocator, mesh_ratio, size_ratio
 
-MESHES = {"random 2D": random_box(80, 2, 1), "random 3D": random_box(60, 3, 1), "graded 2D": log_graded(1000, 2),
-          "graded 3D": structured(8, 3, 4.0), "one triangle": mesh_of([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]]),
-          "disk": disk(5)}
+MESHES = {
+    "random 2D": random_box(80, 2, 1),
+    "random 3D": random_box(60, 3, 1),
+    "graded 2D": log_graded(1000, 2),
+    "graded 3D": structured(8, 3, 4.0),
+    "one triangle": mesh_of([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]]),
+    "disk": disk(5),
+}
 
 
 def position(mesh, found):
@@ -29,7 +35,9 @@ def nodal(mesh, found):
 def brute_force_weights(mesh, point):
     """Barycentric weights of one point in every element, by linear solves."""
     corners = mesh.points[mesh.elements]
-    system = np.concatenate([np.ones((len(corners), 1, mesh.dim + 1)), np.swapaxes(corners, 1, 2)], axis=1)
+    system = np.concatenate(
+        [np.ones((len(corners), 1, mesh.dim + 1)), np.swapaxes(corners, 1, 2)], axis=1
+    )
     return np.linalg.solve(system, np.append(1.0, point)[None, :, None])[:, :, 0]
 
 
@@ -39,7 +47,9 @@ def test_agrees_with_brute_force(seed, dim, n):
     mesh = random_box(n, dim, seed)
     points = np.random.default_rng(seed).random((20, dim)) * 1.4 - 0.2
     found = PointLocator(mesh).locate(points)
-    for point, element, weights, distance in zip(points, found.element, found.weights, found.distance, strict=True):
+    for point, element, weights, distance in zip(
+        points, found.element, found.weights, found.distance, strict=True
+    ):
         every = brute_force_weights(mesh, point)
         if every.min(axis=1).max() > 1e-9:
             assert distance == 0 and every[element].min() > -1e-9
@@ -47,7 +57,9 @@ def test_agrees_with_brute_force(seed, dim, n):
         else:
             nearest = np.clip(point, 0, 1)
             assert distance == pytest.approx(np.linalg.norm(point - nearest), abs=1e-9)
-            np.testing.assert_allclose(weights @ mesh.points[mesh.elements[element]], nearest, atol=1e-9)
+            np.testing.assert_allclose(
+                weights @ mesh.points[mesh.elements[element]], nearest, atol=1e-9
+            )
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -65,16 +77,21 @@ def test_points_of_the_boundary_lie_inside(dim):
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]))
 def test_outside_a_shape_that_is_not_convex(seed, dim):
-    # a box of 4^dim cells without the cells of one corner: the union of boxes, whose nearest points are known
+    # a box of 4^dim cells without the cells of one corner: the union of boxes, whose nearest points
+    # are known
     whole = structured(4, dim)
     centres = whole.points[whole.elements].mean(axis=1)
     mesh = mesh_of(whole.points, whole.elements[~(centres > 0.5).all(axis=1)])
     points = np.random.default_rng(seed).random((30, dim)) * 3 - 1
     found = PointLocator(mesh).locate(points)
     high = [np.where(np.arange(dim) == axis, 0.5, 1.0) for axis in range(dim)]
-    expected = np.min([np.linalg.norm(points - np.clip(points, 0, h), axis=1) for h in high], axis=0)
+    expected = np.min(
+        [np.linalg.norm(points - np.clip(points, 0, h), axis=1) for h in high], axis=0
+    )
     np.testing.assert_allclose(found.distance, expected, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(points - position(mesh, found), axis=1), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(points - position(mesh, found), axis=1), expected, atol=1e-12
+    )
     assert (found.weights >= 0).all()
     np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-14)
 
@@ -84,7 +101,11 @@ def test_far_away_none_and_each_body():
     found = PointLocator(mesh).locate(np.array([[1e9, 0.5], [-1e12, -1e12]]))
     np.testing.assert_allclose(found.distance, [1e9 - 1, np.sqrt(2) * 1e12], rtol=1e-12)
     empty = PointLocator(mesh).locate(np.zeros((0, 2)))
-    assert empty.element.shape == (0,) and empty.weights.shape == (0, 3) and empty.distance.shape == (0,)
+    assert (
+        empty.element.shape == (0,)
+        and empty.weights.shape == (0, 3)
+        and empty.distance.shape == (0,)
+    )
     points = np.column_stack([np.linspace(0, 1, 20), np.zeros(20)])
     for body in (0, 1):
         found = PointLocator(both, body=body).locate(points)
@@ -92,14 +113,23 @@ def test_far_away_none_and_each_body():
 
 
 def bare(points, elements):
-    return MeshArrays(points=points, elements=elements, facets=np.zeros((0, 2)), facet_labels=[], boundaries=())
+    return MeshArrays(
+        points=points, elements=elements, facets=np.zeros((0, 2)), facet_labels=[], boundaries=()
+    )
 
 
 test_failures_name_the_argument = refused(
-    (lambda: PointLocator(MESHES["disk"]).locate(np.array([[0.5, 0.5], [np.nan, 0]])), "must be finite; point 1"),
-    (lambda: PointLocator(bare([[0, 0], [1, 0], [0, 1], [2, 0]], [[0, 1, 2], [0, 1, 3]])), "element 1 has no volume"),
+    (
+        lambda: PointLocator(MESHES["disk"]).locate(np.array([[0.5, 0.5], [np.nan, 0]])),
+        "must be finite; point 1",
+    ),
+    (
+        lambda: PointLocator(bare([[0, 0], [1, 0], [0, 1], [2, 0]], [[0, 1, 2], [0, 1, 3]])),
+        "element 1 has no volume",
+    ),
     (lambda: PointLocator(bare([[0, 0]], np.zeros((0, 3)))), "no elements"),
-    (lambda: PointLocator(two_boxes(3, 2), body=2), "body 2 of the mesh has no elements"))
+    (lambda: PointLocator(two_boxes(3, 2), body=2), "body 2 of the mesh has no elements"),
+)
 
 
 def test_mesh_ratio_of_uniform_meshes_and_at_a_local_jump():

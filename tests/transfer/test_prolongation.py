@@ -1,4 +1,5 @@
-"""Prolongations on any pair of meshes: sums, affine fields, adjointness, signs, bodies; and of relative values."""
+"""Prolongations on any pair of meshes: sums, affine fields, adjointness, signs, bodies; and of
+relative values."""
 
 from dataclasses import replace
 
@@ -27,14 +28,21 @@ ALL = (am.Interpolation(), am.L2(), am.PseudoL2(), am.LumpedL2(), am.QuasiInterp
 AFFINE = (am.Interpolation(), am.L2(), am.PseudoL2(), am.QuasiInterpolation())
 EMBEDDING = (am.Interpolation(), am.L2(), am.PseudoL2())
 
-# coarse, fine: meshes of the same box with independent nodes on its sides, nested ones, a fine one that is coarser
-PAIRS = {"2D": (random_box(20, 2, 1), random_box(90, 2, 2)), "3D": (random_box(12, 3, 1), random_box(60, 3, 2)),
-         "graded": (log_graded(300, 1), log_graded(900, 2)), "coarser": (random_box(90, 2, 2), random_box(20, 2, 1)),
-         "graded 3D": (structured(3, 3, 3.0), structured(5, 3, 3.0)), "nested": (structured(4, 2), structured(8, 2)),
-         "nested 3D": (structured(2, 3), structured(4, 3)), "bodies": (two_boxes(2, 2), two_boxes(5, 2)),
-         "bodies 3D": (two_boxes(1, 3), two_boxes(2, 3)),
-         # more pieces of an element than room is set aside for at first
-         "hundreds in one": (random_box(2000, 2, 11), structured(1, 2))}
+# coarse, fine: meshes of the same box with independent nodes on its sides, nested ones, a fine one
+# that is coarser
+PAIRS = {
+    "2D": (random_box(20, 2, 1), random_box(90, 2, 2)),
+    "3D": (random_box(12, 3, 1), random_box(60, 3, 2)),
+    "graded": (log_graded(300, 1), log_graded(900, 2)),
+    "coarser": (random_box(90, 2, 2), random_box(20, 2, 1)),
+    "graded 3D": (structured(3, 3, 3.0), structured(5, 3, 3.0)),
+    "nested": (structured(4, 2), structured(8, 2)),
+    "nested 3D": (structured(2, 3), structured(4, 3)),
+    "bodies": (two_boxes(2, 2), two_boxes(5, 2)),
+    "bodies 3D": (two_boxes(1, 3), two_boxes(2, 3)),
+    # more pieces of an element than room is set aside for at first
+    "hundreds in one": (random_box(2000, 2, 11), structured(1, 2)),
+}
 
 
 def name(transfer):
@@ -47,7 +55,9 @@ def test_every_transfer_on_every_pair(transfer, pair):
     coarse, fine = PAIRS[pair]
     P = transfer.build(coarse, fine)
     assert isinstance(transfer, am.transfer.Transfer)
-    assert P.shape == (fine.n_nodes, coarse.n_nodes) and P.format == "csr" and P.has_canonical_format
+    assert (
+        P.shape == (fine.n_nodes, coarse.n_nodes) and P.format == "csr" and P.has_canonical_format
+    )
     np.testing.assert_allclose(P.sum(axis=1), 1, atol=2e-14)
     assert np.abs(P.data).min() >= am.transfer.CLIP
     if transfer in AFFINE:
@@ -63,42 +73,76 @@ def test_every_transfer_on_every_pair(transfer, pair):
         of_rows = np.repeat(np.arange(fine.n_nodes) >= fine.n_nodes // 2, np.diff(P.indptr))
         np.testing.assert_array_equal(P.indices >= coarse.n_nodes // 2, of_rows)
         # the order of the bodies in the mesh does not matter, their names do
-        swapped = mesh_of(fine.points, fine.elements, element_body=1 - fine.element_body, bodies=("above", "below"))
+        swapped = mesh_of(
+            fine.points,
+            fine.elements,
+            element_body=1 - fine.element_body,
+            bodies=("above", "below"),
+        )
         assert abs(transfer.build(coarse, swapped) - P).max() == 0
 
 
-PLATE, BLOCK = am.Rectangle(width=0.3, height=0.2, origin=(0.1, -0.7)), am.Box(width=1, depth=2, height=0.7)
-ON_PLATE = am.Assembly(parts={"plate": PLATE, "below": am.Rectangle(width=1, height=1, origin=(0, -1.7)),
-                               "side": am.Rectangle(width=1, height=2, origin=(3, 0))})
+PLATE, BLOCK = (
+    am.Rectangle(width=0.3, height=0.2, origin=(0.1, -0.7)),
+    am.Box(width=1, depth=2, height=0.7),
+)
+ON_PLATE = am.Assembly(
+    parts={
+        "plate": PLATE,
+        "below": am.Rectangle(width=1, height=1, origin=(0, -1.7)),
+        "side": am.Rectangle(width=1, height=2, origin=(3, 0)),
+    }
+)
 
 
 LONGER = replace(PLATE, width=0.31)  # by less than what may lie outside
 
 
-@pytest.mark.parametrize(("domain", "coarse", "fine"), [
-    (PLATE, 3, 6), ((PLATE, LONGER), 3, 6), (PLATE, (3, 5), (4, 7)), (PLATE, 7, 3), (BLOCK, 2, 4),
-    (BLOCK, (2, 3, 1), (3, 4, 2)),
-    (ON_PLATE, {"plate": 2, "below": 3, "side": 2}, {"plate": 4, "below": 5, "side": 3})])
+@pytest.mark.parametrize(
+    ("domain", "coarse", "fine"),
+    [
+        (PLATE, 3, 6),
+        ((PLATE, LONGER), 3, 6),
+        (PLATE, (3, 5), (4, 7)),
+        (PLATE, 7, 3),
+        (BLOCK, 2, 4),
+        (BLOCK, (2, 3, 1), (3, 4, 2)),
+        (ON_PLATE, {"plate": 2, "below": 3, "side": 2}, {"plate": 4, "below": 5, "side": 3}),
+    ],
+)
 def test_structured_meshes_are_interpolated_as_by_search(domain, coarse, fine):
     domains = domain if isinstance(domain, tuple) else (domain, domain)
-    meshes = [structured_mesh(own, divisions) for own, divisions in zip(domains, (coarse, fine), strict=True)]
-    known, searched = (am.Interpolation().build(*pair) for pair in (meshes, [replace(mesh) for mesh in meshes]))
+    meshes = [
+        structured_mesh(own, divisions)
+        for own, divisions in zip(domains, (coarse, fine), strict=True)
+    ]
+    known, searched = (
+        am.Interpolation().build(*pair) for pair in (meshes, [replace(mesh) for mesh in meshes])
+    )
     np.testing.assert_array_equal(known.indptr, searched.indptr)
     np.testing.assert_array_equal(known.indices, searched.indices)
     np.testing.assert_allclose(known.data, searched.data, rtol=0, atol=1e-14)
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10**6), dim=st.sampled_from([2, 3]), transfer=st.sampled_from(AFFINE),
-       apart=st.sampled_from([None, 1e-17, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4]), moved=st.booleans())
+@given(
+    seed=st.integers(0, 10**6),
+    dim=st.sampled_from([2, 3]),
+    transfer=st.sampled_from(AFFINE),
+    apart=st.sampled_from([None, 1e-17, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4]),
+    moved=st.booleans(),
+)
 @example(seed=0, dim=2, transfer=am.L2(), apart=1e-6, moved=True)
 def test_sums_and_affine_fields_on_any_two_meshes(seed, dim, transfer, apart, moved):
-    """Also where fine nodes equal coarse ones up to rounding: their rows have one entry, and no extent."""
+    """Also where fine nodes equal coarse ones up to rounding: their rows have one entry, and no
+    extent."""
     rng = np.random.default_rng(seed)
     coarse, fine = (random_box(int(n), dim, seed + k) for k, n in enumerate(rng.integers(1, 40, 2)))
     if apart is not None:
         inner = (coarse.points > 0) & (coarse.points < 1)
-        points = np.clip(coarse.points + apart * rng.standard_normal(coarse.points.shape) * inner, 0, 1)
+        points = np.clip(
+            coarse.points + apart * rng.standard_normal(coarse.points.shape) * inner, 0, 1
+        )
         if moved:
             corners = points[coarse.elements]
             assume((np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0).all())
@@ -117,7 +161,8 @@ def test_nested_meshes_give_the_canonical_embedding(transfer, n, dim):
     coarse, fine = structured(n, dim), structured(2 * n, dim)
     P = transfer.build(coarse, fine).toarray()
     for row, where in zip(P, np.rint(fine.points * 2 * n).astype(int), strict=True):
-        # the diagonals all run along (1, .., 1): a node with odd numbers is the middle of floor and ceil
+        # the diagonals all run along (1, .., 1): a node with odd numbers is the middle of floor and
+        # ceil
         expected = np.zeros(coarse.n_nodes)
         for end in (where // 2, -(-where // 2)):
             expected[np.argmin(np.abs(coarse.points * n - end).sum(axis=1))] += 0.5
@@ -129,7 +174,8 @@ def test_nested_meshes_give_the_canonical_embedding(transfer, n, dim):
 
 @pytest.mark.parametrize("pair", ["2D", "3D", "graded", "graded 3D", "hundreds in one"])
 def test_coupling_integrals_are_exact(pair):
-    """The integral of phi_i phi_j cannot depend on which of the meshes is clipped against the other."""
+    """The integral of phi_i phi_j cannot depend on which of the meshes is clipped against the
+    other."""
     first, second = PAIRS[pair]
     forth, back = mixed_mass(first, second), mixed_mass(second, first)
     B = forth.assemble(forth.shape_coefficients())
@@ -155,7 +201,8 @@ def test_simplex_rule_is_exact_for_degree_six(dim):
     shape, weights = simplex_rule(dim, 4)
     assert shape.shape == (4**dim, dim + 1) and shape.min() > 0 and weights.min() > 0
     np.testing.assert_allclose(shape.sum(axis=1), 1, atol=1e-14)
-    # the mean of x^a over one barycentric coordinate, which is beta distributed: B(1 + a, dim)/B(1, dim)
+    # the mean of x^a over one barycentric coordinate, which is beta distributed: B(1 + a, dim)/B(1,
+    # dim)
     for coordinate in range(dim + 1):
         for a in range(7):
             expected = np.prod([(1 + k) / (1 + dim + k) for k in range(a)])
@@ -168,27 +215,44 @@ def test_nodes_outside():
     far, near = (mesh_of(points * scale, structured(3, 2).elements) for scale in (1.126, 1.124))
     assert am.Interpolation().build(coarse, near)[[15]].toarray()[0, -1] == 1
     for transfer in ALL:
-        with pytest.raises(ValueError, match=r"fine node 15 at \(1.126, 1.126\) lies 0.178 m outside .* same units"):
+        with pytest.raises(
+            ValueError, match=r"fine node 15 at \(1.126, 1.126\) lies 0.178 m outside .* same units"
+        ):
             transfer.build(coarse, far)
 
 
-UNUSED = MeshArrays(points=[[0, 0], [1, 0], [0, 1], [0.5, 0.5]], elements=[[0, 1, 2]], facets=np.zeros((0, 2)),
-                    facet_labels=[], boundaries=())
+UNUSED = MeshArrays(
+    points=[[0, 0], [1, 0], [0, 1], [0.5, 0.5]],
+    elements=[[0, 1, 2]],
+    facets=np.zeros((0, 2)),
+    facet_labels=[],
+    boundaries=(),
+)
 
 
 @pytest.mark.parametrize("transfer", ALL, ids=name)
 def test_failures_name_the_argument(transfer):
     square = structured(2, 2)
     for coarse, fine, error, message in (
-            (square.points, square, TypeError, "coarse must be MeshArrays"),
-            (square, structured(2, 3), ValueError, "same dimension, got 2 and 3"),
-            (square, two_boxes(2, 2), ValueError, "no body 'below', which fine has; its bodies are body"),
-            *(((square, UNUSED, ValueError, "fine: node 3 belongs to no element"),) * (transfer == am.PseudoL2()))):
+        (square.points, square, TypeError, "coarse must be MeshArrays"),
+        (square, structured(2, 3), ValueError, "same dimension, got 2 and 3"),
+        (
+            square,
+            two_boxes(2, 2),
+            ValueError,
+            "no body 'below', which fine has; its bodies are body",
+        ),
+        *(
+            ((square, UNUSED, ValueError, "fine: node 3 belongs to no element"),)
+            * (transfer == am.PseudoL2())
+        ),
+    ):
         with pytest.raises(error, match=message):
             transfer.build(coarse, fine)
 
 
 # -- contact rows and relative values -------------------------------------------------------------------------------
+
 
 def flat(pair, dim=2, angle=0.0):
     """A block on a wider one, fixed below only, on independent meshes."""
@@ -197,26 +261,44 @@ def flat(pair, dim=2, angle=0.0):
         divisions = [{"upper": 3, "lower": (5, 2)}, {"upper": (5, 4), "lower": (7, 5)}]
     else:
         problem = am.ContactProblem(
-            material=am.Solid(young=1e11, poisson=0.3), law=am.Coulomb(0.3), contact=am.ContactPair(*pair),
-            domain=am.Assembly(parts={"upper": am.Box(width=1.0, depth=1.0, height=1.0), "lower": am.Box(
-                width=1.5, depth=1.25, height=0.5, origin=(0.0, -0.1, -0.5))}))
+            material=am.Solid(young=1e11, poisson=0.3),
+            law=am.Coulomb(0.3),
+            contact=am.ContactPair(*pair),
+            domain=am.Assembly(
+                parts={
+                    "upper": am.Box(width=1.0, depth=1.0, height=1.0),
+                    "lower": am.Box(width=1.5, depth=1.25, height=0.5, origin=(0.0, -0.1, -0.5)),
+                }
+            ),
+        )
         divisions = [{"upper": 2, "lower": (3, 2, 1)}, {"upper": (3, 4, 3), "lower": (4, 5, 2)}]
-    problem = replace(problem, supports=(am.Support("lower.bottom", **dict.fromkeys("xyz"[:dim], 0.0)),))
+    problem = replace(
+        problem, supports=(am.Support("lower.bottom", **dict.fromkeys("xyz"[:dim], 0.0)),)
+    )
     meshes = [structured_mesh(problem.domain, d) for d in divisions]
-    return replace(problem, domain=None), [turned(mesh, angle) if angle else mesh for mesh in meshes]
+    return replace(problem, domain=None), [
+        turned(mesh, angle) if angle else mesh for mesh in meshes
+    ]
 
 
 def axisymmetric():
     problem, meshes = flat(UPPER_ON_LOWER)
-    shifted = [replace(mesh, points=mesh.points + np.array([0.05, 0.0]), source=None) for mesh in meshes]
+    shifted = [
+        replace(mesh, points=mesh.points + np.array([0.05, 0.0]), source=None) for mesh in meshes
+    ]
     return replace(problem, material=am.Axisymmetric(young=1e11, poisson=0.3)), shifted
 
 
 def corner():
     """Three bodies in a row: what follows the block follows the seat."""
     problem = corner_pushed(am.Coulomb(0.3))
-    meshes = [graded(problem.domain, h, problem.pair_boundaries, ratio) for h, ratio in ((0.5, 1.2), (0.3, 1.5))]
-    return replace(problem, domain=None, supports=(am.Support("seat.bottom", x=0.0, y=0.0),)), meshes
+    meshes = [
+        graded(problem.domain, h, problem.pair_boundaries, ratio)
+        for h, ratio in ((0.5, 1.2), (0.3, 1.5))
+    ]
+    return replace(
+        problem, domain=None, supports=(am.Support("seat.bottom", x=0.0, y=0.0),)
+    ), meshes
 
 
 def one_body():
@@ -224,9 +306,16 @@ def one_body():
     return problem, [structured_mesh(problem.domain, n) for n in (3, 5)]
 
 
-CASES = {"one body": one_body, "upper": lambda: flat(UPPER_ON_LOWER), "lower": lambda: flat(LOWER_ON_UPPER),
-         "turned": lambda: flat(UPPER_ON_LOWER, angle=0.8), "axisymmetric": axisymmetric, "corner": corner,
-         "upper 3D": lambda: flat(UPPER_ON_LOWER, 3), "lower 3D": lambda: flat(LOWER_ON_UPPER, 3)}
+CASES = {
+    "one body": one_body,
+    "upper": lambda: flat(UPPER_ON_LOWER),
+    "lower": lambda: flat(LOWER_ON_UPPER),
+    "turned": lambda: flat(UPPER_ON_LOWER, angle=0.8),
+    "axisymmetric": axisymmetric,
+    "corner": corner,
+    "upper 3D": lambda: flat(UPPER_ON_LOWER, 3),
+    "lower 3D": lambda: flat(LOWER_ON_UPPER, 3),
+}
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -246,9 +335,13 @@ def affine_of_each_body(mesh):
 
 
 def nodal_of(problem, meshes, transfer):
-    """The prolongation of displacements, with the rows of both surfaces of all pairs along the surfaces."""
+    """The prolongation of displacements, with the rows of both surfaces of all pairs along the
+    surfaces."""
     coarse, fine = meshes
-    nodal, contact = sparse.csr_array(transfer.build(coarse, fine)), discretise(problem, fine).contact
+    nodal, contact = (
+        sparse.csr_array(transfer.build(coarse, fine)),
+        discretise(problem, fine).contact,
+    )
     masters = [(name, fine.boundary_nodes(name)) for name in contact.masters if name]
     slaves = [(name, contact.nodes[contact.boundary == k]) for k, name in enumerate(contact.names)]
     for boundary, nodes in (*masters, *slaves):
@@ -264,8 +357,11 @@ def test_fields_between_levels(levels, transfer, rows):
     P = between_levels(transfer, *meshes, coarse, fine, rows).prolongation
     assert (P.data != 0).all() and P.has_sorted_indices
     expected = fine.relative(affine_of_each_body(meshes[1]))
-    np.testing.assert_allclose(P @ coarse.relative(affine_of_each_body(meshes[0])), expected,
-                               atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        P @ coarse.relative(affine_of_each_body(meshes[0])),
+        expected,
+        atol=1e-11 * np.abs(expected).max(),
+    )
     # any field is that of displacements
     nodal = nodal_of(problem, meshes, transfer) if rows else transfer.build(*meshes)
     w = np.random.default_rng(1).normal(size=meshes[0].points.shape)
@@ -293,7 +389,8 @@ def test_rigid_motions_and_the_galerkin_matrix(levels):
 
 
 def test_constraints_of_surface_rows(levels):
-    """Weights >= 0 with sums 1 over the coarse contact nodes of the same pair: what the monotone correction needs."""
+    """Weights >= 0 with sums 1 over the coarse contact nodes of the same pair: what the monotone
+    correction needs."""
     _, meshes, (coarse, fine) = levels
     found = between_levels(am.L2(), *meshes, coarse, fine)
     above, contact = coarse.contact, fine.contact
@@ -310,32 +407,39 @@ def test_constraints_of_surface_rows(levels):
     # relative values that are constant on a surface stay so
     w = np.zeros(meshes[0].points.shape)
     w[above.nodes] = 1.0 + above.boundary[:, None]
-    np.testing.assert_allclose((surface @ w)[contact.nodes], np.tile(1.0 + contact.boundary[:, None], fine.dim),
-                               atol=1e-13)
+    np.testing.assert_allclose(
+        (surface @ w)[contact.nodes], np.tile(1.0 + contact.boundary[:, None], fine.dim), atol=1e-13
+    )
     if fine.coupling is None:
         return
     slaves, on_slaves = (np.flatnonzero(np.diff(p.coupling.weights.indptr)) for p in (fine, coarse))
     for master in fine.contact.masters:
         nodes = np.setdiff1d(meshes[1].boundary_nodes(master), slaves)
         columns = np.setdiff1d(np.unique(found.prolongation[nodes].indices), on_slaves)
-        allowed = np.union1d(meshes[0].boundary_nodes(master), np.unique(coarse.coupling.weights.indices))
+        allowed = np.union1d(
+            meshes[0].boundary_nodes(master), np.unique(coarse.coupling.weights.indices)
+        )
         assert np.isin(columns, allowed).all()
 
 
 def test_soft_bodies_next_to_stiff_ones_count_in_comparisons():
     coarse, fine = structured(2, 2), structured(4, 2)
-    P, stretched = am.Interpolation().build(coarse, fine), np.eye(2) + 0.1 * np.random.default_rng(2).random((2, 2))
+    P, stretched = (
+        am.Interpolation().build(coarse, fine),
+        np.eye(2) + 0.1 * np.random.default_rng(2).random((2, 2)),
+    )
     soft = sparse.kron(mass_matrix(fine), sparse.csr_array(stretched))
     stiff = sparse.bsr_array(sparse.block_diag([1e12 * soft, soft]), blocksize=(2, 2))
     both = sparse.csr_array(sparse.block_diag([P, P]))
     product = galerkin_product(stiff, both)
     assert is_galerkin(stiff, both, product)
     wrong = product.copy()
-    wrong.data[wrong.indptr[coarse.n_nodes]:] *= 1.001
+    wrong.data[wrong.indptr[coarse.n_nodes] :] *= 1.001
     assert not is_galerkin(stiff, both, wrong)
 
 
 # -- along the contact boundary ----------------------------------------------------------------------------------------
+
 
 def bottom(mesh):
     facets = mesh.facets[(mesh.points[mesh.facets][:, :, -1] == 0).all(axis=1)]
@@ -351,17 +455,29 @@ def replaced(rows, at):
 
 
 test_refused = refused(
-    *((lambda facets=facets: rows_of(facets), "coarse_boundary_facets must hold nodes of coarse")
-      for facets in (disk(2).facets[:0], disk(2).facets + disk(2).n_nodes, disk(2).facets[0])),
-    *((lambda rows=rows, at=at: replaced(rows, at), r"rows must have shape .* distinct fine_nodes")
-      for rows, at in ((sparse.csr_array((18, 3)), np.unique(disk(3).facets)),
-                       (sparse.csr_array((2, disk(2).n_nodes)), np.array([0, 0])))))
+    *(
+        (lambda facets=facets: rows_of(facets), "coarse_boundary_facets must hold nodes of coarse")
+        for facets in (disk(2).facets[:0], disk(2).facets + disk(2).n_nodes, disk(2).facets[0])
+    ),
+    *(
+        (
+            lambda rows=rows, at=at: replaced(rows, at),
+            r"rows must have shape .* distinct fine_nodes",
+        )
+        for rows, at in (
+            (sparse.csr_array((18, 3)), np.unique(disk(3).facets)),
+            (sparse.csr_array((2, disk(2).n_nodes)), np.array([0, 0])),
+        )
+    ),
+)
 
 
 # -- meshes that are locally finer than the next one, which takes nothing from some of their nodes --------------------
 
+
 def hierarchy(inserted: int) -> am.Hierarchy:
-    """4, 8, 16 cells a side; the second mesh is bisected so many times in the middle of a cell, far from contact."""
+    """4, 8, 16 cells a side; the second mesh is bisected so many times in the middle of a cell, far
+    from contact."""
     problem = am.cases.greco_bar(law=am.Coulomb(0.5))
     meshes = [structured_mesh(problem.domain, n) for n in (4, 8, 16)]
     for _ in range(inserted):
@@ -380,13 +496,16 @@ def unseen(grids: am.Hierarchy) -> np.ndarray:
 def test_unseen_nodes_cost_no_cycles(correction):
     plain, refined = hierarchy(0), hierarchy(10)
     assert not len(unseen(plain)) and len(unseen(refined)) > 2
-    before, after = (am.solve(grids, am.FullMultigrid(correction=correction)) for grids in (plain, refined))
+    before, after = (
+        am.solve(grids, am.FullMultigrid(correction=correction)) for grids in (plain, refined)
+    )
     assert after.status is am.Status.CONVERGED
     assert after.cycles <= before.cycles + 3
 
 
 def test_a_coarsest_mesh_finer_than_the_next_is_solved():
-    """Coarse functions that the next level cannot tell apart made the coarsest matrix of the nested start singular."""
+    """Coarse functions that the next level cannot tell apart made the coarsest matrix of the nested
+    start singular."""
     grids = am.Hierarchy.graded(am.cases.dovetail(), sizes=(6e-3, 3.6e-3, 2.2e-3), contact_ratio=4)
     result = am.solve(grids, am.FullMultigrid())
     assert result.status is am.Status.CONVERGED and result.cycles <= 14

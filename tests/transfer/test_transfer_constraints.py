@@ -10,13 +10,17 @@ from scipy import sparse
 from adaptmg.transfer import largest_gap, minmod_slip, smallest_gap, summed_limit, supports
 from adaptmg.transfer.contact import injected_gap, injected_limit, injected_slip
 
-# fine nodes 0, 2, 4 lie on the coarse nodes 0, 1, 2; 1 and 3 halfway; the coarse node 3 has no fine node
-P_LINE = sparse.csr_array([[1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 1, 0, 0], [0, 0.5, 0.5, 0], [0, 0, 1, 0]])
+# fine nodes 0, 2, 4 lie on the coarse nodes 0, 1, 2; 1 and 3 halfway; the coarse node 3 has no fine
+# node
+P_LINE = sparse.csr_array(
+    [[1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 1, 0, 0], [0, 0.5, 0.5, 0], [0, 0, 1, 0]]
+)
 LINE = supports(P_LINE)
 
 
 def random_rows(rng, n_fine, n_coarse):
-    """Rows >= 0 of up to three entries with sums 1; a few sums are less, as where coarse dofs are fixed."""
+    """Rows >= 0 of up to three entries with sums 1; a few sums are less, as where coarse dofs are
+    fixed."""
     P = np.zeros((n_fine, n_coarse))
     for i in range(n_fine):
         k = rng.integers(1, min(3, n_coarse) + 1)
@@ -44,9 +48,15 @@ def test_monotone_guarantee(seed, dim, one_way):
     stick = rng.random(n_fine) < 0.15
     slip[stick] = 0
     sets = supports(P)
-    bound, reference, force = smallest_gap(sets, opening), minmod_slip(sets, slip, stick), summed_limit(sets, limit)
+    bound, reference, force = (
+        smallest_gap(sets, opening),
+        minmod_slip(sets, slip, stick),
+        summed_limit(sets, limit),
+    )
     for scale in (1e-3, 1.0, 1e3):
-        normal = np.minimum(np.where(np.isfinite(bound), bound, 0), scale * rng.standard_normal(n_coarse))
+        normal = np.minimum(
+            np.where(np.isfinite(bound), bound, 0), scale * rng.standard_normal(n_coarse)
+        )
         assert (opening - P @ normal).min() >= -1e-13 * scale
         tangential = scale * rng.standard_normal((n_coarse, dim - 1))
         fine = friction_change(limit, slip, P @ tangential)
@@ -58,20 +68,32 @@ def test_monotone_guarantee(seed, dim, one_way):
 
 
 OPENING, LIMIT = np.array([3.0, 1, 5, 2, 7]), np.array([1.0, 2, 4, 8, 16])
-TINY = np.where(np.arange(5) == 1, -1e-200, 1e-200)         # the product of two of them is 0
+TINY = np.where(np.arange(5) == 1, -1e-200, 1e-200)  # the product of two of them is 0
 
 
-@pytest.mark.parametrize(("function", "values", "expected"), [
-    (smallest_gap, OPENING, [1, 1, 2, np.inf]), (largest_gap, OPENING, [3, 5, 7, np.inf]),
-    (injected_gap, OPENING, [3, 5, 7, np.inf]), (summed_limit, LIMIT, [2, 9, 20, 0]),
-    (injected_limit, LIMIT, [1, 4, 16, 0])])
+@pytest.mark.parametrize(
+    ("function", "values", "expected"),
+    [
+        (smallest_gap, OPENING, [1, 1, 2, np.inf]),
+        (largest_gap, OPENING, [3, 5, 7, np.inf]),
+        (injected_gap, OPENING, [3, 5, 7, np.inf]),
+        (summed_limit, LIMIT, [2, 9, 20, 0]),
+        (injected_limit, LIMIT, [1, 4, 16, 0]),
+    ],
+)
 def test_gaps_and_limits_by_hand(function, values, expected):
     np.testing.assert_array_equal(function(LINE, values), expected)
 
 
-@pytest.mark.parametrize(("slip", "stick", "expected"), [
-    ([3, 1, 2, -4, -1], None, [1, 0, -1, 0]), ([3, 1, 2, -4, -1], 0, [0, 0, -1, 0]), (TINY, None, [0, 0, 1e-200, 0]),
-    ([3, 0, 2, 4, 1], None, [0, 0, 1, 0])])
+@pytest.mark.parametrize(
+    ("slip", "stick", "expected"),
+    [
+        ([3, 1, 2, -4, -1], None, [1, 0, -1, 0]),
+        ([3, 1, 2, -4, -1], 0, [0, 0, -1, 0]),
+        (TINY, None, [0, 0, 1e-200, 0]),
+        ([3, 0, 2, 4, 1], None, [0, 0, 1, 0]),
+    ],
+)
 def test_slips_by_hand(slip, stick, expected):
     slip = np.array(slip, dtype=float)[:, None]
     found = minmod_slip(LINE, slip, *(() if stick is None else (np.arange(5) == stick,)))
@@ -90,16 +112,25 @@ def test_slips_in_the_plane_by_hand():
 
 def test_supports():
     P = P_LINE.copy()
-    P.data[1] = 0.0                                         # a stored zero is in no support
+    P.data[1] = 0.0  # a stored zero is in no support
     sets = supports(P)
-    np.testing.assert_array_equal(sets.nodes[:sets.indptr[1]], [0])
+    np.testing.assert_array_equal(sets.nodes[: sets.indptr[1]], [0])
     np.testing.assert_array_equal(sets.main, [0, 2, 4, -1])
-    assert P.nnz == 7                                       # the matrix given is left as it was
+    assert P.nnz == 7  # the matrix given is left as it was
     equal = supports(sparse.csr_array([[0.5, 0.5], [0.5, 0.5]]))
-    np.testing.assert_array_equal(equal.main, [0, 0])       # the first of equal weights
+    np.testing.assert_array_equal(equal.main, [0, 0])  # the first of equal weights
 
 
 test_failures_name_the_argument = refused(
-    *((lambda bad=bad: supports(sparse.csr_array([[1.5, bad]])), "P_cc must be >= 0") for bad in (-0.5, np.nan)),
-    *((lambda call=call: call(LINE, np.zeros(4)), "one value a fine contact node is needed, 5, got 4")
-      for call in (smallest_gap, largest_gap, injected_gap)))
+    *(
+        (lambda bad=bad: supports(sparse.csr_array([[1.5, bad]])), "P_cc must be >= 0")
+        for bad in (-0.5, np.nan)
+    ),
+    *(
+        (
+            lambda call=call: call(LINE, np.zeros(4)),
+            "one value a fine contact node is needed, 5, got 4",
+        )
+        for call in (smallest_gap, largest_gap, injected_gap)
+    ),
+)

@@ -1,4 +1,5 @@
-"""Goals: signed estimates against true errors, what quantities are, what marks bring, and what is refused."""
+"""Goals: signed estimates against true errors, what quantities are, what marks bring, and what is
+refused."""
 
 import dataclasses
 from functools import cache
@@ -17,8 +18,14 @@ LINE = am.Displacement(POINTS, "x")
 
 
 def solved(problem, **made):
-    hierarchy = am.Hierarchy.graded(problem, **made) if "sizes" in made else am.Hierarchy.uniform(problem, **made)
-    return hierarchy, am.solve(hierarchy, am.FullMultigrid(rtol=1e-8) if len(hierarchy) > 1 else am.ActiveSet())
+    hierarchy = (
+        am.Hierarchy.graded(problem, **made)
+        if "sizes" in made
+        else am.Hierarchy.uniform(problem, **made)
+    )
+    return hierarchy, am.solve(
+        hierarchy, am.FullMultigrid(rtol=1e-8) if len(hierarchy) > 1 else am.ActiveSet()
+    )
 
 
 @cache
@@ -32,17 +39,22 @@ def test_points_of_the_bar_have_their_converged_values():
     effectivity = estimate.errors / errors
     assert effectivity.min() > 0.8 and effectivity.max() < 1.25  # measured 1.14 to 1.23
     assert np.abs(CONVERGED - estimate.corrected).max() < 0.25 * np.abs(errors).max()
-    assert estimate.signed == pytest.approx((estimate.errors / estimate.values)[
-        np.argmax(np.abs(estimate.errors / estimate.values))])
+    assert estimate.signed == pytest.approx(
+        (estimate.errors / estimate.values)[np.argmax(np.abs(estimate.errors / estimate.values))]
+    )
     assert estimate.relative == abs(estimate.signed)
 
 
 def test_the_axisymmetric_and_the_energy_estimate():
     hierarchy, result = solved(am.cases.bolted_junction(), sizes=(8e-3,))
     name = hierarchy.problem.contact_boundaries[0]
-    estimate = am.Goal([am.ContactForce(), am.Opening(), am.MeanDisplacement(name, "y")]).indicate(hierarchy, result)
+    estimate = am.Goal([am.ContactForce(), am.Opening(), am.MeanDisplacement(name, "y")]).indicate(
+        hierarchy, result
+    )
     assert np.isfinite(estimate.errors).all() and estimate.errors[0] < 0 < estimate.errors[1]
-    assert estimate.values[2] == pytest.approx(mean_by_simpson(result.mesh, name, result.displacement[:, 1]))
+    assert estimate.values[2] == pytest.approx(
+        mean_by_simpson(result.mesh, name, result.displacement[:, 1])
+    )
     other = am.Recovery().indicate(hierarchy, result).relative
     assert 0.4 < estimate.discretisation / other < 2.0
 
@@ -54,21 +66,25 @@ def test_quantities_are_those_of_the_result():
     fourth = np.flatnonzero(mine)[3]
     weights = result.contact.weights[mine]
     for quantity, wanted in (
-            (am.Displacement((20e-3, -30e-3), "x"), result.probe([(20e-3, -30e-3)])[0, 0]),
-            (am.ContactForce(slave), result.contact.force_n[mine].sum()),
-            (am.ContactForce(slave, "tangential"), result.contact.force_t[mine].sum()),
-            (am.ContactForce(f"{slave} on {master}", "y"), result.resultant(slave).force[1]),
-            (am.ContactForce(master, "y"), result.resultant(master).force[1]),
-            (am.Opening(slave, result.contact.x[fourth]), result.contact.gap[fourth]),
-            (am.Opening(slave), weights @ result.contact.gap[mine] / weights.sum())):
-        assert am.Goal(quantity).indicate(hierarchy, result).value == pytest.approx(wanted, rel=1e-6, abs=1e-15)
+        (am.Displacement((20e-3, -30e-3), "x"), result.probe([(20e-3, -30e-3)])[0, 0]),
+        (am.ContactForce(slave), result.contact.force_n[mine].sum()),
+        (am.ContactForce(slave, "tangential"), result.contact.force_t[mine].sum()),
+        (am.ContactForce(f"{slave} on {master}", "y"), result.resultant(slave).force[1]),
+        (am.ContactForce(master, "y"), result.resultant(master).force[1]),
+        (am.Opening(slave, result.contact.x[fourth]), result.contact.gap[fourth]),
+        (am.Opening(slave), weights @ result.contact.gap[mine] / weights.sum()),
+    ):
+        assert am.Goal(quantity).indicate(hierarchy, result).value == pytest.approx(
+            wanted, rel=1e-6, abs=1e-15
+        )
     # of the bar, at whose corner a support holds a node that sticks
     tangential = am.Goal(am.ContactForce("bottom", "tangential")).indicate(*bar(16)).value
     assert tangential == pytest.approx(bar(16)[1].contact.force_t.sum(), rel=1e-9)
 
 
 def mean_by_simpson(mesh, name, u):
-    """The mean of u over a boundary with the weight r; Simpson's rule is exact for products of linear functions."""
+    """The mean of u over a boundary with the weight r; Simpson's rule is exact for products of
+    linear functions."""
     a, b = (mesh.boundary_facets(name)[:, k] for k in (0, 1))
     length, r = np.linalg.norm(mesh.points[a] - mesh.points[b], axis=1), mesh.points[:, 0]
     total = length / 6 * (r[a] * u[a] + (r[a] + r[b]) * (u[a] + u[b]) + r[b] * u[b])
@@ -81,11 +97,15 @@ def test_terms_add_up_and_quantities_count_relatively():
         nodal[0, 0] = 2.0
         return [Functional("lever", 2 * view.displacement[0, 0], "m", view.load_of(nodal))]
 
-    estimate = am.Goal([am.Displacement(POINTS[:1], 0), am.ContactForce(direction="tangential")]).indicate(*bar(16))
+    estimate = am.Goal(
+        [am.Displacement(POINTS[:1], 0), am.ContactForce(direction="tangential")]
+    ).indicate(*bar(16))
     assert sum(estimate.terms.values()) == pytest.approx(estimate.squares.sum())
     assert list(estimate.terms) == list(estimate.names)
     alone = am.Goal(am.Displacement(POINTS[0], "x")).indicate(*bar(16))
-    assert estimate.terms[estimate.names[0]] == pytest.approx(alone.squares.sum() / abs(alone.value))
+    assert estimate.terms[estimate.names[0]] == pytest.approx(
+        alone.squares.sum() / abs(alone.value)
+    )
     assert estimate.errors[0] == pytest.approx(alone.signed) and estimate.value == 1.0
     assert "estimated error" in repr(estimate) and estimate.names[1] in repr(estimate)
     corner = am.Goal(am.Displacement(bar(16)[1].mesh.points[0], 0)).indicate(*bar(16))
@@ -93,7 +113,11 @@ def test_terms_add_up_and_quantities_count_relatively():
     assert own.signed == pytest.approx(2 * corner.signed)
     # what equilibrium or a support gives has no error
     estimate = am.Goal(am.ContactForce()).indicate(*bar(16))
-    assert estimate.value == pytest.approx(2e6) and abs(estimate.signed) < 1e-3 and estimate.squares.max() < 1e-3
+    assert (
+        estimate.value == pytest.approx(2e6)
+        and abs(estimate.signed) < 1e-3
+        and estimate.squares.max() < 1e-3
+    )
     estimate = am.Goal(am.MeanDisplacement("right", "x")).indicate(*bar(4))
     assert estimate.value == 0 and not estimate.squares.any() and estimate.relative == 0
 
@@ -101,10 +125,15 @@ def test_terms_add_up_and_quantities_count_relatively():
 def test_what_has_no_meaning_is_refused():
     zero, pair = am.Opening("bottom", (20e-3, 0.0)), solved(am.cases.dovetail(), sizes=(8e-3,))
     for quantity, on, words in (
-            ([zero, am.ContactForce()], bar(16), "is zero"),
-            ([am.ContactForce(), am.ContactForce()], bar(16), "given twice"),
-            (am.ContactForce(direction="tangential"), solved(am.cases.greco_block(), divisions=(2,)), "in 3D"),
-            (am.Opening(pair[0].problem.masters[0]), pair, "master of a pair")):
+        ([zero, am.ContactForce()], bar(16), "is zero"),
+        ([am.ContactForce(), am.ContactForce()], bar(16), "given twice"),
+        (
+            am.ContactForce(direction="tangential"),
+            solved(am.cases.greco_block(), divisions=(2,)),
+            "in 3D",
+        ),
+        (am.Opening(pair[0].problem.masters[0]), pair, "master of a pair"),
+    ):
         with pytest.raises(ValueError, match=words):
             am.Goal(quantity).indicate(*on)
 
@@ -122,12 +151,16 @@ def test_what_the_solver_leaves_counts(make):
     far = discrete.relative(exact.displacement) + 1e-4 * np.abs(exact.displacement).max() * change
     left = discrete.matrix @ far.reshape(-1) - discrete.load
     left = left if discrete.coupling is None else discrete.coupling.physical_forces(left)
-    loose = dataclasses.replace(exact, displacement=discrete.physical(far), reaction=left.reshape(far.shape))
+    loose = dataclasses.replace(
+        exact, displacement=discrete.physical(far), reaction=left.reshape(far.shape)
+    )
     moved = exact.mesh.points[np.argmax(np.abs(exact.displacement[:, 0]))]
     for item in (am.Displacement(moved, 0), am.MeanDisplacement(contact.names[0], 0)):
         true, found = (am.Goal(item).indicate(hierarchy, result) for result in (exact, loose))
         assert abs(true.algebraic[0]) < 1e-9 * abs(true.value)
-        assert found.algebraic[0] == pytest.approx(true.value - found.value, rel=2e-2, abs=1e-7 * abs(true.value))
+        assert found.algebraic[0] == pytest.approx(
+            true.value - found.value, rel=2e-2, abs=1e-7 * abs(true.value)
+        )
 
 
 def test_an_opening_that_all_nodes_hold_closed_marks_elements():
@@ -136,19 +169,41 @@ def test_an_opening_that_all_nodes_hold_closed_marks_elements():
     estimate = am.Goal(am.Opening("bottom")).indicate(hierarchy, result)
     energy = am.Recovery().indicate(hierarchy, result).relative
     # marks are those of the energy, not of the closed gap alone
-    assert estimate.value == 0 and 0.5 < estimate.discretisation / energy < 2 and estimate.relative == np.inf
+    assert (
+        estimate.value == 0
+        and 0.5 < estimate.discretisation / energy < 2
+        and estimate.relative == np.inf
+    )
     assert estimate.squares.min() > 1e-4 * estimate.squares.max()
-    steps = list(am.adapt(am.cases.greco_bar(), 20e-3, am.Goal(am.Opening("bottom")), engine=am.Bisect(),
-                          max_nodes=150))
-    assert steps[0].estimate.value == 0 and steps[-1].estimate.value > 2e-8 and "max_nodes" in steps[-1].outcome
+    steps = list(
+        am.adapt(
+            am.cases.greco_bar(),
+            20e-3,
+            am.Goal(am.Opening("bottom")),
+            engine=am.Bisect(),
+            max_nodes=150,
+        )
+    )
+    assert (
+        steps[0].estimate.value == 0
+        and steps[-1].estimate.value > 2e-8
+        and "max_nodes" in steps[-1].outcome
+    )
 
 
 def disc(kind):
-    shape = am.Outline(vertices=((0, 0), (0.04, 0.02), (0.04, 0.05), (0, 0.05)),
-                       boundaries=("round", "side", "top", "axis"), arcs={0: (0.0, 0.05)})
-    return am.ContactProblem(domain=shape, material=kind(young=2e11, poisson=0.3), law=am.Frictionless(),
-                             contact=am.Contact("round", am.Plane((0, 0), (0, 1))),
-                             supports=(am.Support("axis", x=0.0), am.Support("top", y=-5e-5)))
+    shape = am.Outline(
+        vertices=((0, 0), (0.04, 0.02), (0.04, 0.05), (0, 0.05)),
+        boundaries=("round", "side", "top", "axis"),
+        arcs={0: (0.0, 0.05)},
+    )
+    return am.ContactProblem(
+        domain=shape,
+        material=kind(young=2e11, poisson=0.3),
+        law=am.Frictionless(),
+        contact=am.Contact("round", am.Plane((0, 0), (0, 1))),
+        supports=(am.Support("axis", x=0.0), am.Support("top", y=-5e-5)),
+    )
 
 
 def valley():
@@ -157,14 +212,22 @@ def valley():
     return dataclasses.replace(problem, law=am.Frictionless(), contact=am.Contact("bottom", front))
 
 
-@pytest.mark.parametrize(("problem", "point", "sizes", "share"), [
-    (disc(am.PlaneStrain), None, (8e-3, 1e-3), 0.1), (disc(am.Axisymmetric), None, (8e-3, 1e-3), 0.1),
-    # in the middle of an edge the factor 4/3 is too much
-    (valley(), (0.037, 0.0), (2e-3, 8e-4), 0.34)], ids=["plane", "axisymmetric", "point before a gap function"])
+@pytest.mark.parametrize(
+    ("problem", "point", "sizes", "share"),
+    [
+        (disc(am.PlaneStrain), None, (8e-3, 1e-3), 0.1),
+        (disc(am.Axisymmetric), None, (8e-3, 1e-3), 0.1),
+        # in the middle of an edge the factor 4/3 is too much
+        (valley(), (0.037, 0.0), (2e-3, 8e-4), 0.34),
+    ],
+    ids=["plane", "axisymmetric", "point before a gap function"],
+)
 def test_openings_of_curves_contain_what_chords_change(problem, point, sizes, share):
     goal = am.Goal(am.Opening(problem.contact[0].boundary, point=point))
     coarse, fine = (am.Hierarchy.graded(problem, (size,)) for size in sizes)
     estimate, right = (goal.indicate(one, am.solve(one, am.ActiveSet())) for one in (coarse, fine))
     assert estimate.signed == pytest.approx(right.value + right.signed - estimate.value, rel=share)
     # marked where they lie, all along the boundary
-    assert (estimate.squares > 0).sum() > 5 and sum(estimate.terms.values()) == pytest.approx(estimate.squares.sum())
+    assert (estimate.squares > 0).sum() > 5 and sum(estimate.terms.values()) == pytest.approx(
+        estimate.squares.sum()
+    )

@@ -1,4 +1,5 @@
-"""Dual fields: the sensitivity of quantities to forces, for every law, one body and pairs; multigrid against LU."""
+"""Dual fields: the sensitivity of quantities to forces, for every law, one body and pairs;
+multigrid against LU."""
 
 import dataclasses
 from functools import cache, partialmethod
@@ -22,8 +23,13 @@ CASES = {
     "block, Tresca": (lambda: am.cases.greco_block(law=am.Tresca(3e7)), 15e-3),
     "dovetail": (am.cases.dovetail, 8e-3),
     "junction": (am.cases.bolted_junction, 12e-3),
-    "held slave": (lambda: dataclasses.replace(bar_on_block(am.Coulomb(0.5)), supports=(
-        am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0))), 8e-3),
+    "held slave": (
+        lambda: dataclasses.replace(
+            bar_on_block(am.Coulomb(0.5)),
+            supports=(am.Support("upper.right", x=0.0), am.Support("lower.bottom", x=0.0, y=0.0)),
+        ),
+        8e-3,
+    ),
 }
 
 
@@ -41,8 +47,13 @@ def view_of(hierarchy, result):
 def quantities(hierarchy):
     dim, first = hierarchy.problem.dim, hierarchy.problem.contact_boundaries[0]
     at = hierarchy.finest.mesh.points[hierarchy.finest.discrete.contact.nodes[-1]]
-    return [am.Displacement(at, 0), am.ContactForce(first, 0), am.ContactForce(), am.Opening(first),
-            am.MeanDisplacement(first, dim - 1)]
+    return [
+        am.Displacement(at, 0),
+        am.ContactForce(first, 0),
+        am.ContactForce(),
+        am.Opening(first),
+        am.MeanDisplacement(first, dim - 1),
+    ]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -51,10 +62,13 @@ def test_the_dual_field_is_the_sensitivity_to_a_load(name):
     discrete, view = hierarchy.finest.discrete, view_of(*solved(name))
     first = hierarchy.problem.contact_boundaries[0]
     force = am.ContactForce(first, 0).functionals(view)[0].value
-    assert force == pytest.approx(result.resultant(first).force[0], rel=1e-9, abs=1e-12 * np.linalg.norm(discrete.load))
+    assert force == pytest.approx(
+        result.resultant(first).force[0], rel=1e-9, abs=1e-12 * np.linalg.norm(discrete.load)
+    )
     functionals = [f for item in quantities(hierarchy) for f in item.functionals(view)]
     duals = adjoint_system(view.contact).direct([f.vector for f in functionals])
-    # forces in the unknowns of the problem, not on contact nodes (those are part of the conditions there)
+    # forces in the unknowns of the problem, not on contact nodes (those are part of the conditions
+    # there)
     force = np.random.default_rng(0).standard_normal((discrete.n_nodes, discrete.dim))
     force[discrete.contact.nodes] = 0.0
     force = np.where(discrete.fixed, 0.0, force.reshape(-1))
@@ -67,7 +81,9 @@ def test_the_dual_field_is_the_sensitivity_to_a_load(name):
         moved = am.solve(grids, EXACT, start=result.displacement)
         np.testing.assert_array_equal(moved.contact.state, result.contact.state)
         there = view_of(grids, moved)
-        changed.append(np.array([f.value for item in quantities(hierarchy) for f in item.functionals(there)]))
+        changed.append(
+            np.array([f.value for item in quantities(hierarchy) for f in item.functionals(there)])
+        )
     found, wanted = (changed[0] - changed[1]) / 2, np.array([dual.field @ force for dual in duals])
     scale = np.array([np.linalg.norm(dual.field) * np.linalg.norm(force) for dual in duals])
     assert (np.abs(wanted) > 1e-3 * scale).any()
@@ -75,8 +91,14 @@ def test_the_dual_field_is_the_sensitivity_to_a_load(name):
     assert (np.abs(found - wanted) <= 1e-6 * scale + 1e-20).all(), (found - wanted) / scale
 
 
-@pytest.mark.parametrize(("make", "sizes"), [(am.cases.greco_bar, (8e-3, 4e-3, 2e-3)),
-                                             (am.cases.dovetail, (8e-3, 4e-3)), (am.cases.greco_block, (20e-3, 14e-3))])
+@pytest.mark.parametrize(
+    ("make", "sizes"),
+    [
+        (am.cases.greco_bar, (8e-3, 4e-3, 2e-3)),
+        (am.cases.dovetail, (8e-3, 4e-3)),
+        (am.cases.greco_block, (20e-3, 14e-3)),
+    ],
+)
 def test_multigrid_on_the_transpose_equals_the_direct_solution(make, sizes):
     hierarchy = am.Hierarchy.graded(make(), sizes)
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6))
@@ -92,7 +114,10 @@ def test_multigrid_on_the_transpose_equals_the_direct_solution(make, sizes):
 def test_an_adjoint_that_is_not_solved_says_so(monkeypatch):
     monkeypatch.setattr(goal, "DIRECT", 0)
     grids = am.Hierarchy.graded(am.cases.greco_bar(), (8e-3, 4e-3))
-    result, quantity = am.solve(grids, am.FullMultigrid(rtol=1e-6)), am.Goal(am.Displacement((0.0, 0.0), "x"))
+    result, quantity = (
+        am.solve(grids, am.FullMultigrid(rtol=1e-6)),
+        am.Goal(am.Displacement((0.0, 0.0), "x")),
+    )
     estimate = quantity.indicate(grids, result)
     assert estimate.converged and 0 < estimate.iterations < 20
     few = partialmethod(AdjointSystem.multigrid, rtol=1e-12, max_iterations=2)
