@@ -92,7 +92,9 @@ class TruncatedContact:
         )
 
     def renew(self, contact: NodalContact) -> None:
-        """Take over gaps and slips of another load step."""
+        """Take over gaps and slips of another load step; its status is not yet known, so that the
+        first linearisation truncates the matrices, which are restored between steps."""
+        self.codes[:] = -1
         self.gap, self.reference, self.driven = (
             contact.gap,
             contact.slip_reference.reshape(-1),

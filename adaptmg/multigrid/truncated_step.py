@@ -146,7 +146,8 @@ class TruncatedStep:
             self._missed = self.pressures.missed(self.unknowns)
             natural += self.pressures.forces_missed(self._missed)
             self.cycle.recorder.count(1.0, self.pressures.nonzeros)
-            if changed:
+            # not where the status was unknown: 1441 for 1512 cycles of 46 problems, ratio .45 to .5
+            if changed and self._frozen is not None:
                 self.pressures.hesitate()
         residual = float(np.sqrt(elsewhere + natural))
         frozen = safe or residual > trusted
@@ -201,6 +202,14 @@ class TruncatedStep:
         """Add a change (n_dofs,) to the iterate, which is projected onto the admissible ones."""
         self.unknowns = self.unknowns + change
         self.contact.start(self.unknowns)
+
+    def pose(self, load: np.ndarray, unknowns: np.ndarray, motions: RigidMotions | None) -> None:
+        """Begin another load step."""
+        self.load = load
+        self.unknowns = unknowns
+        self.motions = motions
+        self._turns = 0
+        self._frozen = None
 
     def base_matrix(self, number: int) -> sparse.bsr_array:
         """The matrix of a coarser level without truncation, which the next linearisation makes

@@ -52,7 +52,7 @@ class VolumePressures:
             ),
             shape=volumes.rows.shape,
         )
-        self.volumes, self._cautious = replace(volumes, rows=rows, expansion=0.0), 0
+        self.volumes = replace(volumes, rows=rows, expansion=0.0)
         self.values = np.zeros(len(volumes))
         self.pose(problem, start)
 
@@ -61,6 +61,7 @@ class VolumePressures:
         there are any."""
         if start is not None:
             self.values = start.copy()
+        self._cautious = 0
         self._prescribed = problem.volumes.strains(problem.fixed_values)
 
     @property

@@ -157,8 +157,7 @@ class KeptMultigrid(TruncatedRun):
                 step.pressures.pose(
                     problem, self.pressures if number == len(self.problems) - 1 else None
                 )
-            step.load, step.unknowns = load, unknowns
-            step.motions = RigidMotions.of(problem, contact, load)
+            step.pose(load, unknowns, RigidMotions.of(problem, contact, load))
         return step
 
 

@@ -111,6 +111,23 @@ class TestSteps:
         )
         assert all(result.work_units <= 1.1 * first.work_units for result in back)
 
+    @pytest.mark.parametrize("law", [am.Coulomb(0.5), am.Frictionless()], ids=["sticks", "slips"])
+    @pytest.mark.parametrize("solver", [am.Multigrid(), am.FullMultigrid()], ids=["cold", "nested"])
+    def test_steps_that_change_no_status_cost_no_more_cycles_than_the_first(self, law, solver):
+        """No extrapolation helps: the loads of the steps are independent of each other."""
+        shear = am.Traction("top", (1e5, 0.0), name="shear")
+        problem = replace(
+            pulled(law).problem,
+            loads=(am.Pressure("top", 1e7), am.Pressure("left", 1e6), shear),
+            supports=(am.Support("right", x=0),),
+        )
+        grids = am.Hierarchy.uniform(problem, divisions=[(4, 2), (8, 4), (16, 8), (32, 16)])
+        path = am.LoadPath({"left": [1, 0.3, 0.6, 0.2], "shear": [0.2, -0.3, 0.8, -0.9]})
+        first, *later = am.solve_path(grids, path, solver)
+        assert len({tuple(one.contact.state) for one in (first, *later)}) == 1
+        assert max(one.cycles for one in later) <= first.cycles + 2
+        assert sum(one.cycles for one in later[:2]) <= 25
+
 
 class TestHistory:
     def test_the_order_of_loads_matters_equal_steps_change_nothing(self, rough):
