@@ -199,10 +199,14 @@ class CoarseFactors:
             level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
         ).reshape(-1)
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
-        self._shift = np.zeros(level.n_dofs)
+        self.forget()
         self._probe = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
         self._solve: Callable[[np.ndarray], np.ndarray] | None = None
         self._prepared: PreparedSolve | None = None
+
+    def forget(self) -> None:
+        """Take no shift, as before the first matrix."""
+        self._shift = np.zeros(self.level.n_dofs)
 
     def renew(self) -> None:
         if self.custom is not None:

@@ -212,15 +212,16 @@ class TruncatedStep:
         self._frozen = None
 
     def base_matrix(self, number: int) -> sparse.bsr_array:
-        """The matrix of a coarser level without truncation, which the next linearisation makes
-        again."""
+        """The matrix of a coarser level without truncation."""
         self.truncation.restore()
-        self._frozen = None
         level = self.cycle.levels[number].matrix
         scale = np.abs(
             level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
         ).reshape(-1)
-        return regular_matrix(level, np.where(scale > 0, scale, 1.0))
+        matrix = regular_matrix(level, np.where(scale > 0, scale, 1.0))
+        if self._frozen is not None:
+            self.truncation.apply(newton=not self._frozen)
+        return matrix
 
     def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> None:
         """Free what only further steps read, if it is much: half of the matrix, which is made again

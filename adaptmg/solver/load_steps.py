@@ -107,10 +107,12 @@ class KeptMultigrid(TruncatedRun):
 
     def take(self, hierarchy: Hierarchy, run: Run) -> None:
         """Go on to the next step: ``hierarchy`` differs in loads, prescribed values and slip
-        references only."""
+        references only. What the steps before leave in coarse factors is forgotten: a path that is
+        resumed has the same bits."""
         self.hierarchy, self.run, self.cycle.recorder = hierarchy, run, run
         self.problems = [level.discrete_or_none for level in hierarchy.levels]
         self.pressures = run.pressures
+        self.cycle.factors.forget()
         if len(hierarchy) - 1 in self._steps:
             with run.phase("setup"):
                 self._steps[len(hierarchy) - 1].truncation.restore()
@@ -153,10 +155,7 @@ class KeptMultigrid(TruncatedRun):
             contact.renew(data)
             contact.start(unknowns)
             if step.pressures is not None:
-                # coarse levels go on from their own
-                step.pressures.pose(
-                    problem, self.pressures if number == len(self.problems) - 1 else None
-                )
+                step.pressures.pose(problem, self.pressures)
             step.pose(load, unknowns, RigidMotions.of(problem, contact, load))
         return step
 

@@ -568,8 +568,16 @@ class Result:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
         """Read what :meth:`save` wrote; ValueError, which names the file, if it is something else
-        or damaged."""
-        return read(path, KINDS).value
+        or damaged, or a later step of a load path, which :meth:`PathResult.load` reads."""
+        stored = read(path, KINDS)
+        step = stored.part_of.get("step")
+        if step and stored.value.mesh_or_none is None:
+            folder = os.path.dirname(path) or "."
+            raise ValueError(
+                f"{os.fspath(path)} is step {step} of a load path, whose mesh is in its first step: "
+                f"read it by PathResult.load({folder!r})[{step}]"
+            )
+        return stored.value
 
 
 Result.mesh = made_on_demand(
