@@ -60,6 +60,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import HeldNodes, fixed_dofs, inclined_supports, supported_nodes
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.exact import exact_surfaces
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Law, NodalLaw, check_law
 from adaptmg.problem.load_path import DEFAULT
@@ -346,6 +347,7 @@ def contact_data(
             inclined_supports(mesh, problem.supports),
         )
     nothing = np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0)
+    exact = exact_surfaces(problem.domain) if any(problem.masters) else {}
     parts = []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):
@@ -360,7 +362,12 @@ def contact_data(
                 without = np.union1d(without, excluded)
             parts.append(
                 pair_interface(
-                    mesh, contact, held=held, excluded=without, axisymmetric=problem.axisymmetric
+                    mesh,
+                    contact,
+                    held=held,
+                    excluded=without,
+                    axisymmetric=problem.axisymmetric,
+                    exact=exact,
                 )
             )
         else:

@@ -26,7 +26,9 @@ theirs are shared out evenly among its r corners a that do (crosspoint modificat
 \frac1r\int\phi_b` makes b one of the nodes that a follows:
 :math:`u_a - (\sum_k M_{ak} u_k - \sum_b D_{ab} u_b)/D_{aa}`.
 
-Surfaces are made of facets. Where two curved surfaces fit each other, their facets overlap by up to
+Surfaces are made of facets. Where the domain knows the surfaces that both are chords of
+(:mod:`adaptmg.mesh.exact`), g is the distance between these; weights and couplings stay those of
+the facets. Elsewhere facets of curved surfaces that fit each other overlap by up to
 the heights of both facets under the arcs, about :math:`\tfrac14 h\,|n_i - n_F|` with the averaged
 normal :math:`n_i` at a corner of facet F: negative gaps above minus that are the discretisation,
 not interference, and are taken as zero.
@@ -54,7 +56,9 @@ M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011, doi:10.1016/j.cma.2010
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from scipy import sparse
@@ -63,6 +67,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces, covered_parts
 from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.surfaces import Behind, Revolved
 from adaptmg.problem.surfaces import ContactPair
 
 NEVER_FACING = "the surfaces never face each other"
@@ -117,8 +122,10 @@ def pair_interface(
     held: HeldNodes,
     excluded: np.ndarray,
     axisymmetric: bool,
+    exact: Mapping[str, Sequence[Revolved]] = MappingProxyType({}),
 ) -> MortarInterface:
-    """Return the interface of a pair."""
+    """Return the interface of a pair; gaps are those between the ``exact`` surfaces, by boundary, that
+    are known."""
     slave, master = mesh.surface(pair.slave), mesh.surface(pair.master)
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
         nothing = sparse.csr_array((0, mesh.n_nodes))
@@ -127,7 +134,13 @@ def pair_interface(
         )
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
-        surfaces = Surfaces(slave, master, slave_normals(slave, held), excluded, axisymmetric)
+        behind = tuple(
+            Behind.facets(exact.get(name, ()), side)
+            for name, side in ((pair.slave, slave), (pair.master, master))
+        )
+        surfaces = Surfaces(
+            slave, master, slave_normals(slave, held), excluded, axisymmetric, behind
+        )
         interface = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little
         hanging = interface.nodes[
@@ -149,7 +162,8 @@ def pair_interface(
     if not pair.allow_interference:
         tolerance = np.full(len(gaps), _ROUNDING * surfaces.size)
         if pair.gap is None:
-            tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
+            own, facing = map(_facet_heights, (slave, master), behind)
+            tolerance += own[interface.nodes] + facing.max()
             # the surfaces themselves must overlap, and not only a mean of their distance with
             # weights of both signs
             tolerance[interface.closest >= -tolerance] = np.inf
@@ -177,10 +191,10 @@ def _edge_lengths(surface: Surface) -> np.ndarray:
     return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
 
 
-def _facet_heights(surface: Surface) -> np.ndarray:
-    """At nodes (n_nodes,) of a surface the largest height of a facet there under the arc, about, m;
-    zero elsewhere."""
-    length = _edge_lengths(surface).max(axis=1)
+def _facet_heights(surface: Surface, behind: Behind) -> np.ndarray:
+    """At nodes (n_nodes,) of a surface the largest height of a facet there under an arc that is not
+    known, about, m; zero elsewhere."""
+    length = np.where(behind.number < 0, _edge_lengths(surface).max(axis=1), 0.0)
     result = np.zeros(len(surface.points))
     for corner in surface.facets.T:
         turn = np.linalg.norm(surface.node_normals[corner] - surface.normals, axis=1)

@@ -31,6 +31,7 @@ from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import Surface
+from adaptmg.mesh.surfaces import Behind
 
 _DEEPEST = 0.25  # of the size of the surfaces: overlap that is found without a given reach
 
@@ -46,6 +47,7 @@ class Surfaces:
     )  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
     excluded: np.ndarray = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
     axisymmetric: bool = False  # x is a radius; 2D only
+    exact: tuple[Behind, Behind] | None = None  # what slave and master facets are chords of
     points: np.ndarray = field(init=False, repr=False)  # (n_nodes, dim): those of the mesh, m
     slave: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
     master: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
@@ -91,6 +93,23 @@ class Surfaces:
     def depths(self, reach: float | None) -> tuple[float, float]:
         """Return how far behind and in front of the slave surface the master is looked for, m."""
         return (_DEEPEST * self.size, self.size) if reach is None else (reach, reach)
+
+    def exact_distances(
+        self,
+        slave: np.ndarray,
+        master: np.ndarray,
+        places: np.ndarray,
+        normals: np.ndarray,
+        distances: np.ndarray,
+    ) -> np.ndarray:
+        """Return the distances (n, n_points) between what facets are chords of, along unit normals at
+        places (n, n_points, dim) on slave facets (n,), from those to the master facets (n,)."""
+        if self.exact is None:
+            return distances
+        own, facing = self.exact
+        opposite = places + distances[..., None] * normals
+        beyond = facing.rises(master, opposite, normals) - own.rises(slave, places, normals)
+        return distances + beyond
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +193,11 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     if surfaces.axisymmetric:
         measure = measure * (2 * np.pi * np.maximum(x[:, :1] + s * e[:, :1], 0.0))
     eta, distance = _opposite(surfaces, slave, master, s)
+    places = x[:, None] + s[..., None] * e[:, None]
+    a, b = np.moveaxis(surfaces.normals[slave], 1, 0)
+    normals = a[:, None] + s[..., None] * (b - a)[:, None]
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    distance = surfaces.exact_distances(edge, facet, places, normals, distance)
     corners = np.stack([-origin, 1 - origin], axis=1)[..., None]
     return CoveredParts(
         edge,
@@ -464,6 +488,9 @@ def _common_parts(
     distances = np.einsum("pqk,pk->pq", shapes, other[..., 2]) - np.einsum(
         "pqk,pk->pq", own_shapes, local[slave, :, 2]
     )
+    places = np.einsum("pqk,pkd->pqd", own_shapes, surfaces.points[surfaces.slave[slave]])
+    normals = np.broadcast_to(frames[slave, None, 2], places.shape)
+    distances = surfaces.exact_distances(slave, master, places, normals, distances)
     stretch = surfaces.slave_side.measures / np.einsum(
         "fd,fd->f", surfaces.slave_side.vectors, frames[:, 2]
     )

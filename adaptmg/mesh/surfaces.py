@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, trusted
+from adaptmg.mesh.arrays import MeshArrays, Surface, trusted
 from adaptmg.mesh.soundness import least_angle
 
 # of solids of unit size: by how much points may miss the surface through them; nodes of a draft
@@ -30,6 +30,14 @@ _EXACT, _NEAR = 1e-9, 1e-6
 _ON, _STEPS, _SAME = 1e-13, 60, 1e-8
 #: smallest angle that a refined element must have where nodes moved, degrees
 _FLAT = 10.0
+# steps from a chord to its surface, which square the angle of the arc each time: 0.5 -> 1e-16 in 5
+_NEWTON = 6
+# cosine between a direction and the normal of a surface below which it does not lead onto it, and
+# between facets and the surface behind them
+_GRAZING, _PARALLEL = 0.1, 0.5
+# corners of a facet lie nearer to the surface behind it than this part of its longest edge: an arc of 90
+# degrees is .21 of its chord high, where bisection has put a corner onto that
+_NEARBY = 0.25
 
 
 class Misplaced(ValueError):
@@ -62,6 +70,82 @@ class Revolved:
             length = np.linalg.norm(spoke, axis=1)
             normals, gaps = spoke / np.where(length > 0, length, 1.0)[:, None], length - self.extent
         return gaps, normals[:, :1] * outward + normals[:, 1:] * self.axis
+
+    @property
+    def plane(self) -> bool:
+        """Return whether it is a plane."""
+        return self.straight and not self.profile[0]
+
+    def moved(self, rotation: np.ndarray, offset: np.ndarray) -> Revolved:
+        """Return the surface after x goes to R x + offset."""
+        return replace(self, origin=rotation @ self.origin + offset, axis=rotation @ self.axis)
+
+    def along(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return how far (n,) the surface is from points (n, 3) near it along unit vectors (n, 3);
+        0 where they graze it, or miss it."""
+        far = np.zeros(len(points))
+        hit = np.ones(len(points), dtype=bool)
+        for _ in range(_NEWTON):
+            gaps, gradients = self.gaps(points + far[:, None] * directions)
+            slopes = np.einsum("nd,nd->n", gradients, directions)
+            hit &= np.abs(slopes) > _GRAZING
+            far = far - np.where(hit, gaps, 0.0) / np.where(hit, slopes, 1.0)
+        return np.where(hit, far, 0.0)
+
+
+def plane_through(point: Sequence[float], normal: Sequence[float]) -> Revolved:
+    """Return the plane through a point that is normal to a unit vector."""
+    return Revolved(np.array(point), np.array(normal), np.array([0.0, 1.0]), 0.0, True)
+
+
+def round_about(origin: Sequence[float], axis: Sequence[float], radius: float) -> Revolved:
+    """Return the cylinder of a radius about a unit vector as axis."""
+    return Revolved(np.array(origin), np.array(axis), np.array([1.0, 0.0]), radius, True)
+
+
+@dataclass(frozen=True, eq=False)
+class Behind:
+    """The exact surface behind each facet of a boundary."""
+
+    surfaces: Sequence[Revolved]
+    number: np.ndarray  # (n,) int: of the surface of each facet, -1 where it is plane or not known
+
+    @classmethod
+    def facets(cls, surfaces: Sequence[Revolved], boundary: Surface) -> Behind:
+        """Find the surface behind each facet among those of its boundary: the nearest of those that
+        are about parallel to it."""
+        corners = in_space(boundary.points[boundary.facets])
+        normals = in_space(boundary.normals)
+        best = _NEARBY * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        number = np.full(len(corners), -1)
+        for k, surface in enumerate(surfaces):
+            away = np.max(
+                [np.abs(surface.gaps(corner)[0]) for corner in np.moveaxis(corners, 1, 0)], axis=0
+            )
+            gradients = surface.gaps(corners.mean(axis=1))[1]
+            parallel = np.abs(np.einsum("nd,nd->n", gradients, normals)) > _PARALLEL
+            nearer = parallel & (away < best)
+            best = np.where(nearer, away, best)
+            number[nearer] = -1 if surface.plane else k
+        return cls(surfaces, number)
+
+    def rises(self, facets: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return how far (n, n_points) the exact surface is from points (n, n_points, dim) of some
+        facets (n,), along unit vectors; 0 where it is not known."""
+        result = np.zeros(points.shape[:2])
+        number = self.number[facets]
+        for k in np.unique(number[number >= 0]).tolist():
+            own = number == k
+            places, along = (in_space(x[own]).reshape(-1, 3) for x in (points, directions))
+            result[own] = self.surfaces[k].along(places, along).reshape(-1, points.shape[1])
+        return result
+
+
+def in_space(points: np.ndarray) -> np.ndarray:
+    """Return points or vectors (..., dim) with z = 0 in the plane."""
+    return (
+        points if points.shape[-1] == 3 else np.pad(points, [(0, 0)] * (points.ndim - 1) + [(0, 1)])
+    )
 
 
 def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:

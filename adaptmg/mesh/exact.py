@@ -1,0 +1,111 @@
+"""exact_surfaces: the surfaces that the facets of a domain's boundaries are chords of.
+
+A facet is straight, the boundary need not be. Each surface is a plane or of revolution
+(:mod:`adaptmg.mesh.surfaces`); the edges of plane domains, profiles in axisymmetry too, are the
+planes and cylinders that they sweep along z."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from adaptmg.mesh.sizes import BOX_SIDES, in_edges
+from adaptmg.mesh.surfaces import Revolved, plane_through, round_about
+from adaptmg.problem.combined_domains import Assembly, Combination, Cracked
+from adaptmg.problem.plane_domains import Box, Domain, Outline
+from adaptmg.problem.plane_edges import Arc, Segment
+from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution
+
+_AXIS = (0.0, 0.0, 1.0)
+Surfaces = dict[str, list[Revolved]]
+
+
+def exact_surfaces(domain: Domain | None) -> Surfaces:
+    """Return the surfaces of each boundary of a domain, m, in no order; of those without any nothing
+    is known."""
+    if domain is None:
+        return {}
+    if isinstance(domain, Assembly):
+        return {
+            f"{body}.{name}": surfaces
+            for body, part in domain.parts.items()
+            for name, surfaces in exact_surfaces(part).items()
+        }
+    if isinstance(domain, Cracked) and domain.dim == 3:
+        return exact_surfaces(domain.domain)
+    if isinstance(domain, Combination) and domain.dim == 3:
+        return _merged(
+            (domain.renamed(part, name), surface)
+            for part in "ab"
+            for name, surfaces in exact_surfaces(getattr(domain, part)).items()
+            for surface in surfaces
+        )
+    if isinstance(domain, Moved):
+        rotation, offset = domain.rotation, np.array(domain.offset)
+        return {
+            name: [surface.moved(rotation, offset) for surface in surfaces]
+            for name, surfaces in exact_surfaces(domain.solid).items()
+        }
+    return _merged(_faces(in_edges(domain)))
+
+
+def _merged(named: Iterable[tuple[str, Revolved]]) -> Surfaces:
+    result: Surfaces = {}
+    for name, surface in named:
+        result.setdefault(name, []).append(surface)
+    return result
+
+
+def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
+    """The name and surface of each face."""
+    if isinstance(domain, Outline):
+        yield from _swept(domain)
+    elif isinstance(domain, Box):
+        for name, (axis, end) in BOX_SIDES.items():
+            yield name, plane_through((domain.lower, domain.upper)[end], np.eye(3)[axis])
+    elif isinstance(domain, Cylinder):
+        top = np.array(domain.point) + domain.height * np.array(domain.axis)
+        yield "side", round_about(domain.point, domain.axis, domain.radius)
+        yield "bottom", plane_through(domain.point, domain.axis)
+        yield "top", plane_through(top, domain.axis)
+    elif isinstance(domain, Ball):
+        yield (
+            "surface",
+            Revolved(np.array(domain.centre), np.array(_AXIS), np.zeros(2), domain.radius, False),
+        )
+    elif isinstance(domain, Extrusion):
+        yield from _swept(domain.polygon)
+        yield "bottom", plane_through((0.0, 0.0, domain.base), _AXIS)
+        yield "top", plane_through((0.0, 0.0, domain.base + domain.height), _AXIS)
+    elif isinstance(domain, Revolution):
+        yield from _turned(domain)
+
+
+def _swept(outline: Outline) -> Iterator[tuple[str, Revolved]]:
+    """The edges of an outline, swept along z."""
+    for i, name in enumerate(outline.boundaries):
+        edge = outline.edge(i)
+        if isinstance(edge, Arc):
+            yield name, round_about((*edge.center, 0.0), _AXIS, edge.radius)
+        else:
+            yield name, plane_through((*edge.start, 0.0), (*_normal(edge), 0.0))
+
+
+def _normal(edge: Segment) -> np.ndarray:
+    along = edge.end - edge.start
+    return np.array([along[1], -along[0]]) / edge.length
+
+
+def _turned(domain: Revolution) -> Iterator[tuple[str, Revolved]]:
+    """The edges of a profile, turned about z."""
+    origin, axis = np.zeros(3), np.array(_AXIS)
+    for i, name in enumerate(domain.polygon.boundaries):
+        edge = domain.polygon.edge(i)
+        if isinstance(edge, Arc):
+            yield name, Revolved(origin, axis, np.array(edge.center), edge.radius, False)
+        else:
+            normal = _normal(edge)
+            yield name, Revolved(origin, axis, normal, float(normal @ edge.start), True)
+    for name, angle in (("start", 0.0), ("end", np.radians(domain.angle))):
+        yield name, plane_through(origin, (-np.sin(angle), np.cos(angle), 0.0))
