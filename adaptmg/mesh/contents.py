@@ -57,9 +57,9 @@ def mesh_of(
     split_bodies: bool,
     boundaries: Sequence[str] | None,
     body: str | None,
-) -> tuple[MeshArrays, np.ndarray]:
-    """Return the checked mesh, and the midpoints (n, dim), m, of boundary facets that no name of
-    the file holds."""
+) -> tuple[MeshArrays, np.ndarray, list[str]]:
+    """Return the checked mesh, the midpoints (n, dim), m, of boundary facets that no name of the
+    file holds, and what is to be said of facets that no element has."""
     _check(contents)
     points, elements, block, cell, notes = _cut(contents)
     points, table = unit * points, facet_table(elements, len(points))
@@ -74,8 +74,8 @@ def mesh_of(
     )
     parts = _pieces(len(elements), table, sets, contents.bodies)
     names, split_notes = _names(parts, sets, body or "body", split_bodies)
-    facets, label, named, overlaps = _labelled(
-        len(points), elements, table, parts, contents, boundaries
+    facets, label, named, overlaps, strange = _labelled(
+        len(points), elements, table, parts, contents, boundaries, split_bodies
     )
     for name in (*names, *(named[k - 1] for k in np.unique(label))):
         checks.boundary_name("the name of a boundary or body", name)
@@ -91,7 +91,7 @@ def mesh_of(
     else:
         mesh, *rest = _completed(points, elements, facets, label, [unnamed, *named], names, parts)
     object.__setattr__(mesh, "notes", tuple(notes + split_notes + contents.notes + overlaps))
-    return mesh, np.concatenate(rest)
+    return mesh, np.concatenate(rest), strange
 
 
 def _check(contents: Contents) -> None:
@@ -202,14 +202,16 @@ def _labelled(
     parts: np.ndarray,
     contents: Contents,
     boundaries: Sequence[str] | None,
-) -> tuple[np.ndarray, np.ndarray, list[str], list[str]]:
-    """The facets that have names, of the boundary and between bodies; their labels from 1 on;
-    names, and notes."""
+    split: bool,
+) -> tuple[np.ndarray, np.ndarray, list[str], list[str], list[str]]:
+    """The facets that have names, of the boundary and between bodies that are split; their labels
+    from 1 on; names, notes, and what is to be said of facets that no element has."""
     dim = table.facets.shape[1]
-    rim = (table.counts == 1) | (parts[table.first] != parts[table.second])
+    rim = (table.counts == 1) | (split & (parts[table.first] != parts[table.second]))
     keys, facets = table.keys[rim], table.facets[rim]
     facets_of: dict[str, np.ndarray] = {}
     notes: list[str] = []
+    strange: list[str] = []
     for name, members in contents.sets.items():
         faces = [
             (kind, nodes[rows])
@@ -218,17 +220,33 @@ def _labelled(
         ]
         if faces:
             own = np.concatenate([simplices(kind, nodes)[0] for kind, nodes in faces])
-            facets_of[name] = np.flatnonzero(np.isin(keys, facet_keys(own, n)))
+            own_keys = facet_keys(own, n)
+            facets_of[name] = np.flatnonzero(np.isin(keys, own_keys))
+            lost = np.count_nonzero(~np.isin(own_keys, table.keys))
+            if lost:
+                strange.append(
+                    f"{name!r}: {lost} of {len(own)} facets are facets of no element, and are dropped"
+                )
+            inner = np.count_nonzero(~np.isin(own_keys, keys)) - lost
+            if inner:
+                notes.append(
+                    f"{name!r}: {inner} of {len(own)} facets lie inside and are dropped; "
+                    "split_bodies=True makes boundaries of those between bodies"
+                )
     first = contents.surfaces.union(facets_of)
     between = _between(contents) if contents.node_sets else []
+    at_rim = np.zeros(n, dtype=bool)
+    at_rim[facets] = True
     for name, nodes in contents.node_sets.items():
         inside = np.zeros(n, dtype=bool)
         inside[nodes] = True
         for middle in between:
             # a set of corners means the middle nodes between them too
             inside[middle[inside[middle[:, 1:]].all(axis=1), 0]] = True
-        if boundaries is None and inside[elements].all():
-            notes.append(f"set of all nodes, which is not taken for a boundary: {name!r}")
+        if boundaries is None and _is_volume(inside, elements, at_rim, parts):
+            notes.append(
+                f"set of all nodes of elements, which is not taken for a boundary: {name!r}"
+            )
         else:
             facets_of.setdefault(name, np.flatnonzero(inside[facets].all(axis=1)))
     order = (
@@ -255,7 +273,23 @@ def _labelled(
         notes.append(
             f"sets that name no facet of the boundary, or only facets of other names: {_some(empty)}"
         )
-    return facets[label > 0], label[label > 0], names, notes
+    return facets[label > 0], label[label > 0], names, notes, strange
+
+
+def _is_volume(
+    inside: np.ndarray, elements: np.ndarray, at_rim: np.ndarray, parts: np.ndarray
+) -> bool:
+    """Whether a set of nodes is that of some elements, among them a whole piece of the mesh or one
+    with a node within."""
+    whole = inside[elements].all(axis=1)
+    # nodes of no element may be in it
+    covered = np.ones_like(inside)
+    covered[elements] = False
+    covered[elements[whole]] = True
+    if (inside & ~covered).any():
+        return False
+    pieces = np.bincount(parts, whole) == np.bincount(parts)
+    return bool(pieces.any() or not at_rim[elements[whole]].all())
 
 
 def _between(contents: Contents) -> list[np.ndarray]:

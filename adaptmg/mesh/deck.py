@@ -18,9 +18,10 @@ import numpy as np
 
 from adaptmg._files import file_size, read_bytes
 from adaptmg.mesh.contents import Contents
-from adaptmg.mesh.shapes import KINDS, dimension, facets_of, kind_of
+from adaptmg.mesh.shapes import KINDS, dimension, facets_of
 
-#: beginnings of the names of element types, and shapes by the number of nodes that follows
+#: beginnings of the names of element types, and kinds by the number of nodes that follows; of beams,
+#: and of shells and membranes of revolution, the order follows
 _TYPES = (
     (
         re.compile(r"(?:D|AC|Q)?C3D(\d+)"),
@@ -29,21 +30,25 @@ _TYPES = (
             5: "pyramid",
             6: "wedge",
             8: "hexahedron",
-            10: "tetra",
-            13: "pyramid",
-            15: "wedge",
-            20: "hexahedron",
-            27: "hexahedron",
+            10: "tetra10",
+            13: "pyramid13",
+            15: "wedge15",
+            20: "hexahedron20",
+            27: "hexahedron27",
         },
     ),
     (
         re.compile(r"(?:CPE|CPS|CPEG|CAX|CGAX|DC2D|DCAX|AC2D|ACAX|S|STRI|DS|M3D|SFM3D|R3D)(\d+)"),
-        {3: "triangle", 4: "quad", 6: "triangle", 65: "triangle", 8: "quad", 9: "quad"},
+        {3: "triangle", 4: "quad", 6: "triangle6", 65: "triangle6", 8: "quad8", 9: "quad9"},
     ),
-    (re.compile(r"(?:T2D|T3D|R2D|RAX)(\d)"), {2: "line", 3: "line"}),
+    (re.compile(r"(?:T2D|T3D|R2D|RAX)(\d)"), {2: "line", 3: "line3"}),
+    (re.compile(r"(?:B2|B3|SAX|MAX|MGAX|SFMAX|SFMGAX)(\d)"), {1: "line", 2: "line3"}),
 )
-#: Abaqus' 27-node brick has its centre before the centres of its faces, these in their own order
-_BRICK_27 = (*range(20), 26, 24, 25, 22, 21, 23, 20)
+#: where a deck counts other than VTK: the middle of a line comes between its ends, and the centre of
+#: a brick before those of its faces, which have their own order
+_ORDER = {"line3": (0, 2, 1), "hexahedron27": (*range(20), 26, 24, 25, 22, 21, 23, 20)}
+#: the comment that Gmsh writes before elements, which it calls after the entities of its geometry
+_OF_GMSH = "******* E L E M E N T S"
 _REFUSED = dict.fromkeys(
     ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"),
     "nodes and elements that the solver generates or moves are not read; write them out",
@@ -86,6 +91,10 @@ class _Block:
         return ([word.strip() for word in line.split(",")] for line in self.data)
 
 
+class _InLine(ValueError):
+    """What is wrong in a line of a deck or of a file that it includes."""
+
+
 class _Deck:
     """What was read of a deck so far. Names of sets are in capitals."""
 
@@ -104,33 +113,35 @@ class _Deck:
         self.not_read: dict[str, None] = {}
         self.spelling: dict[str, str] = {}
         self.material, self.interaction, self.files = "", "", 0
+        self.of_gmsh = False
 
-    def read_file(self, path: Path) -> None:
-        """Read a file and those that it includes."""
+    def read_file(self, path: Path, place: str = "") -> None:
+        """Read a file and those that it includes; ``place`` names it in messages."""
         self.files += 1
         if self.files > _MOST_FILES:
             raise ValueError(f"it includes more than {_MOST_FILES} files")
-        file_size("path", path)
+        file_size("INPUT", path)
         block = None
         for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
             line = line.strip()
             if not line or line.startswith("**"):
+                self.of_gmsh |= line.startswith(_OF_GMSH)
                 continue
             if line.startswith("*"):
-                self._read(block, path)
+                self._read(block, path, place)
                 block = _Block(" ".join(line[1:].split(",")[0].upper().split()), {}, number)
                 self._parameters(block, line.split(",")[1:])
                 unfinished = line.endswith(",")
             elif block is None:
-                raise ValueError(
-                    f"line {number}: data before the first keyword; a deck begins with a line *KEYWORD"
+                raise _InLine(
+                    f"{place}line {number}: data before the first keyword; a deck begins with a line *KEYWORD"
                 )
             elif unfinished and "=" in line and not block.data:
                 self._parameters(block, line.split(","))
                 unfinished = line.endswith(",")
             else:
                 block.data.append(line)
-        self._read(block, path)
+        self._read(block, path, place)
 
     def _parameters(self, block: _Block, words: list[str]) -> None:
         for word in filter(None, map(str.strip, words)):
@@ -139,7 +150,7 @@ class _Deck:
             block.parameters[key] = value if key == "INPUT" else value.upper()
             self.spelling.setdefault(value.upper(), value)
 
-    def _read(self, block: _Block | None, path: Path) -> None:
+    def _read(self, block: _Block | None, path: Path, place: str) -> None:
         if block is None:
             return
         try:
@@ -150,15 +161,16 @@ class _Deck:
             ):
                 raise ValueError(refusal)
             if block.keyword == "INCLUDE":
-                self.read_file(path.parent / block.parameters.get("INPUT", ""))
+                name = block.parameters.get("INPUT", "")
+                self.read_file(path.parent / name, f"in {name!r}, ")
             elif block.keyword in _NOT_READ:
                 self.not_read[f"*{block.keyword.capitalize()}"] = None
             elif reader := _READERS.get(block.keyword):
                 reader(self, block)
-        except (ValueError, OverflowError) as error:
-            if str(error).startswith("line "):
-                raise
-            raise ValueError(f"line {block.line}: *{block.keyword}: {error}") from error
+        except _InLine:
+            raise
+        except (ValueError, OverflowError, OSError) as error:
+            raise _InLine(f"{place}line {block.line}: *{block.keyword}: {error}") from error
 
     def _members(self, kind: str, word: str) -> np.ndarray:
         """The numbers that a word says: one, or those of a set."""
@@ -264,15 +276,27 @@ class _Deck:
     def _spelt(self, name: str) -> str:
         return self.spelling.get(name, name)
 
+    def _groups(self) -> dict[str, np.ndarray]:
+        """The elements of each set; of Gmsh's entities only those that have elements in no physical
+        group."""
+        groups = {name: np.concatenate(parts) for name, parts in self.sets["ELSET"].items()}
+        entities = {own for *_, own in self.elements if own} if self.of_gmsh else set()
+        physical = [members for name, members in groups.items() if name not in entities]
+        return {
+            name: members
+            for name, members in groups.items()
+            if name not in entities or not np.isin(members, np.concatenate([[], *physical])).all()
+        }
+
     def contents(self) -> Contents:
         """Return the elements that can be read, with all that sets and surfaces name of them."""
         # a node that comes again is moved
         numbers, last = np.unique(np.concatenate(self.numbers)[::-1], return_index=True)
         points = np.concatenate(self.points)[::-1][last]
         blocks = [
-            (_kind(kind), elements, _rows(nodes, numbers))
-            for kind, elements, nodes, _ in self.elements
-            if _kind(kind)
+            (_kind(name), elements, _rows(_kind(name), nodes, numbers))
+            for name, elements, nodes, _ in self.elements
+            if _kind(name)
         ]
         used, left = (
             sorted(
@@ -300,13 +324,14 @@ class _Deck:
             [(kind, nodes) for kind, _, nodes in blocks],
             notes=notes,
             surfaces=self.nodal,
-            bodies=[
-                self._spelt(name) for name in self.sections or [own for *_, own in self.elements]
-            ],
         )
-        for name, members in self.sets["ELSET"].items():
+        groups = self._groups()
+        if self.sections or not self.of_gmsh:
+            bodies = self.sections or [own for *_, own in self.elements]
+            contents.bodies = [self._spelt(name) for name in bodies]
+        for name, members in groups.items():
             contents.sets[self._spelt(name)] = [
-                (k, np.flatnonzero(np.isin(elements, np.concatenate(members))))
+                (k, np.flatnonzero(np.isin(elements, members)))
                 for k, (_, elements, _) in enumerate(blocks)
             ]
         for name, members in self.sets["NSET"].items():
@@ -361,19 +386,19 @@ def _counted(numbers: np.ndarray) -> np.ndarray:
 
 def _kind(name: str) -> str | None:
     """The kind of cell of an element type."""
-    for pattern, shapes in _TYPES:
-        if (match := pattern.match(name)) and int(match[1]) in shapes:
-            return kind_of(shapes[int(match[1])], {65: 6}.get(int(match[1]), int(match[1])))
+    for pattern, kinds in _TYPES:
+        if match := pattern.match(name):
+            return kinds.get(int(match[1]))
     return None
 
 
-def _rows(nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Rows of the numbers of nodes in a sorted table."""
+def _rows(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Rows of the nodes of elements in a sorted table of numbers, in the order of VTK."""
     row = np.minimum(np.searchsorted(numbers, nodes), max(len(numbers) - 1, 0))
     if nodes.size and (len(numbers) == 0 or (numbers[row] != nodes).any()):
         bad = nodes[numbers[row] != nodes][0] if len(numbers) else nodes.flat[0]
         raise ValueError(f"elements name nodes that it does not hold, such as {bad}")
-    return row[:, _BRICK_27] if row.shape[1] == 27 else row
+    return row[:, _ORDER[kind]] if kind in _ORDER else row
 
 
 def _faces(

@@ -234,7 +234,7 @@ def from_file(
                 normalised(unit * points, elements, facets, label, names, material, bodies)
             )
         contents = read_deck(path) if suffix == ".inp" else Contents(*_read("read_meshio", path))
-        mesh, rest = mesh_of(
+        mesh, rest, strange = mesh_of(
             contents,
             unit=unit,
             unnamed=unnamed or "free",
@@ -247,6 +247,8 @@ def from_file(
             suffix == ".msh" and isinstance(error, NetgenFails)
         )
         raise ValueError(f"{str(path)!r}: {shortened(printable(str(error)))}{remedy}") from error
+    for message in strange:
+        warnings.warn(f"{str(path)!r}: {message}", stacklevel=2)
     if len(rest) and unnamed is None:
         place = ", ".join(f"{c:.6g}" for c in rest[0])
         warnings.warn(

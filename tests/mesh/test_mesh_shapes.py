@@ -120,7 +120,7 @@ def test_cuts_fit_across_faces(kinds):
             {"top": np.flatnonzero(points[:, 2] == 2)},
         )
         # the mesh is checked: closed, no fold, nothing degenerate
-        mesh, rest = mesh_of(
+        mesh, rest, _ = mesh_of(
             contents, unit=1e-3, unnamed="free", split_bodies=False, boundaries=None, body=None
         )
         assert (
@@ -204,7 +204,7 @@ def test_twisted_elements_get_a_node_at_their_centre(kind):
     )
     for k in range(8):
         numbers = np.random.default_rng(k).permutation(len(points))
-        mesh, _ = mesh_of(
+        mesh, *_ = mesh_of(
             Contents(points[np.argsort(numbers)], [(kind, numbers[None])]),
             unit=1.0,
             unnamed="free",
@@ -302,7 +302,7 @@ def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
         "'sides': 2 of 5 facets belong to another name before it; boundaries= sets the order"
         in mesh.notes
     )
-    assert any("set of all nodes" in note and "whole" in note for note in mesh.notes)
+    assert any("set of all nodes of elements" in note and "whole" in note for note in mesh.notes)
     mesh = from_file(path, unnamed="free", boundaries=["sides", "Seat"])
     assert (
         set(mesh.boundaries) == {"sides", "Seat", "free"}
@@ -312,6 +312,77 @@ def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
     assert "top" in from_file(path, unnamed="free").boundaries
     with pytest.raises(ValueError, match="boundaries: it holds no 'side'; it holds"):
         from_file(path, boundaries=["side"])
+
+
+def second_order_deck(rng, lines="T3D3"):
+    """Two 8-node plates 2 x 1 side by side, as Gmsh writes a deck: blocks are called after entities,
+    physical groups are sets of elements and of nodes; turned, shifted, numbered at random."""
+    plate = element("quad8") * (2, 1)
+    corners, angle = np.concatenate([plate, np.add(plate, (2, 0))]), rng.uniform(0, 7)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    places, row = np.unique(corners, axis=0, return_inverse=True)
+    number = rng.permutation(np.arange(10, 10 + 3 * len(places)))[: len(places)]
+    cells = number[row.reshape(2, 8)]
+    x = places @ turn + rng.uniform(-9, 9, 2)
+
+    def block(kind, name, rows):
+        return [f"*ELEMENT, type={kind}, ELSET={name}", *(",".join(map(str, r)) for r in rows)]
+
+    # along a line its middle comes second
+    low, middle = [[k + 1, *cells[k, [0, 4, 1]]] for k in (0, 1)], [3, *cells[0, [1, 5, 2]]]
+    text = [
+        "*Heading",
+        " m.inp",
+        "*NODE",
+        *(f"{n}, {a}, {b}, 0" for n, (a, b) in zip(number, x, strict=True)),
+    ]
+    text += ["******* E L E M E N T S *************"]
+    text += (
+        block(lines, "Line1", low[:1])
+        + block(lines, "Line2", low[1:])
+        + block(lines, "Line3", [middle])
+    )
+    text += block("CPS8", "Surface1", [[4, *cells[0]]]) + block(
+        "CPS8", "Surface2", [[5, *cells[1]]]
+    )
+    for name, members in {"low": "1, 2", "mid": "3", "steel": "4", "brass": "5"}.items():
+        text += [f"*ELSET,ELSET={name}", members]
+    for name, rows in {"low": [0, 1, 4], "steel": range(8)}.items():
+        text += [f"*NSET,NSET=nodes of {name}", ", ".join(str(n) for n in cells[0, list(rows)])]
+    return "\n".join(text)
+
+
+@pytest.mark.parametrize("lines", ["T3D3", "SAX2", "B32"])
+def test_a_deck_of_gmsh_of_second_order_keeps_its_groups_and_whole_boundaries(tmp_path, lines):
+    path = tmp_path / "m.inp"
+    path.write_text(second_order_deck(np.random.default_rng(), lines))
+    mesh = from_file(path, unnamed="free")
+    assert mesh.bodies == ("steel", "brass") and mesh.volumes.sum() == pytest.approx(4)
+    lengths = {name: mesh.surface(name).measures.sum() for name in mesh.boundaries}
+    assert lengths == pytest.approx({"low": 4, "free": 6})
+    assert any("'mid': 2 of 2 facets lie inside and are dropped" in note for note in mesh.notes)
+    assert any("all nodes of elements" in note and "steel" in note for note in mesh.notes)
+    apart = from_file(path, unnamed="free", split_bodies=True)
+    assert apart.surface("steel.mid").measures.sum() == pytest.approx(1)
+    # what no element has is said aloud
+    path.write_text(
+        path.read_text().replace("ELSET=Line1\n1,", "ELSET=Line1\n1, 99999,", 1)
+        + "\n*NODE\n99999, 50, 50\n"
+    )
+    with pytest.warns(UserWarning, match=r"'low': 1 of 4 facets are facets of no element"):
+        from_file(path, unnamed="free")
+
+
+def test_an_included_file_is_named_with_its_line(tmp_path):
+    (tmp_path / "all.inp").write_text("*HEADING\n part\n*INCLUDE, INPUT=part/nodes.inp\n")
+    with pytest.raises(ValueError, match=r"all.inp': line 3: \*INCLUDE: .*no file .*nodes.inp"):
+        from_file(tmp_path / "all.inp")
+    (tmp_path / "part").mkdir()
+    (tmp_path / "part" / "nodes.inp").write_text("\n*NODE\n1, 0, zero\n")
+    with pytest.raises(
+        ValueError, match=r"all.inp': in 'part/nodes.inp', line 2: \*NODE: could not"
+    ):
+        from_file(tmp_path / "all.inp")
 
 
 def test_a_set_of_corners_holds_the_middle_nodes_between_them(tmp_path):
