@@ -49,6 +49,16 @@ class Contents:
     notes: list[str] = field(default_factory=list)
 
 
+def rows_of(nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Return the rows of some nodes in a sorted table of their numbers; ValueError if one is not in
+    it."""
+    rows = np.searchsorted(numbers, nodes)
+    known = np.append(numbers, -1)[rows] == nodes
+    if not known.all():
+        raise ValueError(f"elements name nodes that it does not hold, such as {nodes[~known][0]}")
+    return rows
+
+
 def mesh_of(
     contents: Contents,
     *,

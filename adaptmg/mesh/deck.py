@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptmg._files import file_size, read_bytes
-from adaptmg.mesh.contents import Contents
+from adaptmg.mesh.contents import Contents, rows_of
 from adaptmg.mesh.shapes import KINDS, dimension, facets_of
 
 #: beginnings of the names of element types, and kinds by the number of nodes that follows; of beams,
@@ -294,9 +294,9 @@ class _Deck:
         numbers, last = np.unique(np.concatenate(self.numbers)[::-1], return_index=True)
         points = np.concatenate(self.points)[::-1][last]
         blocks = [
-            (_kind(name), elements, _rows(_kind(name), nodes, numbers))
+            (kind, elements, rows_of(nodes, numbers)[:, _ORDER.get(kind, slice(None))])
             for name, elements, nodes, _ in self.elements
-            if _kind(name)
+            if (kind := _kind(name))
         ]
         used, left = (
             sorted(
@@ -390,15 +390,6 @@ def _kind(name: str) -> str | None:
         if match := pattern.match(name):
             return kinds.get(int(match[1]))
     return None
-
-
-def _rows(kind: str, nodes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Rows of the nodes of elements in a sorted table of numbers, in the order of VTK."""
-    row = np.minimum(np.searchsorted(numbers, nodes), max(len(numbers) - 1, 0))
-    if nodes.size and (len(numbers) == 0 or (numbers[row] != nodes).any()):
-        bad = nodes[numbers[row] != nodes][0] if len(numbers) else nodes.flat[0]
-        raise ValueError(f"elements name nodes that it does not hold, such as {bad}")
-    return row[:, _ORDER[kind]] if kind in _ORDER else row
 
 
 def _faces(

@@ -6,7 +6,9 @@ for the next request."""
 
 from __future__ import annotations
 
+import contextlib
 import gzip
+import io
 import math
 import os
 import pickle
@@ -509,21 +511,40 @@ MeshioTables = tuple[np.ndarray, list, dict, dict]
 
 def read_meshio(path: str) -> MeshioTables:
     """Return points, cells (kind, nodes), sets of cells (block, rows) and sets of nodes of a file
-    that meshio reads. Of Gmsh it reads no 13-node pyramids and 15-node wedges, of groups without
-    names that share a curve the first, and of a name for groups of two dimensions the last."""
+    that meshio reads. Of Gmsh it reads of groups without names that share a curve the first, and of
+    a name for groups of two dimensions the last."""
     import meshio
 
+    # its readers know these kinds, and make meshes of them fail: its table of dimensions lacks them
+    sys.modules[meshio.Mesh.__module__].topological_dimension.update(wedge15=3, pyramid13=3)
+    with open(path, "rb") as file:
+        begins = file.readline(60).decode("latin-1").strip()
+    printed = io.StringIO()
     try:
-        raw = meshio.read(path)
-    except (SystemExit, meshio.ReadError, KeyError) as error:
-        # meshio ends the process where readers fail; a key is a kind of cell
-        raise ValueError(f"meshio does not read it ({error})") from None
+        with contextlib.redirect_stdout(printed):
+            raw = meshio.read(path)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"{error.name} reads it: pip install 'adaptmg[formats]'") from None
+    except KeyError as error:
+        raise ValueError(f"meshio does not know its {error}") from None
+    except (SystemExit, meshio.ReadError) as error:
+        # meshio prints what its readers of the suffix say, and ends the process
+        cause = "it has no reader for the suffix"
+        if isinstance(error, SystemExit):
+            cause = printed.getvalue().strip() or "it is not what the suffix says"
+        raise ValueError(f"meshio does not read it ({cause}); it begins with {begins!r}") from None
     of_gmsh = "gmsh:geometrical" in raw.cell_data
     sets = {
         name: [(k, rows) for k, rows in enumerate(members) if rows is not None and len(rows)]
         for name, members in raw.cell_sets.items()
         if not name.startswith("gmsh:")
     }
+    node_sets = {name: np.asarray(rows) for name, rows in raw.point_sets.items()}
+    if hasattr(raw, "cell_tags"):
+        # of MED: the names of groups by numbers of families
+        sets = _groups(raw.cell_tags, raw.cell_data.get("cell_tags", []))
+        nodes = _groups(raw.point_tags, [raw.point_data.get("point_tags", np.empty(0))])
+        node_sets = {name: np.concatenate([r for _, r in own]) for name, own in nodes.items()}
     if of_gmsh or not sets:
         # groups whose numbers are negative, of curves that run the other way, are not in the sets
         numbered = _numbered(raw)
@@ -535,7 +556,19 @@ def read_meshio(path: str) -> MeshioTables:
         cells = [
             (kind, nodes[:, _ORDER[kind]] if kind in _ORDER else nodes) for kind, nodes in cells
         ]
-    return points, cells, sets, {name: np.asarray(rows) for name, rows in raw.point_sets.items()}
+    return points, cells, sets, node_sets
+
+
+def _groups(
+    names: Mapping[int, Sequence[str]], numbers: Sequence[np.ndarray]
+) -> dict[str, list[tuple[int, np.ndarray]]]:
+    """Blocks and rows of each group, from the groups of a family and the families of rows."""
+    groups: dict[str, list[tuple[int, np.ndarray]]] = {}
+    for family, own in names.items():
+        for name in own:
+            rows = [(k, np.flatnonzero(part == family)) for k, part in enumerate(numbers)]
+            groups.setdefault(name, []).extend(rows)
+    return groups
 
 
 def _numbered(raw: meshio.Mesh) -> dict[str, list[tuple[int, np.ndarray]]]:

@@ -1,9 +1,10 @@
 """Meshes from files and from NGSolve: ``from_file``, ``from_ngsolve``, ``as_mesh``.
 
-Decks of Abaqus and CalculiX are read by :mod:`adaptmg.mesh.deck`, as meshio loses their surfaces
-and sections. Netgen reads its own files (.vol, .vol.gz), and meshio all others, both in the process
-of :mod:`adaptmg.mesh.netgen_guard` with limits of time and memory: damaged numbers may lead a
-reader anywhere. What comes back is checked like every other mesh."""
+Decks of Abaqus and CalculiX are read by :mod:`adaptmg.mesh.deck`, files of Kratos by
+:mod:`adaptmg.mesh.kratos`: meshio loses their surfaces, sections and parts. Netgen reads its own
+files (.vol, .vol.gz), and meshio all others, both in the process of
+:mod:`adaptmg.mesh.netgen_guard` with limits of time and memory: damaged numbers may lead a reader
+anywhere. What comes back is checked like every other mesh."""
 
 from __future__ import annotations
 
@@ -21,6 +22,7 @@ from adaptmg._text import printable, shortened
 from adaptmg.mesh.arrays import MeshArrays, normalised
 from adaptmg.mesh.contents import Contents, mesh_of
 from adaptmg.mesh.deck import read_deck
+from adaptmg.mesh.kratos import read_mdpa
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen, read_s
 from adaptmg.mesh.soundness import check_stranger
 
@@ -161,9 +163,10 @@ def from_file(
     Parameters
     ----------
     path : str or Path
-        ``.msh`` of Gmsh (MSH 2 and 4.1), ``.inp`` of Abaqus or CalculiX, ``.vol`` or ``.vol.gz`` of
-        Netgen, or another file that meshio reads (``.vtk``, ``.vtu``, ``.bdf``, ``.mdpa``, ...; of
-        these, sets of cells and nodes).
+        ``.msh`` of Gmsh (MSH 2 and 4.1), ``.inp`` of Abaqus or CalculiX, ``.mdpa`` of Kratos,
+        ``.vol`` or ``.vol.gz`` of Netgen, or another file that meshio reads (``.vtk``, ``.vtu``,
+        ``.bdf``, ``.med``, ...; of these, sets of cells and nodes). Files of MED and XDMF need
+        h5py, those of Exodus netCDF4: ``pip install 'adaptmg[formats]'``.
     unit : float
         Length in m of one unit of the coordinates: 1e-3 for mm.
     unnamed : str, optional
@@ -233,7 +236,10 @@ def from_file(
             return check_stranger(
                 normalised(unit * points, elements, facets, label, names, material, bodies)
             )
-        contents = read_deck(path) if suffix == ".inp" else Contents(*_read("read_meshio", path))
+        if reader := {".inp": read_deck, ".mdpa": read_mdpa}.get(suffix):
+            contents = reader(path)
+        else:
+            contents = Contents(*_read("read_meshio", path))
         mesh, rest, strange = mesh_of(
             contents,
             unit=unit,
@@ -243,8 +249,10 @@ def from_file(
             body=body,
         )
     except (ValueError, OverflowError) as error:
-        remedy = "; write it as MSH 2.2 (gmsh -format msh22)" * (
-            suffix == ".msh" and isinstance(error, NetgenFails)
+        remedy = (
+            f"; write it as MSH 2.2 (gmsh old{suffix} -save -format msh22 -o new.msh)"
+            if isinstance(error, NetgenFails) and suffix not in (".vol", ".gz")
+            else ""
         )
         raise ValueError(f"{str(path)!r}: {shortened(printable(str(error)))}{remedy}") from error
     for message in strange:

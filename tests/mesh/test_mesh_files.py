@@ -2,6 +2,7 @@
 with the name."""
 
 import gzip
+import importlib.util
 import re
 import sys
 from pathlib import Path
@@ -130,6 +131,60 @@ def test_what_gmsh_files_must_hold(tmp_path):
         meshio.write(path, meshio.Mesh(corners, [(kind, np.array(nodes))]), "gmsh22")
         with pytest.raises(ValueError, match=f"m.msh.*{message}"):
             from_file(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.msh", "$NOD\n1\n1 0 0 0\n$ENDNOD\n", r"it begins with '\$NOD'; write it as MSH 2.2"),
+        ("a.msh", "MESH dimension 2 ElemType Triangle Nnode 3\n", "begins with 'MESH dimension 2"),
+        ("a.mesh", "MFEM mesh v1.0\n\ndimension\n2\n", "begins with 'MFEM mesh v1.0'"),
+        ("a.bdf", "GRID,1,,0.,0.,0.\n", "BEGIN BULK"),
+        (
+            "a.unv",
+            "    -1\n  2411\n",
+            r"no reader for the suffix.*gmsh old.unv -save -format msh22",
+        ),
+    ],
+)
+def test_why_a_file_is_not_read(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=f"{name}': .*{message}"):
+        from_file(tmp_path / name)
+
+
+def test_files_that_need_another_package_name_it(tmp_path):
+    (tmp_path / "a.exo").write_bytes(b"CDF\x01")
+    if importlib.util.find_spec("netCDF4") is None:
+        with pytest.raises(ValueError, match=r"netCDF4 reads it: pip install 'adaptmg\[formats\]'"):
+            from_file(tmp_path / "a.exo")
+    else:
+        with pytest.raises(ValueError, match=r"a\.exo"):
+            from_file(tmp_path / "a.exo")
+
+
+def test_groups_of_med_name_boundaries_and_bodies(tmp_path):
+    pytest.importorskip("h5py")
+    square = structured(Rectangle(width=2, height=1), 2)
+    lines = [square.boundary_facets(name) for name in ("bottom", "right", "top")]
+    mesh = meshio.Mesh(
+        square.points, [("line", np.concatenate(lines)), ("triangle", square.elements)]
+    )
+    # families of the facets on "low", on "low" and "held", and on neither
+    mesh.cell_data["cell_tags"] = [
+        np.repeat([-1, -2, 0], list(map(len, lines))),
+        np.full(len(square.elements), -3),
+    ]
+    mesh.cell_tags = {-1: ["low"], -2: ["low", "held"], -3: ["plate"]}
+    mesh.point_data["point_tags"] = np.where(square.points[:, 0] == 0, 4, 0)
+    mesh.point_tags = {4: ["nodes at left"]}
+    meshio.write(tmp_path / "m.med", mesh)
+    read = from_file(
+        tmp_path / "m.med", unnamed="free", boundaries=["held", "low", "nodes at left"]
+    )
+    lengths = {name: read.surface(name).measures.sum() for name in read.boundaries}
+    assert lengths == pytest.approx({"held": 1, "low": 2, "nodes at left": 1, "free": 2})
+    assert read.bodies == ("plate",)
 
 
 CUBES = Assembly(

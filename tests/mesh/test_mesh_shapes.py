@@ -145,6 +145,8 @@ GMSH = {
     ),
     13: ("wedge", "01 02 03 12 14 25 34 35 45 0143 0352 1254"),
     14: ("pyramid", "01 03 04 12 14 23 24 34 0321"),
+    18: ("wedge", "01 02 03 12 14 25 34 35 45"),
+    19: ("pyramid", "01 03 04 12 14 23 24 34"),
 }
 
 
@@ -166,6 +168,64 @@ def test_gmsh_counts_nodes_of_second_order_in_its_own_way(tmp_path, number):
         and mesh.volumes.sum() == pytest.approx(SIZES[shape])
     )
     assert f"1 {len(points)}-node" in mesh.notes[0]
+
+
+#: types of Kratos, and the corners whose middles and centres follow in its order
+KRATOS = {
+    "Conditions LineLoadCondition2D3N": ("line", "01"),
+    "Elements SmallDisplacementElement2D8N": ("quad", "01 12 23 30"),
+    "Geometries Tetrahedra3D10": ("tetra", "01 12 20 03 13 23"),
+    "Elements TotalLagrangianElement3D13N": ("pyramid", "01 12 23 30 04 14 24 34"),
+    "Elements SmallDisplacementElement3D15N": ("wedge", "01 12 20 03 14 25 34 45 53"),
+    "Elements SmallDisplacementElement3D20N": (
+        "hexahedron",
+        "01 12 23 30 04 15 26 37 45 56 67 74",
+    ),
+    "Geometries Hexahedra3D27": (
+        "hexahedron",
+        "01 12 23 30 04 15 26 37 45 56 67 74 0123 0154 1265 2376 3047 4567 01234567",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", [name for name, (shape, _) in KRATOS.items() if shape != "line"])
+def test_kratos_counts_nodes_in_its_own_way_and_names_parts(tmp_path, name):
+    rng, (shape, between) = np.random.default_rng(), KRATOS[name]
+    corners = np.array(CORNERS[shape], dtype=float)
+    points = [*corners, *(corners[list(map(int, ends))].mean(axis=0) for ends in between.split())]
+    points = np.pad(points, ((0, 0), (0, 3 - len(corners[0]))))
+    low = np.flatnonzero(points[:, points.any(axis=0)][:, -1] == 0)
+    number = rng.permutation(np.arange(1, 3 * len(points)))[: len(points)]
+    order = rng.permutation(len(points))
+    keyword = name.split()[0]
+
+    def block(name, rows):
+        return [f"Begin {name} // a comment", *rows, f"End {name.split()[0]}"]
+
+    rows = [f"{number[k]} {' '.join(map(str, points[k]))}" for k in order]
+    text = ["Begin Properties 0", "End Properties", *block("Nodes", rows)]
+    nodes = " ".join(map(str, number))
+    text += block(name, [f"7 {'' if keyword == 'Geometries' else 0} {nodes}"])
+    if shape == "quad":
+        line = [f"7 0 {' '.join(map(str, number[[0, 1, 4]]))}"]
+        text += block("Conditions LineLoadCondition2D3N", line)
+    inner = block("SubModelPartNodes", map(str, number[low]))
+    text += ["Begin SubModelPart Part // first", *block("SubModelPartNodes", map(str, number))]
+    text += [*block(f"SubModelPart{keyword}", ["7"]), *block("SubModelPart Low", inner)]
+    text += ["End SubModelPart", "Begin SubModelPart Load"]
+    text += [*block("SubModelPartConditions", ["7"] * (shape == "quad")), "End SubModelPart"]
+    (tmp_path / "m.mdpa").write_text("\n".join(text))
+    mesh = from_file(tmp_path / "m.mdpa", unnamed="free")
+    assert mesh.n_nodes == len(points) and mesh.bodies == ("Part",)
+    assert mesh.volumes.sum() == pytest.approx(SIZES[shape])
+    face = "Load" if shape == "quad" else "Part_Low"
+    assert mesh.surface(face).measures.sum() == pytest.approx(
+        0.5 if len(corners[0]) == 3 and shape in ("tetra", "wedge") else 1
+    )
+    text[-len(text) :] = [row.replace(f" {number[-1]}", " 999") for row in text]
+    (tmp_path / "m.mdpa").write_text("\n".join(text))
+    with pytest.raises(ValueError, match=r"m.mdpa': .*nodes that it does not hold, such as 999"):
+        from_file(tmp_path / "m.mdpa")
 
 
 def test_diagonals_without_neighbours_are_the_shorter_ones():
