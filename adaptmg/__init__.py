@@ -29,14 +29,19 @@ Sweep       Study; designs and tables in study
 """
 
 import functools
-import time
+import os
 from typing import Any
 
 import lazy_loader
 
 __version__ = "0.1.0"
-#: sources that were edited later are not those that run
-_LOADED = time.time()
+#: times of the sources when they were loaded: files of other times are not those that run
+_LOADED = {
+    os.path.join(folder, name): os.stat(os.path.join(folder, name)).st_mtime_ns
+    for folder, _, names in os.walk(os.path.dirname(__file__))
+    for name in names
+    if name.endswith(".py")
+}
 
 # the names stand in __init__.pyi; not __all__, with which help(adaptmg) would show each class at
 # length

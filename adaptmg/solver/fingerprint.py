@@ -37,6 +37,7 @@ from types import (
     MappingProxyType,
     MemberDescriptorType,
     ModuleType,
+    WrapperDescriptorType,
 )
 
 import numpy as np
@@ -103,6 +104,8 @@ _STANDS: dict[type, tuple[str, ...]] = {
     functools._lru_cache_wrapper: ("__wrapped__",),
     MemberDescriptorType: ("__name__",),
 }
+#: the generator of numpy's functions and, unless it is given another, of scipy's distributions
+_NUMPYS_OWN = np.random.rand.__self__
 _BASES = (dict, list, tuple, set, frozenset, str, bytes, bytearray, int, float, complex)
 
 
@@ -232,7 +235,7 @@ class _Parts:
             if isinstance(thing, ModuleType)
             else f"{self._home(module)}.{thing.__name__ if isinstance(thing, type) else thing.__qualname__}"
         )
-        if not self.is_own(module) and not follow:
+        if not self.is_own(module, thing) and not follow:
             return f"installed {name}"
         # closures and classes of one name get numbers; the list keeps them alive, and so their id
         same = self._found.setdefault(name, [])
@@ -245,13 +248,13 @@ class _Parts:
     def _home(self, module: str) -> str:
         return self._main if module in _MAIN else module
 
-    def is_own(self, module: str) -> bool:
-        """Return whether a module is the user's, and not compiled; of others the version or content
-        becomes a part."""
+    def is_own(self, module: str, thing: object = None) -> bool:
+        """Return whether a module, and a class in it, is the user's, and not compiled; of others
+        the version or content becomes a part."""
         if version := _installed(module):
             top = module.split(".")[0]
             self._parts[top if top == "adaptmg" else f"package {top}"] = version
-        return version is None
+        return version is None and not _is_compiled(thing)
 
     def _hash(self, value: object, files: bool = False) -> str:
         return hashlib.sha256(_pickled(value, self, files)).hexdigest()[:16]
@@ -340,17 +343,21 @@ class _Pickler(pickle.Pickler):
             inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType
         ):
             return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
-        if isinstance(value, _REFUSED):
+        if value is _NUMPYS_OWN:  # state of a library, as that of numpy.random.rand()
+            return "numpy.random"
+        if isinstance(value, _REFUSED) or isinstance(getattr(value, "__self__", None), _REFUSED):
             raise pickle.PicklingError(
                 "runs share its state, or it has an address alone; random numbers come from a "
                 "seed that is a parameter"
             )
         if self.files and isinstance(value, Path):
             return "file", _content(value)
+        if (module, kind.__name__) == ("netgen.libngpy._meshing", "Mesh"):
+            raise pickle.PicklingError("the pickle of a mesh of Netgen differs in each process")
         caches = any(
             type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
         )
-        if not found.is_own(module) and not (caches and kind.__reduce__ is object.__reduce__):
+        if not found.is_own(module, kind) and not (caches and kind.__reduce__ is object.__reduce__):
             return None
         if id(value) in self.held:
             return "again", self.held[id(value)][0]
@@ -443,6 +450,15 @@ def _reads(
     return list(dict.fromkeys(chains)), imports
 
 
+def _is_compiled(thing: object) -> bool:
+    """Return whether a class comes from compiled code: only there a class has wrappers of its own
+    slots. Cython and pybind11 share classes in modules that are no files."""
+    return isinstance(thing, type) and any(
+        isinstance(part, WrapperDescriptorType) and part.__objclass__ is thing
+        for part in vars(thing).values()
+    )
+
+
 @cache
 def _installed(module: str) -> str | None:
     """Return the version of an installed module, the hash of a compiled one, "" of Python's, None
@@ -455,8 +471,9 @@ def _installed(module: str) -> str | None:
         Exception
     ):  # made by hand, or sent to a worker that lacks it; or its package cannot be imported
         spec = None
-    if spec is None:
-        return None
+    if spec is None:  # compiled packages make modules that are no files
+        above = module.rpartition(".")[0]
+        return _installed(above) if above else None
     place = Path(spec.origin or next(iter(spec.submodule_search_locations or ()), ""))
     if {"site-packages", "dist-packages"} & set(place.parts):
         return _version(top)
@@ -490,9 +507,10 @@ def _sources() -> str:
     their import."""
     here, content = Path(__file__), hashlib.sha256()
     root = here.parents[1]
-    for file in sorted(root.rglob("*.py")):
+    for name, loaded in sorted(sys.modules["adaptmg"]._LOADED.items()):
+        file = Path(name)
         if file != here and file.relative_to(root).parts[0] not in _NOT_NUMERICAL:
-            if file.stat().st_mtime > sys.modules["adaptmg"]._LOADED:
+            if not file.exists() or file.stat().st_mtime_ns != loaded:
                 raise RuntimeError(
                     f"{file} was edited after adaptmg was loaded: start Python again"
                 )

@@ -1,6 +1,9 @@
 """What a run depends on: everything that changes its results, and nothing that does not."""
 
 import importlib
+import os
+import re
+import shutil
 import subprocess
 import sys
 import threading
@@ -71,15 +74,28 @@ def test_adaptmg_and_packages_count_where_they_are_used():
     )
 
 
-def test_sources_edited_after_they_were_loaded_are_refused(monkeypatch):
-    from adaptmg.solver.fingerprint import _sources
-
-    assert _sources.__wrapped__() == _sources()
-    monkeypatch.setattr(am, "_LOADED", 0.0)
-    with pytest.raises(
-        RuntimeError, match=r"\.py was edited after adaptmg was loaded: start Python again"
-    ):
-        _sources.__wrapped__()
+def test_sources_edited_after_they_were_loaded_are_refused(tmp_path):
+    """By their times alone, whatever the clock says: a copy whose files are dated in the future
+    runs."""
+    package = tmp_path / "adaptmg"
+    shutil.copytree(Path(am.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    source = package / "hierarchy.py"
+    os.utime(source, (4e9, 4e9))
+    run = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import os, adaptmg as am; am.Study(lambda n: {'m': len(am.cases.__name__)}, {'n': [1]})\n"
+            "print('sound'); os.utime(os.path.join(am.__path__[0], 'hierarchy.py'), (5e9, 5e9))\n"
+            "from adaptmg.solver.fingerprint import _sources\n_sources.cache_clear(); _sources()",
+        ],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert run.stdout == "sound\n"
+    assert "hierarchy.py was edited after adaptmg was loaded: start Python again" in run.stderr
 
 
 class Locked:
@@ -102,6 +118,80 @@ def test_what_is_named_for_an_attribute_replaces_it_alone(monkeypatch):
     assert fingerprint(uses_locked, {"lock": None}).differences(before.parts) == [
         "value of test_fingerprint.FACTOR is changed"
     ]
+
+
+#: names that scripts have at their top, and what they make there
+OF_LIBRARIES = {
+    "pandas": "from pandas import DataFrame, Categorical, Timestamp\nframe = DataFrame({'a': [1, 2], 'b': ['x', 'y']})\n"
+    "day = Timestamp('2020-01-01')\nkinds = Categorical(['a', 'b'])",
+    "numpy": "from numpy.random import default_rng, RandomState\nfrom numpy import sin, linalg",
+    "scipy": "from scipy.stats import norm, qmc\nfrom scipy.spatial import cKDTree\nfrozen = norm(0, 1)\n"
+    "tree = cKDTree([[0.0], [1.0]])",
+    "ngsolve": "from ngsolve import Mesh, H1, x, CoefficientFunction\nfrom netgen.geom2d import unit_square\n"
+    "from netgen.meshing import Element2D\nfield = x * x",
+}
+
+
+@pytest.mark.parametrize("library", OF_LIBRARIES)
+def test_globals_of_libraries_count_by_the_version(tmp_path, library):
+    """And are the same in another process with other hashes."""
+    names = [
+        name
+        for line in OF_LIBRARIES[library].splitlines()
+        for name in (line.split(" import ")[1:] or [line.split(" = ")[0]])
+    ]
+    script = (
+        f"{OF_LIBRARIES[library]}\ndef run(n):\n    used = [{', '.join(names)}]\n    return {{'m': n + len(used)}}\n"
+        "if __name__ == '__main__':\n    import adaptmg as am, sys\n"
+        "    study = am.Study(run, {'n': [1]}, sys.argv[1])\n"
+        "    print(study.status().total, *study.table()['status'], *study.run(progress=False)['status'])\n"
+        "    from adaptmg.solver.fingerprint import fingerprint\n    print(*fingerprint(run).parts, sep='\\n')\n"
+    )
+    (tmp_path / "script.py").write_text(script, encoding="utf-8")
+    for before, seed in (("missing", "1"), ("done", "2")):
+        run = subprocess.run(
+            [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "s.sqlite")],
+            env=os.environ | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        first, *parts = run.stdout.splitlines()
+        assert first == f"1 {before} done" and f"package {library}" in parts
+    assert not [part for part in parts if part.startswith("class ")]
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        "threading.Lock()",
+        "np.random.default_rng(1)",
+        "np.random.RandomState(1)",
+        "np.random.rand",
+        "np.random.default_rng(1).normal",
+        "scipy.linalg.lapack.dgetrf",
+        "ngsolve.Mesh(netgen.geom2d.unit_square.GenerateMesh(maxh=0.5))",
+        "(i for i in range(3))",
+        "{'deep': [Holder(threading.Lock())]}",
+    ],
+)
+def test_the_remedy_for_what_is_refused_works(made):
+    namespace = {"__name__": "__main__", "Holder": Holder}
+    exec(
+        "import threading, scipy.linalg, ngsolve, netgen.geom2d\nimport numpy as np\n"
+        f"given = {made}\ndef run(n):\n    return {{'m': n * (given is not None)}}",
+        namespace,
+    )
+    with pytest.raises(TypeError, match=r"depends=\{'\w+': \.\.\.\}") as refused:
+        Study(namespace["run"], {"n": [1]})
+    name = re.search(r"depends=\{'(\w+)'", str(refused.value))[1]
+    study = Study(namespace["run"], {"n": [1]}, depends={name: "a text"})
+    assert study.run(progress=False)["m"].tolist() == [1]
+
+
+class Holder:
+    def __init__(self, held):
+        self.held = held
 
 
 def test_contents_of_files_count_wherever_depends_names_them(tmp_path):
