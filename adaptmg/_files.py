@@ -2,7 +2,8 @@
 
 What is written is either complete or not there. The content goes into a temporary file next to the
 target, is synchronised with the disk, and then takes the target's name. A process that is killed
-meanwhile leaves at most ``.adaptmg-TOKEN.part``. What is read is a regular file of a bounded size,
+meanwhile leaves at most ``.adaptmg-PROCESS-TOKEN.part``, which the next process that writes there
+removes. What is read is a regular file of a bounded size,
 never a pipe or a device."""
 
 from __future__ import annotations
@@ -10,13 +11,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import secrets
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
+from adaptmg._machine import has_ended, process_name
 from adaptmg._text import printable
 
 #: bytes of a file that is read, unless a smaller limit is given
@@ -105,15 +110,37 @@ def make_folder(name: str, path: Path) -> None:
 def waiting_folder(folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
     """A folder inside another one, by default that of temporary files, for files that are put in
     place together; it is removed in the end."""
+    _remove_left(Path(folder or tempfile.gettempdir()))
     with tempfile.TemporaryDirectory(
-        ".part", ".adaptmg-", folder, ignore_cleanup_errors=True
+        ".part", f"{_begin()}-", folder, ignore_cleanup_errors=True
     ) as waiting:
         yield Path(waiting)
 
 
+def _begin() -> str:
+    """Return what the names of temporary files of this process begin with."""
+    return f".adaptmg-{process_name(os.getpid())}"
+
+
+@cache
+def _remove_left(folder: Path) -> None:
+    """Remove, once in a process, the temporary files that processes left in a folder when they were
+    killed."""
+    for part in folder.glob(".adaptmg-*.part"):
+        writer = re.fullmatch(r"\.adaptmg-(.*)-\w+\.part", part.name)
+        if writer is None or not has_ended(writer[1]):
+            continue
+        if part.is_dir():
+            shutil.rmtree(part, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):
+                part.unlink()
+
+
 def _replace(target: Path, content: bytes, status: os.stat_result | None) -> None:
     """Write a temporary file and give it the target's name."""
-    part = target.with_name(f".adaptmg-{secrets.token_hex(8)}.part")
+    _remove_left(target.parent)
+    part = target.with_name(f"{_begin()}-{secrets.token_hex(8)}.part")
     try:
         with part.open("xb") as file:
             file.write(content)

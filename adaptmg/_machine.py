@@ -3,7 +3,10 @@ fallback."""
 
 from __future__ import annotations
 
+import hashlib
+import os
 import platform
+import re
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -24,6 +27,33 @@ def processor() -> str:
             line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
         )
     return platform.processor() or platform.machine()
+
+
+def process_name(process: int) -> str:
+    """Return a name of a process that no other process has, of any machine, before or after; "" if
+    there is none of this number. It has nothing of a clock that is set, as psutil's times do."""
+    place, start = platform.node(), None
+    with suppress(OSError):  # containers number their processes anew
+        place += os.readlink("/proc/self/ns/pid")
+    with suppress(OSError, ValueError):
+        status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
+        state, *fields = status.rpartition(")")[2].split()
+        start = None if state in "ZX" else int(fields[18])  # ticks from the start of the system
+    if start is None and not Path("/proc/self/stat").exists():
+        import psutil
+
+        with suppress(psutil.Error):
+            start = round(psutil.Process(process).create_time())
+    machine = hashlib.sha256(place.encode("utf-8", "replace")).hexdigest()[:12]
+    return "" if start is None else f"{machine}-{process}-{start}"
+
+
+def has_ended(name: str) -> bool:
+    """Return whether a process of this name has ended; False for those of other machines, of which
+    that is not seen."""
+    parts = re.fullmatch(r"(\w+)-(\d{1,18})-\d+", name)
+    ours = process_name(os.getpid()).partition("-")[0]
+    return parts is not None and parts[1] == ours and process_name(int(parts[2])) != name
 
 
 def reset_peak_memory() -> None:

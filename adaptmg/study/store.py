@@ -6,16 +6,19 @@ network file systems of clusters.) Several processes may write to one store.
 
 Table ``runs`` has a row a run: its parameters (the text that identifies it) and a :class:`Record`
 as JSON. ``kept`` has results that are not numbers or texts: arrays, meshes, solutions and figures,
-packed into bytes where the run function runs; nothing is pickled. ``origins`` has the parts of each
-fingerprint, so that a study can say why a row is stale. ``claims`` has the runs that are being
-computed, each with the process that does."""
+packed into bytes where the run function runs; nothing is pickled. Both have a hash of each row, as
+SQLite has none: a row that the disk has changed is stale, and what is kept is refused. ``origins``
+has the parts of each fingerprint, so that a study can say why a row is stale. ``claims`` has the
+runs that are being computed, each with the process that does and a number that this process
+increases while it lives: whether it does is seen without comparing clocks."""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import io
 import json
 import os
-import platform
 import sqlite3
 import sys
 import threading
@@ -32,6 +35,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, waiting_folder
+from adaptmg._machine import has_ended, process_name
 from adaptmg._text import printable
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.study.designs import Scalar, Value, canonical
@@ -135,16 +139,20 @@ def unpack(packed: Packed) -> Kept:
         return read(folder / "kept.npz", (MeshArrays,) if packed.kind == "mesh" else KINDS).value
 
 
-_FORMAT = 3
+_FORMAT = 4
 _TABLES = {
-    "runs": "CREATE TABLE runs (study TEXT, parameters TEXT, record TEXT, PRIMARY KEY (study, parameters))",
-    "kept": "CREATE TABLE kept (study TEXT, parameters TEXT, name TEXT, kind TEXT, content BLOB, "
+    "runs": "CREATE TABLE runs (study TEXT, parameters TEXT, record TEXT, hash BLOB, PRIMARY KEY (study, parameters))",
+    "kept": "CREATE TABLE kept (study TEXT, parameters TEXT, name TEXT, kind TEXT, content BLOB, hash BLOB, "
     "PRIMARY KEY (study, parameters, name))",
     "origins": "CREATE TABLE origins (code TEXT PRIMARY KEY, parts TEXT)",
-    "claims": "CREATE TABLE claims (study TEXT, parameters TEXT, owner TEXT, PRIMARY KEY (study, parameters))",
+    "claims": "CREATE TABLE claims (study TEXT, parameters TEXT, owner TEXT, renewals INTEGER, "
+    "PRIMARY KEY (study, parameters))",
 }
-#: seconds after which the claim of a process on another machine, which may have died, is taken over
-_LEASE_S = 86400.0
+#: seconds between two renewals of a claim, and those without one after which it is taken over from
+#: a process of which is not seen whether it has ended: a function that holds Python's lock, such as
+#: scipy's factorisations, keeps renewals back for minutes. A claim that is taken over too early
+#: costs a run that is computed twice.
+_RENEWAL_S, _LEASE_S = 30.0, 900.0
 #: seconds to wait for another process that writes
 _PATIENCE_S = 60.0
 #: remedies by a part of SQLite's message
@@ -169,6 +177,8 @@ class Store:
             "the store in memory" if self.path is None else printable(os.fspath(self.path))
         )
         self._lock = threading.RLock()
+        # claims of others: owner, renewals, and when these were seen first
+        self._seen: dict[tuple[str, str], tuple[str, int, float]] = {}
         if self.path is not None:
             make_folder("store", self.path.parent)
             if self.path.exists() and not self.path.is_file():
@@ -276,6 +286,11 @@ class Store:
     ) -> None:
         keys = [(study, canonical(record.parameters)) for record in records]
         rows = [json.dumps({name: getattr(record, name) for name in _FIELDS}) for record in records]
+        kept_rows = [
+            (*key, name, one.kind, one.content, _hash(*key, name, one.kind, one.content))
+            for key, packed in zip(keys, kept, strict=bool(kept))
+            for name, one in packed.items()
+        ]
         with self._explained():
             self._check_there()
             with self._transaction() as connection:
@@ -284,17 +299,10 @@ class Store:
                         f"DELETE FROM {table} WHERE study = ? AND parameters = ?", keys
                     )
                 connection.executemany(
-                    "INSERT OR REPLACE INTO runs VALUES (?, ?, ?)",
-                    [(*key, row) for key, row in zip(keys, rows, strict=True)],
+                    "INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?)",
+                    [(*key, row, _hash(*key, row)) for key, row in zip(keys, rows, strict=True)],
                 )
-                connection.executemany(
-                    "INSERT INTO kept VALUES (?, ?, ?, ?, ?)",
-                    [
-                        (*key, name, one.kind, one.content)
-                        for key, packed in zip(keys, kept, strict=bool(kept))
-                        for name, one in packed.items()
-                    ],
-                )
+                connection.executemany("INSERT INTO kept VALUES (?, ?, ?, ?, ?, ?)", kept_rows)
                 if parts is not None:
                     connection.executemany(
                         "INSERT OR IGNORE INTO origins VALUES (?, ?)",
@@ -309,16 +317,54 @@ class Store:
             with self._transaction() as connection:
                 held = [
                     connection.execute(
-                        "SELECT owner FROM claims WHERE study = ? AND parameters = ?", (study, key)
+                        "SELECT owner, renewals FROM claims WHERE study = ? AND parameters = ?",
+                        (study, key),
                     ).fetchone()
                     for key in keys
                 ]
-                claimed = [other is None or not _may_live(other[0]) for other in held]
+                claimed = [
+                    other is None or not self._may_live((study, key), *other)
+                    for key, other in zip(keys, held, strict=True)
+                ]
                 connection.executemany(
-                    "INSERT OR REPLACE INTO claims VALUES (?, ?, ?)",
+                    "INSERT OR REPLACE INTO claims VALUES (?, ?, ?, 0)",
                     [(study, key, owner) for key, ours in zip(keys, claimed, strict=True) if ours],
                 )
         return claimed
+
+    def _may_live(self, run: tuple[str, str], owner: str, renewals: int) -> bool:
+        """Whether the process of a claim may still compute: not if it has ended, nor if it has not
+        renewed the claim for a while by the clock of this process."""
+        if has_ended(owner.partition(" ")[0]):
+            return False
+        if self._seen.get(run, ("", 0))[:2] != (owner, renewals):
+            self._seen[run] = owner, renewals, time.monotonic()
+        return time.monotonic() - self._seen[run][2] < _LEASE_S
+
+    @contextmanager
+    def claims_of(self, owner: str) -> Iterator[None]:
+        """Renew the claims of an owner while it computes, and give them up in the end."""
+        ended = threading.Event()
+
+        def renew() -> None:
+            while not ended.wait(_RENEWAL_S):
+                # a store that has gone, say, is reported where a run is stored
+                with contextlib.suppress(OSError, ValueError):
+                    self._renew(owner)
+
+        threading.Thread(target=renew, daemon=True).start()
+        try:
+            yield
+        finally:
+            ended.set()
+            with contextlib.suppress(OSError, ValueError):
+                self.release(owner)
+
+    def _renew(self, owner: str) -> None:
+        with self._explained(), self._transaction() as connection:
+            connection.execute(
+                "UPDATE claims SET renewals = renewals + 1 WHERE owner = ?", (owner,)
+            )
 
     def release(self, owner: str, key: str = "%") -> None:
         """Give up the claims of an owner, or that on one run."""
@@ -337,26 +383,30 @@ class Store:
         return self._records("WHERE study = ? AND parameters = ?", study, key).get(key)
 
     def _records(self, condition: str, *values: str) -> dict[str, Record]:
+        columns = ", ".join(f"CAST({name} AS BLOB)" for name in ("parameters", "record", "hash"))
         with self._explained():
             rows = self._connection.execute(
-                f"SELECT parameters, record FROM runs {condition}", values
+                f"SELECT {columns} FROM runs {condition}", values
             ).fetchall()
             return {
-                key: Record(
-                    parameters={name: _restored(value) for name, value in json.loads(key).items()},
-                    **json.loads(record),
-                )
-                for key, record in rows
+                key.decode("utf-8", "replace"): _record(values[0], key, record, written)
+                for key, record, written in rows
             }
 
     def kept(self, study: str, key: str) -> dict[str, Packed]:
-        """Return what a run keeps, by name."""
+        """Return what a run keeps, by name; ValueError if it is not what was stored."""
         with self._explained():
             rows = self._connection.execute(
-                "SELECT name, kind, content FROM kept WHERE study = ? AND parameters = ?",
+                "SELECT name, kind, content, hash FROM kept WHERE study = ? AND parameters = ?",
                 (study, key),
             ).fetchall()
-        return {name: Packed(kind, content) for name, kind, content in rows}
+        for name, kind, content, written in rows:
+            if written != _hash(study, key, name, kind, content):
+                raise ValueError(
+                    f"{self._called}: the {kind} {checks.shown(name)} of the run {checks.shown(key)} is "
+                    "damaged, as its hash says: compute it again with Study.run(rerun=True)"
+                )
+        return {name: Packed(kind, content) for name, kind, content, _ in rows}
 
     def studies(self) -> list[str]:
         """Return the names of the studies."""
@@ -379,30 +429,25 @@ class Store:
 
 def new_owner() -> str:
     """Return the name of this process, and of one study in it, for claims."""
-    import psutil
-
-    return json.dumps(
-        [
-            platform.node(),
-            os.getpid(),
-            psutil.Process().create_time(),
-            time.time(),
-            uuid.uuid4().hex,
-        ]
-    )
+    return f"{process_name(os.getpid())} {uuid.uuid4().hex}"
 
 
-def _may_live(owner: str) -> bool:
-    """Whether the process of a claim may still compute."""
-    import psutil
+def _hash(*parts: str | bytes) -> bytes:
+    content = hashlib.sha256()
+    for part in parts:
+        part = part if isinstance(part, bytes) else part.encode()
+        content.update(b"%d " % len(part))
+        content.update(part)
+    return content.digest()
 
-    machine, process, created, claimed, _ = json.loads(owner)
-    if machine != platform.node():
-        return time.time() - claimed < _LEASE_S
-    try:
-        return abs(psutil.Process(process).create_time() - created) < 1.0
-    except psutil.Error:
-        return False
+
+def _record(study: str, key: bytes, record: bytes, written: bytes) -> Record:
+    """Return a run as it was stored; a stale one in place of a row that is damaged."""
+    if written != _hash(study, key, record):
+        error = "DamagedRow: the store does not hold what was written"
+        return Record(parameters={}, status="failed", error=error)
+    parameters = {name: _restored(value) for name, value in json.loads(key).items()}
+    return Record(parameters=parameters, **json.loads(record))
 
 
 def _restored(value: Scalar | list) -> Value:

@@ -104,7 +104,8 @@ class Study:
     reads: a UserWarning names the value.
 
     Several processes may run a study on one store: each claims a point before it computes it.
-    Claims of processes that ended are taken over (of another machine after a day).
+    Claims of processes that ended are taken over (of another machine when they have not been
+    renewed for a quarter of an hour).
 
     Runs share nothing. Where only law, loads or material vary, ``grids.with_problem(problem)`` on
     grids that are made once saves meshes and transfers (:meth:`adaptmg.Hierarchy.with_problem`).
@@ -268,16 +269,9 @@ class Study:
 
                 executor = opened(workers, scheduler, len(todo), memory)
             task, owner = Task(self._function, code, tuple(self._depends), limit_s), new_owner()
-            try:
-                with executor as execute:
-                    self._compute(
-                        execute(task, self._claimed(todo, owner)), code, len(todo), progress, throw
-                    )
-            finally:
-                with contextlib.suppress(
-                    OSError, ValueError
-                ):  # of a store that has gone, say: what is raised says so
-                    self._store.release(owner)
+            with self._store.claims_of(owner), executor as execute:
+                runs = execute(task, self._claimed(todo, owner))
+                self._compute(runs, code, len(todo), progress, throw)
         return self._table(code, False)
 
     def table(self, details: bool = False) -> pd.DataFrame:
@@ -301,7 +295,8 @@ class Study:
         rows = self._rows(code)
         for _, record, state in rows:
             if state == "stale" and record is not None:
-                reasons.update(code.differences(origins.get(record.code, {})))
+                changes = code.differences(origins.get(record.code, {}))
+                reasons.update(changes if record.code else [record.error])  # of no code: damaged
             elif state == "failed" and record is not None:
                 errors[record.error] += 1
         counts = Counter(state for _, _, state in rows)

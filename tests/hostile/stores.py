@@ -150,10 +150,15 @@ def good() -> bytes:
 
 
 def database(change: str) -> None:
-    """A store of a study, changed by SQL."""
+    """A store of a study, changed by SQL; rows have the hash of what stands in them."""
     Path("study.sqlite").write_bytes(good())
     with sqlite3.connect("study.sqlite") as connection:
+        connection.create_function("hash_of", 3, study_store._hash)
         connection.executescript(change)
+        if "UPDATE runs" in change:
+            connection.execute(
+                "UPDATE runs SET hash = hash_of(study, parameters, CAST(record AS BLOB))"
+            )
     connection.close()
 
 

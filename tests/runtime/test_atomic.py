@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from adaptmg._files import read_bytes, waiting_folder, write_bytes
+from adaptmg._machine import process_name
 
 
 @pytest.fixture
@@ -97,6 +98,31 @@ def test_a_kill_leaves_whole_files(tmp_path):
         for file in tmp_path.glob("f?"):
             content = file.read_bytes()
             assert len(content) == 10**6 and len(set(content)) == 1
+    # what they left goes when the next process writes there, not what a living one writes
+    other = f".adaptmg-{process_name(os.getppid())}-1.part"
+    for name in (other, f".adaptmg-{process_name(os.getpid())}-2.part", ".adaptmg-mine.part"):
+        (tmp_path / name).touch()
+    code = (
+        "import sys\nfrom adaptmg._files import waiting_folder\n"
+        "with waiting_folder(sys.argv[1]) as folder:\n    input()"
+    )
+    for _ in range(2):
+        with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdin=-1) as waiting:
+            while len(left := [name for name in names(tmp_path) if str(waiting.pid) in name]) != 1:
+                time.sleep(0.01)
+            waiting.kill()
+        assert len(names(tmp_path)) == 7 and left[0] in names(tmp_path)
+    write_bytes(tmp_path / "f0", b"")
+    assert names(tmp_path) == sorted(
+        [
+            other,
+            f".adaptmg-{process_name(os.getpid())}-2.part",
+            ".adaptmg-mine.part",
+            "f0",
+            "f1",
+            "f2",
+        ]
+    )
 
 
 @pytest.mark.parametrize("path", ["a folder", "a pipe", "/dev/zero", "/dev/null", "too large"])

@@ -122,8 +122,8 @@ def test_what_is_named_for_an_attribute_replaces_it_alone(monkeypatch):
 
 #: names that scripts have at their top, and what they make there
 OF_LIBRARIES = {
-    "pandas": "from pandas import DataFrame, Categorical, Timestamp\nframe = DataFrame({'a': [1, 2], 'b': ['x', 'y']})\n"
-    "day = Timestamp('2020-01-01')\nkinds = Categorical(['a', 'b'])",
+    "pandas": "from pandas import DataFrame, Categorical, Timestamp\n"
+    "frame = DataFrame({'a': [1, 2], 'b': ['x', 'y']})\nday = Timestamp('2020-01-01')\nkinds = Categorical(['a', 'b'])",
     "numpy": "from numpy.random import default_rng, RandomState\nfrom numpy import sin, linalg",
     "scipy": "from scipy.stats import norm, qmc\nfrom scipy.spatial import cKDTree\nfrozen = norm(0, 1)\n"
     "tree = cKDTree([[0.0], [1.0]])",

@@ -1,9 +1,11 @@
 """The store: two processes that write, a file that changes while it is in use, results that are
 kept as files."""
 
+import itertools
 import json
 import math
 import os
+import random
 import re
 import shutil
 import sqlite3
@@ -11,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -18,6 +21,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import adaptmg as am
+from adaptmg._machine import process_name
 from adaptmg.study import Study
 from adaptmg.study import store as study_store
 from adaptmg.study import study as study_module
@@ -186,25 +190,82 @@ def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun, monkey
 
 
 def test_claims_of_live_processes_hold_those_of_dead_ones_not(tmp_path):
-    store, key = Store(tmp_path / "s.sqlite"), canonical({"n": 1})
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    here = new_owner()
-    machine, _, created, claimed, number = json.loads(here)
-    owners = {
-        json.dumps(owner): lives
-        for owner, lives in (
-            ([machine, ended.pid, created, claimed, number], False),
-            ([machine, os.getpid(), 5.0, claimed, number], False),
-            (["other", 1, 5.0, claimed, number], True),
-            (["other", 1, 5.0, claimed - 1e5, number], False),
-        )
-    }
-    for owner, lives in (owners | {here: True}).items():
+    store, key, here = Store(tmp_path / "s.sqlite"), canonical({"n": 1}), new_owner()
+    ended = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=-1)
+    other = process_name(ended.pid)
+    started_before = re.sub(r"\d+$", "5", here.split(" ")[0])
+    owners = {other: True, here: True, f"{started_before} 1": False, "elsewhere-1-5 1": True}
+    for owner, lives in owners.items():
         assert store.claim("s", [key], owner) == [True]
         assert store.claim("s", [key, canonical({"n": 2})], here) == [not lives, True]
         store.release(owner)
         store.release(here)
+    assert store.claim("s", [key], other) == [True]
+    ended.kill()
+    while process_name(ended.pid):  # it is a zombie then: nobody has waited for it
+        time.sleep(0.01)
+    assert store.claim("s", [key], here) == [True]
+    ended.communicate()
+
+
+def test_a_claim_from_elsewhere_holds_while_it_is_renewed(tmp_path, monkeypatch):
+    """Whatever the clocks say, of which there are as many as machines."""
+    monkeypatch.setattr(study_store, "_RENEWAL_S", 0.02)
+    monkeypatch.setattr(study_store, "_LEASE_S", 0.3)
+    there, here = (Store(tmp_path / "s.sqlite") for _ in range(2))
+    end = time.monotonic() + 1.0
+    with there.claims_of("elsewhere-1-5 1"):
+        there.claim("s", ["{}"], "elsewhere-1-5 1")
+        for step in itertools.count():
+            monkeypatch.setattr(time, "time", lambda step=step: 1e9 + (-1) ** step * 1e7)
+            assert here.claim("s", ["{}"], new_owner()) == [False]
+            if time.monotonic() > end:
+                break
+            time.sleep(0.02)
+    assert here.claim("s", ["{}"], "elsewhere-1-5 2") == [
+        True
+    ]  # given up, and claimed by a machine that dies
+    begin = time.monotonic()
+    while there.claim("s", ["{}"], new_owner()) == [False]:
+        time.sleep(0.02)
+    assert 0.3 <= time.monotonic() - begin < 1.0
+
+
+def test_a_flipped_bit_is_never_another_number(tmp_path):
+    """Of 300: an error, a stale row, or, where no row lies, what was stored."""
+    path, values = tmp_path / "s.sqlite", np.random.default_rng(0).random((3, 3000))
+    study = Study(lambda n: {"u": values[n], "sum": float(values[n].sum())}, {"n": [0, 1, 2]}, path,
+                  name="s", depends={"values": None})  # fmt: skip
+    study.run(progress=False)
+    content, flips = path.read_bytes(), random.Random(0)
+    seen = Counter()
+    for _ in range(300):
+        at, bit = flips.randrange(len(content)), flips.randrange(8)
+        path.write_bytes(content[:at] + bytes([content[at] ^ 1 << bit]) + content[at + 1 :])
+        try:
+            again = Study(
+                study._function, {"n": [0, 1, 2]}, path, name="s", depends={"values": None}
+            )
+            table = again.table()
+            for n in np.flatnonzero(table["status"] == "done"):
+                assert table["sum"][n] == values[n].sum()
+                np.testing.assert_array_equal(again.load(int(n), "u"), values[n])
+            seen[" ".join(sorted(set(table["status"])))] += 1
+        except (OSError, ValueError) as error:
+            assert "s.sqlite" in str(error) or "keeps" in str(error), error
+            seen["refused"] += 1
+    assert seen["refused"] > 100 and seen["done stale"] > 2, seen
+
+
+def test_a_damaged_row_is_computed_again(tmp_path):
+    def study():
+        return Study(squares, {"n": [1, 2]}, tmp_path / "s.sqlite")
+
+    study().run(progress=False)
+    with sqlite3.connect(tmp_path / "s.sqlite") as file:
+        file.execute("UPDATE runs SET record = replace(record, '\"square\": 4', '\"square\": 5')")
+    assert study().status().reasons == {"DamagedRow: the store does not hold what was written": 1}
+    assert study().run(progress=False)["square"].tolist() == [1, 4]
 
 
 def test_errors_are_bounded_and_any_text_is_stored(tmp_path):
@@ -263,8 +324,10 @@ def test_what_is_kept_is_stored_with_its_row_or_not_at_all(tmp_path, monkeypatch
     study.run(progress=False)
     store = Store(tmp_path / "s.sqlite")
     row = Record(parameters={"n": 3}, status="done")
-    with pytest.raises(ValueError, match="binding parameter"):
-        store.put("s", [row], None, [{"a": Packed("array", object())}])
+    store._connection.execute("PRAGMA max_page_count = 20")
+    with pytest.raises(OSError, match="make room"):
+        store.put("s", [row], None, [{"a": Packed("array", bytes(10**6))}])
+    store._connection.execute("PRAGMA max_page_count = 1000000")
     assert study.load(0, "a").tolist() == [0, 1, 2] and store.get("s")[
         canonical({"n": 3})
     ].results == {"a": "array"}
