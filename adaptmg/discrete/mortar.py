@@ -67,7 +67,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces, covered_parts
 from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.mesh.surfaces import Behind, Revolved
+from adaptmg.mesh.surfaces import Curved, Revolved
 from adaptmg.problem.surfaces import ContactPair
 
 NEVER_FACING = "the surfaces never face each other"
@@ -126,7 +126,12 @@ def pair_interface(
 ) -> MortarInterface:
     """Return the interface of a pair; gaps are those between the ``exact`` surfaces, by boundary, that
     are known."""
-    slave, master = mesh.surface(pair.slave), mesh.surface(pair.master)
+    slave, master = (
+        Curved(mesh.points, mesh.surface(name).facets, exact[name])
+        if name in exact
+        else mesh.surface(name)
+        for name in (pair.slave, pair.master)
+    )
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
         nothing = sparse.csr_array((0, mesh.n_nodes))
         return MortarInterface(
@@ -134,13 +139,7 @@ def pair_interface(
         )
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
-        behind = tuple(
-            Behind.facets(exact.get(name, ()), side)
-            for name, side in ((pair.slave, slave), (pair.master, master))
-        )
-        surfaces = Surfaces(
-            slave, master, slave_normals(slave, held), excluded, axisymmetric, behind
-        )
+        surfaces = Surfaces(slave, master, slave_normals(slave, held), excluded, axisymmetric)
         interface = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little
         hanging = interface.nodes[
@@ -162,8 +161,7 @@ def pair_interface(
     if not pair.allow_interference:
         tolerance = np.full(len(gaps), _ROUNDING * surfaces.size)
         if pair.gap is None:
-            own, facing = map(_facet_heights, (slave, master), behind)
-            tolerance += own[interface.nodes] + facing.max()
+            tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
             # the surfaces themselves must overlap, and not only a mean of their distance with
             # weights of both signs
             tolerance[interface.closest >= -tolerance] = np.inf
@@ -191,10 +189,11 @@ def _edge_lengths(surface: Surface) -> np.ndarray:
     return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
 
 
-def _facet_heights(surface: Surface, behind: Behind) -> np.ndarray:
+def _facet_heights(surface: Surface) -> np.ndarray:
     """At nodes (n_nodes,) of a surface the largest height of a facet there under an arc that is not
     known, about, m; zero elsewhere."""
-    length = np.where(behind.number < 0, _edge_lengths(surface).max(axis=1), 0.0)
+    known = isinstance(surface, Curved) and surface.behind >= 0
+    length = np.where(known, 0.0, _edge_lengths(surface).max(axis=1))
     result = np.zeros(len(surface.points))
     for corner in surface.facets.T:
         turn = np.linalg.norm(surface.node_normals[corner] - surface.normals, axis=1)

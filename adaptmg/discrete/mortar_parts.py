@@ -31,7 +31,6 @@ from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import Surface
-from adaptmg.mesh.surfaces import Behind
 
 _DEEPEST = 0.25  # of the size of the surfaces: overlap that is found without a given reach
 
@@ -47,7 +46,6 @@ class Surfaces:
     )  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
     excluded: np.ndarray = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
     axisymmetric: bool = False  # x is a radius; 2D only
-    exact: tuple[Behind, Behind] | None = None  # what slave and master facets are chords of
     points: np.ndarray = field(init=False, repr=False)  # (n_nodes, dim): those of the mesh, m
     slave: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
     master: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
@@ -104,12 +102,12 @@ class Surfaces:
     ) -> np.ndarray:
         """Return the distances (n, n_points) between what facets are chords of, along unit normals at
         places (n, n_points, dim) on slave facets (n,), from those to the master facets (n,)."""
-        if self.exact is None:
-            return distances
-        own, facing = self.exact
         opposite = places + distances[..., None] * normals
-        beyond = facing.rises(master, opposite, normals) - own.rises(slave, places, normals)
-        return distances + beyond
+        return (
+            distances
+            + self.master_side.rises(master, opposite, normals)
+            - self.slave_side.rises(slave, places, normals)
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -311,8 +311,8 @@ class Surface:
         """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where facets at
         a node cancel."""
         total, measure, nodes = np.zeros(self.points.shape), np.zeros(len(self.points)), self.nodes
-        for corner in self.facets.T:
-            np.add.at(total, corner, self.vectors)
+        for k, corner in enumerate(self.facets.T):
+            np.add.at(total, corner, self.corner_vectors(k))
             np.add.at(measure, corner, self.measures)
         lengths = np.linalg.norm(total[nodes], axis=1)
         if not (lengths > 1e-8 * measure[nodes]).all():
@@ -323,6 +323,15 @@ class Surface:
             )
         total[nodes] /= lengths[:, None]
         return total
+
+    def corner_vectors(self, k: int) -> np.ndarray:
+        """Return the area vectors (n, dim) that corners k take for their normals."""
+        return self.vectors
+
+    def rises(self, facets: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return how far (n, n_points) what is meshed is from points (n, n_points, dim) of some facets
+        (n,), along unit vectors: 0 as long as nothing else is known."""
+        return np.zeros(points.shape[:2])
 
     def shares(self, axisymmetric: bool) -> np.ndarray:
         """Return means (n, dim) of the shape functions of the corners over each facet; in

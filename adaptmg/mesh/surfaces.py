@@ -14,12 +14,13 @@ halves the distance."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, Surface, trusted
+from adaptmg.mesh.arrays import MeshArrays, Surface, longest_edges, trusted
 from adaptmg.mesh.soundness import least_angle
 
 # of solids of unit size: by how much points may miss the surface through them; nodes of a draft
@@ -104,40 +105,52 @@ def round_about(origin: Sequence[float], axis: Sequence[float], radius: float) -
 
 
 @dataclass(frozen=True, eq=False)
-class Behind:
-    """The exact surface behind each facet of a boundary."""
+class Curved(Surface):
+    """Facets, and the exact surfaces that they are chords of."""
 
-    surfaces: Sequence[Revolved]
-    number: np.ndarray  # (n,) int: of the surface of each facet, -1 where it is plane or not known
+    exact: Sequence[Revolved]
 
-    @classmethod
-    def facets(cls, surfaces: Sequence[Revolved], boundary: Surface) -> Behind:
-        """Find the surface behind each facet among those of its boundary: the nearest of those that
-        are about parallel to it."""
-        corners = in_space(boundary.points[boundary.facets])
-        normals = in_space(boundary.normals)
-        best = _NEARBY * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    @cached_property
+    def behind(self) -> np.ndarray:
+        """Return the number (n,) of the surface behind each facet, the nearest of those that are about
+        parallel to it; -1 where it is plane, or none is near."""
+        corners, normals = in_space(self.points[self.facets]), in_space(self.normals)
+        best = _NEARBY * longest_edges(corners)
         number = np.full(len(corners), -1)
-        for k, surface in enumerate(surfaces):
-            away = np.max(
-                [np.abs(surface.gaps(corner)[0]) for corner in np.moveaxis(corners, 1, 0)], axis=0
+        for k, surface in enumerate(self.exact):
+            away = np.abs([surface.gaps(corner)[0] for corner in np.moveaxis(corners, 1, 0)]).max(
+                axis=0
             )
             gradients = surface.gaps(corners.mean(axis=1))[1]
             parallel = np.abs(np.einsum("nd,nd->n", gradients, normals)) > _PARALLEL
             nearer = parallel & (away < best)
             best = np.where(nearer, away, best)
             number[nearer] = -1 if surface.plane else k
-        return cls(surfaces, number)
+        return number
+
+    def _by_surface(self, facets: np.ndarray) -> Iterator[tuple[Revolved, np.ndarray]]:
+        """Each exact surface behind some facets, and the mask of these."""
+        number = self.behind[facets]
+        for k in np.unique(number[number >= 0]).tolist():
+            yield self.exact[k], number == k
+
+    def corner_vectors(self, k: int) -> np.ndarray:
+        """Return area vectors (n, dim) along the normals of the exact surface at corners k."""
+        result = self.vectors.copy()
+        for surface, own in self._by_surface(np.arange(len(result))):
+            places = in_space(self.points[self.facets[own, k]])
+            normals = surface.gaps(places)[1][:, : result.shape[1]]
+            outward = np.sign(np.einsum("nd,nd->n", normals, result[own]))
+            result[own] = (outward * self.measures[own])[:, None] * normals
+        return result
 
     def rises(self, facets: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return how far (n, n_points) the exact surface is from points (n, n_points, dim) of some
-        facets (n,), along unit vectors; 0 where it is not known."""
-        result = np.zeros(points.shape[:2])
-        number = self.number[facets]
-        for k in np.unique(number[number >= 0]).tolist():
-            own = number == k
+        facets (n,), along unit vectors."""
+        result = super().rises(facets, points, directions)
+        for surface, own in self._by_surface(facets):
             places, along = (in_space(x[own]).reshape(-1, 3) for x in (points, directions))
-            result[own] = self.surfaces[k].along(places, along).reshape(-1, points.shape[1])
+            result[own] = surface.along(places, along).reshape(-1, points.shape[1])
         return result
 
 
