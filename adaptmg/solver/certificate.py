@@ -251,6 +251,7 @@ class Evidence:
         self.at_contact = self.unexplained[self.nodes]
         self.in_supports = self.unexplained[self.fixed]
         self.left = np.where(self.fixed, 0.0, self.unexplained)
+        self.internal = _norm(problem.load - residual)
         load, claimed = problem.physical_forces(problem.load), self.claimed
         self.force = max(_norm(load), _norm(self.in_supports), _norm(claimed))
         self.total = float(
@@ -264,10 +265,10 @@ class Evidence:
 
     @property
     def idle(self) -> bool:
-        """Return whether all forces are rounding: bodies that their supports move and nothing
-        strains."""
+        """Return whether the forces of all stresses are rounding: bodies that their supports move
+        and nothing strains."""
         moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
-        return moved > 0.0 and self.force <= 1e3 * self.rounding and self.length <= 10 * moved
+        return moved > 0.0 and self.internal <= 1e3 * self.rounding and self.length <= 10 * moved
 
     def lines(self) -> tuple[Condition, ...]:
         """Return all conditions."""

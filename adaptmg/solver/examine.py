@@ -282,10 +282,8 @@ class Examiner:
         natural = natural_at_nodes(self.contact, self.blocks, self._values(solved), at_contact)
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
-        scale, size = (
-            self.sizes.forces(unknowns, euclidean_norm(at_contact.reshape(-1))),
-            euclidean_norm(free),
-        )
+        exerted = euclidean_norm(at_contact.reshape(-1))
+        scale, size = self.sizes.forces(unknowns, exerted), euclidean_norm(free)
         if discrete.volumes is not None:
             size = float(
                 np.hypot(
@@ -297,7 +295,7 @@ class Examiner:
             )
         if self.sizes.prescribed:
             floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
-            if size <= floor and self.sizes.nothing_strains(scale, floor, unknowns):
+            if size <= floor and self.sizes.nothing_strains(exerted, floor, unknowns):
                 return 0.0
         return 0.0 if size == 0.0 else size / (scale or size)
 
@@ -445,14 +443,20 @@ class Sizes:
         lift = problem.matrix @ problem.fixed_values
         self._jump = float(np.einsum("i,i->", problem.fixed_values, lift))
         self._rows = sparse.csr_array(problem.matrix)[np.flatnonzero(problem.fixed)]
-        self._offset = (lift - problem.load)[problem.fixed]
+        self._lifted = lift[problem.fixed]
+        self._loaded = problem.load[problem.fixed]
+        self._free_load = euclidean_norm(problem.load[~problem.fixed])
         self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
 
-    def nothing_strains(self, forces: float, rounding: float, unknowns: np.ndarray) -> bool:
-        """Return whether all forces are rounding: bodies that their supports move, and nothing
-        strains or holds. Unknowns that have run away have such forces too, but move further than
-        the supports do."""
-        if not self.prescribed or forces > self.IDLE * rounding:
+    def nothing_strains(self, contact: float, rounding: float, unknowns: np.ndarray) -> bool:
+        """Return whether all forces but loads that a support takes at their own node are rounding:
+        bodies that their supports move, and nothing strains or holds; ``contact`` is the norm of
+        the contact forces, N. Unknowns that have run away have such forces too, but move further
+        than the supports do."""
+        if not self.prescribed:
+            return False
+        internal = euclidean_norm(self._in_supports(unknowns))
+        if max(self._free_load, contact, internal) > self.IDLE * rounding:
             return False
         return bool(
             np.abs(unknowns).max(initial=0.0) <= 10 * np.abs(self._problem.fixed_values).max()
@@ -474,11 +478,12 @@ class Sizes:
         prescribed values."""
         if not self.prescribed:
             return max(self.load, contact)
-        return max(
-            self.load,
-            contact,
-            euclidean_norm(self._rows @ self._cartesian(unknowns) + self._offset),
-        )
+        reactions = euclidean_norm(self._in_supports(unknowns) - self._loaded)
+        return max(self.load, contact, reactions)
+
+    def _in_supports(self, unknowns: np.ndarray) -> np.ndarray:
+        """Forces of the stresses at fixed dofs."""
+        return self._rows @ self._cartesian(unknowns) + self._lifted
 
     def _cartesian(self, unknowns: np.ndarray) -> np.ndarray:
         return (

@@ -297,8 +297,8 @@ class Measure:
         """The state of an iterate and its residual r = b - A w (n_dofs,)."""
         system, sizes = self.local.system, self.sizes
         natural = euclidean_norm(natural_residual(self.local, unknowns, r))
-        reactions = r.reshape(-1, system.dim)[system.nodes]
-        forces = sizes.forces(unknowns, euclidean_norm(reactions.reshape(-1)))
+        contact = euclidean_norm(r.reshape(-1, system.dim)[system.nodes].reshape(-1))
+        forces = sizes.forces(unknowns, contact)
         size = sizes.norm(unknowns, float(np.einsum("i,i->", unknowns, self.local.load - r)))
         change = (
             None if self._last is None else energy_norm(unknowns - self._last[0], self._last[1] - r)
@@ -306,7 +306,7 @@ class Measure:
         self._last = unknowns.copy(), r.copy()
         floor = euclidean_norm(self._diagonal * unknowns)
         idle = natural <= ROUNDING * floor and sizes.nothing_strains(
-            forces, ROUNDING * floor, unknowns
+            contact, ROUNDING * floor, unknowns
         )
         if self.reference is not None:
             columns["true_error"] = true_error(

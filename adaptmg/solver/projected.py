@@ -304,6 +304,9 @@ class _CondensedSizes(Sizes):
     def forces(self, unknowns: np.ndarray, contact: float) -> float:
         return super().forces(self._whole(unknowns), contact)
 
+    def nothing_strains(self, contact: float, rounding: float, unknowns: np.ndarray) -> bool:
+        return super().nothing_strains(contact, rounding, self._whole(unknowns))
+
     def _whole(self, unknowns: np.ndarray) -> np.ndarray:
         needed = self.prescribed or self._problem.strain_free is not None
         return self._condensed.recover(unknowns) if needed else unknowns

@@ -134,7 +134,7 @@ class TruncatedIteration(StopTest):
             sizes.forces(multigrid.unknowns, state.reactions),
             {"status_changes": float(state.changed)},
         )
-        idle = sizes.nothing_strains(forces, ROUNDING * floor, multigrid.unknowns)
+        idle = sizes.nothing_strains(state.reactions, ROUNDING * floor, multigrid.unknowns)
         if self.run is not None and self.run.reference is not None:
             error = multigrid.unknowns - self.problem.from_prescribed(self.run.reference)
             columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
