@@ -25,6 +25,7 @@ from adaptmg.discrete.supports import held_directions
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.advice import advise
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
@@ -201,15 +202,25 @@ def result_of(
         springs = spring_resultants(
             mesh, problem.supports, examined.displacement, problem.axisymmetric
         )
+    status = _confirmed(
+        outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")
+    )
+    least, rtol = examined.checked.energy_rounding, outcome.rtol
+    if status.ok and rtol < examined.checked.energy_error <= least:
+        advise(
+            "rounding",
+            f"rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} (slender "
+            "ones answer to rounding with their condition): the result has that tolerance, in "
+            "result.rtol",
+        )
+        rtol = least
     keys = dict.fromkeys(key for row in run.history for key in row)
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(
         displacement=examined.displacement,
         reaction=examined.reaction,
         checked=examined.checked,
-        status=_confirmed(
-            outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")
-        ),
+        status=status,
         cycles=outcome.cycles,
         contact=replace(
             examined.contact, axisymmetric=stress_data is not None and stress_data.axisymmetric
@@ -218,7 +229,7 @@ def result_of(
         residual=examined.residual,
         error_estimate=float(np.fmax(outcome.error_estimate, examined.checked.energy_error)),
         rate=outcome.rate,
-        rtol=outcome.rtol,
+        rtol=rtol,
         history=history,
         timings=run.timings,
         path=run.path,

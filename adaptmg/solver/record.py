@@ -21,7 +21,8 @@ class Status(Enum):
     """How a solver ended; the value is advice.
 
     CONVERGED: the certificate finds an energy error of at most rtol, relative, and the natural
-    residual is at most 10 rtol; or both are rounding. The certificate's estimate was .25 to 2 times
+    residual is at most 10 rtol; or both are rounding: a tolerance below what rounding leaves is
+    widened to that, with a warning (``Result.rtol``). The certificate's estimate was .25 to 2 times
     the true error in 98.5 % of 1396 random runs; it may be .2 times where Poisson's ratio is nearly
     .5, or one body is far stiffer than the next. A user-defined solver is trusted up to 3 rtol, and
     one that stops by its change (``stop="change"``) up to 10.

@@ -85,12 +85,12 @@ def measure(seed: int) -> dict[str, Any]:
             except (ValueError, np.linalg.LinAlgError) as error:
                 row |= {f"{name}: status": "REFUSED", "why": str(error)[:200]}
                 continue
-            error = _error(grids, result, exact) / rtol if result.status.ok else np.nan
+            error = _error(grids, result, exact) / result.rtol if result.status.ok else np.nan
         row |= {
             f"{name}: status": result.status.name,
             f"{name}: error": error,
             f"{name}: cycles": result.cycles,
-            f"{name}: certificate": result.certificate().energy_error / rtol,
+            f"{name}: certificate": result.certificate().energy_error / result.rtol,
         }
         if result.status.ok and not error <= ALLOWED:
             row["faults"] += f"{name}: error of {error:.2g} rtol; "
