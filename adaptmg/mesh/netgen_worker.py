@@ -42,7 +42,8 @@ Tables = tuple[
 Sizes = Sequence[tuple[np.ndarray, np.ndarray]]
 
 # Netgen's element types of first and second order
-_SIMPLICES = {2: (10, 12), 3: (20, 21)}
+_KINDS = {10: "triangle", 12: "triangle", 11: "quad", 14: "quad", 20: "tetra", 21: "tetra"}
+_KINDS |= {22: "pyramid", 23: "wedge", 25: "hexahedron"}
 _MAX_TURN = math.radians(80.0)
 # longest edge on an arc, of its radius; Netgen rounds the number of edges of a piece
 _MAX_EDGE = 0.4
@@ -89,19 +90,11 @@ def tables(
         )
     points = np.array(mesh.Coordinates(), dtype=np.float64)[:, :dim]
     volume, surface = volume.NumPy(), surface.NumPy()
-    bad = ~np.isin(volume["type"], _SIMPLICES[dim])
-    if bad.any():
-        raise ValueError(
-            f"the mesh must consist of {'triangles' if dim == 2 else 'tetrahedra'}, but "
-            f"{np.count_nonzero(bad)} of {len(bad)} elements are others (quadrilaterals, hexahedra, ...), "
-            f"first element {int(np.argmax(bad))}; generate the mesh without quads"
-        )
-    elements, facets = (
-        table["nodes"][:, :k].astype(np.int64) - 1
-        for table, k in ((volume, dim + 1), (surface, dim))
-    )
-    label, body = (table["index"].astype(np.int64) - 1 for table in (surface, volume))
+    elements, body = _cut(volume, points)
+    facets = surface["nodes"][:, :2].astype(np.int64) - 1
+    label = surface["index"].astype(np.int64) - 1
     if dim == 3:
+        facets, label = _cut(surface)
         faces = np.array([face.bc for face in mesh.FaceDescriptors()], dtype=np.int64) - 1
         label = faces[_indices("the face descriptor", label, len(faces))]
     if boundaries is None:
@@ -111,6 +104,25 @@ def tables(
     _indices("the boundary number", label, len(boundaries))
     _indices("the material number", body, len(bodies))
     return points, elements, facets, label, boundaries, body, bodies
+
+
+def _cut(table: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The simplices of elements, which are cut where they are others, and their body; of facets by
+    numbers alone, and their label."""
+    from adaptmg.mesh.shapes import KINDS, simplices
+
+    cells, owner = [], []
+    for number in np.unique(table["type"]).tolist():
+        if number not in _KINDS:
+            raise ValueError(f"the mesh has elements of Netgen's type {number}, which is not read")
+        kind = _KINDS[number]
+        rows = np.flatnonzero(table["type"] == number)
+        nodes = table["nodes"][rows, : KINDS[kind][1]].astype(np.int64) - 1
+        simple = kind in ("triangle", "tetra")
+        found, own = (nodes, np.arange(len(rows))) if simple else simplices(kind, nodes, points)
+        cells.append(found)
+        owner.append(rows[own])
+    return np.concatenate(cells), table["index"][np.concatenate(owner)].astype(np.int64) - 1
 
 
 def _indices(what: str, index: np.ndarray, size: int) -> np.ndarray:

@@ -29,8 +29,8 @@ from adaptmg.mesh.soundness import check_stranger
 if TYPE_CHECKING:
     import ngsolve
 
-# Netgen's types of triangles and tetrahedra of second order
-_CURVED = (12, 21)
+# Netgen's types of second order
+_CURVED = (12, 13, 14, 21, 24)
 # what a reader takes for each byte of a file
 _BYTES_PER_BYTE = 100
 
@@ -84,7 +84,8 @@ def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     Parameters
     ----------
     mesh : ngsolve.Mesh
-        Straight triangles or tetrahedra. Materials become bodies, those with the same name one
+        Straight elements; quadrilaterals, bricks, wedges and pyramids are cut into triangles or
+        tetrahedra. Materials become bodies, those with the same name one
         body; boundaries inside the mesh (interfaces of glued materials) are left out.
 
     Returns
