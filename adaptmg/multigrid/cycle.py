@@ -160,6 +160,40 @@ class CorrectionLevel:
         return supports(self.contact_prolongation)
 
 
+def local_prolongations(
+    hierarchy: Hierarchy, problems: list[LocalProblem]
+) -> list[sparse.bsr_array]:
+    """Return the prolongations between neighbouring levels in contact frames, coarsest first.
+
+    Parameters
+    ----------
+    hierarchy : Hierarchy
+        With the contact problem on every level.
+    problems : list of LocalProblem
+        Those of the levels (:func:`adaptmg.smoother.local_system`), coarsest first.
+
+    Returns
+    -------
+    list of scipy.sparse.bsr_array
+        (n_dofs, n_dofs of the next coarser level), zero in rows and columns of fixed dofs; normal
+        goes to normal and tangent to tangent. Primal; the transpose restricts residuals.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> problems = [am.smoother.local_system(level.discrete) for level in grids.levels]
+    >>> [P.shape for P in am.multigrid.local_prolongations(grids, problems)]
+    [(50, 18)]
+    """
+    hierarchy.need_discretised("a prolongation in contact frames")
+    return [
+        local_prolongation(level.contact_prolongation, fine, coarse)
+        for level, coarse, fine in zip(
+            hierarchy.levels[1:], problems[:-1], problems[1:], strict=True
+        )
+    ]
+
+
 def correction_levels(
     hierarchy: Hierarchy,
     problems: list[LocalProblem],

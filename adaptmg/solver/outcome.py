@@ -32,6 +32,7 @@ from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import Result, label, problem_name, versions
+from adaptmg.solver.steps import Method, Stepped
 
 _LOG = logging.getLogger(__name__)
 
@@ -42,11 +43,15 @@ FACTORISED = {2: 30_000, 3: 6_000}
 LARGE_COARSEST, WIDE = 1500, {2: 2, 3: 4}
 
 
-def method_argument(solver: Solver | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
+def method_argument(
+    solver: Solver | Method | None, grids: Hierarchy
+) -> tuple[Hierarchy, Solver, str]:
     """Return a solver and the grids for it; for None the quickest, and why if it is not full
     multigrid on all."""
     if solver is not None:
-        words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer run()"
+        if hasattr(solver, "setup") and not hasattr(solver, "run"):
+            return grids, Stepped(cast("Method", solver)), ""
+        words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer setup() or run()"
         return grids, checks.offers("solver", solver, "run", words), ""
     if len(grids) > 1:
         return _levels_that_pay(grids) if grids.discretised else (grids, Multigrid(), "")

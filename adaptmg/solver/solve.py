@@ -30,6 +30,7 @@ from adaptmg.solver.outcome import (
 from adaptmg.solver.record import Run, Solver
 from adaptmg.solver.result import NotConverged, Result
 from adaptmg.solver.statics import check_statics_of, warn_of_several_solutions
+from adaptmg.solver.steps import Method
 
 _LOG = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ _LOG = logging.getLogger(__name__)
 @one_blas_thread()
 def solve(
     grids: Hierarchy | DiscreteProblem,
-    solver: Solver | None = None,
+    solver: Solver | Method | None = None,
     *,
     start: ArrayLike | Result | None = None,
     reference: ArrayLike | Result | None = None,
@@ -53,12 +54,14 @@ def solve(
     grids : Hierarchy or DiscreteProblem
         A bare DiscreteProblem is a hierarchy of one level.
     solver : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
-        A user-defined one offers ``run`` (:class:`adaptmg.solver.record.Solver`). Default
-        ``FullMultigrid()``, where coarse levels are only spaces ``Multigrid()``. On one level the
-        quickest: ``ActiveSet()``, or for large problems ``Multigrid()`` on coarse spaces made from
-        the matrix. Where the coarsest level has more than 1500 unknowns: without levels of less
-        than 4 (2D: 2) times the nodes of the next coarser one, and ``ActiveSet()`` where none is
-        left and contact nodes are few. Printing the result says which and why.
+        A user-defined one offers ``setup(hierarchy, start) -> stepper`` with ``step(state) ->
+        state`` (:class:`adaptmg.solver.steps.Method`), or ``run``
+        (:class:`adaptmg.solver.record.Solver`). Default ``FullMultigrid()``, where coarse levels
+        are only spaces ``Multigrid()``. On one level the quickest: ``ActiveSet()``, or for large
+        problems ``Multigrid()`` on coarse spaces made from the matrix. Where the coarsest level has
+        more than 1500 unknowns: without levels of less than 4 (2D: 2) times the nodes of the next
+        coarser one, and ``ActiveSet()`` where none is left and contact nodes are few. Printing the
+        result says which and why.
     start : (n_nodes, dim) array or Result, optional
         Where to start, m; default zero. Of smoothed elements with Poisson's ratios above .4 a
         Result has the pressures, too, an array begins with none. FullMultigrid makes its own start
