@@ -15,8 +15,9 @@ Grids       Hierarchy (a Level for each grid): uniform, graded, from_meshes, ...
 Interpolation, PseudoL2, L2,
             LumpedL2, QuasiInterpolation; mesh, MeshArrays, SizeNear
 Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG; set_threads
-Ingredients Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel; corrections Truncated, Monotone, PaperCorrection;
-            modules multigrid, smoother, transfer, solver
+Ingredients State (a step of yours), PyAMG, Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel;
+            corrections Truncated, Monotone, PaperCorrection; modules multigrid, smoother, transfer,
+            solver
 Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
 Adapt       adapt (each Step); indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
             MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate,

@@ -42,6 +42,7 @@ from .multigrid import (
     Monotone as Monotone,
     NestedStart as NestedStart,
     PaperCorrection as PaperCorrection,
+    PyAMG as PyAMG,
 )
 from .problem import (
     Assembly as Assembly,
@@ -98,6 +99,7 @@ from .solver.multigrid import FullMultigrid as FullMultigrid, Multigrid as Multi
 from .solver.projected import SingleGrid as SingleGrid
 from .solver.record import Status as Status
 from .solver.result import NotConverged as NotConverged, Result as Result
+from .solver.steps import State as State
 from .solver.solve import solve as solve
 from .solver.truncated import Truncated as Truncated
 from .study.study import Study as Study

@@ -1,9 +1,9 @@
-"""LinearCycle: a V-cycle on the (truncated) linear coarse problems, one or two symmetric sweeps a
-level.
+"""LinearCycle: a V-, W- or F-cycle on the (truncated) linear coarse problems.
 
-The coarsest ones are solved by LU factors. A user-defined :class:`LinearSolve` may replace these,
-and a user-defined
-:class:`LinearSmoother` the sweeps.
+One or two symmetric sweeps a level, or as many as a :class:`~adaptmg.multigrid.cycle.Cycle` says;
+the coarsest problems are solved by LU factors. A user-defined :class:`LinearSolve` may replace
+these, a user-defined :class:`LinearSmoother` the sweeps, and a :class:`LinearCorrection` the whole
+cycle: :class:`PyAMG` is one, with the cycles and smoothers of pyamg on the same matrices.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy import linalg, sparse
@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
-from adaptmg.multigrid.cycle import Recorder
+from adaptmg.multigrid.cycle import Cycle, Recorder
 from adaptmg.multigrid.split_matrix import (
     SplitMatrix,
     add_prolonged,
@@ -37,7 +37,8 @@ class LinearLevel:
     matrix: SplitMatrix
     below: LinearLevel | None  # the next coarser one
     prolongation: sparse.csr_array | None  # from there, nodal or by dofs
-    sweeps: int  # symmetric ones before and after the coarse correction
+    pre: int  # sweeps before the coarse correction
+    post: int  # and after it
     smoother: _LevelSmoother | None = None  # in place of the sweeps
 
     @cached_property
@@ -86,46 +87,72 @@ class LinearLevel:
             passes = self.smoother.smooth(load, u)
             rest[:] = load - self.smoother.matrix @ u
             return passes + 1
+        if self.pre == 0:
+            u[:] = 0.0
+            rest[:] = load
+            return 0.0
         lower, upper, none = matrix.lower_arrays, matrix.upper_arrays, matrix.no_half
         matrix.sweep(gauss_seidel, False, *lower, *none, matrix.inverse, load, u, rest)
-        if self.sweeps == 1:
-            rest[:] = 0.0
-            matrix.sweep(subtract_half, *upper, u, rest)
-            return 1.0  # L, U
-        matrix.sweep(
-            gauss_seidel, True, *none, *upper, matrix.inverse, rest, u, rest, backward=True
-        )
+        passes = 0.5  # L
+        if self.pre % 2 == 1:
+            if self.pre == 1:
+                rest[:] = 0.0
+                matrix.sweep(subtract_half, *upper, u, rest)
+                return passes + 0.5  # U
+            self._forward(load)
+            passes += 1.0
+        self._backward()
+        for _ in range((self.pre - 1) // 2 - (self.pre % 2)):
+            self._forward(load)
+            self._backward()
+            passes += 1.5
         np.subtract(load, rest, out=rest)
         matrix.sweep(subtract_half, *lower, u, rest)
-        return 1.5  # L, U, L
+        return passes + 1.0  # U, L
 
     def postsmooth(self, load: np.ndarray, sweeps: int) -> float:
+        """Smooth from the solution, in the order that makes the cycle symmetric; returns the passes
+        over the matrix."""
         matrix, u, rest = self.matrix, self.solution, self.rest
         if self.smoother is not None:
             return self.smoother.smooth(load, u)
-        lower, upper = matrix.lower_arrays, matrix.upper_arrays
-        if sweeps == 1:
+        for _ in range(sweeps // 2):
+            self._forward(load)
+            self._backward()
+        if sweeps % 2 == 1:
+            lower, upper = matrix.lower_arrays, matrix.upper_arrays
             matrix.sweep(
                 gauss_seidel, True, *upper, *lower, matrix.inverse, load, u, rest, backward=True
             )
-            return 1.0  # L, U
-        matrix.sweep(gauss_seidel, False, *lower, *upper, matrix.inverse, load, u, rest)
+        return 1.5 * (sweeps // 2) + sweeps % 2
+
+    def _forward(self, load: np.ndarray) -> None:
+        """Sweep forward; leaves load - L u in ``rest``."""
+        matrix = self.matrix
+        halves = (*matrix.lower_arrays, *matrix.upper_arrays)
+        matrix.sweep(gauss_seidel, False, *halves, matrix.inverse, load, self.solution, self.rest)
+
+    def _backward(self) -> None:
+        """Sweep backward with the load - L u that a forward sweep left."""
+        matrix, rest = self.matrix, self.rest
+        halves = (*matrix.no_half, *matrix.upper_arrays)
         matrix.sweep(
-            gauss_seidel,
-            True,
-            *matrix.no_half,
-            *upper,
-            matrix.inverse,
-            rest,
-            u,
-            rest,
-            backward=True,
+            gauss_seidel, True, *halves, matrix.inverse, rest, self.solution, rest, backward=True
         )
-        return 1.5  # L, U, U
+
+    def residual(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return load - A u (n_dofs,) of a level that has its diagonal blocks; one pass."""
+        matrix = self.matrix
+        size = matrix.dim
+        blocks = matrix.diagonal.reshape(-1, size, size)
+        result = load - np.einsum("nij,nj->ni", blocks, u.reshape(-1, size)).reshape(-1)
+        matrix.sweep(subtract_half, *matrix.lower_arrays, u, result)
+        matrix.sweep(subtract_half, *matrix.upper_arrays, u, result)
+        return result
 
 
 class LinearCycle:
-    """V-cycles for the linear problem on any of the levels, coarsest first; ``recorder`` counts
+    """Cycles for the linear problem on any of the levels, coarsest first; ``recorder`` counts
     passes and notes the path."""
 
     def __init__(
@@ -136,45 +163,121 @@ class LinearCycle:
         sweeps: Sequence[int],
         coarse_solve: LinearSolve | None = None,
         coarse_smoother: LinearSmoother | None = None,
+        correct: Cycle | LinearCorrection | None = None,
     ) -> None:
         self.levels: list[LinearLevel] = []
-        for parts in zip(matrices, [None, *prolongations], sweeps, strict=True):
-            self.levels.append(
-                LinearLevel(parts[0], self.levels[-1] if self.levels else None, *parts[1:])
-            )
-        self.recorder, self.coarse_smoother = recorder, coarse_smoother
+        self.recorder = recorder
+        self.coarse_smoother = coarse_smoother
+        self.cycle = correct if isinstance(correct, Cycle) else None
+        self.correction = None if isinstance(correct, Cycle) else correct
+        for matrix, prolongation, own in zip(matrices, [None, *prolongations], sweeps, strict=True):
+            pre, post = (own, own) if self.cycle is None else (self.cycle.pre, self.cycle.post)
+            below = self.levels[-1] if self.levels else None
+            self.levels.append(LinearLevel(matrix, below, prolongation, pre, post))
         self.factors = CoarseFactors(matrices[0], coarse_solve)
+        self._corrector: PreparedSolve | None = None
+
+    @property
+    def reads_diagonals(self) -> bool:
+        """Return whether cycles read the diagonal blocks of coarse levels."""
+        visits_twice = self.cycle is not None and self.cycle.shape != "V"
+        return self.coarse_smoother is not None or self.correction is not None or visits_twice
 
     def renew(self, number: int) -> None:
         """Take over the matrices below level ``number``, which have changed."""
+        if self.correction is not None:
+            self._corrector = self._prepared(number)
+            return
         self.factors.renew()
         for level in self.levels[1:number] if self.coarse_smoother is not None else ():
             level.smoother = _LevelSmoother(self.coarse_smoother, level.matrix)
 
     def solve(self, number: int, load: np.ndarray, smooth: bool = True) -> np.ndarray:
-        """Run one cycle from zero for a load (n_dofs,) of a level; return its solution. ``smooth``
-        False restricts the load unchanged, as a load that comes from a smoothed residual may be;
-        one symmetric sweep then comes after."""
+        """Run the cycles of one correction from zero for a load (n_dofs,) of a level; return their
+        sum. ``smooth`` False restricts the load unchanged, as a load that comes from a smoothed
+        residual may be; one symmetric sweep then comes after."""
+        if self.correction is not None:
+            return self._corrected(number, load)
+        if self.cycle is None:
+            return self._visit(number, load, "V", smooth)
+        return self._visits(number, load, self.cycle.shape)
+
+    def _visits(self, number: int, load: np.ndarray, shape: str) -> np.ndarray:
+        """One visit of a level from the next finer one, or two (W; F: an F- and a V-cycle)."""
+        first, *second = VISITS[shape]
+        solution = self._visit(number, load, first)
+        if number > 0 and second:  # the coarsest level is solved
+            level = self.levels[number]
+            solution = solution.copy()
+            rest = level.residual(load, solution)
+            self.recorder.count(1.0, level.matrix.nonzeros)
+            solution += self._visit(number, rest, second[0])
+        return solution
+
+    def _visit(self, number: int, load: np.ndarray, shape: str, smooth: bool = True) -> np.ndarray:
         level, recorder = self.levels[number], self.recorder
         if number == 0:
             recorder.count(self.factors.solve(load, level.solution), level.matrix.nonzeros)
             recorder.visit(0, "solve")
             return level.solution
-        passes, rest, sweeps = 0.0, load, 2
+        passes = 0.0
+        rest = load
+        after = 2
         if smooth:
-            passes, rest, sweeps = level.presmooth(load), level.rest, level.sweeps
-            recorder.visit(number, "smooth", sweeps)
+            passes = level.presmooth(load)
+            rest = level.rest
+            after = level.post
+            recorder.visit(number, "smooth", level.pre)
         else:
             level.solution[:] = 0.0
-        level.restrict(rest, level.below.load)
+        coarse_load = level.below.load
+        level.restrict(rest, coarse_load)
         recorder.visit(number, "restrict")
-        level.prolong(self.solve(number - 1, level.below.load), level.solution)
+        level.prolong(self._visits(number - 1, coarse_load, shape), level.solution)
         level.solution[level.matrix.fixed] = 0.0
         recorder.visit(number, "prolong")
-        passes += level.postsmooth(load, sweeps)
-        recorder.visit(number, "smooth", sweeps)
+        passes += level.postsmooth(load, after)
+        recorder.visit(number, "smooth", after)
         recorder.count(passes, level.matrix.nonzeros)
         return level.solution
+
+    def _prepared(self, number: int) -> PreparedSolve:
+        """Set the user-defined correction up for the levels below ``number``."""
+        below = [level.matrix for level in self.levels[:number]]
+        matrices = [_regular_sparse(matrix, _sizes(matrix)) for matrix in below]
+        prolongations = [
+            _by_dofs(level.prolongation, level.matrix.n_dofs) for level in self.levels[1:number]
+        ]
+        made = self.correction.setup(matrices, prolongations)
+        words = "an object with solve(rhs) -> solution"
+        return checks.offers("correct: what setup returns", made, "solve", words)
+
+    def _corrected(self, number: int, load: np.ndarray) -> np.ndarray:
+        matrix = self.levels[number].matrix
+        solution = np.array(
+            checks.array("correct: what solve returns", self._corrector.solve(load), load.shape)
+        )
+        passes = getattr(self._corrector, "passes", 0.0)
+        self.recorder.count(checks.nonnegative("correct: passes", passes), matrix.nonzeros)
+        self.recorder.visit(number, "solve")
+        solution[matrix.fixed] = 0.0
+        return solution
+
+
+#: shapes of the cycles on a level in one visit from the next finer one
+VISITS = {"V": "V", "W": "WW", "F": "FV"}
+
+
+def _by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
+    """Return a prolongation of nodal values as one of dofs; one of dofs unchanged."""
+    size = n_dofs // prolongation.shape[0]
+    return sparse.csr_array(sparse.kron(prolongation, sparse.eye_array(size)))
+
+
+def _sizes(level: SplitMatrix) -> np.ndarray:
+    """Return the largest entry of the diagonal, for each dof."""
+    blocks = level.diagonal.reshape(-1, level.dim, level.dim)
+    return np.full(level.n_dofs, np.abs(blocks.diagonal(axis1=1, axis2=2)).max())
 
 
 class CoarseFactors:
@@ -302,6 +405,95 @@ class LinearSmoother(Protocol):
         """Prepare for a matrix; see :meth:`LinearSolve.setup`."""
 
 
+class LinearCorrection(Protocol):
+    """A user-defined solver, or some cycles, of the linear problem below the finest level."""
+
+    def setup(
+        self, matrices: list[sparse.csr_array], prolongations: list[sparse.csr_array]
+    ) -> PreparedSolve:
+        """Prepare for the matrices (coarsest first; the last one is solved with) and the
+        prolongations (n_dofs, n_dofs of the next coarser level) between them, whenever the contact
+        status changes them; see :meth:`LinearSolve.setup`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PyAMG:
+    """Cycles of pyamg on the truncated coarse problems, ``am.Truncated(correct=am.PyAMG())``.
+
+    Parameters
+    ----------
+    cycle : {"V", "W", "F", "AMLI"}
+    smoother : str
+        One of ``pyamg.relaxation``, before and after the coarse correction; a symmetric sweep.
+    cycles : int
+        Cycles a correction.
+
+    Notes
+    -----
+    Matrices and prolongations are those of the hierarchy; pyamg brings cycles and sweeps
+    (``pyamg.MultilevelSolver``). Its sweeps are pointwise. The coarsest problem is solved by a
+    pseudo-inverse up to 800 dofs (one takes 0.1 s there, with the third power of the dofs), above
+    by LU factors.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4, 8))
+    >>> solver = am.FullMultigrid(correction=am.Truncated(correct=am.PyAMG(cycle="W")))
+    >>> am.solve(grids, solver).status.name
+    'CONVERGED'
+    """
+
+    cycle: str = "V"
+    smoother: str = "gauss_seidel"
+    cycles: int = 1
+
+    def __post_init__(self) -> None:
+        checks.choice("cycle", self.cycle, ("V", "W", "F", "AMLI"))
+        checks.choice("smoother", self.smoother, ("gauss_seidel", "block_gauss_seidel", "sor"))
+        checks.integer("cycles", self.cycles, 1)
+
+    def setup(
+        self, matrices: list[sparse.csr_array], prolongations: list[sparse.csr_array]
+    ) -> PreparedSolve:
+        """Make the levels of pyamg; see :class:`LinearCorrection`."""
+        import pyamg
+
+        levels = []
+        for matrix, prolongation in zip(
+            reversed(matrices), [*reversed(prolongations), None], strict=True
+        ):
+            level = pyamg.MultilevelSolver.Level()
+            level.A = sparse.csr_matrix(matrix)
+            if prolongation is not None:
+                level.P = sparse.csr_matrix(prolongation)
+                level.R = level.P.T.tocsr()
+            levels.append(level)
+        coarse = "pinv" if matrices[0].shape[0] <= _PSEUDO_INVERSE else "splu"
+        multilevel = pyamg.MultilevelSolver(levels, coarse_solver=coarse)
+        sweep = (self.smoother, {"sweep": "symmetric", "iterations": 1})
+        pyamg.relaxation.smoothing.change_smoothers(multilevel, sweep, sweep)
+        return _PyAMGCycles(self, multilevel)
+
+
+#: dofs up to which pyamg solves the coarsest problem by a pseudo-inverse: 0.1 s at 800, 0.8 s at 1600
+_PSEUDO_INVERSE = 800
+
+
+class _PyAMGCycles:
+    """Cycles of pyamg for one matrix."""
+
+    def __init__(self, options: PyAMG, multilevel: Any) -> None:
+        self.options = options
+        self.multilevel = multilevel
+        # a cycle of pyamg counts in passes over the finest of its matrices, sweeps included
+        self.passes = options.cycles * multilevel.cycle_complexity(cycle=options.cycle)
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        options = self.options
+        # no test of the residual: the number of cycles is fixed
+        return self.multilevel.solve(rhs, maxiter=options.cycles, tol=1e-300, cycle=options.cycle)
+
+
 def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
     """Return the matrix of a level, with ``scale`` (n_dofs,) on the diagonal where rows are empty
     but for rounding."""
@@ -333,10 +525,7 @@ class _LevelSmoother:
     """A :class:`LinearSmoother` set up for the matrix of a level."""
 
     def __init__(self, custom: LinearSmoother, level: SplitMatrix) -> None:
-        diagonal = (
-            level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2).reshape(-1)
-        )
-        self.matrix = _regular_sparse(level, np.full(level.n_dofs, np.abs(diagonal).max()))
+        self.matrix = _regular_sparse(level, _sizes(level))
         self._smoother = checks.offers(
             "coarse_smoother: what setup returns",
             custom.setup(self.matrix),

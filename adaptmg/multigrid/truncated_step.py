@@ -82,7 +82,9 @@ class TruncatedStep:
         interface: Interface | None = None,
         interface_sweeps: int = 0,
         pressures: VolumePressures | None = None,
+        search: bool = True,
     ) -> None:
+        self.searches = search
         self.cycle, self.number, self.contact, self.pressures = cycle, number, contact, pressures
         self.load = load
         self.level, levels = cycle.levels[number], cycle.levels[: number + 1]
@@ -185,7 +187,7 @@ class TruncatedStep:
             way = max(self.contact.way(proposed), self.LEAST)
             proposed = self._unknowns + way * (proposed - self._unknowns)
         self.contact.project(proposed)
-        if self._frozen:
+        if self._frozen and self.searches:
             self._search(proposed, before)
         smoothed = [] if combined is start[0] else [start]
         self._past = [(combined, residual), *smoothed, *self._past][: self.depth]

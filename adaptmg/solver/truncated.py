@@ -31,8 +31,13 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.cycle import NestedStart
-from adaptmg.multigrid.linear_cycle import LinearCycle, LinearSmoother, LinearSolve
+from adaptmg.multigrid.cycle import Cycle, NestedStart
+from adaptmg.multigrid.linear_cycle import (
+    LinearCorrection,
+    LinearCycle,
+    LinearSmoother,
+    LinearSolve,
+)
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
@@ -285,6 +290,20 @@ class Truncated:
         anything with ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default:
         Gauss-Seidel sweeps. The smoother of the finest level, projected sweeps that leave the
         residual behind, is part of the method.
+    correct : Cycle, PyAMG or user-defined, optional
+        What solves the truncated linear problem below the finest level: a
+        :class:`~adaptmg.multigrid.cycle.Cycle` of shape "V", "W" or "F" with its numbers of
+        sweeps, cycles of pyamg (:class:`~adaptmg.multigrid.linear_cycle.PyAMG`), or anything with
+        ``setup(matrices, prolongations) -> object with solve(rhs)``
+        (:class:`~adaptmg.multigrid.linear_cycle.LinearCorrection`). Default: a V-cycle with the
+        sweeps above.
+    coarse_contact, rigid_motions, search : bool
+        Parts of the step that may be left out, to see what they buy (``studies/parts.py``): contact
+        problems on a coarse level while the contact status is unknown, the least energy of the
+        rigid motions that only contact holds, and the search for the least energy along a
+        correction.
+    interface_sweeps : int
+        Sweeps near the interface of two bodies.
 
     Examples
     --------
@@ -295,14 +314,30 @@ class Truncated:
 
     #: how much denser than the finest matrix a coarse one is that is smoothed once only
     DENSE: ClassVar[float] = 1.25
-    #: sweeps near the interface of bodies
-    INTERFACE_SWEEPS: ClassVar[int] = 2
-
     recombine: int = 4
     coarse_solve: LinearSolve | None = None
     coarse_smoother: LinearSmoother | None = None
+    correct: Cycle | LinearCorrection | None = None
+    coarse_contact: bool = True
+    rigid_motions: bool = True
+    search: bool = True
+    interface_sweeps: int = 2
 
     def __post_init__(self) -> None:
+        checks.convert(self, checks.flag, "coarse_contact", "rigid_motions", "search")
+        checks.integer("interface_sweeps", self.interface_sweeps)
+        if isinstance(self.correct, Cycle):
+            checks.choice("shape of correct", self.correct.shape, ("V", "W", "F"))
+        elif self.correct is not None:
+            words = "a Cycle, am.PyAMG() or offer setup(matrices, prolongations)"
+            checks.offers("correct", self.correct, "setup", words)
+        if self.correct is not None and not isinstance(self.correct, Cycle):
+            for name in ("coarse_solve", "coarse_smoother"):
+                if getattr(self, name) is not None:
+                    raise ValueError(
+                        f"{name} must be None with correct={checks.shown(self.correct)}, which "
+                        "solves all coarse problems itself"
+                    )
         if checks.integer("recombine", self.recombine) > 4:
             raise ValueError(f"recombine must be 0 to 4, got {self.recombine!r}")
         if self.coarse_solve is not None:
@@ -353,6 +388,7 @@ class TruncatedRun:
                 parts.sweeps(levels),
                 parts.coarse_solve,
                 parts.coarse_smoother,
+                parts.correct,
             )
         self.problems: list[DiscreteProblem | None] = [
             level.discrete_or_none for level in hierarchy.levels
@@ -425,7 +461,9 @@ class TruncatedRun:
                 start=start,
                 nested=nested,
                 hands_over=factorisable(problem),
-                coarse=partial(self._coarse_contact, step) if len(problem.contact) else None,
+                coarse=partial(self._coarse_contact, step)
+                if len(problem.contact) and self.parts.coarse_contact
+                else None,
                 costly=self.cycle.levels[0].matrix.n_dofs > CoarseContact.MOST,
             )
             status = iterate(cycles, cycles, self.run)
@@ -456,7 +494,7 @@ class TruncatedRun:
             )
             contact.start(unknowns)
             interface = None
-            if problem.coupling is not None and parts.INTERFACE_SWEEPS:
+            if problem.coupling is not None and parts.interface_sweeps:
                 interface = Interface(levels[number], problem.coupling, problem.fixed)
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
@@ -470,12 +508,13 @@ class TruncatedRun:
                 load,
                 unknowns,
                 parts.recombine,
-                RigidMotions.of(problem, contact, load),
+                RigidMotions.of(problem, contact, load) if parts.rigid_motions else None,
                 interface,
-                parts.INTERFACE_SWEEPS,
+                parts.interface_sweeps,
                 pressures,
+                parts.search,
             )
-            if number == len(levels) - 1 and self.cycle.coarse_smoother is None:
+            if number == len(levels) - 1 and not self.cycle.reads_diagonals:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:-1]:
                     if level.n_dofs > CoarseContact.MOST:

@@ -22,7 +22,6 @@ from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.system import CLOSED, SLIPS
-from adaptmg.solver.truncated import TruncatedIteration
 from adaptmg.transfer import galerkin_product, without_fixed
 
 
@@ -439,8 +438,7 @@ def test_a_master_before_closed_slaves_takes_them_along(dim, coupling, law, gap)
         np.testing.assert_allclose(physical[followers], expected, atol=1e-15 * np.abs(change).max())
 
 
-def test_work_units_by_hand(monkeypatch):
-    monkeypatch.setattr(TruncatedIteration, "MOVES", 0)  # each adds a smoothing
+def test_work_units_by_hand():
     posed, *_ = problem(2, am.Coulomb(0.4))
     meshes = [stacked(((6 * k, 3 * k), (5 * k, 3 * k)), width=2 / 3) for k in (1, 2)]
     grids = am.Hierarchy.from_meshes(posed, meshes)
@@ -449,9 +447,10 @@ def test_work_units_by_hand(monkeypatch):
     pattern = sparse.csr_array((np.ones(len(matrix.indices)), matrix.indices, matrix.indptr))
     swept = pattern @ (pattern @ (np.diff(weights.indptr) > 0).astype(float)) > 0
     share = 2 * np.diff(pattern.indptr)[swept].sum() / len(matrix.indices)
-    with_sweeps = am.solve(grids, am.Multigrid())
-    monkeypatch.setattr(am.Truncated, "INTERFACE_SWEEPS", 0)
-    without = am.solve(grids, am.Multigrid())
+    # a coarse contact problem adds a smoothing
+    swept, plain = (am.Truncated(coarse_contact=False, interface_sweeps=k) for k in (2, 0))
+    with_sweeps = am.solve(grids, am.Multigrid(correction=swept))
+    without = am.solve(grids, am.Multigrid(correction=plain))
     smoothings = with_sweeps.cycles + 1
     passes = without.work_units / (without.cycles + 1)
     # safe cycles add half a pass for a line search

@@ -1,0 +1,184 @@
+"""Methods of the user's own: state in, state out; the parts of the truncated step."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+import adaptmg as am
+
+
+class Sweeps:
+    """Projected Gauss-Seidel as a method."""
+
+    rtol = 1e-6
+    max_cycles = 400
+
+    def __init__(self, change=lambda state: state, start_cycles=1):
+        self.change = change
+        self.start_cycles = start_cycles
+        self.levels = []
+
+    def setup(self, hierarchy, start):
+        self.levels.append(len(hierarchy))
+        self.problem = am.smoother.local_system(hierarchy.finest.discrete)
+        return self
+
+    def step(self, state):
+        unknowns = state.unknowns.copy()
+        problem = self.problem
+        smoother = am.ProjectedGaussSeidel(omega=1.7)
+        passes = smoother.smooth(problem.system, problem.contact, problem.load, unknowns, 10)
+        return self.change(am.State(unknowns=unknowns, passes=passes))
+
+
+@pytest.fixture(scope="module")
+def bar():
+    return am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4, 8))
+
+
+@pytest.fixture(scope="module")
+def exact(bar):
+    return am.solve(bar, am.ActiveSet())
+
+
+def error(result, exact, grids):
+    discrete = grids.finest.discrete
+    difference = (result.displacement - exact.displacement).reshape(-1)
+    size = exact.displacement.reshape(-1)
+    squares = [v @ (discrete.matrix @ v) for v in (difference, size)]
+    return np.sqrt(squares[0] / squares[1])
+
+
+def test_a_method_gets_nested_start_history_work_and_certificate(bar, exact):
+    method = Sweeps()
+    result = am.solve(bar, method, reference=exact)
+    assert method.levels == [2, 3]
+    assert result.status.ok and error(result, exact, bar) <= 1.05 * method.rtol
+    assert result.certificate().energy_error <= method.rtol
+    assert result.history["true_error"][-1] == pytest.approx(
+        error(result, exact, bar), rel=1e-3, abs=1e-9
+    )
+    # ten passes a step, and one for the residual after it
+    passes = np.diff(result.history["work_units"])
+    np.testing.assert_allclose(passes, 11.0)
+    from_zero = am.solve(bar, Sweeps(start_cycles=0))
+    assert from_zero.cycles > result.cycles and from_zero.start_work_units == 0
+    given = am.solve(bar, Sweeps(), start=exact)
+    assert given.cycles <= 2
+
+
+def test_nothing_is_remembered_but_the_state(bar):
+    """A stepper that is asked twice for the same state gives the same next one."""
+    method = Sweeps()
+    stepper = method.setup(bar, None)
+    state = am.State(unknowns=np.zeros(method.problem.system.n_dofs))
+    first = stepper.step(state)
+    np.testing.assert_array_equal(stepper.step(state).unknowns, first.unknowns)
+    with pytest.raises(ValueError, match="read-only"):
+        state.unknowns[0] = 1.0
+
+
+def test_a_method_that_converges_to_something_else_is_found_out(bar):
+    biased = Sweeps(lambda state: am.State(unknowns=0.999 * state.unknowns))
+    biased.max_cycles = 40
+    assert not am.solve(bar, biased, throw=False).status.ok
+    wild = Sweeps(lambda state: am.State(unknowns=np.full_like(state.unknowns, np.nan)))
+    assert am.solve(bar, wild, throw=False).status is am.Status.DIVERGED
+
+
+def test_what_a_method_must_offer(bar):
+    cases = {
+        "step": (lambda hierarchy, start: object(), TypeError),
+        "am.State": (lambda hierarchy, start: Returns(None), TypeError),
+        r"shape \(162,\)": (
+            lambda hierarchy, start: Returns(am.State(unknowns=np.zeros(3))),
+            ValueError,
+        ),
+    }
+    for words, (setup, error_type) in cases.items():
+        method = Sweeps(start_cycles=0)
+        method.setup = setup
+        with pytest.raises(error_type, match=words):
+            am.solve(bar, method)
+    with pytest.raises(TypeError, match="unknowns"):
+        am.State(unknowns="nothing")
+    method = Sweeps()
+    method.rtol = -1.0
+    with pytest.raises(ValueError, match="rtol of solver"):
+        am.solve(bar, method)
+
+
+class Returns:
+    def __init__(self, value):
+        self.value = value
+
+    def step(self, state):
+        return self.value
+
+
+class ByLU:
+    """The coarse problems, solved exactly."""
+
+    def setup(self, matrices, prolongations):
+        for prolongation, fine, coarse in zip(
+            prolongations, matrices[1:], matrices[:-1], strict=True
+        ):
+            assert prolongation.shape == (fine.shape[0], coarse.shape[0])
+        self.matrix = sparse.csc_array(matrices[-1])
+        return self
+
+    def solve(self, rhs):
+        return spsolve(self.matrix, rhs)
+
+
+CORRECTIONS = [
+    *(am.Cycle(shape="V", pre=pre, post=post) for pre, post in [(1, 1), (2, 2), (3, 3), (0, 3)]),
+    am.Cycle(shape="V", pre=5, post=0),
+    am.Cycle(shape="V", pre=4, post=1),
+    am.Cycle(shape="W", pre=1, post=1),
+    am.Cycle(shape="F", pre=1, post=2),
+    am.PyAMG(),
+    am.PyAMG(cycle="W", smoother="sor", cycles=2),
+    ByLU(),
+]
+
+
+@pytest.mark.parametrize("correct", CORRECTIONS, ids=str)
+def test_every_linear_correction_leads_to_the_same_solution(correct, exact, bar):
+    solver = am.FullMultigrid(correction=am.Truncated(correct=correct), rtol=1e-8)
+    result = am.solve(bar, solver)
+    assert result.status.ok and not result.fallback
+    assert error(result, exact, bar) <= 1.05e-8
+
+
+def test_more_smoothing_and_more_visits_take_fewer_cycles():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4, 8, 16, 32))
+
+    def run(correct):
+        correction = am.Truncated(correct=correct, recombine=0)
+        return am.solve(grids, am.FullMultigrid(correction=correction, rtol=1e-8))
+
+    few, many = run(am.Cycle(pre=1, post=1)), run(am.Cycle(pre=3, post=3))
+    twice, exactly = run(am.Cycle(shape="W", pre=1, post=1)), run(ByLU())
+    assert many.cycles <= few.cycles and twice.cycles <= few.cycles
+    assert exactly.cycles <= twice.cycles + 1
+    assert many.work_units > few.work_units and twice.work_units > few.work_units
+
+
+@pytest.mark.parametrize("part", ["coarse_contact", "rigid_motions", "search"])
+def test_parts_that_are_left_out_change_no_solution(part, exact, bar):
+    correction = am.Truncated(**{part: False}, interface_sweeps=0, recombine=1)
+    result = am.solve(bar, am.Multigrid(correction=correction))
+    assert result.status.ok and error(result, exact, bar) <= 1.05e-8
+
+
+def test_options_of_the_parts_are_checked():
+    with pytest.raises(ValueError, match="shape of correct"):
+        am.Truncated(correct=am.Cycle(shape="complete"))
+    with pytest.raises(TypeError, match="correct"):
+        am.Truncated(correct=3)
+    with pytest.raises(ValueError, match="coarse_solve must be None"):
+        am.Truncated(correct=am.PyAMG(), coarse_solve=ByLU())
+    with pytest.raises(ValueError, match="smoother"):
+        am.PyAMG(smoother="nobody")
