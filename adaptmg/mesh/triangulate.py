@@ -430,8 +430,12 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
             else:
                 t = walk(points, elements, across, e, n)
             # where the bounded walk does not arrive the triangle keeps its size
-            if t >= 0 and _is_free(points, elements, across, t, n, _APART * h):
-                sizes[n] = h if dip else _interpolated(points, elements, t, n, sizes)
+            if t < 0:
+                continue
+            # a long triangle's mean size is not that at one of its ends: with it a node in the
+            # middle of a disc, which all triangles of the rim meet in, would keep others out
+            sizes[n] = h if dip else _interpolated(points, elements, t, n, sizes)
+            if _is_free(points, elements, across, t, n, _APART * sizes[n]):
                 more = insert(points, elements, across, count, t, n, settled)
                 if more > count:
                     n, count = n + 1, more
