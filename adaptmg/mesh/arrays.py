@@ -410,14 +410,18 @@ def positive(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     return elements
 
 
-def longest_edges(corners: np.ndarray) -> np.ndarray:
-    """Return the longest edge (n,) of each of some simplices, given by their corners (n, dim + 1,
+def edge_lengths(corners: np.ndarray) -> np.ndarray:
+    """Return the edge lengths (n_edges, n) of some simplices, given by their corners (n, dim + 1,
     dim)."""
     k = corners.shape[1]
-    return np.max(
-        [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)],
-        axis=0,
+    return np.array(
+        [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i in range(k) for j in range(i)]
     )
+
+
+def longest_edges(corners: np.ndarray) -> np.ndarray:
+    """Return the longest edge (n,) of each of some simplices."""
+    return edge_lengths(corners).max(axis=0)
 
 
 def trusted(

@@ -10,8 +10,9 @@ the largest size of the field, which are refined to it and improved (:mod:`adapt
 Netgen meshes the others, and these if it is asked to or triangulation fails
 (:mod:`adaptmg.mesh.netgen_meshes`). It fails itself, or takes minutes, where sizes differ by more
 than about 16 in a coarse mesh: the rest is bisected, until no element and no boundary facet is
-larger than sqrt(2) times the field. Meshes of different sizes are not nested. The bodies of an
-:class:`~adaptmg.problem.Assembly` or a STEP file are meshed apart.
+larger than sqrt(2) times the field. Whoever made it, a mesh is measured in the end: its edges
+against the field, its boundary against the curves of a plane domain. Meshes of different sizes are
+not nested. The bodies of an :class:`~adaptmg.problem.Assembly` or a STEP file are meshed apart.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_meshes import SolidSizes, built_shape, finished, plane_mesh, solid_mesh
 from adaptmg.mesh.sizes import (
     SizeField,
+    Unfit,
     boundary_measures,
+    check_rims,
+    check_sizes,
     distance_to_boundaries,
     expected_nodes,
     growth,
@@ -106,7 +110,9 @@ def graded(
     ------
     TypeError, ValueError
         On an unknown domain or boundary, sizes <= 0, a ratio < 1, sizes that ask for
-        more than 5 million nodes (3D: 2 million), or where Netgen fails or does not finish.
+        more than 5 million nodes (3D: 2 million), or where Netgen fails or does not finish; where
+        no mesher makes 99 % of the edges shorter than twice the size asked for there, or meets the
+        boundary of a plane domain.
 
     Examples
     --------
@@ -210,10 +216,11 @@ def _own(domain: Domain, field: SizeField, growth: float | None = None) -> MeshA
     """The mesh of a plane domain or a box, None if triangulation fails."""
     if isinstance(domain, Box):
         mesh = drafted(domain, _cells(domain, field), lambda mesh: _CLOSER * field(mesh.points))
-        return swept(check_mesh(mesh))
+        return swept(check_sizes(check_mesh(mesh), field))
     try:
-        return finished(domain, triangulated(domain, field, growth))
-    except Untriangulated as error:
+        mesh = finished(domain, triangulated(domain, field, growth))
+        return check_sizes(check_rims(domain, mesh), field)
+    except (Untriangulated, Unfit) as error:
         _LOG.info("Netgen meshes the domain: %s", error)
         return None
 

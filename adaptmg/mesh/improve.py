@@ -46,6 +46,7 @@ from adaptmg.mesh.sizes import (
     NODES_PER_CELL,
     equilateral_sizes,
     facet_elements,
+    overlong,
     refuse_too_many,
     unreachable,
 )
@@ -82,7 +83,11 @@ def drafted(
         if max(large.mean(), long.mean()) <= _LEFT:
             large, long = elements > _NEVER, facets > _NEVER
             if not (large.any() or long.any()):
-                break
+                mesh = improved(mesh, _ROUNDS)
+                # flat elements that go through a whole body are small by their volume
+                large = overlong(mesh, at[mesh.elements].mean(axis=1))
+                if not large.any():
+                    return mesh
         refuse_too_many(NODES_PER_CELL[3] * _EQUILATERAL * float((elements**3).sum()), domain)
         many = large.mean() > _MANY
         if (elements > _FAR * _LARGE).mean() > 0.5:
@@ -94,9 +99,7 @@ def drafted(
             mesh = onto(mesh, n_old)
         if many:
             mesh = improved(mesh, 1)
-    else:
-        raise unreachable(domain, large)
-    return improved(mesh, _ROUNDS)
+    raise unreachable(domain, large)
 
 
 # edges by their corners, of tetrahedra and of faces: the middle of edge k is number k of those

@@ -45,10 +45,14 @@ from adaptmg.mesh.onto_domain import onto_domain
 from adaptmg.mesh.sizes import (
     MAX_BISECTIONS,
     SizeField,
+    Unfit,
     boundary_measures,
+    check_rims,
+    check_sizes,
     expected_nodes,
     extent,
     guessed_nodes,
+    overlong,
     refuse_too_many,
     sizes_at,
     too_large,
@@ -115,10 +119,15 @@ def plane_mesh(
     for _ in range(MAX_BISECTIONS):
         large, sizes = too_large(mesh, field)
         if not large.any():
-            return with_refinement(mesh, None)
+            break
         refuse_too_many(expected_nodes(mesh, sizes), domain)
         mesh = onto_domain(domain, refined(mesh, large).mesh, mesh.n_nodes)
-    raise unreachable(domain, large)
+    else:
+        raise unreachable(domain, large)
+    try:
+        return with_refinement(check_sizes(check_rims(domain, mesh), field), None)
+    except Unfit as error:
+        raise netgen_error(domain, error) from error
 
 
 def _plane_draft(
@@ -429,8 +438,10 @@ def _unit_mesh(
                     continue
                 unit = _bisected(worker, unit, shape, sizes, faces, domain)
             check_volume(unit, shape.volume)
-            return check_mesh(unit)
-        except NetgenFails as error:
+            mesh = _placed(check_mesh(unit), shape)
+            check_sizes(mesh, lambda x, mesh=mesh: sizes.field(x, mesh, faces))
+            return unit
+        except (NetgenFails, Unfit) as error:
             why = error
             if not worker.alive:
                 break
@@ -529,11 +540,12 @@ def _bisected(
     domain: Domain,
 ) -> MeshArrays:
     """The mesh at unit size after bisection until no element is too large."""
-    if sizes.function is None and not faces:
-        return unit
     for _ in range(MAX_BISECTIONS):
         mesh = _placed(unit, shape)
         large, at_centroids = too_large(mesh, lambda x, mesh=mesh: sizes.field(x, mesh, faces))
+        if sizes.function is None and not faces:
+            # Netgen meets a size that does not vary but for edges through the body
+            large = overlong(mesh, at_centroids)
         if not large.any():
             return unit
         nodes = refuse_too_many(expected_nodes(mesh, at_centroids), domain)

@@ -19,6 +19,7 @@ from adaptmg.mesh.arrays import (
     FacetTable,
     MeshArrays,
     components,
+    edge_lengths,
     element_facets,
     facet_keys,
     facet_table,
@@ -210,13 +211,7 @@ def quality(mesh: MeshArrays) -> MeshQuality:
     """
     dim = mesh.dim
     corners = mesh.points[mesh.elements]
-    edges = np.stack(
-        [
-            np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
-            for i in range(dim + 1)
-            for j in range(i)
-        ]
-    )
+    edges = edge_lengths(corners)
     angles, measures = _angles(mesh.points, mesh.elements)
     inradius = dim * mesh.volumes / measures.sum(axis=1)
     equilateral = 2 * np.sqrt(3.0) if dim == 2 else 2 * np.sqrt(6.0)

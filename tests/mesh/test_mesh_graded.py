@@ -1,6 +1,7 @@
 """Graded meshes: the sizes asked for are achieved, domains are met exactly, the same arguments give
 the same arrays."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from refused import refused
 from scipy.spatial import cKDTree
 
 import adaptmg as am
-from adaptmg.mesh import check_mesh, graded, grading, quality, sized
+from adaptmg.mesh import check_mesh, graded, grading, netgen_meshes, quality, sized
 from adaptmg.mesh.sizes import distance_to_boundaries, equilateral_sizes
 from adaptmg.problem import Box, Outline, Polygon, Rectangle
 
@@ -49,6 +50,88 @@ def test_plane_sizes_are_achieved(domain, contact, size, ratio):
         domain is not ANGLE
         or edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c").max() < 1.5 * 2 / 60
     )
+
+
+@pytest.mark.parametrize("share", [3, 5, 10, 20])
+def test_round_rims_grow_no_fans(share):
+    """On a circle every triangle of the rim has the same circumcentre. Sizes by the closed form of
+    the distance from it; turned, scaled, shifted, of three to six arcs."""
+    rng = np.random.default_rng()
+    radius = 10 ** rng.uniform(-4, 2)
+    centre = radius * rng.normal(size=2) * 10 ** rng.uniform(0, 2)
+    size = radius / share
+    for ratio in (2, 3, 4, 5, 6, 8, 12, 16):
+        n = int(rng.integers(3, 7))
+        shares = rng.uniform(0.8, 1.0, n)
+        angles = rng.uniform(0, 7) + 2 * np.pi * np.cumsum(shares) / shares.sum()
+        vertices = centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        disc = Outline(
+            vertices=vertices.tolist(),
+            boundaries=("rim",) * n,
+            arcs=dict.fromkeys(range(n), tuple(centre.tolist())),
+        )
+        mesh = graded(disc, size, "rim", ratio)
+        edges = np.concatenate([mesh.elements[:, [i, i - 1]] for i in range(3)])
+        a, b = mesh.points[edges].transpose(1, 0, 2)
+        away = radius - np.linalg.norm(0.5 * (a + b) - centre, axis=1)
+        relative = np.linalg.norm(b - a, axis=1) / np.minimum(size, size / ratio + 0.3 * away)
+        assert (relative > 2).mean() < 0.01 and 0.7 < np.median(relative) < 1.3
+        assert np.bincount(mesh.elements.ravel()).max() < 12
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "why"),
+    [
+        (lambda mesh: mesh.points, "elements have edges more than 2 times as long"),
+        (
+            lambda mesh: np.where(mesh.points[:, :1] > 1.999, 0.9999, 1.0) * mesh.points,
+            r"a node of boundary 'outer' lies .* m off it at \(",
+        ),
+    ],
+    ids=["sizes", "rim"],
+)
+def test_a_mesh_that_is_not_what_was_asked_for_is_refused(spoilt, why, monkeypatch, caplog):
+    good = grading.triangulated
+
+    def poor(domain, field, growth=None):
+        mesh = good(domain, lambda x: (3 if "2 times" in why else 1) * field(x), growth)
+        return replace(mesh, points=spoilt(mesh), source=None)
+
+    monkeypatch.setattr(grading, "triangulated", poor)
+    with caplog.at_level("INFO", "adaptmg"):
+        mesh = graded(RING, 0.1, "inner", 2)
+    assert re.search(f"Netgen meshes the domain: .*{why}", caplog.text)
+    assert mesh.element_sizes.max() < 0.2
+    # neither does Netgen
+    monkeypatch.setattr(netgen_meshes, "too_large", lambda mesh, field: (np.zeros(0, bool), field))
+    monkeypatch.setattr(
+        netgen_meshes,
+        "_plane_draft",
+        lambda domain, *_: poor(domain, lambda x: np.full(len(x), 0.3)),
+    )
+    with pytest.raises(ValueError, match=rf"Netgen could not mesh .*\(.*{why}"):
+        graded(RING, 0.1, "inner", 2)
+
+
+def test_sizes_that_fall_make_meshes_that_grow():
+    """Discs came out with 61, 630, 2187, 473 nodes."""
+    plate = am.Rectangle(width=40e-3, height=40e-3, origin=(0.28, -0.22))
+    bodies = {
+        "pin": am.Circle((0.3, -0.2), 10e-3),
+        "plate": am.Cut(plate, am.Circle((0.3, -0.2), 10.5e-3, "hole")),
+    }
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=bodies),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        law=am.Frictionless(),
+        contact=am.ContactPair("pin.circle", "plate.hole"),
+        loads=(am.BodyForce((0.0, -1e9), body="pin"),),
+        supports=(am.Support("plate.bottom", x=0.0, y=0.0),),
+    )
+    for ratio in (3, 4, 5, 8):
+        grids = am.Hierarchy.graded(problem, [4e-3, 3e-3, 2.5e-3, 2e-3], {"pin": ratio, "plate": 1})
+        triangles = [np.bincount(level.mesh.element_body)[0] for level in grids.levels]
+        assert triangles == sorted(triangles)
 
 
 RING = Outline(
