@@ -53,6 +53,9 @@ _log = logging.getLogger(__name__)
 
 #: seconds that a cluster may take to have a worker, and for a scheduler to answer
 PATIENCE_S, CONNECT_S = 60.0, 10.0
+#: times that the processes of this machine are started: where one is killed while they start, as by
+#: a system that is short of memory, dask ends the others, too
+_STARTS = 3
 #: set before a worker imports anything: one thread everywhere
 _ONE_THREAD = dict.fromkeys(
     (
@@ -113,17 +116,21 @@ def local_cluster(workers: int, *, memory_limit: float | None = None) -> Iterato
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
-        _processes(cluster.scheduler_address, count, limit, folder, security) as process,
     ):
-        while len(client.nthreads()) < count:
-            if process.poll() is not None:
-                words = " ".join((folder / "log.txt").read_text("utf-8", "replace")[-300:].split())
-                raise OSError(
-                    f"workers: {count} processes could not be started ({words}): give fewer workers, or free "
-                    "memory"
-                )
-            time.sleep(0.05)
-        yield client
+        for _ in range(_STARTS):
+            with _processes(cluster.scheduler_address, count, limit, folder, security) as process:
+                while process.poll() is None and len(client.nthreads()) < count:
+                    time.sleep(0.05)
+                if process.poll() is None:
+                    yield client
+                    return
+            while client.nthreads():  # the scheduler has not seen yet that they ended
+                time.sleep(0.05)
+        words = " ".join((folder / "log.txt").read_text("utf-8", "replace")[-300:].split())
+        raise OSError(
+            f"workers: {count} processes could not be started ({words}): give fewer workers, or free "
+            "memory"
+        )
 
 
 @contextmanager
@@ -160,6 +167,8 @@ def _processes(
         "--host",
         "127.0.0.1",
         "--no-dashboard",
+        "--dashboard-address",  # of the web server, which dask starts all the same: not 0.0.0.0
+        "127.0.0.1:0",
         "--memory-limit",
         str(limit),
         "--local-directory",

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -442,7 +443,35 @@ def test_failed_starts_and_ctrl_c_leave_no_process(monkeypatch):
     assert {child.pid for child in psutil.Process().children(recursive=True)} <= before
 
 
+@pytest.mark.parametrize("part", ["dask_worker", "spawn_main"], ids=["nannies", "worker"])
+def test_a_process_that_is_killed_while_all_start_is_replaced(part):
+    """By a system that is short of memory, say."""
+    killed = []
+
+    def kill():
+        end = time.monotonic() + 30
+        while not killed and time.monotonic() < end:
+            for process in psutil.Process().children(recursive=True):
+                with contextlib.suppress(psutil.Error):
+                    if process.pid not in before and part in " ".join(process.cmdline()):
+                        process.kill()
+                        killed.append(process.pid)
+                        break
+
+    before = {child.pid for child in psutil.Process().children(recursive=True)}
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with local_cluster(1) as client:
+        assert len(killed) == 1 and client.submit(os.getpid).result() not in killed
+    killer.join()
+    assert {child.pid for child in psutil.Process().children(recursive=True)} <= before
+
+
 def test_others_cannot_compute_in_the_processes(cluster):
+    ours = {process.pid for process in psutil.Process().children(recursive=True)}
+    listening = [one for one in psutil.net_connections("tcp") if one.status == psutil.CONN_LISTEN]
+    ports = [one.laddr for one in listening if one.pid in ours]
+    assert len(ports) >= 4 and {port.ip for port in ports} == {"127.0.0.1"}
     address = cluster.scheduler.address
     assert address.startswith("tls://")
     port = cluster.run_on_scheduler(lambda dask_scheduler: dask_scheduler.http_server.port)
