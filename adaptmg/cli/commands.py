@@ -309,20 +309,21 @@ def _study(parsed: Namespace) -> int:
         with logged("adaptmg.study", level, logging.StreamHandler()):
             study.run(progress=False if parsed.quiet else None, **options)
     table, status = study.table(details=parsed.json), study.status()
+    columns = table.attrs["columns"]
     if parsed.json:
         rows = {} if parsed.dry_run else {"rows": finite(table.to_dict("records"))}
         _print_json(
             {"study": study.name, "runs": status.total, **dataclasses.asdict(status), **rows}
         )
     elif parsed.dry_run:
-        _say(
-            f"{as_text(table[[*study.parameters, 'status']].head(_SHOWN))}\n\n{study!r}\n{status!r}"
-        )
+        shown = table[[*study.parameters, columns["status"]]].head(_SHOWN)
+        _say(f"{as_text(shown)}\n\n{study!r}\n{status!r}")
     elif not parsed.quiet:
-        _say(f"{as_text(table.drop(columns='error'), units={'seconds': 's'})}\n\n{status!r}")
+        shown = table.drop(columns=columns["error"])
+        _say(f"{as_text(shown, units={columns['seconds']: 's'})}\n\n{status!r}")
     if parsed.dry_run:
         return 0
-    failed = int((table["status"] == "failed").sum())
+    failed = status.failed
     missed = int((table["outcome"].dropna() != "CONVERGED").sum()) if "outcome" in table else 0
     for count, words in (
         (failed, "failed: --retry-failed runs them again"),
@@ -412,7 +413,7 @@ def _report(parsed: Namespace) -> None:
     }
     varied = [key for key in names if key not in fixed]
     table = frame(varied, [(record.parameters, record, record.status) for record in records])
-    table.attrs = {"study": name, "fixed": fixed}
+    table.attrs |= {"study": name, "fixed": fixed}
     study_report(
         table, page, parameters=varied, results=parsed.result, csv=csv.name, made=_origin(records)
     )

@@ -436,12 +436,15 @@ def study_report(
             raise ValueError(
                 f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}"
             )
-    units = {"seconds": "s"} | dict(units or {})
-    done = table[table["status"] == "done"] if "status" in table else table
+    own = table.attrs.get("columns", {"status": "status", "seconds": "seconds", "error": "error"})
+    units = {own["seconds"]: "s"} | dict(units or {})
+    status = own["status"]
+    error = own["error"]
+    done = table[table[status] == "done"] if status in table else table
     varied = [
         name
         for name in done
-        if name not in (*parameters, "status", "error")
+        if name not in (*parameters, status, error)
         and (values := numbers(done[name])) is not None
         and values.nunique() > 1
     ]
@@ -452,9 +455,9 @@ def study_report(
                 f"results: column {name!r} holds no numbers to draw, got "
                 f"{checks.shown(done[name].iloc[0])} in its first row"
             )
-    counts = table["status"].value_counts() if "status" in table else {}
+    counts = table[status].value_counts() if status in table else {}
     counted = ", ".join(
-        [f"{len(table):,} runs", *(f"{n:,} {status}" for status, n in counts.items())]
+        [f"{len(table):,} runs", *(f"{n:,} {state}" for state, n in counts.items())]
     )
     page = Report(str(table.attrs.get("study") or "Study"), f"{counted}. {summary}".strip())
 
@@ -480,13 +483,11 @@ def study_report(
             curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
             caption(axis, result),
         )
-    add(table.drop(columns="error", errors="ignore"), "All runs", csv=csv, open=True)
-    failed = (
-        table[table["error"].fillna("").astype(str) != ""] if "error" in table else table.head(0)
-    )
+    add(table.drop(columns=error, errors="ignore"), "All runs", csv=csv, open=True)
+    failed = table[table[error].fillna("").astype(str) != ""] if error in table else table.head(0)
     if len(failed):
         page.section("Runs that failed")
-        add(failed[[*parameters, "error"]], "Errors", csv=csv if len(failed) > LONGEST else "")
+        add(failed[[*parameters, error]], "Errors", csv=csv if len(failed) > LONGEST else "")
     if fixed := table.attrs.get("fixed"):
         page.made(fixed_parameters=", ".join(f"{key} = {value}" for key, value in fixed.items()))
     page.made(**{str(key): str(value) or "-" for key, value in (made or {}).items()})

@@ -15,6 +15,7 @@ import json
 import pickle
 import platform
 import subprocess
+import sys
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -31,8 +32,6 @@ from adaptmg.study.store import Packed, Record, pack
 
 RunFunction = Callable[..., Mapping[str, object]]
 
-#: columns that :meth:`adaptmg.study.Study.table` adds to parameters and results
-RESERVED = ("status", "seconds", "error")
 #: characters of an error, from its begin, and of a traceback, from its end, that are stored
 _MOST_ERROR, _MOST_TRACEBACK = 4_000, 20_000
 
@@ -80,11 +79,11 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
     outcome. KeyboardInterrupt passes if ``interruptible``: it is Ctrl-C of the user."""
     started = now()
     reset_peak_memory()
-    begin = time.perf_counter()
+    begin = _clock()
     end, results, packed, exception = None, {}, {}, None
     try:
         returned = function(**point)
-        end = time.perf_counter()
+        end = _clock()
         results, packed = _sorted_out(returned, point)
     except BaseException as error:  # of sys.exit, asyncio, or a class of the user
         if interruptible and isinstance(error, KeyboardInterrupt):
@@ -103,12 +102,22 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
         status="failed" if failed else "done",
         results=results,
         started=started,
-        seconds=(end or time.perf_counter()) - begin,
+        seconds=(_clock() if end is None else end) - begin,
         peak_memory=peak_memory(),
         machine=platform.node(),
         **failed,
     )
     return Finished(record, packed, exception, isinstance(exception, WrongResults))
+
+
+def _clock() -> float:
+    """Return the seconds of this thread without compiling, which nothing does before numba is
+    loaded."""
+    if "numba" not in sys.modules:
+        return time.perf_counter()
+    from adaptmg._numba import clock
+
+    return clock()
 
 
 class WrongResults(TypeError):
@@ -127,10 +136,9 @@ def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict
     for name, value in returned.items():
         if not isinstance(name, str):
             raise WrongResults(f"the names of results must be strings, got {checks.shown(name)}")
-        if name in point or name in RESERVED:
-            taken = "a parameter" if name in point else "a column of the study"
+        if name in point:
             raise WrongResults(
-                f"result {name!r} has the name of {taken}: rename it (e.g. 'solver_{name}')"
+                f"result {name!r} has the name of a parameter: rename it (e.g. 'solver_{name}')"
             )
         value = plain(value)
         if (kept := pack(value)) is not None:

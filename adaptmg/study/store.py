@@ -59,7 +59,7 @@ class Record:
         default_factory=dict
     )  # the kind of result where it is kept in ``kept``
     error: str = ""  # type and text of the exception of a failed run
-    seconds: float = 0.0  # wall time
+    seconds: float = 0.0  # wall time without compiling
     code: str = ""  # fingerprint, see :mod:`adaptmg.solver.fingerprint`
     versions: dict[str, str] = field(default_factory=dict)  # of Python and of the packages
     finished: str = ""  # UTC, ISO 8601

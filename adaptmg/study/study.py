@@ -24,7 +24,6 @@ from adaptmg._text import printable
 from adaptmg.solver.fingerprint import Fingerprint, environment
 from adaptmg.study.designs import DesignLike, Point, Value, as_design, canonical, parameter_value
 from adaptmg.study.execute import (
-    RESERVED,
     Done,
     RunFunction,
     Task,
@@ -34,7 +33,7 @@ from adaptmg.study.execute import (
     study_fingerprint,
 )
 from adaptmg.study.store import Record, Store, new_owner, unpack
-from adaptmg.study.tables import DETAILS, frame
+from adaptmg.study.tables import frame
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -279,9 +278,11 @@ class Study:
         design.
 
         Columns are parameters, results (its kind where one is kept apart), ``status`` ('done',
-        'failed', 'stale', 'missing'), ``seconds`` and ``error``; with ``details`` also peak_memory
-        (bytes), started, finished (UTC), machine, commit, traceback. ``attrs`` has the study's name
-        and fixed parameters."""
+        'failed', 'stale', 'missing'), ``seconds`` (wall time without compiling) and ``error``; with
+        ``details`` also peak_memory (bytes), started, finished (UTC), machine, commit, traceback.
+        Where a parameter or a result has such a name, the column of the study is ``run_status``,
+        say. ``attrs`` has the study's name, its fixed parameters and, as ``columns``, those
+        names."""
         return self._table(self._fingerprint(), details)
 
     def status(self) -> StudyStatus:
@@ -446,14 +447,11 @@ class Study:
 
     def _table(self, code: Fingerprint, details: bool) -> pd.DataFrame:
         table = frame(self.design.names, self._rows(code), details)
-        table.attrs = {"study": self.name, "fixed": dict(self.fixed)}
+        table.attrs |= {"study": self.name, "fixed": dict(self.fixed)}
         return table
 
 
 def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Value]) -> None:
-    for name in (*fixed, *names):
-        if name in RESERVED or name in DETAILS:
-            raise ValueError(f"parameter {name!r} has the name of a column of the study: rename it")
     if set(names) & set(fixed):
         raise ValueError(f"{sorted(set(names) & set(fixed))} are both in parameters and in fixed")
     arguments = [*fixed, *names]
@@ -482,13 +480,9 @@ def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
             return checks.number("cost", cost(dict(point)))
         if cost in point:
             return checks.number(f"cost: parameter {cost!r}", point[cost])
-        value = (
-            None
-            if record is None
-            else record.seconds
-            if cost == "seconds"
-            else record.results.get(cost)
-        )
+        value = None
+        if record is not None:
+            value = record.results.get(cost, record.seconds if cost == "seconds" else None)
         # a run without a record may be long
         return (
             float(value) if isinstance(value, int | float) and not math.isnan(value) else math.inf

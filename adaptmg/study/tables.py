@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptmg._text import printable
 from adaptmg.study.designs import Value
-from adaptmg.study.execute import RESERVED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,8 +20,20 @@ if TYPE_CHECKING:
 
     Table = pd.DataFrame | Mapping[str, Sequence[object]]
 
-#: columns that :meth:`adaptmg.study.Study.table` adds as details
+#: columns that :meth:`adaptmg.study.Study.table` adds to parameters and results, and as details
+RESERVED = ("status", "seconds", "error")
 DETAILS = ("peak_memory", "started", "finished", "machine", "commit", "traceback")
+
+
+def own_columns(taken: Collection[str]) -> dict[str, str]:
+    """Return the names of the columns that a study adds: ``run_`` goes before one that a parameter
+    or a result has."""
+    columns = {}
+    for name in (*RESERVED, *DETAILS):
+        columns[name] = name
+        while columns[name] in taken:
+            columns[name] = f"run_{columns[name]}"
+    return columns
 
 
 def frame(
@@ -31,32 +42,22 @@ def frame(
     details: bool = False,
 ) -> pd.DataFrame:
     """Return a table of runs: parameters by ``names``, results, status, seconds, error, and
-    details."""
+    details; ``attrs["columns"]`` has the names of the last."""
     import pandas as pd
 
-    more, lines = DETAILS if details else (), []
+    records = [record for _, record, _ in rows if record is not None]
+    given = dict.fromkeys((*names, *(name for record in records for name in record.results)))
+    own, lines = own_columns(given), []
+    shown = [own[name] for name in (*RESERVED, *(DETAILS if details else ()))]
     for point, record, status in rows:
-        own = (
-            {}
-            if record is None
-            else {name: getattr(record, name) for name in ("seconds", "error", *more)}
-        )
-        lines.append(
-            {
-                "error": "",
-                **{name: point.get(name) for name in names},
-                **own,
-                **(record.results if record else {}),
-                "status": status,
-            }
-        )
-    results = (name for _, record, _ in rows if record is not None for name in record.results)
-    columns = {
-        name: [line.get(name, math.nan) for line in lines]
-        for name in dict.fromkeys((*names, *results, *RESERVED, *more))
-    }
+        line = {name: point.get(name) for name in names} | {own["error"]: ""}
+        if record is not None:
+            line |= record.results
+            line |= {column: getattr(record, name) for name, column in own.items()}
+        lines.append(line | {own["status"]: status})
+    columns = {name: [line.get(name, math.nan) for line in lines] for name in (*given, *shown)}
     # texts that are not UTF-8 are refused by the text columns of pandas with pyarrow
-    return pd.DataFrame(
+    table = pd.DataFrame(
         {
             name: pd.Series(
                 column, dtype=object if any(isinstance(v, str) for v in column) else None
@@ -64,6 +65,8 @@ def frame(
             for name, column in columns.items()
         }
     )
+    table.attrs["columns"] = own
+    return table
 
 
 def as_text(
