@@ -42,6 +42,10 @@ class ContactNodes(checks.Checked):
     masters : tuple of str, optional
         For each of ``names`` the boundary of another body that it may touch; "" (the default) is a
         rigid obstacle.
+    taken_over : (n_contact, n_nodes) sparse array, optional
+        Next to nodes of the boundary without a contact condition: what each contact node takes over
+        of their boundary mass, over its own. Its force acts there too, in these proportions.
+        Default none.
 
     Examples
     --------
@@ -59,6 +63,7 @@ class ContactNodes(checks.Checked):
     boundary: np.ndarray | None = None
     names: Annotated[tuple[str, ...], checks.strings] = ("contact",)
     masters: tuple[str, ...] | None = None
+    taken_over: sparse.csr_array | None = None
 
     __repr__ = brief
     if TYPE_CHECKING:
@@ -75,6 +80,7 @@ class ContactNodes(checks.Checked):
             boundary: ArrayLike | None = None,
             names: tuple[str, ...] = ("contact",),
             masters: tuple[str, ...] | None = None,
+            taken_over: sparse.sparray | sparse.spmatrix | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -120,7 +126,12 @@ class ContactNodes(checks.Checked):
         )
         if len(masters) != len(self.names):
             raise ValueError(f"masters must go with names ({len(self.names)}), got {len(masters)}")
+        taken = sparse.csr_array((n, 0)) if self.taken_over is None else self.taken_over
+        taken = sparse.csr_array(checks.sparse_matrix("taken_over", taken, (n, None)))
+        if not taken.data.min(initial=0.0) >= 0:
+            raise ValueError(f"taken_over must be >= 0, got {taken.data.min():.6g}")
         for name, value in (
+            ("taken_over", taken),
             ("normals", normals),
             ("gaps", gaps),
             ("weights", weights),
@@ -153,6 +164,11 @@ class ContactNodes(checks.Checked):
     def dim(self) -> int:
         """Return the space dimension."""
         return self.normals.shape[1]
+
+    @property
+    def measures(self) -> np.ndarray:
+        """Return the weights (n,) with what contact nodes take over."""
+        return self.weights * (1 + self.taken_over.sum(axis=1))
 
 
 # entries of matrices and nodal forces beyond these come from no physical problem: energies leave

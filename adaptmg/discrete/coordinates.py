@@ -72,6 +72,11 @@ class Coupling:
         object.__setattr__(self, "_series", narrowed(_series(by_dof)))
 
     @property
+    def between_bodies(self) -> bool:
+        """Whether nodes face those of other bodies, and not only take over from neighbours."""
+        return bool(self.weights.data.max(initial=0.0) > 0)
+
+    @property
     def dim(self) -> int:
         """Components a node."""
         return len(self.fixed) // self.weights.shape[0]
@@ -107,16 +112,21 @@ class Coupling:
         change = 0.5 * (change + sparse.bsr_array(change.T))
         return narrowed(sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices())
 
-    def prolongation(self, nodal: sparse.csr_array, coarse: Coupling) -> sparse.csr_array:
-        r"""Return a nodal prolongation P in relative coordinates on both levels, :math:`(I -
-        W_f)\,P\,(I - W_c)^{-1}`. It spans the space that P spans: rigid motions of both bodies and
-        all else that P reproduces."""
-        inner = sparse.csr_array(nodal @ coarse.upward)
-        result = sparse.csr_array(inner - self.weights @ inner)
-        result.data[np.abs(result.data) < _ROUNDING] = 0.0
-        result.eliminate_zeros()
-        result.sort_indices()
-        return narrowed(result)
+
+def relative_prolongation(
+    nodal: sparse.csr_array, fine: Coupling | None, coarse: Coupling | None
+) -> sparse.csr_array:
+    r"""Return a nodal prolongation P in relative coordinates on both levels, :math:`(I - W_f)\,P\,(I
+    - W_c)^{-1}`; P itself without any. It spans the space that P spans: rigid motions of all bodies
+    and all else that P reproduces."""
+    if fine is None and coarse is None:
+        return nodal
+    inner = nodal if coarse is None else sparse.csr_array(nodal @ coarse.upward)
+    result = inner.copy() if fine is None else sparse.csr_array(inner - fine.weights @ inner)
+    result.data[np.abs(result.data) < _ROUNDING] = 0.0
+    result.eliminate_zeros()
+    result.sort_indices()
+    return narrowed(result)
 
 
 def _series(step: sparse.csr_array) -> sparse.csr_array:
@@ -153,8 +163,8 @@ def held_slaves(
     fixed = fixed.reshape(weights.shape[0], -1)
     limit, friction = law.bounds(len(nodes))
     rows = sparse.csr_array(weights[nodes])
-    acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (np.diff(rows.indptr) > 0)
     facing = facing_part(rows)
+    acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (facing.sum(axis=1) > 0)
     held = (fixed[nodes] & (facing @ fixed.astype(float) <= NEGLIGIBLE)).any(axis=1)
     if inclined is not None:
         either = fixed.any(axis=1)
@@ -181,6 +191,11 @@ class Unknowns:
         """The dofs (n_dofs,) bool that supports prescribe: the fixed ones but the relative
         displacements of ties."""
         return self.fixed if self.coupling is None else self.coupling.fixed
+
+    @property
+    def between_bodies(self) -> bool:
+        """Whether the unknowns are relative to other bodies."""
+        return self.coupling is not None and self.coupling.between_bodies
 
     @property
     def dim(self) -> int:

@@ -12,10 +12,16 @@ matrix (in axisymmetry with the factor :math:`2\pi r`); between bodies see
 :mod:`adaptmg.discrete.mortar`.
 
 A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it
-faces is found, there. In front of obstacles, facets of the other boundary count in its mass by the
-part that faces the same way. In a pair it carries no multiplier of the pair named later: that
-pair's multipliers next to it take over its part, and it follows as a plain node. A tied node
-carries no contact; in front of obstacles the contact nodes that it follows take over its mass.
+faces is found, there. Where a node i of a boundary carries none of its conditions, as it belongs to
+another one, is held or tied, those next to it take over its part (crosspoints, B. Wohlmuth, SIAM J.
+Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929): with the shares :math:`E_{ji}`, which sum to 1
+over the contact nodes j of the boundary,
+
+.. math:: u_{n,j} + \sum_i \frac{E_{ji} w_i}{w_j}\, u_i \cdot n_j \le g_j + \sum_i \frac{E_{ji} w_i}{w_j}\, g_i ,
+
+so that the multipliers add up to one and constant pressures are exact. The displacement :math:`u_i`
+enters as that of a master does. Where a tied node follows contact nodes in front of obstacles, its
+mass goes to these.
 
 Load steps have nodal loads and prescribed displacements by name, so that every step is a
 combination of them:
@@ -50,7 +56,6 @@ from adaptmg.discrete.obstacles import (
     check_held,
     free_normals,
     in_front_of,
-    lumped_masses,
     may_overlap,
     with_motions,
 )
@@ -59,7 +64,7 @@ from adaptmg.discrete.sides import jump_of, tie_interfaces, with_sides
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import HeldNodes, fixed_dofs, inclined_supports, supported_nodes
 from adaptmg.discrete.volumes import Volumes, volume_groups
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.mesh.exact import exact_surfaces
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Law, NodalLaw, check_law
@@ -329,23 +334,18 @@ def contact_data(
     """Return the nodes of the contact boundaries (of pairs: of the slaves), in ascending order, and
     what they follow. ``excluded`` slave nodes carry no multiplier; ``slip_reference`` (n_nodes,
     dim) is a displacement, m. Nodes of ``ties`` carry no contact."""
-    owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
-    surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
-    for k in reversed(range(len(surfaces))):
-        owner[surfaces[k].nodes] = k
-    tied = np.zeros(mesh.n_nodes)  # boundary masses of tied nodes in front of obstacles
-    for k, contact in enumerate(problem.contact if ties else ()):
-        own = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
-        own = own[np.isin(own, np.concatenate([tie.nodes for tie in ties]))]
-        if not isinstance(contact, ContactPair):
-            tied[own] = lumped_masses(problem, surfaces, own, k, surfaces[k].node_normals[own])
-    for tie in ties:
-        owner[tie.nodes] = -1
     if held is None:
         held = HeldNodes(
             fixed_dofs(mesh, problem.supports)[0].reshape(-1, mesh.dim),
             inclined_supports(mesh, problem.supports),
         )
+    owner = np.zeros(mesh.n_nodes, dtype=np.int32)  # of nodes on contact boundaries
+    surfaces = [mesh.surface(name) for name in problem.contact_boundaries]
+    for k in reversed(range(len(surfaces))):
+        owner[surfaces[k].nodes] = k
+    tied = _masses_of_ties(problem, surfaces, owner, held, ties)
+    for tie in ties:
+        owner[tie.nodes] = -1
     nothing = np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0)
     exact = exact_surfaces(problem.domain) if any(problem.masters) else {}
     parts = []
@@ -371,8 +371,8 @@ def contact_data(
                 )
             )
         else:
-            parts.append(in_front_of(contact, problem, mesh, surfaces, owner, k, held))
-    parts.append(MortarInterface(*nothing))
+            parts.append(in_front_of(contact, problem, mesh, surfaces, owner, k, held, tied))
+    parts.append(MortarInterface(*nothing, taken_over=sparse.csr_array((0, mesh.n_nodes))))
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
@@ -381,9 +381,9 @@ def contact_data(
         np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ("normals", "weights", "gaps")
     )
-    if tied.any():
-        alone = np.array([not isinstance(one, ContactPair) for one in problem.contact])[boundary]
-        weights[alone] += _passed_on(tied, ties, nodes[alone])
+    taken = sparse.csr_array(
+        sparse.vstack([part.taken_over for part in parts], format="csr")[order]
+    )
     if held.inclined is not None:
         rubbed = np.intersect1d(nodes, held.inclined.nodes[held.inclined.moving])
         if len(rubbed):
@@ -394,7 +394,7 @@ def contact_data(
             )
     if slip_reference is not None:
         slip_reference = checks.array("slip_reference", slip_reference, mesh.points.shape)[nodes]
-    slip_reference = with_motions(problem, mesh.points[nodes], boundary, slip_reference)
+    slip_reference = with_motions(problem, mesh, nodes, taken, boundary, slip_reference)
     contact = ContactNodes(
         nodes=nodes,
         normals=normals,
@@ -405,23 +405,41 @@ def contact_data(
         allow_interference=any(map(may_overlap, problem.contact)),
         names=problem.contact_boundaries,
         masters=problem.masters,
+        taken_over=taken,
     )
     return contact, _followed([*parts, *ties], mesh.n_nodes)
 
 
-def _passed_on(
-    masses: np.ndarray, ties: Sequence[MortarInterface], nodes: np.ndarray
+def _masses_of_ties(
+    problem: ContactProblem,
+    surfaces: list[Surface],
+    owner: np.ndarray,
+    held: HeldNodes,
+    ties: Sequence[MortarInterface],
 ) -> np.ndarray:
-    """Of the masses (n_nodes,) of tied nodes what contact nodes (n,) take that these follow, over
-    tied ones too."""
-    takes, result = np.zeros_like(masses), np.zeros_like(masses)
-    takes[np.concatenate([nodes, *(tie.nodes for tie in ties)])] = 1.0
-    rows = _followed(list(ties), len(masses)).maximum(0.0) @ sparse.diags_array(takes)
-    share = rows.T @ sparse.diags_array(1 / np.maximum(rows.sum(axis=1), np.finfo(float).tiny))
+    """Boundary masses (n_nodes,) in front of obstacles that tied nodes give, < 0, and contact nodes
+    that these follow, over tied ones too, take."""
+    masses, takes = np.zeros(len(owner)), np.zeros(len(owner))
+    if not ties:
+        return masses
+    for k, contact in enumerate(problem.contact):
+        if isinstance(contact, ContactPair):
+            continue
+        own = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
+        free = held.free_part(own, surfaces[k].node_normals[own])
+        takes[own] = np.linalg.norm(free, axis=1) > TANGENTIAL
+        masses[own] = surfaces[k].lumped(problem.axisymmetric)[own]
+    tied = np.unique(np.concatenate([tie.nodes for tie in ties]))
+    takes[tied] = 0.0
+    step = _followed(list(ties), len(owner)).maximum(0.0).T
+    reached = sparse.csr_array(step.shape)
+    path = step
     for _ in ties:
-        masses = share @ masses
-        result += masses
-    return result[nodes]
+        reached = reached + sparse.diags_array(takes) @ path
+        path = step @ sparse.diags_array(1 - takes) @ path
+    total = reached.sum(axis=0)
+    masses = np.where(total > 0, masses, 0.0)
+    return reached @ np.divide(masses, total, out=np.zeros_like(masses), where=total > 0) - masses
 
 
 def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | None:

@@ -99,6 +99,9 @@ class MortarInterface:
     #: (n,): smallest distance between the surfaces around each node, m, for the question whether they overlap: a dual
     #: function changes sign, so that its mean of a distance >= 0 may be negative
     closest: np.ndarray | None = None
+    #: (n, n_nodes): what each node takes over from nodes of its surface without a multiplier, over
+    #: its own weight
+    taken_over: sparse.csr_array | None = None
 
     def __len__(self) -> int:
         return len(self.nodes)
@@ -177,6 +180,34 @@ def pair_interface(
     return replace(interface, gaps=gaps)
 
 
+def taken_over(
+    surface: Surface, carries: np.ndarray, axisymmetric: bool, silent: np.ndarray | None = None
+) -> sparse.csr_array:
+    """Return what nodes that carry multipliers (n_nodes,) take over of the measure of the others
+    of a surface, or of those in the mask ``silent``: (n_nodes, n_nodes)."""
+    n = len(surface.points)
+    integrals, facets = surface.shape_integrals(axisymmetric), surface.facets
+    corners = facets.shape[1]
+    ends = np.repeat(facets, corners, axis=1).ravel(), np.tile(facets, (1, corners)).ravel()
+    near = sparse.csr_array((np.repeat(integrals, corners, axis=1).ravel(), ends), shape=(n, n))
+    share = sparse.diags_array(carries.astype(float), format="csr")
+    reached = carries.copy()
+    while True:  # each pass reaches further nodes, or is the last
+        onwards = near @ reached
+        new = (onwards > 0) & ~reached
+        if not new.any():
+            break
+        scale = np.divide(1.0, onwards, out=np.zeros(n), where=new)
+        rows = sparse.diags_array(scale) @ near @ sparse.diags_array(reached.astype(float))
+        share = sparse.csr_array(share + rows @ share)
+        reached |= new
+    measure = surface.lumped(axisymmetric)
+    given = np.where(carries if silent is None else carries | ~silent, 0.0, measure)
+    result = sparse.csr_array(share.T @ sparse.diags_array(given, format="csr"))
+    result.eliminate_zeros()
+    return result
+
+
 def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
     if pair.coupling == "nodes":
         return node_to_node(surfaces)
@@ -204,7 +235,7 @@ def _facet_heights(surface: Surface) -> np.ndarray:
 def node_to_node(surfaces: Surfaces) -> MortarInterface:
     """Couple each node of a slave surface to the nearest node of a master surface."""
     points, normals = surfaces.points, surfaces.normals
-    nodes = np.flatnonzero(surfaces.carries)
+    nodes = surfaces.slave_side.nodes
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     facing = surfaces.master_side.nodes
@@ -212,24 +243,39 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     apart, normal = points[partner] - points[nodes], normals[nodes]
     gaps = np.einsum("nd,nd->n", apart, normal)
     offset = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
-    _check_partners(surfaces, nodes, partner, offset)
-    weights = surfaces.slave_side.lumped(surfaces.axisymmetric)[nodes]
+    faces = _with_partners(surfaces, nodes, partner, offset)
+    n, carries = len(points), surfaces.carries
+    matched = np.isin(np.arange(n), nodes[faces])
+    weights = surfaces.slave_side.lumped(surfaces.axisymmetric)
+    taken = taken_over(surfaces.slave_side, carries, surfaces.axisymmetric, matched)
+    taken = sparse.diags_array(1 / np.where(weights > 0, weights, 1.0)) @ taken
+    distances = np.bincount(nodes, gaps, minlength=n)
+    apart = sparse.csr_array((np.ones(len(nodes)), (nodes, partner)), shape=(n, n))
+    coupling = sparse.csr_array(apart + taken @ (apart - sparse.eye_array(n, format="csr")))
+    own = carries[nodes]
+    nodes, normal, gaps = nodes[own], normal[own], gaps[own]
+    weights = weights[nodes]
     if not weights.min() > 0:
         raise ValueError(
             f"slave node {nodes[int(np.argmin(weights))]} has no area: its facets lie on the axis of "
             "symmetry; end the boundary there"
         )
-    coupling = sparse.csr_array(
-        (np.ones(len(nodes)), (np.arange(len(nodes)), partner)), shape=(len(nodes), len(points))
-    )
     return MortarInterface(
-        nodes=nodes, normals=normal, weights=weights, gaps=gaps, coupling=coupling, closest=gaps
+        nodes=nodes,
+        normals=normal,
+        weights=weights,
+        gaps=gaps + (taken @ distances)[nodes],
+        coupling=_without_rounding(sparse.csr_array(coupling[nodes])),
+        closest=gaps,
+        taken_over=sparse.csr_array(taken)[nodes],
     )
 
 
-def _check_partners(
+def _with_partners(
     surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, offset: np.ndarray
-) -> None:
+) -> np.ndarray:
+    """Return which slave nodes face their partners; ValueError if one with a multiplier does
+    not."""
     points, shortest = surfaces.points, np.full(len(surfaces.points), np.inf)
     np.minimum.at(shortest, surfaces.slave, _edge_lengths(surfaces.slave_side).min(axis=1)[:, None])
     allowed, vectors = _OFFSET * shortest[nodes], np.zeros(points.shape)
@@ -241,7 +287,8 @@ def _check_partners(
             f"{NEVER_FACING}: the normals of slave nodes and of their partners point the same way. Check "
             "the orientation of the facets"
         )
-    missing = np.flatnonzero((offset > allowed) | ~facing)
+    alone = (offset > allowed) | ~facing
+    missing = np.flatnonzero(alone & surfaces.carries[nodes])
     if len(missing):
         i = missing[0]
         raise ValueError(
@@ -250,6 +297,7 @@ def _check_partners(
             f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
             f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes or a mortar coupling"
         )
+    return ~alone
 
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
@@ -288,8 +336,14 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     columns = np.tile(
         np.concatenate([surfaces.master[parts.master], surfaces.slave]), (1, k)
     ).ravel()
-    values = np.concatenate([np.einsum("piq,pqk->pik", tests, parts.shapes), -followed]).ravel()
-    total = sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
+    facing = np.einsum("piq,pqk->pik", tests, parts.shapes)
+    facing, taken = (
+        sparse.csr_array((values.ravel(), (rows[at], columns[at])), shape=(n_nodes, n_nodes))
+        for values, at in (
+            (facing, slice(facing.size)),
+            (followed, slice(facing.size, None)),
+        )
+    )
     diagonal = np.bincount(
         surfaces.slave.ravel(), np.where(carries, own, 0.0).ravel(), minlength=n_nodes
     )
@@ -301,7 +355,10 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     nodes = np.flatnonzero(
         diagonal > _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric)
     )
-    coupling = sparse.csr_array(sparse.diags_array(1 / diagonal[nodes]) @ total[nodes])
+    scale = sparse.diags_array(1 / diagonal[nodes], format="csr")
+    taken = sparse.csr_array(scale @ taken[nodes])
+    taken.eliminate_zeros()
+    coupling = sparse.csr_array(scale @ facing[nodes] - taken)
     return MortarInterface(
         nodes=nodes,
         normals=surfaces.normals[nodes],
@@ -309,6 +366,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         gaps=gaps[nodes] / diagonal[nodes],
         coupling=_without_rounding(coupling),
         closest=closest[nodes],
+        taken_over=taken,
     )
 
 

@@ -13,9 +13,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.mortar import MortarInterface, slave_normals
+from adaptmg.discrete.mortar import MortarInterface, slave_normals, taken_over
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.supports import HeldNodes, held_directions
 from adaptmg.mesh.arrays import MeshArrays, Surface
@@ -35,11 +36,13 @@ def in_front_of(
     owner: np.ndarray,
     k: int,
     held: HeldNodes,
+    tied: np.ndarray,
 ) -> MortarInterface:
-    """Return the nodes of contact boundary k in front of a rigid obstacle."""
-    nodes = surfaces[k].nodes[owner[surfaces[k].nodes] == k]
+    """Return the nodes of contact boundary k in front of a rigid obstacle. ``tied`` (n_nodes,)
+    is the boundary mass that nodes get from others by ties, or give away, < 0."""
+    surface, nodes = surfaces[k], surfaces[k].nodes
     try:
-        averaged = slave_normals(surfaces[k], held)[nodes]
+        averaged = slave_normals(surface, held)[nodes]
     except ValueError as error:
         raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
     normals, gaps = facing_obstacle(
@@ -56,10 +59,22 @@ def in_front_of(
             "allow_interference=True for an interference fit"
         )
     free = free_normals(problem, mesh, k, nodes, normals, held)
-    kept = np.linalg.norm(free, axis=1) > TANGENTIAL
-    normals, gaps = along_free(free, normals, gaps)
-    weights = lumped_masses(problem, surfaces, nodes[kept], k, averaged[kept])
-    return MortarInterface(nodes[kept], normals[kept], weights, gaps[kept])
+    kept = (np.linalg.norm(free, axis=1) > TANGENTIAL) & (owner[nodes] == k)
+    carries, silent = np.zeros((2, mesh.n_nodes), dtype=bool)
+    carries[nodes[kept]] = True
+    silent[nodes] = tied[nodes] >= 0
+    taken = taken_over(surface, carries, problem.axisymmetric, silent)[nodes[kept]]
+    weights = (surface.lumped(problem.axisymmetric) + tied)[nodes[kept]]
+    taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken)
+    normals, own = along_free(free, normals, gaps)
+    return MortarInterface(
+        nodes[kept],
+        normals[kept],
+        weights,
+        own[kept] + taken[:, nodes] @ gaps,
+        coupling=-taken if taken.nnz else None,
+        taken_over=taken,
+    )
 
 
 def check_held(
@@ -100,24 +115,6 @@ def check_held(
                 f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {over[i]:.6g} "
                 "m inside its obstacle: move the support less, or the obstacle"
             )
-
-
-def lumped_masses(
-    problem: ContactProblem, surfaces: list[Surface], nodes: np.ndarray, k: int, normals: np.ndarray
-) -> np.ndarray:
-    """Return the boundary masses (n,) of the nodes that contact boundary k owns, m or m^2."""
-    weights = np.zeros(len(nodes))
-    for other, mine in enumerate(surfaces):
-        if other != k and isinstance(problem.contact[other], ContactPair):
-            continue
-        for corner, share in zip(mine.facets.T, mine.shares(problem.axisymmetric).T, strict=True):
-            at = np.searchsorted(nodes, corner)
-            here = at < np.searchsorted(nodes, corner, "right")
-            facing = mine.measures[here]
-            if other != k:
-                facing = np.maximum(0.0, np.sum(mine.vectors[here] * normals[at[here]], axis=1))
-            np.add.at(weights, at[here], facing * share[here])
-    return weights
 
 
 def facing_obstacle(
@@ -191,18 +188,24 @@ def _first(contact: Contact) -> Obstacle:
 
 
 def with_motions(
-    problem: ContactProblem, points: np.ndarray, boundary: np.ndarray, reference: np.ndarray | None
+    problem: ContactProblem,
+    mesh: MeshArrays,
+    nodes: np.ndarray,
+    taken: sparse.csr_array,
+    boundary: np.ndarray,
+    reference: np.ndarray | None,
 ) -> np.ndarray | None:
-    """Return the slip reference (n_contact, dim) with how obstacles move, None where nothing
-    does."""
+    """Return the slip reference (n_contact, dim) of contact nodes with how obstacles move, None
+    where nothing does."""
     for k, contact in enumerate(problem.contact):
         obstacle = None if isinstance(contact, ContactPair) else _first(contact)
         if isinstance(obstacle, Moving):
-            reference, own = (
-                np.zeros_like(points) if reference is None else reference.copy(),
-                boundary == k,
-            )
-            reference[own] += obstacle.motion(points[own])
+            own = boundary == k
+            empty = np.zeros((len(nodes), mesh.dim))
+            reference = empty if reference is None else reference.copy()
+            beside = np.unique(taken[own].indices)
+            reference[own] += obstacle.motion(mesh.points[nodes[own]])
+            reference[own] += taken[own][:, beside] @ obstacle.motion(mesh.points[beside])
     return reference
 
 
@@ -228,13 +231,18 @@ def moved(
     )
     for k, obstacle in now.items():
         own = np.flatnonzero(contact.boundary == k)
-        points, boundary = mesh.points[contact.nodes[own]], problem.contact[k].boundary
-        outward = slave_normals(mesh.surface(boundary), held)
-        direct, gap = facing_obstacle(obstacle, boundary, points, outward[contact.nodes[own]])
+        boundary = problem.contact[k].boundary
+        nodes = mesh.surface(boundary).nodes
+        points, outward = mesh.points[nodes], slave_normals(mesh.surface(boundary), held)[nodes]
+        direct, gap = facing_obstacle(obstacle, boundary, points, outward)
+        at, taken = np.searchsorted(nodes, contact.nodes[own]), contact.taken_over[own][:, nodes]
+        direct, beside = direct[at], taken @ gap
         normals[own], gaps[own] = along_free(
-            held.free_part(contact.nodes[own], direct), direct, gap
+            held.free_part(contact.nodes[own], direct), direct, gap[at]
         )
-        reference[own] += obstacle.motion(points) - before[k].motion(points)
+        gaps[own] += beside
+        motion = obstacle.motion(points) - before[k].motion(points)
+        reference[own] += motion[at] + taken @ motion
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _TURNED
     new = replace(
         contact,

@@ -311,18 +311,6 @@ def _contact_mask(contact: ContactNodes, name: str) -> tuple[np.ndarray, float]:
     )
 
 
-def _on_slaves(view: GoalView) -> np.ndarray:
-    """The share (n_contact,) of contact forces that slaves bear; the rest they pass to nodes
-    without a multiplier."""
-    contact, coupling = view.touching, view.discrete.coupling
-    share = np.ones(len(contact))
-    for k, name in enumerate(contact.names if coupling is not None else ()):
-        own = contact.boundary == k
-        rows = coupling.weights[contact.nodes[own]]
-        share[own] -= np.asarray(rows[:, view.mesh.boundary_nodes(name)].sum(axis=1)).ravel()
-    return share
-
-
 @dataclass(frozen=True)
 class ContactForce:
     """Force through a contact boundary, a sum over nodes.
@@ -372,17 +360,18 @@ class ContactForce:
         contact, dim = view.contact, view.mesh.dim
         mine, sign = _contact_mask(view.touching, self.boundary)
         local = np.zeros((len(mine), dim))
+        share = mine * view.touching.measures / view.touching.weights
         if self.direction not in ("normal", "tangential"):
-            share, k = sign * mine * _on_slaves(view), _axis("direction", self.direction, dim)
-            local = share[:, None] * contact.frames[:, :, k]
+            k = _axis("direction", self.direction, dim)
+            local = sign * share[:, None] * contact.frames[:, :, k]
         elif self.direction == "normal":
-            local[mine, 0] = -1.0
+            local[:, 0] = -share
         elif dim == 3:
             raise ValueError(
                 "direction 'tangential' has no meaning in 3D: give a component, 0, 1 or 2"
             )
         else:
-            local[mine, 1] = 1.0
+            local[:, 1] = share
         vector = np.zeros((view.discrete.n_nodes, dim))
         vector[contact.nodes] = from_frames(contact.frames, local)
         # where a support holds, the force of contact cannot be separated from its reaction
@@ -433,7 +422,7 @@ class Opening:
             )
         if self.point is None:
             weights, name = np.where(mine, posed.weights, 0.0), f"mean opening of {self.boundary!r}"
-            weights /= weights.sum()
+            weights /= np.sum(posed.measures[mine])
         else:
             facets = np.concatenate(
                 [mesh.boundary_facets(posed.names[k]) for k in np.unique(posed.boundary[mine])]
@@ -442,6 +431,7 @@ class Opening:
                 self._at_point(view, facets),
                 f"opening of {self.boundary!r} at {_place(self.point)}",
             )
+            weights = weights * posed.weights / posed.measures
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
         vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]
         return [Functional(name, float(weights @ contact.gap), "m", vector.reshape(-1))]

@@ -256,7 +256,8 @@ class Posed:
                 "result has other loads than those of hierarchy.problem: " + _OTHER_STEP
             )
         own = self.result.contact
-        left = own.gap + own.u_n - self.discrete.contact.gaps
+        gaps = self.discrete.contact.gaps * own.weights / own.measures
+        left = own.gap + own.u_n - gaps
         if np.abs(left).max(initial=0.0) > _LOADS_AGREE * np.abs([own.gap, own.u_n]).max(
             initial=0.0
         ):
@@ -317,9 +318,8 @@ def contact_tractions(
     """Return tractions of contact and ties on all boundaries that touch something, masters too, by
     name."""
     contact, ties = result.contact, result.ties
-    on_slave = contact.on_slaves(mesh)
     found = {
-        name: _on_surface(mesh, contact, name, on_slave, axisymmetric)
+        name: _on_surface(mesh, contact, name, axisymmetric)
         for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])
     }
     names = () if ties is None else ties.names
@@ -356,7 +356,7 @@ def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
 
 
 def _on_surface(
-    mesh: MeshArrays, contact: ContactResult, name: str, on_slave: np.ndarray, axisymmetric: bool
+    mesh: MeshArrays, contact: ContactResult, name: str, axisymmetric: bool
 ) -> SurfaceTraction:
     surface = mesh.surface(name)
     nodes, mass = surface.nodes, surface.lumped(axisymmetric)[surface.nodes]
@@ -367,12 +367,10 @@ def _on_surface(
             at = np.searchsorted(nodes, contact.node[mine])
             force[at] += contact.force[mine]
             filled[at] = True
-            if (
-                not master
-            ):  # an obstacle: the mass of a neighbouring contact boundary that goes on counts too
+            if not master:  # an obstacle: what ties hand on counts too
                 mass[at] = np.maximum(mass[at], contact.weights[mine])
         if name in (slave, master):
-            mine = (contact.master_boundary == k) & (on_slave if slave == name else ~on_slave)
+            mine = (contact.master_boundary == k) & (contact.master_is_slave == (slave == name))
             at = np.searchsorted(nodes, contact.master_node[mine])
             force[at] += contact.master_force[mine]
             filled[at] = True

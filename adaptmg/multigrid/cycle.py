@@ -673,7 +673,7 @@ class NestedStart:
         complete."""
         if self.cycles is None:
             return (
-                1 if problem.coupling is None or finer.n_nodes < self.CHEAP * problem.n_nodes else 2
+                2 if problem.between_bodies and finer.n_nodes >= self.CHEAP * problem.n_nodes else 1
             )
         return int(self.cycles)
 

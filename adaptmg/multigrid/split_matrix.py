@@ -259,7 +259,7 @@ def galerkin_levels(
     ):
         if level.discrete_or_none is None:
             matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
-        elif level.discrete.coupling is None and _nested(
+        elif not level.discrete.between_bodies and _nested(
             above, matrix, nodal, level.discrete.matrix
         ):
             matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None

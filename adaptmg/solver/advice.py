@@ -82,27 +82,6 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
                 f"{pair.master!r} for the slave, or ends in the active set method: exchange them, or give the pair "
                 'sides="auto"',
             )
-    rigid = (
-        [one.boundary for one in problem.contact if isinstance(one, Contact)]
-        if problem.ties
-        else []
-    )
-    for tie in problem.ties:
-        met, others = (
-            [
-                name
-                for name in rigid
-                if np.isin(mesh.boundary_nodes(name), mesh.boundary_nodes(side)).any()
-            ]
-            for side in (tie.slave, tie.master)
-        )
-        if met and not others:
-            advise(
-                "tie",
-                f"contact {met[0]!r} meets the tied boundary {tie.slave!r}: nodes on both follow "
-                f"{tie.master!r} and carry no contact, so that they may go through the obstacle: exchange slave "
-                "and master of the tie",
-            )
     for name, one in zip(mesh.bodies, materials, strict=True):
         if (
             problem.elements == "linear"
@@ -143,19 +122,23 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
     )
     for k, name in enumerate(contact.names):
         at = contact.boundary == k
+        if not at.any():
+            advise(
+                "silent",
+                f"contact {name!r} has no condition: all its nodes belong to supports, ties or contact "
+                "boundaries named before it, and bodies may pass there. Make the mesh finer, or name "
+                "it first",
+            )
+            continue
         least = min(float(result.contact.gap[at].min(initial=np.inf)) for result in results)
         if moved > 0.0 and least > FAR * moved:
-            where = (
-                f"stays at least {least:.3g} m from"
-                if np.isfinite(least)
-                else "has nothing in front of"
-            )
             other = contact.masters[k]
             advise(
                 "apart",
-                f"contact {name!r} {where} {repr(other) if other else 'its obstacle'}, and no point moves "
-                f"by more than {moved:.3g} m: they cannot meet. Check the positions and normals of both (m), and "
-                "the loads that press them together",
+                f"contact {name!r} stays at least {least:.3g} m from "
+                f"{repr(other) if other else 'its obstacle'}, and no point moves "
+                f"by more than {moved:.3g} m: they cannot meet. Check the positions and normals of both "
+                "(m), and the loads that press them together",
             )
 
 

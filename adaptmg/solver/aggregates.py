@@ -105,7 +105,7 @@ class Aggregates:
         for k, nodes in enumerate((problem.bodies or {}).values()):
             group[nodes] = k
         bodies = int(group.max()) + 1
-        if problem.coupling is not None:
+        if problem.between_bodies:
             group[problem.contact.nodes] += bodies
         group[np.logical_and.reduce([problem.fixed[k::dim] for k in range(dim)])] = -1
         size, depth = _SIZE[dim]

@@ -40,7 +40,6 @@ from adaptmg.solver.certificate import Certificate, certify
 if TYPE_CHECKING:
     import pandas
 
-    from adaptmg.mesh.arrays import MeshArrays
 
 _STATES = {"open": OPEN, "slip": SLIP, "stick": STICK}
 
@@ -84,12 +83,17 @@ class ContactResult:
     masters : tuple of str
         For each of ``names`` the boundary of the other body, "" for a rigid obstacle.
     master_node : (m,) int array, optional
-        Nodes that contact nodes follow: of the masters, and those of the slaves that carry no
-        contact conditions of their pair. For each pair each node once.
+        Other nodes on which contact forces act: of the masters, and those of the contact boundary
+        that carry no contact conditions of it. For each pair each node once of either.
     master_force : (m, dim) array, optional
-        Contact forces on them, -W' times those on the contact nodes (Cartesian), N (2D: N/m).
+        Contact forces on them (Cartesian), N (2D: N/m).
     master_boundary : (m,) int array, optional
-        Their pair: index into ``names``.
+        Their contact boundary or pair: index into ``names``.
+    master_is_slave : (m,) bool array, optional
+        Which of them lie on the contact boundary itself.
+    measures : (n,) array, optional
+        The part of the boundary on which the forces of contact nodes act: ``weights``, and where
+        the neighbours carry no conditions their part. Default ``weights``.
     axisymmetric : bool
         Whether x is the radius, and forces and masses are those of the full circumference (N, m^2).
     """
@@ -113,6 +117,8 @@ class ContactResult:
     master_force: np.ndarray = ABSENT
     master_boundary: np.ndarray = ABSENT
     axisymmetric: bool = False
+    master_is_slave: np.ndarray = ABSENT
+    measures: np.ndarray = ABSENT
 
     def __post_init__(self) -> None:
         if not self.masters:
@@ -125,6 +131,10 @@ class ContactResult:
                 ("master_boundary", empty),
             ):
                 object.__setattr__(self, name, value)
+        if self.measures is None:
+            object.__setattr__(self, "measures", self.weights)
+        if self.master_is_slave is None:
+            object.__setattr__(self, "master_is_slave", np.zeros(len(self.master_node), dtype=bool))
 
     @property
     def pair(self) -> np.ndarray:
@@ -139,16 +149,6 @@ class ContactResult:
             f"{slave} on {master}" if master else slave
             for slave, master in zip(self.names, self.masters, strict=True)
         ]
-
-    def on_slaves(self, mesh: MeshArrays | None) -> np.ndarray:
-        """Return which of ``master_node`` (m,) lie on the slave of their pair; without a mesh
-        none."""
-        result = np.zeros(len(self.master_node), dtype=bool)
-        if mesh is not None:
-            for k in np.unique(self.master_boundary):
-                mine = self.master_boundary == k
-                result[mine] = np.isin(self.master_node[mine], mesh.boundary_nodes(self.names[k]))
-        return result
 
     @property
     def closed(self) -> np.ndarray:
@@ -352,17 +352,19 @@ class Examiner:
         force_t[held] = (-limit[:, None] * direction)[held]
         state[slides & (state == STICK)] = SLIP
         x = discrete.coordinates
-        node, on_masters, boundary = _on_followed(
+        # conditions of nodes that take over a part of others are sums; means are reported
+        share = contact.measures / contact.weights
+        node, exerted, boundary, itself = _elsewhere(
             discrete, from_frames(frames, np.column_stack([-force_n, force_t]))
         )
         return ContactResult(
             node=contact.nodes,
             x=np.full(contact.normals.shape, np.nan) if x is None else x[contact.nodes],
             frames=frames.copy(),
-            gap=contact.gaps - u[:, 0],
-            u_n=u[:, 0],
-            u_t=u[:, 1:],
-            slip=slip,
+            gap=(contact.gaps - u[:, 0]) / share,
+            u_n=u[:, 0] / share,
+            u_t=u[:, 1:] / share[:, None],
+            slip=slip / share[:, None],
             force_n=force_n,
             force_t=force_t,
             weights=contact.weights,
@@ -372,33 +374,50 @@ class Examiner:
             names=contact.names,
             masters=contact.masters,
             master_node=node,
-            master_force=on_masters,
+            master_force=exerted,
             master_boundary=boundary,
+            master_is_slave=itself,
+            measures=contact.measures,
         )
 
 
-def _on_followed(
+def _elsewhere(
     discrete: DiscreteProblem, forces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes that slave nodes follow, what contact forces (n_contact, dim) exert on them, -W' times
-    them, and their boundaries. Where both bodies are held, held nodes of the other one take all."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes without a contact condition, what contact forces (n_contact, dim) exert on them, their
+    boundaries, and whether they lie on these or on masters. Next to where a boundary ends forces act
+    in part at the end; on the other body they exert -W' times them, or where both bodies are held
+    all on its held nodes."""
     contact, dim = discrete.contact, discrete.dim
-    parts = [(np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, dtype=np.int64))]
-    weights = []
+    parts = [
+        (np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, np.int64), np.empty(0, bool))
+    ]
+    if discrete.coupling is None:
+        return parts[0]
+    taken, weights = contact.taken_over, discrete.coupling.weights[contact.nodes]
+    if taken.shape[1]:
+        weights = sparse.csr_array(weights + taken)
+        weights.data[np.abs(weights.data) < ROUNDING] = 0.0
+        weights.eliminate_zeros()
+    facing = []
     for at, instead, _ in discrete.held_together():
         place = np.arange(len(contact))
         place[at] = len(contact) + np.arange(len(at))
-        weights.append(
-            sparse.vstack([discrete.coupling.weights[contact.nodes], instead], format="csr")[place]
-        )
-    for k in np.unique(contact.boundary) if weights else ():
+        instead = sparse.diags_array(1 + taken[at].sum(axis=1)) @ instead
+        facing.append(sparse.csr_array(sparse.vstack([weights, instead], format="csr")[place]))
+    for k in np.unique(contact.boundary):
         mine = np.flatnonzero(contact.boundary == k)
-        rows = [of_component[mine] for of_component in weights]
-        node = np.unique(np.concatenate([one.indices for one in rows]))
-        exerted = [-(one.T @ force)[node] for one, force in zip(rows, forces[mine].T, strict=True)]
-        parts.append((node.astype(np.int64), np.column_stack(exerted), np.full(len(node), k)))
-    node, exerted, boundary = zip(*parts, strict=True)
-    return np.concatenate(node), np.concatenate(exerted), np.concatenate(boundary)
+        for itself, rows in ((True, [-taken] * dim), (False, facing)):
+            rows = [of_component[mine] for of_component in rows]
+            node = np.unique(np.concatenate([one.indices for one in rows])).astype(np.int64)
+            exerted = [
+                -(one.T @ force)[node] for one, force in zip(rows, forces[mine].T, strict=True)
+            ]
+            number = len(node)
+            parts.append(
+                (node, np.column_stack(exerted), np.full(number, k), np.full(number, itself))
+            )
+    return tuple(map(np.concatenate, zip(*parts, strict=True)))
 
 
 #: a natural residual below this share of the terms it sums is rounding

@@ -366,7 +366,7 @@ class Result:
     def contact_area(self) -> float:
         """Return the area in contact, m^2 (plane problems: length, m): boundary masses of nodes not
         open."""
-        return float(self.contact.weights[self.contact.closed].sum())
+        return float(self.contact.measures[self.contact.closed].sum())
 
     @property
     def max_pressure(self) -> float:
@@ -418,7 +418,7 @@ class Result:
         moment, about = ("N m", axes) if self.dim == 3 else ("N", "" if c.axisymmetric else "z")
         for k, (name, pair) in enumerate(zip(c.names, c.pair_names, strict=True)):
             own, on_it, row = c.boundary == k, self.resultant(name), {"pair": pair}
-            row |= c.counts(own) | {f"area [{area}]": c.weights[own & c.closed].sum()}
+            row |= c.counts(own) | {f"area [{area}]": c.measures[own & c.closed].sum()}
             for what, unit, letters, values in (
                 ("force", force, axes, on_it.force),
                 ("moment", moment, about, np.atleast_1d(on_it.moment)),
@@ -523,8 +523,9 @@ class Result:
             return self.ties.on(boundary)
         if slave.any() or master.any():
             own = slave[c.boundary]
-            on_slaves = c.on_slaves(self.mesh_or_none)
-            others = np.where(on_slaves, slave[c.master_boundary], master[c.master_boundary])
+            others = np.where(
+                c.master_is_slave, slave[c.master_boundary], master[c.master_boundary]
+            )
             node, force = (
                 (np.empty(0, int), np.empty((0, self.dim)))
                 if self.ties is None

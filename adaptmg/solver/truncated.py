@@ -494,7 +494,7 @@ class TruncatedRun:
             )
             contact.start(unknowns)
             interface = None
-            if problem.coupling is not None and parts.interface_sweeps:
+            if problem.between_bodies and parts.interface_sweeps:
                 interface = Interface(levels[number], problem.coupling, problem.fixed)
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()

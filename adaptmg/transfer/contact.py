@@ -59,6 +59,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.contact_nodes import ContactNodes, largest_entry
+from adaptmg.discrete.coordinates import relative_prolongation
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
@@ -142,15 +143,18 @@ def between_levels(
         for nodes, rows in (*master_rows, *slave_rows):
             if (abs(nodal[nodes] - rows) > CLIP).nnz:  # not on nested meshes
                 nodal = with_contact_rows(nodal, nodes, rows)
-    relative = nodal if coupling is None else coupling.prolongation(nodal, coarse_problem.coupling)
-    surface, above = relative, coarse_problem.contact
+    relative, above = (
+        relative_prolongation(nodal, coupling, coarse_problem.coupling),
+        coarse_problem.contact,
+    )
+    surface = relative
     # others are held: no coarse bound limits what they would pass to fine contact nodes
     passes = np.isin(np.arange(coarse.n_nodes), above.nodes) | coarse_problem.fixed.reshape(
         -1, coarse.dim
     ).all(axis=1)
     for k, (nodes, rows) in enumerate(slave_rows):
         known = above.nodes[above.boundary == k]
-        if contact.masters[k]:
+        if contact.masters[k] or contact.taken_over[contact.boundary == k].nnz:
             surface = with_contact_rows(
                 surface, nodes, _among(known, rows, fine.points[nodes], coarse.points)
             )

@@ -232,6 +232,8 @@ def assert_agrees(grids, solvers):
         assert not result.certificate().contradictions(1e-8), name
         # relative to the master, but along what supports fix on both sides
         relative = u[nodes] - np.where(held_alike(parts), 0.0, parts.weights[nodes] @ u)
+        # means where a node takes over a part of its neighbour
+        relative = relative * (contact.weights / contact.measures)[:, None]
         local = np.einsum("nkd,nd->nk", contact.frames, relative)
         np.testing.assert_allclose(
             np.column_stack([contact.u_n, contact.u_t]), local, atol=1e-8 * np.abs(u).max()

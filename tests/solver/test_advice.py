@@ -44,24 +44,28 @@ def warned(act):
     return caught
 
 
-def test_a_tied_slave_in_front_of_an_obstacle_is_warned_of():
-    parts = {
-        "a": am.Rectangle(width=1, height=1, origin=(0, 1)),
-        "b": am.Rectangle(width=1, height=1),
+def test_a_contact_boundary_without_a_condition_is_warned_of():
+    """Of three walls around a corner the short one has two nodes, which belong to the others."""
+    domain = am.Polygon(
+        vertices=((1, 0), (8, 0), (8, 8), (0, 8), (0, 1)),
+        boundaries=("floor", "right", "top", "left", "corner"),
+    )
+    walls = {
+        "floor": am.Plane((0, 0), (0, 1)),
+        "left": am.Plane((0, 0), (1, 0)),
+        "corner": am.Plane((0.5, 0.5), (1, 1)),
     }
-    for tie, loud in ((am.Tied("a.bottom", "b.top"), True), (am.Tied("b.top", "a.bottom"), False)):
+    for order, loud in ((("floor", "left", "corner"), True), (("corner", "left", "floor"), False)):
         problem = am.ContactProblem(
-            domain=am.Assembly(parts=parts),
+            domain=domain,
             material=am.PlaneStrain(young=1e9, poisson=0.3),
             law=am.Frictionless(),
-            ties=tie,
-            contact=am.Contact("a.right", am.Plane((1, 1), (-1, 0))),
-            loads=am.Traction("a.left", (1e6, 0)),
-            supports=am.Support("b.bottom", x=0, y=0),
+            contact=[am.Contact(name, walls[name]) for name in order],
+            loads=[am.Pressure(name, 1e6) for name in ("right", "top")],
         )
-        grids = am.Hierarchy.uniform(problem, [{"a": 4, "b": 5}])
+        grids = am.Hierarchy.from_meshes(problem, [am.mesh.graded(domain, 1.5, ())])
         texts = [str(one.message) for one in warned(lambda grids=grids: am.solve(grids))]
-        assert ["exchange slave and master of the tie" in text for text in texts] == [True] * loud
+        assert ["'corner' has no condition" in text for text in texts] == [True] * loud
 
 
 BEYOND = {

@@ -1,0 +1,176 @@
+"""Where a contact boundary ends, or meets another: what nodes without a condition bear is taken
+over."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simplex_meshes import random_box
+
+import adaptmg as am
+
+YOUNG, POISSON, P = 1e9, 0.3, 1e6
+SIDES = ("left", "right", "front", "back", "bottom", "top")
+EXACT = am.ActiveSet(rtol=1e-12)
+
+
+def sides_of(dim):
+    """The sides of a box by axis: at 0 and at 1."""
+    return [SIDES[:2], SIDES[2:4], SIDES[4:]] if dim == 3 else [SIDES[:2], SIDES[4:]]
+
+
+def skewed_box(dim, seed, skew):
+    """A box with inner nodes at random, numbered at random, sheared, turned, scaled and moved."""
+    rng, mesh = np.random.default_rng(seed), random_box(30, dim, seed)
+    middle = mesh.points[mesh.facets].mean(axis=1)
+    names = [name for pair in sides_of(dim) for name in pair]
+    places = [
+        np.abs(middle[:, axis] - value) < 1e-12 for axis in range(dim) for value in (0.0, 1.0)
+    ]
+    turn, _ = np.linalg.qr(rng.normal(size=(dim, dim)))
+    turn[0] *= np.sign(np.linalg.det(turn))
+    shape = turn @ (np.eye(dim) + skew * np.triu(rng.uniform(0.5, 1, (dim, dim)), 1))
+    scale, order = 10 ** rng.uniform(-3, 1), rng.permutation(mesh.n_nodes)
+    number = np.argsort(order)
+    moved = replace(
+        mesh,
+        points=scale * (mesh.points @ shape.T + rng.normal(size=dim))[order],
+        elements=number[mesh.elements],
+        facets=number[mesh.facets],
+        facet_labels=np.argmax(places, axis=0),
+        boundaries=tuple(names),
+        source=None,
+    )
+    return moved, turn, scale
+
+
+@pytest.mark.parametrize("elements", ["linear", "smoothed"])
+@pytest.mark.parametrize(
+    ("order", "skew", "friction"),
+    [
+        (("left", "bottom"), 0.0, None),
+        (("bottom", "left"), 1.2, None),
+        (("left", "bottom"), -1.2, None),
+        (("bottom", "left"), 0.0, "bottom"),
+        (("left", "bottom"), 0.0, "bottom"),
+        (("front", "bottom", "left"), 0.0, None),
+        (("left", "bottom", "front"), 0.6, None),
+        (("bottom", "front", "left"), 0.0, "bottom"),
+    ],
+)
+def test_a_block_in_the_corner_of_walls(order, skew, friction, elements):
+    """Under pressure all around, or sticking to the floor without sliding: the exact solution is
+    linear."""
+    dim = len(order)
+    mesh, turn, scale = skewed_box(dim, seed=len(elements) + dim, skew=skew)
+    if friction is None:
+        stress = -P * np.eye(dim)
+    else:  # no strain along the floor
+        stress = turn @ np.diag([-P * POISSON / (1 - POISSON)] * (dim - 1) + [-P]) @ turn.T
+    lame, shear = YOUNG * POISSON / (1 + POISSON) / (1 - 2 * POISSON), YOUNG / 2 / (1 + POISSON)
+    trace = np.trace(stress) / (dim * lame + 2 * shear)
+    strain = (stress - lame * trace * np.eye(dim)) / (2 * shear)
+    normal = {name: mesh.surface(name).normals[0] for name in mesh.boundaries}
+    place = {name: mesh.points[mesh.boundary_nodes(name)[0]] for name in mesh.boundaries}
+    gaps = 1e-3 * scale * np.random.default_rng(dim).uniform(size=dim)
+    walls = np.array([normal[name] for name in order])
+    corner = np.linalg.solve(walls, [normal[name] @ place[name] for name in order])
+    exact = (mesh.points - corner) @ strain.T + np.linalg.solve(walls, gaps)
+    contact = [
+        am.Contact(
+            name,
+            am.Plane(place[name] + gap * normal[name], -normal[name]),
+            law=am.Coulomb(0.4) if name == friction else am.Frictionless(),
+        )
+        for name, gap in zip(order, gaps, strict=True)
+    ]
+    material = am.PlaneStrain if dim == 2 else am.Solid
+    problem = am.ContactProblem(
+        material=material(young=YOUNG, poisson=POISSON),
+        contact=contact,
+        law=am.Frictionless(),
+        loads=[
+            am.Traction(name, tuple(stress @ normal[name]))
+            for name in mesh.boundaries
+            if name not in order
+        ],
+        supports=(),
+        elements=elements,
+    )
+    if friction is not None:  # the floor does not hold before it is pressed
+        exact -= turn[:, :-1] @ (turn[:, :-1].T @ np.linalg.solve(walls, gaps))
+        contact = [
+            replace(one, obstacle=am.Plane(place[one.boundary], -normal[one.boundary]))
+            if one.boundary != friction
+            else one
+            for one in contact
+        ]
+        problem = replace(problem, contact=contact)
+    result = am.solve(am.discretise(problem, mesh), EXACT)
+    assert np.abs(result.displacement - exact).max() <= 1e-10 * np.abs(exact).max()
+    result = am.solve(am.Hierarchy.from_meshes(problem, [mesh]), EXACT)
+    for name in order:
+        force = stress @ normal[name] * mesh.surface(name).measures.sum()
+        got = result.resultant(name)
+        assert np.abs(got.force - force).max() <= 1e-9 * np.abs(force).max()
+    pressures = -np.einsum("nd,de,ne->n", result.contact.normal, stress, result.contact.normal)
+    np.testing.assert_allclose(result.contact.pressure, pressures, rtol=1e-8)
+    # reported gaps and areas are those of the boundary
+    measure = sum(mesh.surface(name).measures.sum() for name in order)
+    assert result.contact_area == pytest.approx(measure, rel=1e-12)
+
+
+@pytest.mark.parametrize("tie", [("a.bottom", "b.top"), ("b.top", "a.bottom")])
+@pytest.mark.parametrize("divisions", [{"a": 4, "b": 5}, {"a": (5, 3), "b": (2, 4)}])
+def test_contact_ends_at_a_tie(tie, divisions):
+    """Two blocks of one material, a wall beside the upper one alone: the exact solution is
+    linear."""
+    parts = {
+        "a": am.Rectangle(width=1, height=1, origin=(0, 1)),
+        "b": am.Rectangle(width=1, height=1),
+    }
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        material=am.PlaneStrain(young=YOUNG, poisson=POISSON),
+        law=am.Frictionless(),
+        ties=am.Tied(*tie),
+        contact=(
+            am.Contact("a.right", am.Plane((1, 1), (-1, 0))),
+            am.Contact("b.bottom", am.Plane((0, 0), (0, 1))),
+        ),
+        loads=[am.Pressure(name, P) for name in ("a.left", "a.top", "b.left", "b.right")],
+    )
+    grids = am.Hierarchy.uniform(problem, [divisions])
+    result = am.solve(grids, EXACT)
+    strain = (1 + POISSON) * (1 - 2 * POISSON) * P / YOUNG
+    exact = -strain * (result.mesh.points - (1, 0))
+    assert np.abs(result.displacement - exact).max() <= 1e-10 * strain
+    np.testing.assert_allclose(result.contact.pressure, P, rtol=1e-8)
+    np.testing.assert_allclose(result.resultant("a.right").force, (-P, 0), atol=1e-6 * P)
+
+
+@pytest.mark.parametrize("order", [("floor", "wall"), ("wall", "floor")])
+def test_a_cylinder_on_its_end_between_walls(order):
+    """In axisymmetry masses carry the circumference."""
+    domain = am.Rectangle(width=0.3, height=0.2, origin=(0.1, 0.0))
+    walls = {
+        "floor": am.Contact("bottom", am.Plane((0, 0), (0, 1))),
+        "wall": am.Contact("right", am.Plane((0.4, 0), (-1, 0))),
+    }
+    problem = am.ContactProblem(
+        domain=domain,
+        material=am.Axisymmetric(young=YOUNG, poisson=POISSON),
+        law=am.Frictionless(),
+        contact=[walls[name] for name in order],
+        loads=(am.Pressure("top", P),),
+        supports=(am.Support("left", x=0.0),),
+    )
+    grids = am.Hierarchy.uniform(problem, [(6, 4)])
+    result = am.solve(grids, EXACT)
+    strain = (1 + POISSON) * (1 - 2 * POISSON) / (1 - POISSON) * P / YOUNG
+    assert np.abs(result.displacement[:, 1] + strain * result.mesh.points[:, 1]).max() <= 1e-10
+    pressure = np.where(result.contact.normal[:, 0] > 0.5, POISSON / (1 - POISSON), 1.0) * P
+    np.testing.assert_allclose(result.contact.pressure, pressure, rtol=1e-8)
+    area = np.pi * (0.4**2 - 0.1**2)
+    assert result.resultant("bottom").force[1] == pytest.approx(P * area, rel=1e-9)
+    assert result.contact_area == pytest.approx(area + 2 * np.pi * 0.4 * 0.2, rel=1e-12)
