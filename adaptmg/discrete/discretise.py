@@ -50,7 +50,7 @@ from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import nodes_of_pieces, rigid_motions
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.moduli import Materials, body_materials
-from adaptmg.discrete.mortar import MortarInterface, pair_interface, slave_normals
+from adaptmg.discrete.mortar import MortarInterface, exact_of, pair_interface, slave_normals
 from adaptmg.discrete.obstacles import (
     TANGENTIAL,
     check_held,
@@ -65,7 +65,6 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import HeldNodes, fixed_dofs, inclined_supports, supported_nodes
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.mesh.exact import exact_surfaces
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Law, NodalLaw, check_law
 from adaptmg.problem.load_path import DEFAULT
@@ -347,7 +346,7 @@ def contact_data(
     for tie in ties:
         owner[tie.nodes] = -1
     nothing = np.empty(0, dtype=np.int64), np.empty((0, mesh.dim)), np.empty(0), np.empty(0)
-    exact = exact_surfaces(problem.domain) if any(problem.masters) else {}
+    exact = exact_of(problem)
     parts = []
     for k, contact in enumerate(problem.contact):
         if isinstance(contact, ContactPair):

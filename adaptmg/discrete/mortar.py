@@ -67,13 +67,16 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces, covered_parts
 from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.exact import exact_surfaces
 from adaptmg.mesh.surfaces import Curved, Revolved
+from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.surfaces import ContactPair
 
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
 
 _ROUNDING = 1e-12  # of the bodies' size
+_KNOWN = 1e-9  # the same of surfaces of STEP files, found from samples
 _LEAST_COVERED = 0.25  # of the part of a slave node
 _OFFSET = 1e-2  # of the shortest edge of facets at a slave node: how far off its normal its partner may lie
 _NEGLIGIBLE = 1e-13  # of the largest entry in a row of B, and of the measure around a node
@@ -118,6 +121,19 @@ def slave_normals(slave: Surface, held: HeldNodes) -> np.ndarray:
     return normals
 
 
+def exact_of(problem: ContactProblem) -> dict[str, list[Revolved]]:
+    """Return the exact surfaces, by boundary, of the pairs of a problem that its domain knows."""
+    pairs = [one for one in problem.contact if isinstance(one, ContactPair)]
+    names = [name for pair in pairs for name in (pair.slave, pair.master)]
+    return exact_surfaces(problem.domain, names) if names else {}
+
+
+def side_of(mesh: MeshArrays, name: str, exact: Mapping[str, Sequence[Revolved]]) -> Surface:
+    """Return a boundary with its exact surfaces where these are known."""
+    side = mesh.surface(name)
+    return Curved(mesh.points, side.facets, exact[name]) if name in exact else side
+
+
 def pair_interface(
     mesh: MeshArrays,
     pair: ContactPair,
@@ -129,12 +145,7 @@ def pair_interface(
 ) -> MortarInterface:
     """Return the interface of a pair; gaps are those between the ``exact`` surfaces, by boundary, that
     are known."""
-    slave, master = (
-        Curved(mesh.points, mesh.surface(name).facets, exact[name])
-        if name in exact
-        else mesh.surface(name)
-        for name in (pair.slave, pair.master)
-    )
+    slave, master = (side_of(mesh, name, exact) for name in (pair.slave, pair.master))
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
         nothing = sparse.csr_array((0, mesh.n_nodes))
         return MortarInterface(
@@ -162,7 +173,7 @@ def pair_interface(
                 f"gap of {what}", pair.gap, mesh.points[silent]
             )
     if not pair.allow_interference:
-        tolerance = np.full(len(gaps), _ROUNDING * surfaces.size)
+        tolerance = np.full(len(gaps), (_KNOWN if exact else _ROUNDING) * surfaces.size)
         if pair.gap is None:
             tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
             # the surfaces themselves must overlap, and not only a mean of their distance with
@@ -220,15 +231,20 @@ def _edge_lengths(surface: Surface) -> np.ndarray:
     return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
 
 
-def _facet_heights(surface: Surface) -> np.ndarray:
-    """At nodes (n_nodes,) of a surface the largest height of a facet there under an arc that is not
-    known, about, m; zero elsewhere."""
+def chord_heights(surface: Surface) -> np.ndarray:
+    """Return the heights of facets under the arcs that they are chords of, about, 0 where these
+    are known, and their longest edges (2, n), m."""
+    length = _edge_lengths(surface).max(axis=1)
+    turns = surface.node_normals[surface.facets] - surface.normals[:, None]
+    heights = 0.25 * length * np.linalg.norm(turns, axis=2).max(axis=1)
     known = isinstance(surface, Curved) and surface.behind >= 0
-    length = np.where(known, 0.0, _edge_lengths(surface).max(axis=1))
+    return np.stack([np.where(known, 0.0, heights), length])
+
+
+def _facet_heights(surface: Surface) -> np.ndarray:
+    """At nodes (n_nodes,) of a surface the largest height of a facet there; zero elsewhere."""
     result = np.zeros(len(surface.points))
-    for corner in surface.facets.T:
-        turn = np.linalg.norm(surface.node_normals[corner] - surface.normals, axis=1)
-        np.maximum.at(result, corner, 0.25 * length * turn)
+    np.maximum.at(result, surface.facets, chord_heights(surface)[0][:, None])
     return result
 
 

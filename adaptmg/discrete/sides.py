@@ -40,10 +40,11 @@ _OFFSET = 1e-6  # of the size of the mesh: how far a partner on the other side o
 
 def stiffness_ratio(problem: ContactProblem, mesh: MeshArrays, pair: ContactPair) -> float:
     """Return Young's modulus of the slave's body over that of the master's."""
-    return _young(problem, mesh, pair.slave) / _young(problem, mesh, pair.master)
+    return young_of(problem, mesh, pair.slave) / young_of(problem, mesh, pair.master)
 
 
-def _young(problem: ContactProblem, mesh: MeshArrays, boundary: str) -> float:
+def young_of(problem: ContactProblem, mesh: MeshArrays, boundary: str) -> float:
+    """Return the smallest Young's modulus of the bodies with a boundary, Pa."""
     touches = np.zeros(mesh.n_nodes, dtype=bool)
     touches[mesh.boundary_nodes(boundary)] = True
     materials = body_materials(mesh, problem.material)

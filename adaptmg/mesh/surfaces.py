@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, Surface, longest_edges, trusted
+from adaptmg.mesh.arrays import MeshArrays, Surface, trusted
 from adaptmg.mesh.soundness import least_angle
 
 # of solids of unit size: by how much points may miss the surface through them; nodes of a draft
@@ -36,9 +36,9 @@ _NEWTON = 6
 # cosine between a direction and the normal of a surface below which it does not lead onto it, and
 # between facets and the surface behind them
 _GRAZING, _PARALLEL = 0.1, 0.5
-# corners of a facet lie nearer to the surface behind it than this part of its longest edge: an arc of 90
-# degrees is .21 of its chord high, where bisection has put a corner onto that
-_NEARBY = 0.25
+# corners of a facet lie nearer to the surface behind it than this part of the extent of the boundary:
+# bisection without a geometry leaves them on chords, of which those of 90 degrees are .1 high
+_NEARBY = 0.1
 
 
 class Misplaced(ValueError):
@@ -77,9 +77,15 @@ class Revolved:
         """Return whether it is a plane."""
         return self.straight and not self.profile[0]
 
-    def moved(self, rotation: np.ndarray, offset: np.ndarray) -> Revolved:
-        """Return the surface after x goes to R x + offset."""
-        return replace(self, origin=rotation @ self.origin + offset, axis=rotation @ self.axis)
+    def moved(self, rotation: np.ndarray, offset: np.ndarray, scale: float = 1.0) -> Revolved:
+        """Return the surface after x goes to scale R x + offset."""
+        return replace(
+            self,
+            origin=scale * rotation @ self.origin + offset,
+            axis=rotation @ self.axis,
+            profile=self.profile if self.straight else scale * self.profile,
+            extent=scale * self.extent,
+        )
 
     def along(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return how far (n,) the surface is from points (n, 3) near it along unit vectors (n, 3);
@@ -115,16 +121,16 @@ class Curved(Surface):
         """Return the number (n,) of the surface behind each facet, the nearest of those that are about
         parallel to it; -1 where it is plane, or none is near."""
         corners, normals = in_space(self.points[self.facets]), in_space(self.normals)
-        best = _NEARBY * longest_edges(corners)
+        best = np.full(len(corners), _NEARBY * np.linalg.norm(np.ptp(corners, axis=(0, 1))))
         number = np.full(len(corners), -1)
-        for k, surface in enumerate(self.exact):
-            away = np.abs([surface.gaps(corner)[0] for corner in np.moveaxis(corners, 1, 0)]).max(
-                axis=0
-            )
+        # planes first: what lies on two is rather straight
+        for k in sorted(range(len(self.exact)), key=lambda k: not self.exact[k].plane):
+            surface = self.exact[k]
+            away = np.abs([surface.gaps(corner)[0] for corner in np.moveaxis(corners, 1, 0)])
             gradients = surface.gaps(corners.mean(axis=1))[1]
             parallel = np.abs(np.einsum("nd,nd->n", gradients, normals)) > _PARALLEL
-            nearer = parallel & (away < best)
-            best = np.where(nearer, away, best)
+            nearer = parallel & (away.max(axis=0) < best - _SAME * best.max())
+            best = np.where(nearer, away.max(axis=0), best)
             number[nearer] = -1 if surface.plane else k
         return number
 

@@ -17,8 +17,10 @@ import numpy as np
 
 from adaptmg._text import warn_user
 from adaptmg.discrete.moduli import body_materials
-from adaptmg.discrete.sides import STIFFER, stiffness_ratio
+from adaptmg.discrete.mortar import chord_heights, exact_of, side_of
+from adaptmg.discrete.sides import STIFFER, stiffness_ratio, young_of
 from adaptmg.discrete.stress import element_strain, hoop_strain
+from adaptmg.level import Level
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import Contact, ContactPair, ContactProblem, InitialStrain, Plane, PlaneStress
 from adaptmg.smoother.system import OPEN
@@ -35,6 +37,17 @@ STRAIN, SHARE = 0.05, 0.01
 SPAN, METAL, IN_MPA = 10.0, 5e10, (1e3, 1e6)
 #: bodies do not meet if the gap that is left exceeds all displacements by this factor
 FAR = 10.0
+#: chords matter above this part of the gap, and where what they press is above this part of the peak: .4 E's/h, of the
+#: moduli E' of both bodies in series and chords of length h and height s. Measured on a pin in a hole with 64 to 524
+#: edges on its rim: excess of the peak .3 to .5 E's/h with the finer side as slave (.05 to .1 with the coarser one),
+#: on Hertz's cylinder .17 with 5 to 20 edges in half of the contact
+CHORDS, PRESSED, EXCESS = 0.2, 0.4, 0.1
+#: nodes that face one node alone match: chords of both sides cancel
+PARTNER = 0.9
+#: where edges turn by more there is a corner, and no arc of 8 edges or more a circle
+CORNER = 0.4
+#: where they turn by less the surface is plane, in coordinates of five digits
+FLAT = 1e-4
 #: slips matter beyond an element and this share of the contact boundary
 SLID = 0.01
 
@@ -101,6 +114,46 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
             f"the bodies span {span:g} m, with young up to {young:g} Pa: are these lengths in mm"
             f"{'' if young >= METAL else ' and moduli in N/mm^2'}? adaptmg takes m, N and Pa",
         )
+
+
+def advise_on_chords(
+    problem: ContactProblem | None, level: Level, results: Sequence[Result]
+) -> None:
+    """Warn of pairs whose curved surfaces are not known, where chords are as high as gaps or press."""
+    discrete, mesh = level.discrete, level.mesh_or_none
+    if problem is None or mesh is None or discrete.coupling is None:
+        return
+    peaks = np.max([result.contact.pressure for result in results], axis=0, initial=0.0)
+    contact, exact = discrete.contact, exact_of(problem)
+    for k, pair in enumerate(problem.contact):
+        own = (contact.boundary == k) & (peaks > 0)
+        if not isinstance(pair, ContactPair) or pair.gap is not None or not own.any():
+            continue
+        nodes = contact.nodes[own]
+        facing = discrete.coupling.weights[nodes]
+        touching = np.zeros(mesh.n_nodes, dtype=bool)
+        touching[nodes] = touching[facing.indices] = True
+        sides = [side_of(mesh, name, exact) for name in (pair.slave, pair.master)]
+        heights, lengths = np.concatenate(
+            [chord_heights(side)[:, touching[side.facets].all(axis=1)] for side in sides], axis=1
+        )
+        round_ones = (FLAT * lengths < 4 * heights) & (4 * heights < CORNER * lengths)
+        if not round_ones.any() or np.median(facing.max(axis=1).toarray()) > PARTNER:
+            continue
+        highest = int(np.argmax(heights * round_ones))
+        height, length = heights[highest], lengths[highest]
+        gap = np.average(np.abs(contact.gaps[own]), weights=contact.weights[own])
+        series = 1 / sum(1 / young_of(problem, mesh, name) for name in (pair.slave, pair.master))
+        excess = PRESSED * series * height / length / max(EXCESS * peaks[own].max(), 1e-300)
+        if height > CHORDS * gap or excess > 1:
+            size = length * min(np.sqrt(CHORDS * gap / height), 1 / excess)
+            advise(
+                "chords",
+                f"contact pair ({pair.slave!r}, {pair.master!r}): the surfaces are curved, and known only by "
+                f"chords that lie up to {height:.3g} m behind them; the gap is {gap:.3g} m. Where nodes "
+                "do not match, chords press like gaps, and peaks of pressure are too large. Give the problem "
+                f"its domain, which knows its arcs, or take elements of at most {size:.2g} m along both sides",
+            )
 
 
 def advise_on_results(problem: ContactProblem | None, results: Sequence[Result]) -> None:

@@ -30,7 +30,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
+from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import (
     Controls,
@@ -369,6 +369,7 @@ def solve_path(
         if callback is not None:
             callback(k, result)
     advise_on_results(grids.problem, results)
+    advise_on_chords(grids.problem, grids.finest, results)
     return PathResult(tuple(results), loop.factors, mark, len(path))
 
 

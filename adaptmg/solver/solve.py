@@ -16,7 +16,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
+from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.multigrid import handed_over
 from adaptmg.solver.outcome import (
@@ -165,6 +165,7 @@ def solve(
         )
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
         advise_on_results(posed, [result])
+        advise_on_chords(posed, grids.finest, [result])
     _LOG.info(
         "%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)",
         result.problem_name,

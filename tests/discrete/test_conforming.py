@@ -1,8 +1,12 @@
 """Curved surfaces that fit each other, with edges that do not match: gaps are those of the exact
 surfaces, chords notwithstanding."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from netgen import occ
 
 import adaptmg as am
 from adaptmg.mesh import graded
@@ -96,6 +100,100 @@ def test_gaps_are_between_the_exact_surfaces(shape):
         assert np.median(contact.gaps) == pytest.approx(clearance, rel=0.02)
 
 
+def twice_bisected(mesh):
+    """The mesh, bisected twice at random without its domain: new nodes lie on chords."""
+    for _ in range(2):
+        chosen = np.random.default_rng().random(len(mesh.elements)) < 0.5
+        mesh = am.mesh.bisect(mesh, chosen)[0]
+    return mesh
+
+
+def middle_gap(domain, pair, mesh):
+    return np.median(am.discretise(posed(domain, am.ContactPair(*pair)), mesh).contact.gaps)
+
+
+@pytest.mark.parametrize("shape", [pin_in_block, disc_in_plate])
+def test_gaps_stay_exact_where_bisection_leaves_nodes_on_chords(shape):
+    inner, outer, side, hole = shape(RADIUS, RADIUS + CLEARANCE, (0, 0, 0))
+    domain = am.Assembly(parts={"inner": inner, "outer": outer})
+    mesh = twice_bisected(graded(domain, SIZES))
+    gap = middle_gap(domain, (f"outer.{hole}", f"inner.{side}"), mesh)
+    assert gap == pytest.approx(CLEARANCE, rel=0.03)
+
+
+def test_gaps_between_faces_of_a_step_file_are_exact(tmp_path):
+    fit = RADIUS + CLEARANCE
+    pin, drill = (occ.Cylinder(occ.Pnt(0, 0, 0), occ.Z, 1e3 * r, 80) for r in (RADIUS, fit))
+    block = occ.Box(occ.Pnt(-150, -150, 0), occ.Pnt(150, 150, 80)) - drill
+    pin.name, block.name = "pin", "block"
+    axis = occ.Axis((0, 0, 0), occ.Vec(1, 2, 3))
+    parts = [solid.Rotate(axis, 40).Move(occ.Vec(300, 20, -500)) for solid in (pin, block)]
+    occ.Compound(parts).WriteStep(str(path := tmp_path / "pin.step"))
+    faces = am.mesh.step_table(path)
+    round_ones = faces[faces.kind == "cylinder"]
+    pair = [f"{row.solid}.{row.face}" for row in round_ones.itertuples()]
+    domain = am.StepFile(path)
+    mesh = graded(domain, {"pin": 0.035, "block": 0.045})
+    assert middle_gap(domain, pair, mesh) == pytest.approx(CLEARANCE, rel=0.02)
+    # a mesh outlives its file: chords again
+    path.unlink()
+    problem = posed(domain, am.ContactPair(*pair, allow_interference=True))
+    assert am.discretise(problem, mesh).contact.gaps.min() < -10 * CLEARANCE
+
+
+def ring(a, b, names):
+    return am.Cut(am.Circle((0, 0), b, names[1]), am.Circle((0, 0), a, names[0]))
+
+
+def pin_in_bush(clearance, down):
+    """A stiff pin, moved down in its soft bush."""
+    domain = am.Assembly(
+        parts={
+            "pin": ring(0.5 * RADIUS, RADIUS, ("core", "rim")),
+            "bush": ring(RADIUS + clearance, 2 * RADIUS, ("hole", "rest")),
+        }
+    )
+    return replace(
+        posed(domain, am.ContactPair("bush.hole", "pin.rim")),
+        material={name: am.PlaneStrain(young=young, poisson=0.3) for name, young in MODULI.items()},
+        supports=(am.Support("pin.core", x=0, y=-down), am.Support("bush.rest", x=0, y=0)),
+    )
+
+
+MODULI = {"pin": 2e11, "bush": 2e9}
+
+
+def on_mesh(problem, mesh):
+    return am.solve(am.Hierarchy.from_meshes(problem, [mesh]), am.ActiveSet(rtol=1e-6))
+
+
+@pytest.mark.parametrize("engine", [am.Bisect(), am.Remesh()], ids=["bisected", "remeshed"])
+@pytest.mark.parametrize("clearance", [1e-3, 0.0], ids=["clearance", "equal arcs"])
+def test_adapted_meshes_have_the_peak_of_a_matching_mesh(engine, clearance):
+    problem = pin_in_bush(clearance, 2e-3)
+    fine = graded(problem.domain, 0.01, ("pin.rim", "bush.hole"), 4)
+    sides = [len(fine.boundary_nodes(name)) for name in ("pin.rim", "bush.hole")]
+    assert abs(sides[0] - sides[1]) <= 2
+    right = on_mesh(problem, fine).contact.pressure.max()
+    steps = list(am.adapt(problem, 0.03, engine=engine, max_nodes=2500))
+    peaks = [step.result.contact.pressure.max() for step in steps if step.result.mesh.n_nodes > 400]
+    assert len(peaks) > 1 and peaks == pytest.approx([right] * len(peaks), rel=0.02)
+
+
+def test_chords_of_unknown_arcs_are_warned_of():
+    problem = pin_in_bush(2e-4, 3e-4)
+    mesh = graded(problem.domain, {"pin": 0.0098, "bush": 0.013})
+    right = on_mesh(problem, mesh).contact.pressure.max()
+    unknown = replace(problem, domain=None)
+    with pytest.warns(UserWarning, match="chords that lie up to .* m behind.*at most") as caught:
+        wrong = on_mesh(unknown, mesh).contact.pressure.max()
+    assert len(caught) == 1 and wrong > 1.3 * right
+    # the exact surfaces need none
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        on_mesh(problem, mesh)
+
+
 def lame(r, inner, outer, interference, solid):
     """The pressure of a press fit of spheres (solid) or cylinders that are held at r = inner and at r
     = outer: u = A r + B / r^n, Lame."""
@@ -125,9 +223,7 @@ def test_press_fits_with_edges_that_do_not_match_have_lame_s_pressure(solid, swa
                 arcs=dict.fromkeys((0, 1, 3, 4), (0, 0)),
             )
     else:
-
-        def shell(a, b, names):
-            return am.Cut(am.Circle((0, 0), b, names[1]), am.Circle((0, 0), a, names[0]))
+        shell = ring
 
     domain = am.Assembly(
         parts={
