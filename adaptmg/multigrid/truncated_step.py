@@ -30,7 +30,7 @@ unknowns that reach no contact node are eliminated once; the interior point meth
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -403,20 +403,22 @@ def _product(a: np.ndarray, b: np.ndarray) -> float:
 
 class CoarseContact:
     """Corrections of one :class:`~adaptmg.multigrid.truncated_step.TruncatedStep`, in the span of
-    the finest level with at most ``MOST`` unknowns below its own."""
+    the finest level below its own with at most ``MOST`` unknowns (the coarsest may have more), of
+    which at most ``MOST_CONTACT`` reach contact nodes. Where there is no such level, ``number`` is
+    None and there are no corrections."""
 
-    #: unknowns of the coarse space; tolerance of its problem; slack above which its solution is refused
-    MOST, TOLERANCE, REFUSED = 2500, 1e-3, 1e-2
+    #: unknowns of the coarse space; those that reach contact nodes, dense in each interior point step (plate that
+    #: touches with its whole face, 21k nodes: .5 s with 500, 2.7 s with all 2500); tolerance of its problem; slack
+    #: above which its solution is refused
+    MOST, MOST_CONTACT, TOLERANCE, REFUSED = 2500, 500, 1e-3, 1e-2
 
     def __init__(self, step: TruncatedStep, coordinates: list[np.ndarray | None]) -> None:
+        self.step = step
+        self.number, rows, nodes = next(self._spaces(), (None, None, None))
+        if self.number is None:
+            return
         levels, contact, dim = step.cycle.levels, step.contact, step.contact.dim
-        small = [
-            number for number in range(step.number) if levels[number].matrix.n_dofs <= self.MOST
-        ]
-        self.step, self.number = step, small[-1] if small else 0
-        rows = self._rows()
         matrix = step.base_matrix(self.number)
-        nodes = np.unique(rows.indices // matrix.blocksize[0])
         fixed = np.zeros(matrix.shape[0], dtype=bool)
         fixed[levels[self.number].matrix.fixed] = True
         self.eliminated = _eliminated(matrix, fixed, nodes, coordinates[self.number])
@@ -425,8 +427,9 @@ class CoarseContact:
         block[(slice(None), *np.triu_indices(dim))] = contact.blocks.reshape(len(block), -1)
         self.stiffness = np.abs(block.diagonal(axis1=1, axis2=2))
 
-    def _rows(self) -> sparse.csr_array:
-        """B: the prolongation from the coarse level, at contact nodes, in their frames."""
+    def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:
+        """The levels that may serve, finest first: with B, the prolongation from there at contact
+        nodes, in their frames, and the nodes that reach these."""
         step, dim = self.step, self.step.contact.dim
         n, dofs = len(step.contact.nodes), dofs_of(step.contact.nodes, dim)
         frames = step.contact.frames.reshape(n, dim, dim)
@@ -436,15 +439,18 @@ class CoarseContact:
         rows = sparse.csr_array(
             (rows.data, dofs[rows.indices], rows.indptr), shape=(n * dim, len(step.unknowns))
         )
-        for level in reversed(step.cycle.levels[self.number + 1 : step.number + 1]):
-            nodal = level.prolongation
-            size = level.matrix.n_dofs // nodal.shape[0]
-            rows = _without(rows, level.matrix.fixed) @ sparse.kron(
-                nodal, sparse.eye_array(size), format="csr"
-            )
-        rows = _without(rows, step.cycle.levels[self.number].matrix.fixed)
-        rows.eliminate_zeros()
-        return rows
+        for number in reversed(range(step.number)):
+            finer, coarse = step.cycle.levels[number + 1], step.cycle.levels[number].matrix
+            size = finer.matrix.n_dofs // finer.prolongation.shape[0]
+            nodal = sparse.kron(finer.prolongation, sparse.eye_array(size), format="csr")
+            rows = _without(rows, finer.matrix.fixed) @ nodal
+            if number > 0 and coarse.n_dofs > self.MOST:
+                continue
+            moving = _without(rows, coarse.fixed)
+            moving.eliminate_zeros()
+            nodes = np.unique(moving.indices // coarse.dim)
+            if coarse.dim * len(nodes) <= self.MOST_CONTACT:
+                yield number, moving, nodes
 
     def __call__(self) -> float:
         """Correct the smoothed iterate; returns the A-norm of the correction, sqrt(N m), or

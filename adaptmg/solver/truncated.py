@@ -123,9 +123,13 @@ class TruncatedIteration(StopTest):
             None,
         )
         if self._seeks_status():
-            multigrid.smooth()
-            moved, measured = self._coarse()(), True
-            self._shorten = moved < np.inf
+            correction = self._coarse()
+            if correction.number is None:
+                self._coarse = None
+            else:
+                multigrid.smooth()
+                moved, measured = correction(), True
+                self._shorten = moved < np.inf
         state = multigrid.measure(self._safe > 0, with_energy=measured)
         self._changed = state.changed if cycles else 0  # before the first cycle there is no status
         size = sizes.norm(multigrid.unknowns, state.energy) if measured else self.size

@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 from smoother_problems import expand
 
 import adaptmg as am
+from adaptmg.multigrid import truncated_step
 from adaptmg.solver.truncated import TruncatedIteration
 
 COLD, NESTED = am.Multigrid(), am.FullMultigrid()
@@ -225,3 +226,48 @@ def test_a_smoother_below_the_finest_level(grids, method):
         am.solve(grids, method(correction=am.Truncated(coarse_smoother=idle)), throw=False).cycles
         > expected.cycles
     )
+
+
+def membrane(n: int, coarser: int) -> am.Hierarchy:
+    """A square membrane that its load presses on a floor: all nodes but those of the rim are
+    contact nodes."""
+    along = sparse.diags_array([-np.ones(n), np.full(n + 1, 2.0), -np.ones(n)], offsets=[-1, 0, 1])
+    still = sparse.eye_array(n + 1)
+    laplacian = sparse.kron(along, still) + sparse.kron(still, along)
+    at_rim = np.zeros((n + 1, n + 1), dtype=bool)
+    at_rim[[0, -1]] = at_rim[:, [0, -1]] = True
+    inner = np.flatnonzero(~at_rim)
+    load = np.zeros((at_rim.size, 2))
+    load[:, 1] = -np.linspace(1.0, 2.0, at_rim.size) / n**2
+    problem = am.DiscreteProblem(
+        matrix=sparse.bsr_array(sparse.kron(laplacian, np.eye(2)), blocksize=(2, 2)),
+        load=load.reshape(-1),
+        fixed=np.repeat(at_rim, 2),
+        law=am.Frictionless(),
+        contact=am.ContactNodes(
+            nodes=inner,
+            normals=np.tile([0.0, -1.0], (len(inner), 1)),
+            gaps=np.full(len(inner), 0.05),
+        ),
+    )
+    prolongations = []
+    for coarse in (n >> k for k in range(coarser, 0, -1)):
+        nodes, ends = np.arange(2 * coarse + 1), np.arange(coarse + 1)
+        hats = np.maximum(1.0 - np.abs(nodes[:, None] / 2 - ends), 0.0)
+        prolongations.append(sparse.kron(hats, hats))
+    return am.Hierarchy.from_prolongations(problem, prolongations)
+
+
+def test_coarse_contact_problems_are_small_where_all_nodes_are_contact_nodes(monkeypatch):
+    sizes, solved = [], truncated_step.interior_point
+    monkeypatch.setattr(
+        truncated_step,
+        "interior_point",
+        lambda span, load, *others: sizes.append(len(load)) or solved(span, load, *others),
+    )
+    for n, coarser, most in ((64, 3, 500), (128, 3, 500), (64, 1, 0)):
+        sizes.clear()
+        result = am.solve(membrane(n, coarser), am.Multigrid())
+        # dense matrices of this size are factorised some 20 times in each
+        assert max(sizes, default=0) <= most and result.cycles <= 25 and not result.fallback
+        assert 0.1 < result.contact.closed.mean() < 0.3
