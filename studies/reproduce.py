@@ -43,6 +43,7 @@ STUDIES = {
     "transfers": 16,
     "amg": 22,
     "flexible": 5,
+    "parts": 60,
     "accuracy": 16,
     "crack": 22,
 }
