@@ -1,4 +1,5 @@
-"""Netgen, OCC and readers of files in a process of their own, with limits of time and memory.
+"""Netgen, OCC and readers of files in a process of their own, with limits of processor time and
+memory.
 
 Netgen fails, or does not finish, where a wall, slot or needle is much thinner than the edges around
 it; OCC ends its process on some damaged files. Both then end the other process only, which is
@@ -14,15 +15,21 @@ import pickle
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-#: by dimension, seconds: for the shape, and for each node (twenty times in 2D, five times in 3D what Netgen takes)
+#: by dimension, seconds of the processor: for the shape, and for each node (twenty times in 2D, five
+#: times in 3D what Netgen takes)
 LIMIT_S, _NODE_LIMIT_S = {2: 30.0, 3: 120.0}, {2: 4e-3, 3: 35e-3}
 #: seconds for a file, and for each byte of it: OCC takes a second a megabyte
 _FILE_S, _BYTE_S = 60.0, 2e-5
+
+#: how many times as long a process may take by the clock: of 16 that compute on 2 processors each
+#: has an eighth; one that only waits must end, too
+_PATIENCE = 20.0
 
 _WORKER = Path(__file__).with_name("netgen_worker.py")
 # by the process that started them: after a fork the other one must not use them
@@ -67,16 +74,21 @@ class Netgen:
 
     def __call__(self, function: str, *arguments: Any, seconds: float) -> Any:
         """Call a function of the worker; NetgenFails with its message, NetgenUnfinished after
-        ``seconds``."""
-        late = threading.Event()
+        ``seconds`` of the processor."""
+        late, done = threading.Event(), threading.Event()
+        start = self._spent()
+        end = time.monotonic() + _PATIENCE * seconds
 
-        def stop() -> None:
-            late.set()
-            self.process.kill()
+        def watch() -> None:
+            left = seconds
+            while not done.wait(min(max(left, 0.1), threading.TIMEOUT_MAX)):
+                left = min(seconds - self._spent() + start, end - time.monotonic())
+                if left <= 0:
+                    late.set()
+                    self.process.kill()
+                    return
 
-        timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), stop)
-        timer.daemon = True
-        timer.start()
+        threading.Thread(target=watch, daemon=True).start()
         try:
             pickle.dump((function, arguments), self.process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
             self.process.stdin.flush()
@@ -84,16 +96,28 @@ class Netgen:
         except (EOFError, OSError, pickle.UnpicklingError):
             self.end()
             if late.is_set():
-                raise NetgenUnfinished(f"it does not finish within {seconds:.0f} s") from None
+                raise NetgenUnfinished(
+                    f"it does not finish within {seconds:.3g} s of the processor"
+                ) from None
             raise NetgenFails(f"it breaks down, exit code {self.process.returncode}") from None
         except BaseException:
             self.end()
             raise
         finally:
-            timer.cancel()
+            done.set()
         if not well:
             raise NetgenFails(answer)
         return answer
+
+    def _spent(self) -> float:
+        """Seconds of the processor that the process has taken."""
+        import psutil  # a first solve without it starts sooner
+
+        try:
+            times = psutil.Process(self.process.pid).cpu_times()
+        except psutil.Error:
+            return 0.0
+        return times.user + times.system
 
     def end(self) -> None:
         """Kill the process."""

@@ -51,6 +51,7 @@ _NO_LIMIT = 1e99
 # volumes of boolean operations add up to 1e-9 of the operands
 _VOLUME_TOLERANCE = 1e-6
 # parameters of samples of surfaces: angles of those that are turned
+_FLAT = 1e-9  # differences of the normals of plane faces
 _ACROSS, _ALONG = (0.1, 0.5, 0.9, 1.3, 1.7), (0.01, 0.04, 0.07, 0.1, 0.13)
 # where Gmsh puts the nodes that VTK counts in order, of kinds that meshio leaves alone
 _ORDER = {
@@ -263,7 +264,7 @@ def read_step(path: str) -> list[tuple[str, str, list[str]]]:
     products: dict[Solid, str] = {}
     tree = geometry.GetAssemblyTree()
     if tree is not None:
-        _name_products(tree, "", _uses(Path(path).read_text("latin-1")), products)
+        _name_products(tree, "", *_parts_of(Path(path).read_text("latin-1")), products)
     return [
         (products.get(solid, ""), solid.name or "", [face.name or "" for face in solid.faces])
         for solid in solids
@@ -272,46 +273,63 @@ def read_step(path: str) -> list[tuple[str, str, list[str]]]:
 
 def _name_products(
     node: occ.OCCAssemblyNode,
-    label: str,
-    uses: dict[str, list[tuple[str, str]]],
+    part: str,
+    names: Mapping[str, str],
+    uses: Mapping[str, Sequence[tuple[str, str]]],
     products: dict[Solid, str],
 ) -> None:
     """Names of the products of the leaves below a node. Netgen says the names of instances, the
     file of what."""
-    below = list(uses.get(label, ())) if label else [(name, name) for name in uses]
+    below = list(uses.get(part, ()))
     for child in node.children:
-        entry = next((pair for pair in below if pair[0] == child.name), (child.name, child.name))
-        if entry in below:
-            below.remove(entry)
-        _name_products(child, entry[1], uses, products)
+        # names that OCC reads otherwise follow in the order of the file
+        same = [pair for pair in below if pair[0] == child.name] or below[:1]
+        if same:
+            below.remove(same[0])
+        _name_products(child, same[0][1] if same else "", names, uses, products)
     if not node.is_assembly and node.shape is not None and len(node.shape.solids) == 1:
-        products[node.shape.solids[0]] = label
+        # OCC calls an instance without a name after the place of its shape: =>[0:1:1:3]
+        own = "" if node.name.startswith("=>[") else node.name
+        products[node.shape.solids[0]] = names.get(part) or own
 
 
-def _uses(text: str) -> dict[str, list[tuple[str, str]]]:
-    """For each product of a STEP file that has parts, the names of their instances and of their
-    products."""
+def _parts_of(text: str) -> tuple[dict[str, str], dict[str, list[tuple[str, str]]]]:
+    """Names of the parts of a STEP file by their numbers, and instances of parts in each of them:
+    their names and of which; of "" those that are in none."""
     string = r"'((?:[^']|'')*)'"
     described = rf"\s*\(\s*{string}\s*,\s*(?:{string}|\$)\s*,\s*"
+    text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
 
     def rows(pattern: str) -> list[tuple[str, ...]]:
-        return re.findall(rf"#(\d+)\s*=\s*{pattern}", text)
+        return [tuple(map(_decoded, row)) for row in re.findall(rf"#(\d+)\s*=\s*{pattern}", text)]
 
     name = {row[0]: row[2] or row[1] for row in rows(rf"PRODUCT{described}")}
     version = {
         row[0]: name.get(row[-1], "")
         for row in rows(rf"PRODUCT_DEFINITION_FORMATION\w*{described}#(\d+)")
     }
-    part = {
+    names = {
         row[0]: version.get(row[-1], "")
         for row in rows(rf"PRODUCT_DEFINITION(?:_WITH_\w+)?{described}#(\d+)")
     }
-    result: dict[str, list[tuple[str, str]]] = {one: [] for one in part.values() if one}
-    for _, number, instance, _, whole, used in rows(
+    instances = rows(
         rf"NEXT_ASSEMBLY_USAGE_OCCURRENCE{described}(?:{string}|\$)\s*,\s*#(\d+)\s*,\s*#(\d+)"
-    ):
-        result.setdefault(part.get(whole, ""), []).append((instance or number, part.get(used, "")))
-    return result
+    )
+    used = {row[-1] for row in instances}
+    uses = {"": [(own, number) for number, own in names.items() if number not in used]}
+    for _, number, instance, _, whole, part in instances:
+        uses.setdefault(whole, []).append((instance or number, part))
+    return names, uses
+
+
+def _decoded(string: str) -> str:
+    """A string of a STEP file (ISO 10303-21, 6.4.3), with letters beyond ASCII."""
+    wide = re.sub(
+        r"\\X([24])\\((?:[0-9A-F]{4})*)\\X0\\",
+        lambda found: bytes.fromhex(found[2]).decode(f"utf-{8 * int(found[1])}-be", "replace"),
+        string.replace("''", "'"),
+    )
+    return re.sub(r"\\X\\([0-9A-F]{2})", lambda found: chr(int(found[1], 16)), wide)
 
 
 def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -326,6 +344,23 @@ def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         found["nodes"][:, :3].astype(np.int64) - 1,
         found["index"].astype(np.int64) - 1,
     )
+
+
+def face_sides() -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounding boxes (n, 2, 3) of the faces of the shape of the last request, and the
+    outward normals (n, 3) of those that are plane."""
+    boxes, normals = [], []
+    for face in _Held.shape.faces:
+        boxes.append([_place(p) for p in face.bounding_box])
+        normal = _samples(face)[..., 3:].reshape(-1, 3)
+        if not np.ptp(normal, axis=0).max() < _FLAT:
+            normals.append([math.nan] * 3)
+            continue
+        # the surface does not know which side is outside: the face and its turned copy beside it
+        # enclose a volume, which is negative where the copy lies outside
+        volume = occ.Compound([face, face.Move(Vec(*normal[0])).Reversed()]).mass
+        normals.append(-math.copysign(1, volume) * normal[0])
+    return np.array(boxes), np.array(normals)
 
 
 def face_distances(path: str, number: int, face: int, points: np.ndarray) -> np.ndarray:

@@ -32,7 +32,13 @@ def test_one_process_serves_all_calls_and_errors_keep_it():
     ("code", "seconds", "error", "message"),
     [
         ("os.abort()", 60, NetgenFails, "it breaks down, exit code -6"),
-        ("time.sleep(60)", 1, NetgenUnfinished, "it does not finish within 1 s"),
+        ("while True: pass", 1, NetgenUnfinished, "it does not finish within 1 s of the processor"),
+        (
+            "time.sleep(60)",
+            0.1,
+            NetgenUnfinished,
+            "it does not finish within 0.1 s of the processor",
+        ),
     ],
 )
 def test_a_process_that_breaks_down_or_hangs_is_replaced(
@@ -50,12 +56,24 @@ def test_a_process_that_breaks_down_or_hangs_is_replaced(
     worker.end()
 
 
+def test_limits_are_seconds_of_the_processor_not_of_the_clock(monkeypatch, tmp_path):
+    monkeypatch.setattr(netgen_guard, "_idle", {})
+    monkeypatch.setattr(netgen_guard, "_WORKER", tmp_path / "worker.py")
+    (tmp_path / "worker.py").write_text(
+        "import pickle, sys, time\npickle.load(sys.stdin.buffer)\ntime.sleep(1)\n"
+        "pickle.dump((True, 'late'), sys.stdout.buffer)\n"
+    )
+    with netgen() as worker:
+        assert worker("wait for the disk", seconds=0.3) == "late"
+
+
 def test_a_mesh_that_does_not_finish_is_refused_with_the_limit(monkeypatch):
     strip = am.Rectangle(width=1, height=1e-3)
     assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
     monkeypatch.setattr(netgen_guard, "LIMIT_S", {2: 1.0, 3: 1.0})
     with pytest.raises(
-        ValueError, match=r"could not mesh Outline.*does not finish within 1 s: take smaller sizes"
+        ValueError,
+        match=r"could not mesh Outline.*does not finish within 1 s of the processor: take smaller sizes",
     ):
         graded(am.Rectangle(width=1, height=1e-5), 0.2, mesher="netgen")
     monkeypatch.undo()

@@ -4,7 +4,7 @@ missing is said."""
 import numpy as np
 import pytest
 import step_assembly
-from netgen.occ import Axis, Box, Compound, Cylinder, Glue, Pnt, Sphere, Vec, X, Y, Z
+from netgen.occ import Axis, Box, Compound, Cylinder, Glue, Pnt, Sphere, Vec, X, Y, Z, gp_Dir
 
 import adaptmg as am
 from adaptmg.mesh import as_mesh, check_mesh, graded, sized, step_table, touching
@@ -197,6 +197,36 @@ def test_products_name_the_solids_of_an_assembly(clamped):
             ValueError, match=f"there is no solid '{wrong}'.*holds plate, nut, nut_2, pin, nut_3"
         ):
             step_names(StepFile(clamped, solids=[wrong]))
+
+
+@pytest.mark.parametrize("name", ["assembly", r"Gr\X2\00FC\X0\n", r"\X\C4ste", "the team''s", " "])
+def test_instances_without_names_are_called_after_their_product(clamped, tmp_path, name):
+    path, text = tmp_path / "a.step", clamped.read_text()
+    for k, own in enumerate(("plate:1", "NAUO1", "", "pin:7", "nut:4")):
+        old = f"NEXT_ASSEMBLY_USAGE_OCCURRENCE('{k}','{own}','',"
+        assert old in text
+        text = text.replace(old, f"NEXT_ASSEMBLY_USAGE_OCCURRENCE('{k}', /* */ '=>[0:1:1:{k}]','',")
+    path.write_text(text.replace("PRODUCT('assembly','assembly'", f"PRODUCT('1','{name}'"))
+    assert list(step_names(path)) == ["plate", "nut", "nut_2", "pin", "nut_3"]
+
+
+def test_a_table_knows_the_outside_of_a_turned_solid(tmp_path):
+    rng, path = np.random.default_rng(), tmp_path / "turned.step"
+    solid = Box(Pnt(0, 0, 0), Pnt(9, 7, 5)) - Box(Pnt(2, 2, 2), Pnt(4, 4, 6))
+    turn = Axis(Pnt(1, 2, 3), gp_Dir(*rng.normal(size=3)))
+    solid = solid.Rotate(turn, rng.uniform(0, 360)).Move(Vec(*rng.uniform(-50, 50, 3)))
+    solid.WriteStep(str(path))
+    table = step_table(path)
+    faces = table[table.face != ""]
+    normals = faces[["nx", "ny", "nz"]].to_numpy()
+    # of a polyhedron the areas add up to 0, and its volume is the sum of cones, by Gauss
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+    np.testing.assert_allclose(faces.area @ normals, 0, atol=1e-15)
+    heights = (normals * faces[["x", "y", "z"]]).sum(axis=1)
+    assert faces.area @ heights / 3 == pytest.approx((9 * 7 * 5 - 2 * 2 * 3) * 1e-9)
+    whole = table[table.face == ""]
+    for size in ("dx", "dy", "dz"):
+        assert (faces[size] <= whole[size].item() * (1 + 1e-6)).all()
 
 
 def test_a_table_finds_faces_by_what_they_are_like(clamped, tmp_path):
