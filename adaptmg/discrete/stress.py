@@ -86,6 +86,8 @@ def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     return u[mesh.elements, 0].sum(axis=1) / mesh.points[mesh.elements, 0].sum(axis=1)
 
 
+#: Poisson's ratio beyond which linear elements lock
+LOCKING = 0.45
 #: kinds of bodies in StressData
 _PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
 
@@ -105,6 +107,13 @@ class StressData:
     moduli: Moduli | None = (
         None  # where a body is anisotropic; Lame constants are those of an isotropic one near it
     )
+
+    @property
+    def locking(self) -> float:
+        """Return the largest Poisson's ratio of bodies whose elements lock; 0 if none do."""
+        ratios = self.lame / (2 * (self.lame + self.shear))
+        locked = (ratios > LOCKING + 1e-9) & (self.kind != _THIN) & (not self.smoothed)
+        return float(ratios[locked].max(initial=0.0))
 
     @classmethod
     def of(

@@ -19,16 +19,15 @@ from adaptmg._text import warn_user
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.mortar import chord_heights, exact_of, side_of
 from adaptmg.discrete.sides import STIFFER, stiffness_ratio, young_of
-from adaptmg.discrete.stress import element_strain, hoop_strain
+from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
 from adaptmg.level import Level
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import Contact, ContactPair, ContactProblem, InitialStrain, Plane, PlaneStress
 from adaptmg.smoother.system import OPEN
 from adaptmg.solver.result import Result
 
-#: Poisson's ratio from which linear elements lock, and what that means, measured: a roller (plane strain, frictionless,
-#: squeezed between planes) on adapted meshes of 3500 nodes; at .3 they are .1 and 1.5 %
-LOCKING = 0.45
+#: what locking means, measured: a roller (plane strain, frictionless, squeezed between planes) on adapted meshes of
+#: 3500 nodes; at .3 they are .1 and 1.5 %
 _LOCKED = "a force 0.1, 0.3, 1 % and a largest pressure 4, 11, 90 % too large at 0.45, 0.49, 0.499"
 #: strains that are no longer small, where a share of a body's volume exceeds them (next to singular points they have
 #: no bound)
@@ -103,9 +102,10 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
         ):
             advise(
                 "poisson",
-                f"material of body {name!r}: poisson is {one.poisson:g}, and above {LOCKING:g} linear "
-                "elements lock: they are too stiff, and stresses oscillate. A rubber roller on 3500 nodes has "
-                f"{_LOCKED}. Take forces and pressures from two meshes, and believe what they agree in",
+                f"material of body {name!r}: poisson is {one.poisson:g}: give the problem "
+                f'elements="smoothed", since above {LOCKING:g} linear ones lock: they are too stiff, stresses '
+                "oscillate, and with friction solvers may not converge. A rubber roller on 3500 nodes has "
+                f"{_LOCKED}",
             )
     span, young = max(float(np.ptp(x)) for x in mesh.points.T), max(one.young for one in materials)
     if span > SPAN and (young >= METAL or IN_MPA[0] <= young <= IN_MPA[1]):

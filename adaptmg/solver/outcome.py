@@ -211,7 +211,7 @@ def result_of(
         outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")
     )
     least, rtol = examined.checked.energy_rounding, outcome.rtol
-    if status.ok and rtol < examined.checked.energy_error <= least:
+    if status.ok and 0 < rtol < examined.checked.energy_error <= least:
         advise(
             "rounding",
             f"rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} (slender "

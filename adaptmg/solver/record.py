@@ -36,26 +36,23 @@ class Status(Enum):
 
     CONVERGED = "converged to the tolerance asked for"
     LIMIT = (
-        "the limit on cycles or sweeps was reached before the tolerance: raise it, take a better start "
-        "(FullMultigrid), more smoothing, or a looser rtol"
+        "the limit on cycles, sweeps or steps was reached before the tolerance: raise it if the error "
+        "estimate still falls, else take am.FullMultigrid() or am.ActiveSet()"
     )
     STALLED = (
         "the iterates no longer improve, or the certificate contradicts the last one, short of the "
-        "tolerance: take am.Monotone() (the frozen choices of the paper's correction are known to stall), or "
-        "am.ActiveSet()"
+        "tolerance: take am.ActiveSet(), or correction=am.Monotone() (the frozen choices of the paper's correction "
+        "are known to stall)"
     )
     CYCLING = (
-        "the contact status repeats without converging: reduce the friction or the load step, start from a "
-        "nested iteration, or solve with am.Multigrid()"
+        "the contact status repeats without converging: take am.Multigrid(), am.SingleGrid() with omega <= 1, or "
+        "less friction"
     )
     ROUNDING = (
         "the residual is rounding: in double precision no smaller error than the estimated one can be reached; "
         "take an rtol above it"
     )
-    DIVERGED = (
-        "the iterates grow without bound: check supports and loads (am.solve checks rigid motions), take "
-        "am.Monotone() or omega <= 1"
-    )
+    DIVERGED = "the iterates grow without bound: take am.ActiveSet(), correction=am.Monotone(), or omega <= 1"
 
     @property
     def ok(self) -> bool:

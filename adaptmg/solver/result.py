@@ -63,7 +63,7 @@ class Result:
         Asymptotic convergence rate per cycle (geometric mean of the last cycles); NaN if unknown,
         and where the active set method took over (``fallback``).
     rtol : float
-        The requested tolerance.
+        The requested tolerance, or what rounding leaves on a slender body where that is more.
     history : dict of str to (n,) array
         cycle, work_units, seconds, and what the solver recorded: residual (natural, relative),
         change (since the check before, relative, A-norm), error_estimate, true_error (with a
@@ -670,10 +670,17 @@ class NotConverged(RuntimeError):
             if violated
             else ""
         )
+        poisson = 0.0 if result.stress_data is None else result.stress_data.locking
+        locked = (
+            f'give the problem elements="smoothed", since linear ones lock at a Poisson\'s ratio of '
+            f"{poisson:.4g}, where Coulomb's law may have no solution on them; else, "
+            if poisson
+            else ""
+        )
         super().__init__(
             f"{result.method}: {result.status.name} after {result.cycles} cycles, natural residual "
-            f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {result.status.value}."
-            f"{contradicted} The last iterate is in the exception's .result; throw=False returns "
+            f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {locked}"
+            f"{result.status.value}.{contradicted} The last iterate is in the exception's .result; throw=False returns "
             "it instead."
         )
 

@@ -202,6 +202,10 @@ class TruncatedIteration(StopTest):
         return self.at_rounding(self.multigrid.rounding())
 
     @property
+    def residual_met(self) -> bool:
+        return super().residual_met or self.rests()
+
+    @property
     def better(self) -> bool:
         return self.residual < self.residuals[0] and not self.diverged
 

@@ -69,7 +69,7 @@ def test_a_contact_boundary_without_a_condition_is_warned_of():
 
 
 BEYOND = {
-    "poisson is 0.46": (
+    'poisson is 0.46: give the problem elements="smoothed"': (
         {"poisson": 0.46},
         {"poisson": 0.45},
         {"poisson": 0.46, "material": am.PlaneStress},

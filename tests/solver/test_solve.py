@@ -4,6 +4,7 @@ tests/agreement."""
 import gc
 import weakref
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import adaptmg as am
 from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.solver.aggregates import aggregates_of
 from adaptmg.solver.iterate import State, StopTest, iterate
-from adaptmg.solver.record import Run
+from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.statics import critical_friction
 
 
@@ -249,3 +250,111 @@ def test_what_a_solve_needs_is_freed_when_it_returns(solver):
     finally:
         gc.enable()
     assert not left
+
+
+def disc(poisson: float, elements: str = "linear") -> am.Hierarchy:
+    """A whole disc squeezed between two planes."""
+    return am.Hierarchy.graded(
+        am.ContactProblem(
+            material=am.PlaneStrain(young=1e7, poisson=poisson),
+            law=am.Coulomb(0.3),
+            domain=am.Outline(
+                vertices=((0.01, 0.01), (0.0, 0.02), (-0.01, 0.01), (0.0, 0.0)),
+                boundaries=("upper", "upper", "lower", "lower"),
+                arcs=dict.fromkeys(range(4), (0.0, 0.01)),
+            ),
+            elements=elements,
+            contact=(
+                am.Contact("lower", am.Plane((0.0, 0.0), (0.0, 1.0))),
+                am.Contact("upper", am.Plane((0.0, 0.0198), (0.0, -1.0)), allow_interference=True),
+            ),
+        ),
+        sizes=(3e-3, 1.5e-3),
+        contact_ratio=2,
+    )
+
+
+def paper_bar(friction: float = 1.0) -> am.Hierarchy:
+    return am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(friction)), (4, 8, 16))
+
+
+class RunsAway:
+    def run(self, hierarchy, run, start):
+        far = np.full(hierarchy.finest.discrete.n_dofs, np.inf)
+        return Outcome(far, am.Status.CONVERGED, 1, 1e-8)
+
+
+PAPER = am.Multigrid(correction=am.PaperCorrection())
+MONOTONE = am.Multigrid(correction=am.Monotone())
+FAST, SLOW = am.SingleGrid(omega=1.99, max_sweeps=100_000), am.SingleGrid(omega=1.0)
+SMOOTHED = partial(disc, 0.49, "smoothed")
+#: what ends without convergence, how, and by the words of the advice what converges then
+ADVICE = {
+    "locked": (partial(disc, 0.49), None, "LIMIT", {'elements="smoothed"': (SMOOTHED, None)}),
+    "locked, active set": (
+        partial(disc, 0.49),
+        am.ActiveSet(),
+        "CYCLING",
+        {'elements="smoothed"': (SMOOTHED, am.ActiveSet())},
+    ),
+    "few sweeps": (
+        paper_bar,
+        am.SingleGrid(max_sweeps=50),
+        "LIMIT",
+        {"raise it if the error estimate still falls": (paper_bar, am.SingleGrid())},
+    ),
+    "frozen": (
+        paper_bar,
+        PAPER,
+        "LIMIT",
+        {
+            "am.FullMultigrid()": (paper_bar, am.FullMultigrid()),
+            "am.ActiveSet()": (paper_bar, am.ActiveSet()),
+        },
+    ),
+    "frozen, by change": (
+        paper_bar,
+        replace(PAPER, stop="change", rtol=1e-6),
+        "STALLED",
+        {
+            "am.ActiveSet()": (paper_bar, am.ActiveSet()),
+            "correction=am.Monotone()": (paper_bar, MONOTONE),
+        },
+    ),
+    "over-relaxed": (
+        paper_bar,
+        FAST,
+        "CYCLING",
+        {
+            "am.Multigrid()": (paper_bar, am.Multigrid()),
+            "am.SingleGrid() with omega <= 1": (paper_bar, SLOW),
+            "less friction": (partial(paper_bar, 0.1), FAST),
+        },
+    ),
+    "runs away": (
+        paper_bar,
+        RunsAway(),
+        "DIVERGED",
+        {
+            "am.ActiveSet()": (paper_bar, am.ActiveSet()),
+            "correction=am.Monotone()": (paper_bar, MONOTONE),
+            "omega <= 1": (paper_bar, SLOW),
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("failure", ADVICE)
+def test_who_follows_an_advice_converges(failure):
+    make, solver, status, remedies = ADVICE[failure]
+    with pytest.raises(am.NotConverged) as caught:
+        am.solve(make(), solver)
+    assert caught.value.result.status.name == status
+    text = str(caught.value)
+    for words, (remade, other) in remedies.items():
+        assert words in text
+        assert am.solve(remade(), other).status.ok
+    if failure.startswith("locked"):
+        assert text.index("smoothed") < text.index(caught.value.result.status.value)
+    else:
+        assert "smoothed" not in text
