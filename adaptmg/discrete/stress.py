@@ -150,6 +150,11 @@ class StressData:
         )
 
     @property
+    def thin(self) -> np.ndarray:
+        """Which bodies (n_bodies,) are in plane stress."""
+        return self.kind == _THIN
+
+    @property
     def axisymmetric(self) -> bool:
         """Whether x is the radius r, and y the axial coordinate z."""
         return bool((self.kind == _AXISYMMETRIC).any())
@@ -160,7 +165,7 @@ class StressData:
         if self.moduli is not None:
             return self.moduli
         return isotropic(
-            self.lame, self.shear, self.kind == _THIN, mesh, EDGE_PART if self.smoothed else np.inf
+            self.lame, self.shear, self.thin, mesh, EDGE_PART if self.smoothed else np.inf
         )
 
     def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -170,7 +175,7 @@ class StressData:
     def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return strain tensors (n_elements, 3, 3) with initial strains, through the thickness and
         of the hoop, too."""
-        strain, thin = self._elastic(mesh, displacement), (self.kind == _THIN)[mesh.element_body]
+        strain, thin = self._elastic(mesh, displacement), self.thin[mesh.element_body]
         if thin.any():
             strain[thin, 2, 2] = self.of_elements(mesh).stress(strain)[thin, 2]
         if len(self.initial_strain):
@@ -182,7 +187,7 @@ class StressData:
         those in the plane."""
         own, volume = self.of_elements(mesh), element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
-        strain[(self.kind == _THIN)[mesh.element_body], 2] = 0.0
+        strain[self.thin[mesh.element_body], 2] = 0.0
         stress = own.stress(strain[:, :, None] * np.eye(3))
         if plane := mesh.dim == 2 and not self.axisymmetric:
             stress = stress[:, [0, 1, 3]]
@@ -227,7 +232,7 @@ class StressData:
         if len(self.initial_strain):
             strain[:, diagonal, diagonal] -= self.initial_strain
         # a sheet strains freely through its thickness: its tensors account for that
-        strain[(self.kind == _THIN)[mesh.element_body], 2, 2] = 0.0
+        strain[self.thin[mesh.element_body], 2, 2] = 0.0
         return strain
 
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
@@ -238,7 +243,7 @@ class StressData:
         stress, diagonal = as_tensors(self.of_elements(mesh).stress(strain)), np.arange(3)
         if self.pressure is not None:
             stress[:, diagonal, diagonal] += self.pressure[:, None]
-        stress[(self.kind == _THIN)[mesh.element_body], 2, 2] = 0.0
+        stress[self.thin[mesh.element_body], 2, 2] = 0.0
         return stress
 
 

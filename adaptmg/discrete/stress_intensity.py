@@ -1,19 +1,27 @@
-r"""Stress intensity factors of plane cracks by the interaction integral, with the tractions of the
-faces.
+r"""Stress intensity factors of plane cracks by the interaction integral, with the forces in the body
+and on the faces.
 
 With the fields :math:`\sigma^a, u^a` of a crack with :math:`K_I = 1` or :math:`K_{II} = 1`, axis 1
 along it at its tip, and a weight q, 1 around the tip and 0 far from it,
 
-.. math:: K = \frac{E'}{2}\Big[\int_A \big(\sigma_{ij} u^a_{i,1} + \sigma^a_{ij} u_{i,1}
-   - \sigma^a_{kl}\, u_{k,l}\, \delta_{1j}\big)\, q_{,j}\, dA - \int_\Gamma t_i\, u^a_{i,1}\, q\, ds\Big]
+.. math:: K = \frac{E'}{2}\Big[\int_A \big(\sigma_{ij} u^a_{i,1} + \sigma^a_{ij} v_{i,1}
+   - \sigma^a_{kl}\, v_{k,l}\, \delta_{1j}\big)\, q_{,j}\, dA
+   - \int_A \big(e_{ij}\, \sigma^a_{ij,1} + f_i\, u^a_{i,1}\big)\, q\, dA
+   - \int_\Gamma t_i\, u^a_{i,1}\, q\, ds\Big]
 
-(J. F. Yau, S. S. Wang and H. T. Corten, J. Appl. Mech. 47, 1980, doi:10.1115/1.3153665), over the
-faces
-:math:`\Gamma` with their tractions t: without them K of a closed crack is 8 to 20 % off. There :math:`u^a_{,1}` jumps
-by :math:`-(\kappa + 1) / (2 \mu \sqrt{2 \pi r})`, and :math:`r = s^2` is substituted; t is a
-quadratic fit of forces over boundary masses, which oscillate next to the tip. The fields are those
-of M. L. Williams (J. Appl. Mech. 24, 1957) in the potentials of Muskhelishvili, with :math:`z = x_1
-+ i x_2` and :math:`a = (K_I - i K_{II}) / \sqrt{8 \pi}`
+(J. F. Yau, S. S. Wang and H. T. Corten, J. Appl. Mech. 47, 1980, doi:10.1115/1.3153665). What heat
+strains freely at the tip, :math:`\varepsilon^0`, is taken off the displacement, :math:`v_{i,j} =
+u_{i,j} - \varepsilon^0_{ij}`, and what it strains freely elsewhere beyond that is e: the integral of
+:math:`\sigma^a_{ij}\, e_{ij,1}\, q` by parts. In plane strain both contain Poisson's ratio times the
+free strain through the thickness.
+
+Forces f of the body and tractions t of the faces :math:`\Gamma`, of contact and of loads, are the
+nodal forces that the stresses need: at a face over its boundary masses. Without those of contact K
+of a closed crack is 8 to 20 % off. Between the faces :math:`u^a_{,1}` jumps by :math:`-(\kappa + 1) /
+(2 \mu \sqrt{2 \pi r})`, and :math:`r = s^2` is substituted; t is a quadratic fit, as forces
+oscillate next to the tip. The fields are those of M. L. Williams (J. Appl. Mech. 24, 1957) in the
+potentials of Muskhelishvili, with :math:`z = x_1 + i x_2` and
+:math:`a = (K_I - i K_{II}) / \sqrt{8 \pi}`
 
 .. math:: \varphi' = a\, z^{-1/2}, \qquad \psi' = (\bar a - \tfrac12 a)\, z^{-1/2} .
 """
@@ -25,6 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.elasticity import shape_gradients
 from adaptmg.discrete.stress import StressData, displacement_gradient
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_points, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
@@ -117,26 +126,24 @@ def stress_intensity(
     crack: str,
     number: int,
     radius: float | None,
-    nodes: np.ndarray,
-    sides: np.ndarray,
-    forces: np.ndarray,
-    weights: np.ndarray,
 ) -> StressIntensity:
-    """Return the factors at a tip; ``forces`` (n, 2) act on the boundaries ``sides`` (n,) at nodes
-    (n,) in contact, to which so much (n,) of these belongs."""
+    """Return the factors at a tip."""
     tip, faces = tip_of(mesh, crack, number), [f"{crack}.left", f"{crack}.right"]
     r = np.abs(tip.local(mesh.points))
     # what is not the straight crack stays outside
     other = ~np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
     other |= (r[mesh.facets] > tip.straight * (1 + 1e-9)).any(axis=1)
-    largest = min(
-        _OF_CRACK * tip.straight, _OF_REST * float(r[mesh.facets[other]].min(initial=np.inf))
-    )
+    near = np.argmin(r)
+    lame, shear = _of_one_material(mesh, data, np.flatnonzero((mesh.elements == near).any(axis=1)))
+    foreign = (data.lame != lame) | (data.shear != shear)
+    limits = r[mesh.facets[other]].min(initial=np.inf)
+    limits = min(limits, r[mesh.elements[foreign[mesh.element_body]]].min(initial=np.inf))
+    largest = min(_OF_CRACK * tip.straight, _OF_REST * float(limits))
     outer = largest if radius is None else checks.positive("radius", radius)
     if not outer <= largest:
         raise ValueError(
-            f"radius must be at most {largest:.3g} m at this tip (a turn of the crack, the other tip "
-            f"or another boundary is near), got {radius!r}"
+            f"radius must be at most {largest:.3g} m at this tip (a turn of the crack, the other tip, "
+            f"another boundary or another material is near), got {radius!r}"
         )
     ring = np.abs(r[mesh.elements].mean(axis=1) / outer - 0.6) < 0.4
     size = float(np.median(np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring]))) if ring.any() else np.inf
@@ -145,27 +152,26 @@ def stress_intensity(
             f"the mesh is too coarse at tip {number} of {crack!r}: a radius of {outer:.3g} m must be at "
             f"least {_ELEMENTS} elements, which are {size:.3g} m there; refine it"
         )
-    own = (
-        np.isin(sides, faces)
-        & (r[nodes] > _NEAR * outer)
-        & (r[nodes] < tip.straight - _NEAR * outer)
+    stress = data.tensors(mesh, displacement)[:, :2, :2]
+    forces = _nodal_forces(mesh, stress) @ tip.axes.T
+    fit = _fitted_tractions(mesh, tip, faces, forces, outer)
+    for face in faces:
+        forces[mesh.boundary_nodes(face)] = 0.0
+    free = tip.axes @ _free_strain(mesh, data, lame, shear) @ tip.axes.T
+    at_tip = free[(mesh.elements == near).any(axis=1)].mean(axis=0)
+    fields = _Fields(
+        mesh,
+        tip,
+        tip.axes @ displacement_gradient(mesh, displacement) @ tip.axes.T - at_tip,
+        tip.axes @ stress @ tip.axes.T,
+        free - at_tip,
+        forces,
+        fit,
+        lame,
+        shear,
     )
-    root = np.sqrt(weights[own])[:, None]
-    on_left = np.where(sides[own] == tip.upper, 1.0, -1.0)[:, None] * forces[own] @ tip.axes.T
-    fit = np.linalg.lstsq(
-        root * (r[nodes[own], None] / outer) ** np.arange(3), on_left / root, rcond=None
-    )[0]
-    gradient = tip.axes @ displacement_gradient(mesh, displacement) @ tip.axes.T
-    stress = tip.axes @ data.tensors(mesh, displacement)[:, :2, :2] @ tip.axes.T
-    body = mesh.element_body[np.argmin(r[mesh.elements].mean(axis=1))]
     radii = tuple(outer * part for part in _RADII)
-    fit /= outer ** np.arange(3)[:, None]
-    factors = np.array(
-        [
-            _factors(mesh, tip, reach, gradient, stress, fit, data.lame[body], data.shear[body])
-            for reach in radii
-        ]
-    )
+    factors = np.array([fields.factors(reach) for reach in radii])
     return StressIntensity(
         tuple(tip.place.tolist()),
         *factors.mean(axis=0).tolist(),
@@ -174,56 +180,126 @@ def stress_intensity(
     )
 
 
-def _factors(
-    mesh: MeshArrays,
-    tip: Tip,
-    radius: float,
-    gradient: np.ndarray,
-    stress: np.ndarray,
-    fit: np.ndarray,
-    lame: float,
-    shear: float,
-) -> list[float]:
-    """K_I and K_II with a domain of one radius; tractions on the left face are ``fit`` (3, 2) times
-    powers of r."""
-    ratio = shear / (lame + shear)  # 0 of incompressible bodies
-    kolosov, modulus = 1 + 2 * ratio, 4 * shear / (1 + ratio)
-    q = np.clip(2 - 2 * np.abs(tip.local(mesh.points)) / radius, 0, 1)
-    ring = np.flatnonzero(np.ptp(q[mesh.elements], axis=1) > 0)
-    slopes = displacement_gradient(mesh, np.column_stack([q, q]))[ring, 0] @ tip.axes.T
-    rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
-    z = tip.local(quadrature_points(mesh.points, mesh.elements[ring], rule))
-    # along the face, from s = 0 to the root of the radius
-    s, share = np.polynomial.legendre.leggauss(40)
-    s, share = 0.5 * (1 + s) * np.sqrt(radius), share * np.sqrt(radius)
-    traction = (share * np.clip(2 - 2 * s**2 / radius, 0, 1)) @ (
-        s[:, None] ** (2 * np.arange(3)) @ fit
-    )
-    result = []
-    for factor, part in ((1.0, traction[1]), (1j, traction[0])):
-        own, slope = _near_field(z, factor, kolosov, shear)
-        flux = np.einsum("nij,nqi->nqj", stress[ring], slope) + np.einsum(
-            "nqij,ni->nqj", own, gradient[ring, :, 0]
+def _of_one_material(
+    mesh: MeshArrays, data: StressData, elements: np.ndarray
+) -> tuple[float, float]:
+    """Lame's constants of the elements at a tip; ValueError if they differ."""
+    bodies = np.unique(mesh.element_body[elements])
+    constants = np.unique(np.column_stack([data.lame, data.shear])[bodies], axis=0)
+    if len(constants) > 1:
+        names = " and ".join(repr(mesh.bodies[body]) for body in bodies)
+        raise ValueError(
+            f"the tip lies between {names}, of different materials: stresses oscillate there, and "
+            "K_I and K_II do not describe them"
         )
-        flux[:, :, 0] -= np.einsum("nqij,nij->nq", own, gradient[ring])
-        inside = np.einsum("n,q,nqj,nj->", mesh.volumes[ring], weights, flux, slopes)
-        result.append(
-            0.5 * modulus * float(inside + (kolosov + 1) / (2 * shear * np.sqrt(2 * np.pi)) * part)
-        )
+    return tuple(constants[0].tolist())
+
+
+def _nodal_forces(mesh: MeshArrays, stress: np.ndarray) -> np.ndarray:
+    """The forces (n_nodes, 2) that balance stresses (n_elements, 2, 2)."""
+    slopes, volumes = shape_gradients(mesh)
+    parts = np.einsum("n,nij,nkj->nki", volumes, stress, slopes)
+    result = np.zeros(mesh.points.shape)
+    np.add.at(result, mesh.elements, parts)
     return result
+
+
+def _fitted_tractions(
+    mesh: MeshArrays, tip: Tip, faces: list[str], forces: np.ndarray, outer: float
+) -> np.ndarray:
+    """Tractions on the left face as coefficients (3, 2) of powers of r, half of the difference
+    between both faces."""
+    places, masses, loads = [], [], []
+    for face in faces:
+        surface = mesh.surface(face)
+        places.append(np.abs(tip.local(mesh.points[surface.nodes])))
+        masses.append(surface.lumped(False)[surface.nodes])
+        loads.append((1.0 if face == tip.upper else -1.0) * forces[surface.nodes])
+    r, mass, load = map(np.concatenate, (places, masses, loads))
+    own = (r > _NEAR * outer) & (r < tip.straight - _NEAR * outer)
+    root = np.sqrt(mass[own])[:, None]
+    powers = (r[own, None] / outer) ** np.arange(3)
+    fit = np.linalg.lstsq(root * powers, load[own] / root, rcond=None)[0]
+    return fit / outer ** np.arange(3)[:, None]
+
+
+def _free_strain(mesh: MeshArrays, data: StressData, lame: float, shear: float) -> np.ndarray:
+    """What heat strains freely in the plane (n_elements, 2, 2)."""
+    if not len(data.initial_strain):
+        return np.zeros((len(mesh.elements), 2, 2))
+    through = np.where(data.thin[mesh.element_body], 0.0, data.initial_strain[:, 2])
+    plane = data.initial_strain[:, :2] + 0.5 * lame / (lame + shear) * through[:, None]
+    return plane[:, :, None] * np.eye(2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fields:
+    """A solution in the axes of a tip."""
+
+    mesh: MeshArrays
+    tip: Tip
+    gradient: np.ndarray  # (n_elements, 2, 2): of the displacement without free expansion
+    stress: np.ndarray  # (n_elements, 2, 2)
+    uneven: np.ndarray  # (n_elements, 2, 2): free strain beyond that at the tip
+    forces: np.ndarray  # (n_nodes, 2): in the body
+    fit: np.ndarray  # (3, 2): tractions on the left face by powers of r
+    lame: float
+    shear: float
+
+    def factors(self, radius: float) -> list[float]:
+        """Return K_I and K_II with a domain of one radius."""
+        mesh, tip, shear = self.mesh, self.tip, self.shear
+        ratio = shear / (self.lame + shear)  # 0 of incompressible bodies
+        kolosov, modulus = 1 + 2 * ratio, 4 * shear / (1 + ratio)
+        place = tip.local(mesh.points)
+        q = np.clip(2 - 2 * np.abs(place) / radius, 0, 1)
+        inside = np.flatnonzero(q[mesh.elements].any(axis=1))
+        slopes = displacement_gradient(mesh, np.column_stack([q, q]))[inside, 0] @ tip.axes.T
+        rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
+        z = tip.local(quadrature_points(mesh.points, mesh.elements[inside], rule))
+        gradient, stress = self.gradient[inside], self.stress[inside]
+        measures, at_points = (
+            mesh.volumes[inside, None] * weights,
+            q[mesh.elements[inside]] @ rule.T,
+        )
+        loaded = np.flatnonzero((q > 0) & self.forces.any(axis=1))
+        # along the face, from s = 0 to the root of the radius
+        s, share = np.polynomial.legendre.leggauss(40)
+        s, share = 0.5 * (1 + s) * np.sqrt(radius), share * np.sqrt(radius)
+        traction = (share * np.clip(2 - 2 * s**2 / radius, 0, 1)) @ (
+            s[:, None] ** (2 * np.arange(3)) @ self.fit
+        )
+        result = []
+        for factor, part in ((1.0, traction[1]), (1j, traction[0])):
+            own, slope, change = _near_field(z, factor, kolosov, shear)
+            flux = np.einsum("nij,nqi->nqj", stress, slope)
+            flux += np.einsum("nqij,ni->nqj", own, gradient[:, :, 0])
+            flux[:, :, 0] -= np.einsum("nqij,nij->nq", own, gradient)
+            total = np.einsum("nq,nqj,nj->", measures, flux, slopes)
+            total -= np.einsum("nq,nqij,nij->", measures * at_points, change, self.uneven[inside])
+            _, slope, _ = _near_field(place[loaded], factor, kolosov, shear)
+            total -= np.einsum("n,ni,ni->", q[loaded], slope, self.forces[loaded])
+            total += (kolosov + 1) / (2 * shear * np.sqrt(2 * np.pi)) * part
+            result.append(0.5 * modulus * float(total))
+        return result
 
 
 def _near_field(
     z: np.ndarray, factor: complex, kolosov: float, shear: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Stresses (..., 2, 2) and the derivative of the displacement along the crack (..., 2), of K_I
-    + i K_II."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Stresses (..., 2, 2) of K_I + i K_II, the derivative of the displacement along the crack
+    (..., 2) and that of the stresses (..., 2, 2)."""
     a = np.conj(factor) / np.sqrt(8 * np.pi)
     first, other = a / np.sqrt(z), (np.conj(a) - 0.5 * a) / np.sqrt(z)
     second = -0.5 * first / z
-    mean, difference = 2 * first.real, np.conj(z) * second + other
-    stress = np.stack(
-        [mean - difference.real, difference.imag, difference.imag, mean + difference.real], axis=-1
-    )
+    stress = _stress(first, np.conj(z) * second + other)
+    change = _stress(second, second - 1.5 * np.conj(z) * second / z - 0.5 * other / z)
     slope = (kolosov * first - np.conj(first) - z * np.conj(second) - np.conj(other)) / (2 * shear)
-    return stress.reshape(*z.shape, 2, 2), np.stack([slope.real, slope.imag], axis=-1)
+    return stress, np.stack([slope.real, slope.imag], axis=-1), change
+
+
+def _stress(mean: np.ndarray, difference: np.ndarray) -> np.ndarray:
+    """Stresses (..., 2, 2) of phi' and of conj(z) phi'' + psi'."""
+    mean = 2 * mean.real
+    parts = [mean - difference.real, difference.imag, difference.imag, mean + difference.real]
+    return np.stack(parts, axis=-1).reshape(*mean.shape, 2, 2)

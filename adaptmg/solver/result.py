@@ -314,8 +314,9 @@ class Result:
         """Return the stress intensity factors at a tip of a plane crack, by the interaction
         integral.
 
-        Contact forces on the faces are counted, loads on them and in the body are not. Within the
-        radius the body is of one material, and the crack turns by less than 5 degrees.
+        Contact forces and loads on the faces, loads in the body and initial strains are counted;
+        tractions on the faces within the radius are taken as smooth. The radius ends before another
+        material, and before the crack turns by more than 5 degrees.
 
         Parameters
         ----------
@@ -332,9 +333,10 @@ class Result:
         Raises
         ------
         ValueError
-            For other than plane problems and cracks; where the mesh is too coarse at the tip.
+            For other than plane problems and cracks; for a tip between two materials; where the mesh
+            is too coarse at the tip.
         """
-        data, contact = self._data(), self.contact
+        data = self._data()
         if self.dim != 2 or data.axisymmetric or data.moduli is not None:
             raise ValueError(
                 "stress_intensity: only plane problems (PlaneStrain, PlaneStress) of isotropic bodies "
@@ -347,10 +349,6 @@ class Result:
             checks.boundary_name("crack", crack),
             checks.integer("tip", tip, 0),
             radius,
-            contact.node,
-            np.array(contact.names)[contact.boundary],
-            contact.force,
-            contact.weights,
         )
 
     @property

@@ -215,3 +215,86 @@ def test_a_jump_stays_a_jump(in_contact, chords):
     assert (carried * sides[1] > -1e-12).all()
     faces = np.union1d(*(meshes[1].boundary_nodes(f"arc.{side}") for side in ("left", "right")))
     assert np.abs(carried - fields[1])[faces].max() < 0.1
+
+
+INCLINED = {"crack": [(-np.sqrt(0.5), -np.sqrt(0.5)), (np.sqrt(0.5), np.sqrt(0.5))]}
+
+
+@pytest.mark.parametrize("material", [am.PlaneStrain, am.PlaneStress])
+def test_factors_under_pressure_on_the_faces_and_heat(material):
+    rng, expansion = np.random.default_rng(), 1e-5
+    turned = squeezed(rng, INCLINED, half=15)
+    turned = replace(turned, material=material(young=1.0, poisson=0.3))
+    on_faces = tuple(am.Pressure(f"crack.{side}", P) for side in ("left", "right"))
+    result = am.solve(
+        am.Hierarchy.graded(replace(turned, loads=on_faces), (4, 2), 32), am.Multigrid(rtol=1e-6)
+    )
+    for tip in (0, 1):
+        found, scale = result.stress_intensity("crack", tip), P * np.sqrt(np.pi)
+        assert found.K_I / scale == pytest.approx(1.0, abs=0.01)
+        assert found.K_II / scale == pytest.approx(0.0, abs=0.01)
+    # heat that is even strains freely; else it does what loads do: b T n on boundaries, -b grad T
+    small = squeezed(rng, INCLINED)
+    mesh = am.Hierarchy.graded(small, (0.4, 0.2), 16).finest.mesh
+    small = replace(small, material=turned.material, contact=())
+    middle = 0.5 * (mesh.points.max(axis=0) + mesh.points.min(axis=0))
+    b = expansion / (0.4 if material is am.PlaneStrain else 0.7)
+
+    def heated(x):
+        return 20 * (x - middle) ** 2 @ (1.0, 2.0) + 20 * (x - middle)[:, 0]
+
+    alike = (
+        *(
+            am.Pressure(name, lambda x: -b * heated(x))
+            for name in (*"abcd", "crack.left", "crack.right")
+        ),
+        am.BodyForce(
+            (
+                lambda x: -20 * b * (2 * (x - middle)[:, 0] + 1),
+                lambda x: -80 * b * (x - middle)[:, 1],
+            )
+        ),
+    )
+    even, heat, loads = (
+        am.solve(
+            am.Hierarchy.from_meshes(replace(small, loads=acting), [mesh]),
+            am.ActiveSet(rtol=1e-10),
+        )
+        for acting in (
+            am.InitialStrain.thermal(expansion, 100.0),
+            am.InitialStrain.thermal(expansion, heated),
+            alike,
+        )
+    )
+    for tip in (0, 1):
+        factors = [one.stress_intensity("crack", tip) for one in (even, heat, loads)]
+        size = np.abs([factors[1].K_I, factors[1].K_II]).max()
+        assert size > 10 * expansion
+        assert max(abs(factors[0].K_I), abs(factors[0].K_II)) < 1e-6 * 100 * expansion
+        apart = [factors[1].K_I - factors[2].K_I, factors[1].K_II - factors[2].K_II]
+        assert np.abs(apart).max() <= 0.01 * size
+
+
+def test_factors_between_two_materials_are_refused():
+    problem = squeezed(np.random.default_rng(), {"crack": [(-0.7, 0), (0.7, 0)]})
+    mesh = am.Hierarchy.graded(problem, (0.4, 0.2), 8).finest.mesh
+    left = mesh.surface("crack.left")
+    start, normal = mesh.points[left.nodes[0]], left.normals[0]
+    above = (mesh.points[mesh.elements].mean(axis=1) - start) @ normal
+    soft, hard = (am.PlaneStrain(young=young, poisson=0.3) for young in (1.0, 3.0))
+    for beyond, message in (
+        (0.0, "between 'body' and 'hard'"),
+        (0.3, r"radius must be at most 0\.2"),
+    ):
+        two = replace(
+            mesh,
+            element_body=(above < -beyond).astype(int),
+            bodies=("body", "hard"),
+            source=None,
+        )
+        posed = replace(problem, material={"body": soft, "hard": hard}, domain=None)
+        result = am.solve(am.Hierarchy.from_meshes(posed, [two]), am.ActiveSet())
+        with pytest.raises(ValueError, match=message):
+            result.stress_intensity("crack", radius=None if beyond == 0.0 else 0.35)
+        alike = replace(posed, material={"body": soft, "hard": soft})
+        am.solve(am.Hierarchy.from_meshes(alike, [two]), am.ActiveSet()).stress_intensity("crack")
