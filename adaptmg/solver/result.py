@@ -380,9 +380,9 @@ class Result:
         """Return the half-widths (dim,) of the surfaces in contact along x, y (and z), m; 0 without
         contact.
 
-        Half the sides of the box around them, in axisymmetry first their outer radius; half a
-        (symmetric) model has half of its half. They end halfway between a node in contact and an
-        open one. ValueError without a mesh."""
+        Half the sides of the box around them, in axisymmetry first their outer radius, of a ring
+        half its width; half a (symmetric) model has half of its half. They end halfway between a
+        node in contact and an open one. ValueError without a mesh."""
         return self._extent(np.ones(len(self.contact), dtype=bool))
 
     def _extent(self, own: np.ndarray) -> np.ndarray:
@@ -399,7 +399,8 @@ class Result:
         if not len(every):
             return np.zeros(self.dim)
         low, high = every.min(axis=0), every.max(axis=0)
-        if c.axisymmetric:
+        # up to rounding, as in meshes that are turned profiles
+        if c.axisymmetric and low[0] <= 1e-12 * high[0]:
             low[0] = -high[0]
         return 0.5 * (high - low)
 

@@ -249,6 +249,26 @@ def test_hertz_contact_and_the_pressure_below_it(case, finest, tmp_path):
     assert same(answers(am.Result.load(tmp_path / "r.npz")), answers(result))
 
 
+@pytest.mark.parametrize("bore", [0.0, 0.3])
+def test_the_contact_extent_of_a_ring_is_half_its_width(bore):
+    """A tube that stands on a plane, and a full cylinder."""
+    rng = np.random.default_rng()
+    outer, base = 10 ** rng.uniform(-3, 1), rng.normal()
+    tube = am.Rectangle(width=(1 - bore) * outer, height=outer, origin=(bore * outer, base))
+    problem = am.ContactProblem(
+        domain=tube,
+        material=am.Axisymmetric(young=YOUNG, poisson=POISSON),
+        law=am.Frictionless(),
+        contact=am.Contact("bottom", am.Plane((0, base), (0, 1))),
+        loads=(am.Pressure("top", 1e6),),
+        supports=() if bore else (am.Support("left", x=0.0),),
+    )
+    result = am.solve(am.Hierarchy.uniform(problem, (4, 8)))
+    half = 0.5 * (1 - bore) * outer if bore else outer
+    np.testing.assert_allclose(result.contact_extent, (half, 0.0), rtol=1e-12, atol=1e-12)
+    assert result.pairs()["half_width_x [m]"][0] == result.contact_extent[0]
+
+
 cloudpickle = pytest.importorskip("cloudpickle")
 
 
