@@ -38,7 +38,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, trusted
+from adaptmg.mesh.arrays import MeshArrays, edge_lengths, facet_keys, trusted
 from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.delaunay import swap_all
 from adaptmg.mesh.sizes import (
@@ -156,6 +156,12 @@ def halved(mesh: MeshArrays) -> MeshArrays:
         None,
         mesh.sound,
     )
+
+
+def mean_ratios(mesh: MeshArrays) -> np.ndarray:
+    """Return the inverse (n,) of the shape of each tetrahedron: 1 if it is equilateral."""
+    squares = np.square(edge_lengths(mesh.points[mesh.elements])).sum(axis=0)
+    return 12 * (3 * mesh.volumes) ** (2 / 3) / squares
 
 
 def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:

@@ -254,10 +254,12 @@ def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> l
     return result
 
 
-def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) -> MeshArrays:
+def onto_surfaces(
+    surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int, flat: float = _FLAT
+) -> MeshArrays:
     """Return a sound refined mesh with its boundary nodes from ``n_old`` on put onto the surfaces
-    of their boundaries; sound if none of its elements became flat. Misplaced otherwise, or where
-    nodes do not reach their surfaces."""
+    of their boundaries; sound if none of its elements became flat, with an angle of ``flat``
+    degrees. Misplaced otherwise, or where nodes do not reach their surfaces."""
     row, corner = np.nonzero(mesh.facets >= n_old)
     if not len(row):
         return mesh
@@ -286,6 +288,6 @@ def onto_surfaces(surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int) ->
     points[nodes] = places
     moved = np.zeros(mesh.n_nodes, dtype=bool)
     moved[nodes] = True
-    if not least_angle(points, mesh.elements[moved[mesh.elements].any(axis=1)]) > _FLAT:
+    if not least_angle(points, mesh.elements[moved[mesh.elements].any(axis=1)]) > flat:
         raise Misplaced("elements at a curved boundary became flat")
     return trusted(replace(mesh, points=points, source=None), None, mesh.sound)

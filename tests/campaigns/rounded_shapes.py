@@ -21,8 +21,9 @@ from scipy.spatial import cKDTree
 
 import adaptmg as am
 
-#: longest edge over the size, but for a hundredth of the edges; edges at a node at most
-LONG, EDGES = 2.0, 14
+#: longest edge over the size, but for a hundredth of the edges; edges at a node at most: a disc whose
+#: size is near its radius is one node and the 17 chords around it
+LONG, EDGES = 2.0, 18
 #: points along each contact edge, in sizes at contact; chords along each arc of areas
 FINE, CHORDS = 8, 4000
 #: area between an arc of 35 degrees, the most that an edge spans, and its chord, over its square

@@ -30,6 +30,7 @@ QUARTER = Outline(
 )
 TRIANGLE = Polygon(vertices=((0, 0), (2, 0), (0, 1)), boundaries=("long", "slope", "short"))
 BALL = Ball((0, 0, 1), 1)
+PAIRS = list(itertools.combinations(range(4), 2))
 UNIT = Box(width=1, depth=1, height=1)
 OCTANT = Common(BALL, UNIT)
 HALF = Common(BALL, Box(width=2, depth=2, height=1, origin=(-1, -1, 0)))
@@ -119,6 +120,57 @@ def test_sizes_along_boundaries_are_achieved(ratio, mesher):
     assert np.median(edge_lengths(mesh, "bottom")) > 0.3
     radius = np.linalg.norm(mesh.points[mesh.boundary_nodes("shank"), :2] - 0.5, axis=1)
     np.testing.assert_allclose(radius, 0.1, rtol=1e-12)
+
+
+@pytest.mark.parametrize("way", ["oblique", "moved"])
+def test_a_slim_bar_has_the_same_mesh_wherever_it_lies(way):
+    rng = np.random.default_rng()
+    point, axis = rng.normal(size=(2, 3))
+    axis /= np.linalg.norm(axis)
+    upright = Cylinder((0, 0, 0), (0, 0, 1), 1, 20)
+    bar = Cylinder(tuple(point), tuple(axis), 1, 20)
+    if way == "moved":
+        angle = math.degrees(math.acos(axis[2]))
+        bar = Moved(upright, tuple(point), angle, tuple(np.cross((0, 0, 1), axis)))
+    assert quality(graded(bar, 1)).min_angle == pytest.approx(
+        quality(graded(upright, 1)).min_angle, rel=1e-6
+    )
+    mesh = sized(bar, lambda x: 0.4 + 0.1 * np.abs((x - point) @ axis), 1.0)
+    along = (mesh.points - point) @ axis
+    away = np.linalg.norm(mesh.points - point - along[:, None] * axis, axis=1)
+    for name, gaps in (("side", away - 1), ("bottom", along), ("top", along - 20)):
+        assert np.abs(gaps[mesh.boundary_nodes(name)]).max() < 1e-12
+    sizes = np.minimum(0.4 + 0.1 * along[mesh.elements].mean(axis=1), 1.0)
+    assert (mesh.element_sizes > 2 * sizes).mean() < 0.05
+    assert mesh.element_sizes[sizes < 0.5].max() < 1.0
+
+
+@pytest.mark.parametrize(
+    ("solid", "size"),
+    [
+        (Ball((1, 2, 3), 1), 0.5),
+        (Cylinder((0, 0, 0), (0, 0, 1), 1, 3), 0.6),
+        (Fuse(Ball((0, 0, 0), 1), Ball((1.2, 0, 0), 1)), 0.5),
+    ],
+    ids=["ball", "bar", "fused"],
+)
+def test_no_edges_go_through_a_whole_body(solid, size):
+    """Netgen leaves coarse round bodies without inner nodes."""
+    mesh = graded(solid, size)
+    corners = mesh.points[mesh.elements]
+    lengths = [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in PAIRS]
+    assert (np.array(lengths) > 2 * size).mean() <= 0.01
+    assert quality(mesh).min_angle > 5
+
+
+def test_flat_elements_are_mended_or_reported():
+    # Netgen's elements with all corners on the boundary had angles of 1 degree
+    assert quality(graded(Cylinder((0, 0, 0), (0, 0, 1), 1, 13.7), 1.93, "side", 2)).min_angle > 4
+    wedge = Extrusion(
+        Polygon(vertices=((0, 0), (1, 0), (1, 0.005)), boundaries=("a", "b", "c")), 0.1
+    )
+    with pytest.warns(UserWarning, match=r"tetrahedra have angles down to 0\.\d+ degrees"):
+        graded(wedge, 0.1)
 
 
 FILLET = Revolution(
