@@ -34,6 +34,7 @@ from adaptmg.level import need_domain
 from adaptmg.mesh.grading import measures
 from adaptmg.problem import ContactProblem, LoadPath
 from adaptmg.problem.load_path import obstacles_in_path
+from adaptmg.solver.outcome import tolerance_argument
 from adaptmg.solver.store import StepStore
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def adapt(
     depends: Mapping[str, object] | None = None,
     transfer: Transfer | None = None,
     solver: Solver | None = None,
+    rtol: float | None = None,
     load_path: LoadPath | None = None,
     adapt_on: str = "last",
     progress: Progress | bool | None = None,
@@ -109,6 +111,8 @@ def adapt(
         For every step; it starts from the step before unless it is a FullMultigrid. Default
         ``Multigrid(rtol=1e-6)``: forces and compliances of every step hold to about 1e-4 of those
         of its mesh, and mostly far better.
+    rtol : float, optional
+        Tolerance of the default solver, where none is given; default 1e-6.
     load_path : LoadPath, optional
         Every mesh goes along the whole path; by default with ``FullMultigrid(rtol=1e-6)``.
     adapt_on : {"last", "worst"}
@@ -144,6 +148,7 @@ def adapt(
         solver,
         load_path,
         adapt_on,
+        tolerance_argument(rtol, solver),
     )
     _check(parts)
     if not isinstance(progress, bool):
@@ -162,6 +167,7 @@ def adapt(
             "mark": parts.mark,
             "engine": parts.engine,
             "solver": parts.solver,
+            "rtol": parts.rtol,
             "transfer": first.transfer,
             "contact_rows": first.contact_rows,
             "adapt_on": parts.adapt_on,

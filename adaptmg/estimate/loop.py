@@ -45,6 +45,7 @@ from adaptmg.mesh.arrays import MeshArrays, Refinement
 from adaptmg.mesh.bisection import with_refinement
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem import LoadPath, step_problem
+from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import once
 from adaptmg.solver.load_path import PathResult, solve_path
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
@@ -229,6 +230,7 @@ class LoopParts:
     solver: Solver | None = None
     load_path: LoadPath | None = None
     adapt_on: str = "last"
+    rtol: float | None = None
 
 
 #: nodes of the next mesh over those of the last, below which it is not worth making
@@ -384,11 +386,13 @@ class AdaptiveLoop:
         self._report("solve", hierarchy.finest.n_nodes)
         with once(self.said), self.clock.phase("solve"):
             if parts.load_path is None:
-                path, result = None, solved(hierarchy, parts.solver, start)
+                path, result = None, solved(hierarchy, parts.solver, start, parts.rtol)
             else:
-                solver = FullMultigrid(rtol=RTOL) if parts.solver is None else parts.solver
+                default = FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
+                solver = default if parts.solver is None else parts.solver
                 solver = solver if _applies(solver, hierarchy) else None
-                path, result = solve_path(hierarchy, parts.load_path, solver), None
+                rtol = parts.rtol if solver is None else None
+                path, result = solve_path(hierarchy, parts.load_path, solver, rtol=rtol), None
         self._report("estimate", hierarchy.finest.n_nodes)
         with self.clock.phase("estimate"):
             if path is None:
@@ -490,11 +494,15 @@ class AdaptiveLoop:
         )
 
 
-def solved(hierarchy: Hierarchy, solver: Solver | None, start: Result | None) -> Result:
-    """Return the solution on the finest level."""
+def solved(
+    hierarchy: Hierarchy, solver: Solver | None, start: Result | None, rtol: float | None
+) -> Result:
+    """Return the solution on the finest level; ``rtol`` is that of the default method."""
     if solver is None or not _applies(solver, hierarchy):
         method = FullMultigrid if start is None else Multigrid
-        solver = None if len(hierarchy) == 1 else method(rtol=RTOL)
+        several = method(rtol=RTOL if rtol is None else rtol)
+        one = None if rtol is None else ActiveSet(rtol=rtol)
+        solver = one if len(hierarchy) == 1 else several
     return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
 
 

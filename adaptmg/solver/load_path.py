@@ -273,6 +273,7 @@ def solve_path(
     path: LoadPath,
     solver: Solver | None = None,
     *,
+    rtol: float | None = None,
     store: str | os.PathLike[str] | None = None,
     depends: Mapping[str, object] | None = None,
     throw: bool = True,
@@ -291,6 +292,8 @@ def solve_path(
         The default is that of :func:`adaptmg.solve`. ``rtol`` refers to the whole displacement of a
         step; "discretisation" sets it once, in the first step. Multigrid with
         :class:`adaptmg.Truncated` is set up once.
+    rtol : float, optional
+        Tolerance of the default solver, where none is given; default as of :func:`adaptmg.solve`.
     store : path, optional
         A folder where every finished step is kept immediately. A path that was interrupted goes on
         there; a folder with steps of another problem, hierarchy, path or solver is refused. A
@@ -326,7 +329,7 @@ def solve_path(
     3
     """
     checks.instance("path", path, LoadPath, "a LoadPath")
-    grids, solver, choice = method_argument(solver, grids_argument(grids))
+    grids, solver, choice = method_argument(solver, grids_argument(grids), rtol)
     checks.flag("throw", throw)
     checks.optional_callable("callback", callback, "the number and Result of a step")
     if not isinstance(progress, bool):

@@ -43,11 +43,27 @@ FACTORISED = {2: 30_000, 3: 6_000}
 LARGE_COARSEST, WIDE = 1500, {2: 2, 3: 4}
 
 
+def tolerance_argument(rtol: float | None, solver: Solver | Method | None) -> float | None:
+    """Return the tolerance of the default method, checked; None if it is not given."""
+    if rtol is not None and solver is not None:
+        raise ValueError(
+            f"rtol must not be given with a solver, which has its own, got {checks.shown(rtol)}"
+        )
+    return None if rtol is None else checks.tolerance("rtol", rtol)
+
+
 def method_argument(
-    solver: Solver | Method | None, grids: Hierarchy
+    solver: Solver | Method | None, grids: Hierarchy, rtol: float | None = None
 ) -> tuple[Hierarchy, Solver, str]:
-    """Return a solver and the grids for it; for None the quickest, and why if it is not full
-    multigrid on all."""
+    """Return a solver and the grids for it; for None the quickest, with ``rtol`` if it is given,
+    and why if it is not full multigrid on all."""
+    rtol = tolerance_argument(rtol, solver)
+    grids, method, why = _method(solver, grids)
+    return grids, method if rtol is None else replace(cast("Any", method), rtol=rtol), why
+
+
+def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
+    """The solver, or the default for these grids."""
     if solver is not None:
         if hasattr(solver, "setup") and not hasattr(solver, "run"):
             return grids, Stepped(cast("Method", solver)), ""
