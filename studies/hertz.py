@@ -5,7 +5,12 @@
 Half-width a and peak p0 come from a least-squares line through p^2 against x^2 at the nodes within
 .8 a. Sizes are halved everywhere from mesh to mesh, with edges of a/2.5, a/5, ... at contact,
 growing with the distance to it; the meshes are independent, and those before serve multigrid as
-coarse levels. Cattaneo: half-width of the stick zone."""
+coarse levels.
+
+Cattaneo: the half-width c of the stick zone, seen twice. States of nodes change between a node that
+sticks and one that slips: half-way, c is known to half an edge, h / 2c, and no better (the outermost
+node that sticks lies 0 to h inside). The tractions know more: (mu p - |t|)^2 falls linearly with x^2
+inside the zone, and a line through its nodes within .8 c vanishes at c."""
 
 import numpy as np
 from common import Output, drawing, main
@@ -55,10 +60,19 @@ def run(case: str, fineness: int) -> dict:
         "rate": result.rate,
     }
     if case == "Cattaneo":
-        stick = x[contact.state == am.STICK]
-        row["stick_error"] = (
-            0.5 * float(np.ptp(stick)) * form.half_width / problem.reference["stick"] - 1
+        order = np.argsort(x)
+        sticks = contact.state[order] == am.STICK
+        changes = np.flatnonzero(np.diff(sticks))
+        low, high = (0.5 * (x[order][k] + x[order][k + 1]) for k in changes[[0, -1]])
+        c = problem.reference["stick"] / form.half_width
+        row["stick_error"] = 0.5 * (high - low) / c - 1
+        row["half_edge"] = 0.5 * float(np.diff(x[order])[changes[0]]) / c
+        inner = abs(x) < 0.8 * c
+        left = problem.reference["partial_slip"].friction * contact.pressure - abs(
+            contact.traction[:, 0]
         )
+        slope, square = np.polyfit(x[inner] ** 2, left[inner] ** 2, 1)
+        row["stick_line_error"] = np.sqrt(square / -slope) / c - 1
     return row
 
 
@@ -75,6 +89,8 @@ def study(out: Output) -> None:
             "a_error",
             "peak_error",
             "stick_error",
+            "half_edge",
+            "stick_line_error",
             "cycles",
             "work_units",
         ]
@@ -83,9 +99,14 @@ def study(out: Output) -> None:
         "errors",
         table,
         "Half-width, peak pressure and stick zone against the closed forms",
-        "Fineness: half-width over the edge length at contact.",
+        "Fineness: half-width over the edge length at contact. The stick zone ends half-way between "
+        "nodes that stick and that slip, which tells its half-width c to half an edge (half_edge, of "
+        "c); stick_line_error is that of the line through the tractions.",
         units={"work_units": "WU"},
-        formats={"a_error": ".1e", "peak_error": ".1e", "stick_error": ".1e", "work_units": ".1f"},
+        formats=dict.fromkeys(
+            ("a_error", "peak_error", "stick_error", "half_edge", "stick_line_error"), ".1e"
+        )
+        | {"work_units": ".1f"},
     )
     figure, ax = drawing()
     for case, rows in table.groupby("case", sort=False):
@@ -106,13 +127,22 @@ def study(out: Output) -> None:
     )
     last = table[table["fineness"] == fineness[-1]]
     out.number(
-        f"Hertz and Cattaneo, {fineness[-1]} edges on a half-width: error of half-width; of peak pressure",
-        f"{last['a_error'].abs().max():.2%}; {last['peak_error'].abs().max():.2%}",
+        f"Hertz, Cattaneo, {fineness[-1]} edges on a: error of a; peak; stick zone by tractions; "
+        "by states",
+        f"{last['a_error'].abs().max():.2%}; {last['peak_error'].abs().max():.2%}; "
+        f"{last['stick_line_error'].abs().max():.2%}; {last['stick_error'].abs().max():.1%} "
+        f"(half an edge {last['half_edge'].max():.1%})",
     )
     out.check(
         "largest error of the half-width on the finest meshes",
         float(last["a_error"].abs().max()),
         high=0.03,
+    )
+    slip = table[table["case"] == "Cattaneo"]
+    out.check(
+        "largest error of the stick zone by states, in half edges",
+        float((slip["stick_error"].abs() / slip["half_edge"]).max()),
+        high=1.5,
     )
 
 

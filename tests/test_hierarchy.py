@@ -103,15 +103,16 @@ def test_sizes_have_defaults_that_follow_bodies_and_contact():
 
 def test_errors_of_graded_families_fall_with_squares_of_sizes():
     problem, sizes = am.cases.hertz_cylinder(), [12.5e-3 / 2**k for k in range(4)]
-    grids = am.Hierarchy.graded(problem, sizes, contact_ratio=32)
+    grids = am.Hierarchy.graded(problem, sizes, contact_ratio=64)
     works = [
         float(level.discrete.load @ am.solve(grids.truncated(finest=k)).displacement.ravel())
         for k, level in enumerate(grids)
     ]
     falls = np.diff(works)
-    assert np.all(np.abs(falls[:-1] / falls[1:] - 3.8) < 1.1)
+    # with half as many edges in contact the end of contact moves by whole edges: 5.0, 3.0
+    assert np.all(np.abs(falls[:-1] / falls[1:] - 4) < 0.5)
     by_body = am.Hierarchy.graded(
-        problem, [{"upper": size, "lower": size} for size in sizes[:2]], contact_ratio=32
+        problem, [{"upper": size, "lower": size} for size in sizes[:2]], contact_ratio=64
     )
     assert np.array_equal(by_body.finest.mesh.points, grids[1].mesh.points)
 

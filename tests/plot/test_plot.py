@@ -2,6 +2,7 @@
 pair."""
 
 import dataclasses
+import re
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -474,3 +475,17 @@ test_refused = refused(
     (lambda: plot.load_history([*steps_of(PLANE)[:3], SOLID], FACTORS, QUANTITIES), "same mesh"),
     (lambda: plot.load_history(steps_of(PLANE), FACTORS, {}, steps=0), "nothing to draw"),
 )
+
+
+def test_amplified_bodies_hardly_overlap_where_a_gap_has_closed():
+    problem = am.cases.hertz_cylinder()
+    result = am.solve(am.Hierarchy.graded(problem, sizes=(8e-3, 4e-3), contact_ratio=32))
+    title = am.plot.deformation(result).axes[0].get_title()
+    factor = float(re.search(r"drawn (\d+) times", title)[1])
+    mesh, size = result.mesh, np.linalg.norm(np.ptp(result.mesh.points, axis=0))
+    moved = mesh.points + factor * result.displacement
+    block = moved[mesh.boundary_nodes("lower.contact")]
+    block = block[np.argsort(block[:, 0])]
+    x, y = moved[mesh.boundary_nodes("upper.contact")].T
+    inside = np.interp(x, *block.T) - y
+    assert 0 < inside.max() < 0.006 * size and factor >= 5

@@ -239,3 +239,30 @@ def test_progress_and_log_have_a_line_a_cycle_mesh_and_step(capsys, caplog):
     ):
         with pytest.raises(TypeError, match="progress must be"):
             call()
+
+
+@pytest.mark.parametrize(
+    "case", [am.cases.hertz_cylinder, am.cases.hertz_sphere, am.cases.cattaneo]
+)
+def test_a_result_says_that_few_nodes_touch_and_the_size_that_helps(case):
+    """A patch that grows less than it is shown; the default meshes of the cases are fine enough."""
+    problem = case()
+    a = problem.reference["half_width"]
+    near = am.SizeNear([(0.0, 0.0)], size=a / 3, radius=1.5 * a, grading=0.9)
+    result = am.solve(
+        am.Hierarchy.from_meshes(problem, [am.mesh.sized(problem.domain, near, 0.02)])
+    )
+    touching = int((result.contact.state != am.OPEN).sum())
+    (line,) = result.advice
+    assert f"'upper.contact': {touching} nodes touch" in line and line in str(result)
+    size = float(line.split("at most ")[1].split()[0])
+    finer = am.mesh.sized(problem.domain, near.scaled(size / near.size), 0.02)
+    assert not am.solve(am.Hierarchy.from_meshes(problem, [finer])).advice
+    assert not am.solve(am.Hierarchy.graded(problem)).advice
+
+
+def test_contact_that_fills_its_boundary_needs_no_more_nodes():
+    whole = bar(pressure=0.0)
+    assert not am.solve(whole).advice and (am.solve(whole).contact.state != am.OPEN).all()
+    corner = am.cases.hertz_sphere(dim=3)
+    assert "need 30" in am.solve(am.Hierarchy.graded(corner)).advice[0]
