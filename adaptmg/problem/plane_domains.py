@@ -161,7 +161,8 @@ class Outline(Domain):
     """A plane domain like :class:`Polygon`, some of whose edges are circular arcs; it may have
     holes.
 
-    Meshes are straight: their nodes lie on the arcs, their edges are chords.
+    Meshes are straight: their nodes lie on the arcs, their edges are chords. Gaps of a
+    :class:`~adaptmg.ContactPair` are those of the arcs.
 
     Parameters
     ----------

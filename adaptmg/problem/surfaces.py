@@ -469,6 +469,11 @@ class Periodic(_Sides, Acting):
 class ContactPair(_Sides):
     """Two boundaries, of two bodies or of one, that may touch each other.
 
+    Initial gaps are those between the exact boundaries where the problem's domain knows them: arcs,
+    cylinders, balls, cones and tori, of STEP files too. Nodes of the two sides need not match then.
+    Meshes without a domain have gaps between their straight edges, of which a warning tells where
+    these matter.
+
     Parameters
     ----------
     slave : str
