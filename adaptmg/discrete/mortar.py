@@ -67,7 +67,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces, covered_parts
 from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.mesh.exact import exact_surfaces
+from adaptmg.mesh.step import exact_surfaces
 from adaptmg.mesh.surfaces import Curved, Revolved
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.surfaces import ContactPair

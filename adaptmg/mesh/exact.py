@@ -1,4 +1,4 @@
-"""exact_surfaces: the surfaces that the facets of a domain's boundaries are chords of.
+"""surfaces_of: the surfaces that the facets of a domain's boundaries are chords of.
 
 A facet is straight, the boundary need not be. Each surface is a plane or of revolution
 (:mod:`adaptmg.mesh.surfaces`); the edges of plane domains, profiles in axisymmetry too, are the
@@ -6,96 +6,53 @@ planes and cylinders that they sweep along z."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterable, Iterator, Sequence
-from functools import lru_cache
-from pathlib import Path
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.mesh.netgen_guard import netgen
-from adaptmg.mesh.netgen_meshes import built_shape
 from adaptmg.mesh.sizes import BOX_SIDES, in_edges
-from adaptmg.mesh.step import step_solids
-from adaptmg.mesh.surfaces import Revolved, candidates, plane_through, round_about
+from adaptmg.mesh.surfaces import Revolved, plane_through, round_about
 from adaptmg.problem.combined_domains import Assembly, Combination, Cracked
 from adaptmg.problem.plane_domains import Box, Domain, Outline
 from adaptmg.problem.plane_edges import Arc, Segment
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 
-_LOG = logging.getLogger(__name__)
-
 _AXIS = (0.0, 0.0, 1.0)
 Surfaces = dict[str, list[Revolved]]
 
 
-def exact_surfaces(domain: Domain | None, names: Sequence[str]) -> Surfaces:
-    """Return the surfaces that the faces of some boundaries of a domain lie on, m, in no order;
-    boundaries with faces of other kinds (splines) are left out."""
-    if isinstance(domain, StepFile):
-        return _of_file(domain, names)
-    surfaces = {} if domain is None else _surfaces(domain)
-    return {name: surfaces[name] for name in names if name in surfaces}
-
-
-def _of_file(domain: StepFile, names: Sequence[str]) -> Surfaces:
-    """Surfaces from the file; none where it is gone, for a mesh may outlive it."""
-    bodies = frozenset(name.partition(".")[0] for name in names)
-    try:
-        return _read(domain, Path(domain.path).stat().st_mtime_ns, bodies)
-    except (OSError, ValueError) as error:
-        _LOG.info("gaps are measured between chords: %s", error)
+def surfaces_of(domain: Domain | None) -> Surfaces:
+    """Return the surfaces of the faces of each boundary of a domain, m, in no order; none of a STEP
+    file, which :func:`adaptmg.mesh.step.exact_surfaces` reads."""
+    if domain is None or isinstance(domain, StepFile):
         return {}
-
-
-@lru_cache(maxsize=8)
-def _read(domain: StepFile, _changed: int, bodies: frozenset[str]) -> Surfaces:
-    """The surfaces of faces of some solids; read once as long as the file does not change."""
-    found: list[tuple[str, Revolved]] = []
-    other = set()
-    solids = {body: solid for body, solid in step_solids(domain).items() if body in bodies}
-    with netgen() as worker:
-        for body, solid in solids.items():
-            shape = built_shape(worker, solid)
-            for face, samples in zip(shape.names, shape.samples, strict=True):
-                name = f"{body}.{face}"
-                surfaces = candidates([samples])
-                if surfaces is None:
-                    other.add(name)
-                    continue
-                found += [
-                    (name, one.moved(np.eye(3), shape.lower, shape.scale)) for one in surfaces[0]
-                ]
-    return _merged((name, surface) for name, surface in found if name not in other)
-
-
-def _surfaces(domain: Domain) -> Surfaces:
-    """The surfaces of all boundaries."""
     if isinstance(domain, Assembly):
         return {
             f"{body}.{name}": surfaces
             for body, part in domain.parts.items()
-            for name, surfaces in _surfaces(part).items()
+            for name, surfaces in surfaces_of(part).items()
         }
     if isinstance(domain, Cracked) and domain.dim == 3:
-        return _surfaces(domain.domain)
+        return surfaces_of(domain.domain)
     if isinstance(domain, Combination) and domain.dim == 3:
-        return _merged(
+        return merged(
             (domain.renamed(part, name), surface)
             for part in "ab"
-            for name, surfaces in _surfaces(getattr(domain, part)).items()
+            for name, surfaces in surfaces_of(getattr(domain, part)).items()
             for surface in surfaces
         )
     if isinstance(domain, Moved):
         rotation, offset = domain.rotation, np.array(domain.offset)
         return {
             name: [surface.moved(rotation, offset) for surface in surfaces]
-            for name, surfaces in _surfaces(domain.solid).items()
+            for name, surfaces in surfaces_of(domain.solid).items()
         }
-    return _merged(_faces(in_edges(domain)))
+    return merged(_faces(in_edges(domain)))
 
 
-def _merged(named: Iterable[tuple[str, Revolved]]) -> Surfaces:
+def merged(named: Iterable[tuple[str, Revolved]]) -> Surfaces:
+    """Return the surfaces by names."""
     result: Surfaces = {}
     for name, surface in named:
         result.setdefault(name, []).append(surface)
@@ -132,9 +89,10 @@ def _swept(outline: Outline) -> Iterator[tuple[str, Revolved]]:
     for i, name in enumerate(outline.boundaries):
         edge = outline.edge(i)
         if isinstance(edge, Arc):
-            yield name, round_about((*edge.center, 0.0), _AXIS, edge.radius)
+            surface = round_about((*edge.center, 0.0), _AXIS, edge.radius)
         else:
-            yield name, plane_through((*edge.start, 0.0), (*_normal(edge), 0.0))
+            surface = plane_through((*edge.start, 0.0), (*_normal(edge), 0.0))
+        yield name, replace(surface, edge=edge)
 
 
 def _normal(edge: Segment) -> np.ndarray:

@@ -8,9 +8,10 @@ surface mesh of Netgen; OCC gives areas and centres, and the distance of a point
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,14 +20,18 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._files import file_size
+from adaptmg.mesh.exact import merged, surfaces_of
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen, read_s
 from adaptmg.mesh.netgen_meshes import Shape, StepSolid, built_shape
-from adaptmg.mesh.surfaces import candidates
+from adaptmg.mesh.surfaces import Revolved, candidates
+from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.solid_domains import StepFile
 from adaptmg.problem.surfaces import ContactPair
 
 if TYPE_CHECKING:
     import pandas
+
+_LOG = logging.getLogger(__name__)
 
 _BYTES_PER_BYTE = 50
 # of products without a name, as OCC writes them
@@ -364,3 +369,45 @@ def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: floa
     own, its = face.normals[close], other.normals[nearest]
     cosine = (own * its).sum(axis=1) / (np.linalg.norm(own, axis=1) * np.linalg.norm(its, axis=1))
     return bool((cosine < _OPPOSITE).any())
+
+
+def exact_surfaces(domain: Domain | None, names: Sequence[str]) -> dict[str, list[Revolved]]:
+    """Return the surfaces that the faces of some boundaries of a domain lie on, m, in no order;
+    boundaries with faces of other kinds (splines) are left out."""
+    if isinstance(domain, StepFile):
+        return _surfaces_of_file(domain, names)
+    surfaces = surfaces_of(domain)
+    return {name: surfaces[name] for name in names if name in surfaces}
+
+
+def _surfaces_of_file(domain: StepFile, names: Sequence[str]) -> dict[str, list[Revolved]]:
+    """Surfaces from the file; none where it is gone, for a mesh may outlive it."""
+    bodies = frozenset(name.partition(".")[0] for name in names)
+    try:
+        return _read_surfaces(domain, Path(domain.path).stat().st_mtime_ns, bodies)
+    except (OSError, ValueError) as error:
+        _LOG.info("gaps are measured between chords: %s", error)
+        return {}
+
+
+@lru_cache(maxsize=8)
+def _read_surfaces(
+    domain: StepFile, _changed: int, bodies: frozenset[str]
+) -> dict[str, list[Revolved]]:
+    """The surfaces of faces of some solids; read once as long as the file does not change."""
+    found: list[tuple[str, Revolved]] = []
+    other = set()
+    solids = {body: solid for body, solid in step_solids(domain).items() if body in bodies}
+    with netgen() as worker:
+        for body, solid in solids.items():
+            shape = built_shape(worker, solid)
+            for face, samples in zip(shape.names, shape.samples, strict=True):
+                name = f"{body}.{face}"
+                surfaces = candidates([samples])
+                if surfaces is None:
+                    other.add(name)
+                    continue
+                found += [
+                    (name, one.moved(np.eye(3), shape.lower, shape.scale)) for one in surfaces[0]
+                ]
+    return merged((name, surface) for name, surface in found if name not in other)

@@ -22,6 +22,7 @@ import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays, Surface, trusted
 from adaptmg.mesh.soundness import least_angle
+from adaptmg.problem.plane_edges import Arc, Segment
 
 # of solids of unit size: by how much points may miss the surface through them; nodes of a draft
 # theirs
@@ -39,6 +40,8 @@ _GRAZING, _PARALLEL = 0.1, 0.5
 # corners of a facet lie nearer to the surface behind it than this part of the extent of the boundary:
 # bisection without a geometry leaves them on chords, of which those of 90 degrees are .1 high
 _NEARBY = 0.1
+# the middle of a facet lies over the edge behind it, or beside it by this part of its length: rounding
+_BESIDE = 1e-3
 
 
 class Misplaced(ValueError):
@@ -54,6 +57,7 @@ class Revolved:
     profile: np.ndarray  # (2,): the normal of the line, or the centre of the circle
     extent: float  # distance of the line from the origin, or the radius of the circle
     straight: bool
+    edge: Segment | Arc | None = None  # of the plane (x, y): the surface ends where it does
 
     def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the signed distances (n,) of points from the surface, and their gradients (n,
@@ -83,6 +87,7 @@ class Revolved:
             self,
             origin=scale * rotation @ self.origin + offset,
             axis=rotation @ self.axis,
+            edge=None,
             profile=self.profile if self.straight else scale * self.profile,
             extent=scale * self.extent,
         )
@@ -118,21 +123,11 @@ class Curved(Surface):
 
     @cached_property
     def behind(self) -> np.ndarray:
-        """Return the number (n,) of the surface behind each facet, the nearest of those that are about
-        parallel to it; -1 where it is plane, or none is near."""
-        corners, normals = in_space(self.points[self.facets]), in_space(self.normals)
-        best = np.full(len(corners), _NEARBY * np.linalg.norm(np.ptp(corners, axis=(0, 1))))
-        number = np.full(len(corners), -1)
-        # planes first: what lies on two is rather straight
-        for k in sorted(range(len(self.exact)), key=lambda k: not self.exact[k].plane):
-            surface = self.exact[k]
-            away = np.abs([surface.gaps(corner)[0] for corner in np.moveaxis(corners, 1, 0)])
-            gradients = surface.gaps(corners.mean(axis=1))[1]
-            parallel = np.abs(np.einsum("nd,nd->n", gradients, normals)) > _PARALLEL
-            nearer = parallel & (away.max(axis=0) < best - _SAME * best.max())
-            best = np.where(nearer, away.max(axis=0), best)
-            number[nearer] = -1 if surface.plane else k
-        return number
+        """Return the number (n,) of the surface behind each facet, -1 where it is plane, or none is
+        near."""
+        number = nearest(self.exact, self.points[self.facets], self.normals)
+        plane = np.array([surface.plane for surface in self.exact] + [True])
+        return np.where(plane[number], -1, number)
 
     def _by_surface(self, facets: np.ndarray) -> Iterator[tuple[Revolved, np.ndarray]]:
         """Each exact surface behind some facets, and the mask of these."""
@@ -158,6 +153,32 @@ class Curved(Surface):
             places, along = (in_space(x[own]).reshape(-1, 3) for x in (points, directions))
             result[own] = surface.along(places, along).reshape(-1, points.shape[1])
         return result
+
+
+def nearest(surfaces: Sequence[Revolved], corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return the number (n,) of the surface that facets or edges with some corners (n, k, dim) are
+    chords of: the nearest one that is about parallel to their normals (n, dim), -1 if none is near."""
+    corners, normals = in_space(corners), in_space(normals)
+    middle, length = corners.mean(axis=1), np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    number = np.full(len(corners), -1)
+    if not len(corners):
+        return number
+    best = np.full(len(corners), _NEARBY * np.linalg.norm(np.ptp(corners, axis=(0, 1))))
+    # planes first: what lies on two is rather straight
+    for k in sorted(range(len(surfaces)), key=lambda k: not surfaces[k].plane):
+        surface = surfaces[k]
+        away = np.abs([surface.gaps(corner)[0] for corner in np.moveaxis(corners, 1, 0)]).max(
+            axis=0
+        )
+        gaps, gradients = surface.gaps(middle)
+        fits = np.abs(np.einsum("nd,nd->n", gradients, normals)) > _PARALLEL
+        if surface.edge is not None:
+            foot = (middle - gaps[:, None] * gradients)[:, :2]
+            fits &= surface.edge.distance(foot) < _BESIDE * length
+        nearer = fits & (away < best - _SAME * length)
+        best = np.where(nearer, away, best)
+        number[nearer] = k
+    return number
 
 
 def in_space(points: np.ndarray) -> np.ndarray:
@@ -254,6 +275,27 @@ def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> l
     return result
 
 
+def settled(
+    surfaces: Sequence[Revolved], points: np.ndarray, labels: np.ndarray, near: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (n, 3) put onto two surfaces (n, 2) each, within ``near``, and the numbers of
+    those that do not reach them."""
+    places, rest = points.copy(), np.arange(len(points))
+    for _ in range(_STEPS):
+        gaps, gradients = np.empty((len(rest), 2)), np.empty((len(rest), 2, 3))
+        for label in np.unique(labels[rest]):
+            at = labels[rest] == label
+            gaps[at], gradients[at] = surfaces[label].gaps(places[rest[np.nonzero(at)[0]]])
+        far = np.abs(gaps).max(axis=1) > near
+        rest = rest[far]
+        if not len(rest):
+            break
+        places[rest] -= np.einsum(
+            "nij,nj->ni", np.linalg.pinv(gradients[far], rcond=_SAME), gaps[far]
+        )
+    return places, rest
+
+
 def onto_surfaces(
     surfaces: Sequence[Revolved], mesh: MeshArrays, n_old: int, flat: float = _FLAT
 ) -> MeshArrays:
@@ -268,22 +310,9 @@ def onto_surfaces(
     )
     nodes, first, count = np.unique(pairs // len(surfaces), return_index=True, return_counts=True)
     labels = (pairs % len(surfaces))[np.stack([first, first + count - 1], axis=1)]
-    places = mesh.points[nodes]
-    rest = np.arange(len(nodes))
-    for _ in range(_STEPS):
-        gaps, gradients = np.empty((len(rest), 2)), np.empty((len(rest), 2, 3))
-        for label in np.unique(labels[rest]):
-            at = labels[rest] == label
-            gaps[at], gradients[at] = surfaces[label].gaps(places[rest[np.nonzero(at)[0]]])
-        far = np.abs(gaps).max(axis=1) > _ON
-        if not far.any():
-            break
-        rest = rest[far]
-        places[rest] -= np.einsum(
-            "nij,nj->ni", np.linalg.pinv(gradients[far], rcond=_SAME), gaps[far]
-        )
-    else:
-        raise Misplaced(f"{len(rest)} nodes do not reach the surfaces of their faces")
+    places, missed = settled(surfaces, mesh.points[nodes], labels, _ON)
+    if len(missed):
+        raise Misplaced(f"{len(missed)} nodes do not reach the surfaces of their faces")
     points = mesh.points.copy()
     points[nodes] = places
     moved = np.zeros(mesh.n_nodes, dtype=bool)

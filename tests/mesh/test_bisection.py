@@ -237,6 +237,9 @@ def on(axis, value):
 
 
 BALL, CYLINDER = Ball((1, 2, 3), 0.2), Cylinder((0, 0, 1), (0, 0, 1), 0.5, 1)
+BORED = Cut(Box(width=1, depth=1, height=1), Cylinder((0, 0, -1), (0, 0, 1), 0.5, 3))
+SLANT, DRILLED_AT = (math.sin(math.pi / 3), 0.0, math.cos(math.pi / 3)), (3, 2, 1.5)
+DRILL = Cylinder((-2 * SLANT[0], 0, 0.5 - 2 * SLANT[2]), SLANT, 0.25, 4)
 DISK = Outline(
     vertices=((0, 0), (1, 0), (0, 1)), boundaries=("base", "rim", "axis"), arcs={1: (0, 0)}
 )
@@ -274,6 +277,18 @@ SHAPES = {
             "end": on(0, 0),
         },
     ),
+    "bored": (BORED, 0.5, {"side": off([0, 1], 0.5), "front": on(1, 0), "top": on(2, 1)}),
+    # the axes of both cylinders meet at 60 degrees: nodes on their crossing lie on both
+    "drilled aslant": (
+        Moved(Cut(Moved(CYLINDER, (0, 0, -1)), DRILL, rename={"b.side": "hole"}), (3, 2, 1)),
+        0.3,
+        {
+            "side": lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 2) - 0.5,
+            "hole": lambda x: (
+                np.linalg.norm(np.cross(x - DRILLED_AT, SLANT), axis=1) - DRILL.radius
+            ),
+        },
+    ),
     "prism": (Extrusion(RING, 0.5), 0.7, {"in": off([0, 1], 1), "out": off([0, 1], 2)}),
 }
 
@@ -283,14 +298,15 @@ def test_boundaries_stay_where_they_are(domain, size, zero):
     coarse = graded(domain, size)
     mesh = refined_onto(domain, coarse)
     for name, function in zero.items():
-        np.testing.assert_allclose(
-            function(mesh.points[mesh.boundary_nodes(name)]), 0, atol=1e-10 * max(1, size)
+        # on crossings of two surfaces Netgen's nodes miss them by 1e-8
+        missed, left = (
+            np.abs(function(one.points[one.boundary_nodes(name)])).max() for one in (coarse, mesh)
         )
+        assert left <= max(1e-10 * max(1, size), missed)
 
 
 def test_what_is_not_known_stays_on_the_chord():
-    bored = Cut(Box(width=1, depth=1, height=1), Cylinder((0, 0, -1), (0, 0, 1), 0.5, 3))
-    for domain, coarse in ((bored, graded(bored, 0.5)), (Rectangle(width=1, height=1), SQUARE)):
+    for domain, coarse in ((None, graded(BORED, 0.5)), (Rectangle(width=1, height=1), SQUARE)):
         fine, _ = bisect(coarse, everything(coarse))
         assert onto_domain(domain, fine, coarse.n_nodes) is fine
     # nothing new, nothing moves
