@@ -100,7 +100,7 @@ class LoadPath:
         names = (DEFAULT,) if problem is None else names_in_path(problem)
         _check_names("path names", self.factors, names)
         for name in self.factors:
-            alike = [one for one in _acting(problem) if one.path_name == name]
+            alike = [one for one in _acting(problem) if name in one.path_names]
             if len(alike) > 1 and not all(one.name for one in alike):
                 kinds = " and a ".join(type(one).__name__ for one in alike)
                 raise ValueError(f"path names {name!r}, where a {kinds} act: give each a name=")
@@ -129,11 +129,12 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
     """Return the names of all that a path scales, each once; those of preloads and obstacles belong
     to one alone."""
     acting = _acting(problem)
-    named = [one.path_name for one in acting]
+    named = [name for one in acting for name in one.path_names]
     for one in acting:
-        if isinstance(one, Preload | Moving | Rigid) and named.count(one.path_name) > 1:
+        shared = [name for name in one.path_names if named.count(name) > 1]
+        if isinstance(one, Preload | Moving | Rigid) and shared:
             raise ValueError(
-                f"{one.path_name!r} is the name of a {type(one).__name__} and of another load, support or "
+                f"{shared[0]!r} is the name of a {type(one).__name__} and of another load, support or "
                 "obstacle: give each a name= of its own"
             )
     return tuple(dict.fromkeys(named))

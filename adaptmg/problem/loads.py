@@ -90,6 +90,11 @@ class Acting(checks.Checked):
         return self.name or self.place
 
     @property
+    def path_names(self) -> tuple[str, ...]:
+        """Return the names of all that load paths multiply."""
+        return (self.path_name,)
+
+    @property
     def acts(self) -> bool:
         """Return whether a factor changes anything."""
         return any(np.any(getattr(self, name)) for name in self._amounts)

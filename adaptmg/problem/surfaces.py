@@ -27,7 +27,7 @@ from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name, Size, Value
 from adaptmg._text import brief
 from adaptmg.problem.laws import Law, check_law
-from adaptmg.problem.loads import Acting, point
+from adaptmg.problem.loads import Acting, point, times
 
 Numbers = Annotated[Sequence[float], lambda name, value: tuple(checks.vector(name, value).tolist())]
 OwnLaw = Annotated[Law, check_law]
@@ -263,23 +263,42 @@ def _targets(name: str, values: object) -> tuple[float | None, ...]:
     )
 
 
+Force = tuple[float | None, ...]
+
+
+def _forces(name: str, values: object) -> Force | dict[str, Force]:
+    if not isinstance(values, Mapping):
+        return _targets(name, values)
+    forces = {
+        checks.boundary_name(f"the names in {name}", key): _targets(f"{name}[{key!r}]", value)
+        for key, value in checks.mapping(name, values, "names to forces").items()
+    }
+    if len({tuple(x is None for x in force) for force in forces.values()}) != 1:
+        raise ValueError(
+            f"{name} must have forces of as many components, None in the same places of all of them, "
+            f"got {checks.shown(values)}"
+        )
+    return forces
+
+
 @dataclass(frozen=True, eq=False)
 class Rigid(_MovingPart):
     """A rigid obstacle that moves until it transmits a force and a moment.
 
-    :func:`adaptmg.solve_path` finds its motion by Broyden's method on these few numbers, with a contact problem for
-    each trial; ``Result.motions`` has the motion. Cycles, work and seconds of the result are those
-    of all trials, its history that of the one it is from. In a load path the factor multiplies
-    force and moment.
+    :func:`adaptmg.solve_path` finds its motion, on a level of few unknowns as an unknown of the contact problem, on the
+    finest level from there by Broyden's method; ``Result.motions`` has it. Cycles, work and seconds
+    of the result are those of all trials, its history that of the one it is from. In a load path
+    the factor multiplies force and moment.
 
     Parameters
     ----------
     obstacle : Plane, GapFunction or Moving
         Its shape and first place. With a Moving one press and slide: the force finds what its
         motion leaves open.
-    force : (dim,) sequence of float or None
+    force : (dim,) sequence of float or None, or mapping of str to these
         What it exerts on the body, N (plane: N/m; axisymmetric: of the whole circumference); None:
-        it does not move in this direction.
+        it does not move in this direction. A mapping has forces that add up, by the names that they
+        have in load paths; None stands in all of them in the same places.
     moment : float, or (3,) sequence of float or None, optional
         About ``about``, N m (plane: N); None, the default: it does not turn.
     about, name
@@ -290,11 +309,14 @@ class Rigid(_MovingPart):
     >>> punch = am.Rigid(am.Plane((0, 1), (0, -1)), force=(None, -1e5), moment=0.0, name="punch")
     >>> punch.free
     (1, 2)
+    >>> forces = {"P": (0.0, -1e5), "Q": (1e4, 0.0)}
+    >>> fretting = am.Rigid(am.Plane((0, 1), (0, -1)), force=forces, name="pad")
+    >>> path = am.LoadPath({"P": 1.0, "Q": [1, -1, 1]})
     """
 
     obstacle: AnyObstacle
     _: KW_ONLY
-    force: Annotated[tuple[float | None, ...], _targets]
+    force: Annotated[Force | Mapping[str, Force], _forces]
     moment: tuple[float | None, ...] | float | None = None
     about: np.ndarray | None = None
     name: Name = "obstacle"
@@ -307,7 +329,7 @@ class Rigid(_MovingPart):
             self,
             obstacle: Obstacle,
             *,
-            force: tuple[float | None, ...],
+            force: Force | Mapping[str, Force],
             moment: tuple[float | None, ...] | float | None = None,
             about: ArrayLike | None = None,
             name: str = "obstacle",
@@ -324,20 +346,36 @@ class Rigid(_MovingPart):
             )
         if not self.free:
             raise ValueError("force and moment are None: use the obstacle itself, or Moving")
-        if not any(self.force):
+        if not any(map(any, self.forces.values())):
             raise ValueError(
                 "force must have a component other than zero: nothing would press the obstacle"
             )
 
     @property
+    def forces(self) -> dict[str, Force]:
+        """Return the forces by their names in load paths."""
+        return dict(self.force) if isinstance(self.force, Mapping) else {self.name: self.force}
+
+    @property
+    def path_names(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys([*self.forces, *([self.name] if any(self.moment) else [])]))
+
+    @property
     def dim(self) -> int:
         """Return the space dimension."""
-        return len(self.force)
+        return len(next(iter(self.forces.values())))
 
     @property
     def targets(self) -> np.ndarray:
         """Return the force and moment (n,), NaN where the motion is prescribed."""
-        return np.array([*self.force, *self.moment], dtype=np.float64)
+        forces = np.array(list(self.forces.values()), dtype=np.float64)
+        return np.append(forces.sum(axis=0), np.array(self.moment, dtype=np.float64))
+
+    def loaded(self, factors: Mapping[str, float]) -> Rigid:
+        """Return the same with factors of force and moment, 1 where not named."""
+        own = {name: times(one, factors.get(name, 1.0)) for name, one in self.forces.items()}
+        force = own if isinstance(self.force, Mapping) else own[self.name]
+        return replace(self, force=force, moment=times(self.moment, factors.get(self.name, 1.0)))
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -377,7 +415,7 @@ def placed(
     if isinstance(obstacle, Rigid):
         inner = replace(obstacle, obstacle=placed(obstacle.obstacle, factors, motions))
         if motions is None:
-            return inner.scaled(factors.get(obstacle.name, 1.0))
+            return inner.loaded(factors)
         return inner.placed(np.asarray(motions.get(obstacle.name, np.zeros(3 * obstacle.dim - 3))))
     if isinstance(obstacle, Moving):
         inner = placed(obstacle.obstacle, factors, motions)

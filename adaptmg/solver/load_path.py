@@ -442,12 +442,15 @@ class PathLoop:
         factors = self._factors_at(k)
         parts, motions = self.controls.unknowns(factors), self.controls.motions
         if parts:
+            self._check_statics(k, self._posed(k, motions))
             result, (grids, forces, coarse), motions = self.controls.find(
-                parts, lambda motions, near: self._solve(k, motions, near, progress)
+                parts,
+                lambda motions, near, loose: self._solve(k, motions, near, progress, loose),
+                partial(self._posed, k),
             )
             self._check_held(grids, k, motions)
         else:
-            result, (grids, forces, coarse) = self._solve(k, motions, None, progress)
+            result, (grids, forces, coarse) = self._solve(k, motions, None, progress, 0.0)
         result = replace(
             result,
             mesh=result.mesh_or_none,
@@ -464,9 +467,10 @@ class PathLoop:
         motions: Mapping[str, np.ndarray],
         near: Result | None,
         progress: Callable[[int, dict[str, float]], None] | None,
+        loose: float,
     ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
         """The result of step k with the motions of obstacles, from one ``near`` to it; and what the
-        next step needs."""
+        next step needs. The tolerance may be as ``loose``."""
         finest = self.grids.finest.discrete
         run = Run(
             unit=finest.matrix.nnz,
@@ -482,15 +486,15 @@ class PathLoop:
             forces = grids.finest.discrete.load_from_prescribed()
             run.examiner = self.examiner = Examiner(grids.finest.discrete)
             past = Past(
-                self.levels, self.recent[-1][0], self._start(forces, near), len(self.recent) > 1
+                self.levels,
+                self.recent[-1][0],
+                self._start(forces, near),
+                len(self.recent) > 1,
+                near is not None,
+                loose,
             )
         with run.phase("statics"):
-            try:
-                check_statics_of(grids)
-            except ValueError as error:
-                raise ValueError(
-                    f"step {k} of {len(self.path)} ({self.described(k)}): {error}"
-                ) from error
+            self._check_statics(k, grids)
         if self._at_rest(forces):
             return self._undeformed(k, grids, run, motions), (grids, forces, None)
         outcome, coarse = self.method.run(grids, self.examiner, run, past)
@@ -502,6 +506,14 @@ class PathLoop:
                 grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
             )
         return result, (grids, forces, coarse)
+
+    def _check_statics(self, k: int, grids: Hierarchy) -> None:
+        try:
+            check_statics_of(grids)
+        except ValueError as error:
+            raise ValueError(
+                f"step {k} of {len(self.path)} ({self.described(k)}): {error}"
+            ) from error
 
     def _check_held(self, grids: Hierarchy, k: int, motions: Mapping[str, np.ndarray]) -> None:
         if self.controls.problem is not None:

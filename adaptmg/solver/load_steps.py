@@ -17,22 +17,27 @@ unknowns z next to the contact problem, with the equations
 
 .. math:: F(z) = F^* : \quad \text{resultant and moment of the contact forces of an obstacle, force across a cut} .
 
-Each F is a contact problem with z prescribed; z is found by Broyden's method (C. T. Kelley, Solving
-Nonlinear Equations with Newton's Method, SIAM 2003, doi:10.1137/1.9780898718898) from a Jacobian by
-differences. The first one is taken where an obstacle has just met the body; contact stiffens, so
-that a step from there is at most four times the depth."""
+On a level with at most some thousand unknowns, the finest or a coarse one, the motions of obstacles
+are unknowns of one contact problem. From there z is found on the finest level by Broyden's method
+(C. T. Kelley, Solving Nonlinear Equations with Newton's Method, SIAM 2003,
+doi:10.1137/1.9780898718898), with a contact problem for each trial, solved no more accurately than
+the forces that it misses are known, and a first Jacobian from the coarse level. Where friction makes
+the finest level jump where the coarse one does not, its own problem with unknown motions is solved.
+Bolts are shortened until something pulls; their first Jacobian comes by differences."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
+from scipy import sparse
 from scipy.sparse.linalg import lsmr
 
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import cut_force, cut_stiffness
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
@@ -43,7 +48,9 @@ from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import Preload
 from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
+from adaptmg.smoother.factorisation import factorisable
 from adaptmg.smoother.system import local_contact
+from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
@@ -56,10 +63,23 @@ Kept = TypeVar("Kept")
 
 #: forces are met to this multiple of rtol
 ACCURACY = 10.0
-_MOST = 40  # contact problems in a step
+_MOST = 40  # contact problems in a step on a level
 _GROWTH = 4.0  # of the depth of an obstacle, in a step of the iteration
 _DIFFERENCE = 0.02  # of the size of the unknowns so far
 _UNRESISTED = 1e-5  # of the largest stiffness
+_GUIDING = 2500  # unknowns of the level on which motions are found first
+_COARSE = 1e-3  # what forces may miss there
+_RELINEARISED = 5  # times that they move to first order there
+_SOFT = 1e-9  # springs of an obstacle there, over the largest stiffness
+_FAR = 1e6  # motions of obstacles, in their sizes, beyond which only these springs resist
+_PULLS = 0.01  # share of the force of a bolt from which on it is resisted
+_DOUBLINGS = 20  # of the strain of a bolt until then
+_LOOSE = 0.01  # tolerance of a contact problem, over what forces missed before it
+_EXACT = 1e-5  # tolerance for differences, over the size of the unknowns
+_SLOW = 0.3  # share of what forces missed from which on a coarse level leads astray
+_TINY = 1e-300
+#: motions, a result near to theirs, and the tolerance that suffices -> a result, and what is kept of it
+Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Kept]]
 #: displacement (n_dofs,) of the finest level, and pressures of its volumes, if it has them
 Start = tuple[np.ndarray, np.ndarray | None]
 
@@ -72,6 +92,8 @@ class Past:
     last: Start  # after the step before
     extrapolated: Start
     given: bool  # whether there is a step before
+    near: bool = False  # whether ``extrapolated`` is a solution of this step with other motions
+    loose: float = 0.0  # tolerance that suffices
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
@@ -180,8 +202,10 @@ class TruncatedSteps:
             multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
         else:
             multigrid.take(hierarchy, run)
-        multigrid.rtol = self.rtol
-        if self.start is not None:
+        multigrid.rtol = self.rtol if isinstance(self.rtol, str) else max(self.rtol, past.loose)
+        if past.near:
+            start, multigrid.pressures = past.extrapolated
+        elif self.start is not None:
             *coarse, start = multigrid.increment(self.start, past.levels)
             kind = "given" if past.given else "nested"
             with run.phase("start"):
@@ -263,16 +287,13 @@ class Controls:
         """Return the prescribed motions and forces as numbers, for stores; -1e300 where nothing is
         prescribed."""
         result = [
-            [*np.nan_to_num(one.targets, nan=-1e300), *one.about]
+            [*_numbers(chain(*one.forces.values(), one.moment)), *one.about]
             if isinstance(one, Rigid)
             else [*one.displacement, *one.rotation, *one.about]
             for obstacle in self.obstacles.values()
             for one in moving_parts(obstacle)
         ]
-        result += [
-            [bolt.force, bolt.direction, -1e300 if bolt.at is None else bolt.at]
-            for bolt in self.bolts
-        ]
+        result += [[bolt.force, bolt.direction, *_numbers([bolt.at])] for bolt in self.bolts]
         return [list(map(float, one)) for one in result]
 
     def unknowns(self, factors: Mapping[str, float]) -> list[_Unknowns]:
@@ -287,13 +308,15 @@ class Controls:
         first = 0
         for number, obstacle in self.rigid.items():
             name, dim = obstacle.name, obstacle.dim
-            if not factors[name] > 0:
+            only, *others = obstacle.forces
+            if not (others or factors[only] > 0):
                 raise ValueError(
-                    f"the factor of {name!r}, which a force presses, must be > 0, got {factors[name]:g}: "
+                    f"the factor of {only!r}, which a force presses, must be > 0, got {factors[only]:g}: "
                     "begin and end with a small one"
                 )
-            targets = factors[name] * obstacle.targets[list(obstacle.free)]
-            force = float(np.linalg.norm(np.nan_to_num(obstacle.targets[:dim]))) * factors[name]
+            loaded = obstacle.loaded(factors).targets
+            targets = loaded[list(obstacle.free)]
+            force = float(np.linalg.norm(np.nan_to_num(loaded[:dim])))
             nodes = mesh.surface(self.problem.contact[number].boundary).nodes
             size = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
             turns = np.arange(3 * dim - 3)[list(obstacle.free)] >= dim
@@ -325,37 +348,6 @@ class Controls:
             )
             first += 1
         return result
-
-    def start(self, parts: Sequence[_Unknowns]) -> np.ndarray:
-        """Return the start of the iteration: the end of the step before; the first time obstacles
-        approach the body."""
-        return np.concatenate(
-            [
-                self.motions[part.name][list(part.free)]
-                if self.motions[part.name].any()
-                else self._approach(part)
-                if part.number >= 0
-                else part.sizes
-                for part in parts
-            ]
-        )
-
-    def _approach(self, part: _Unknowns) -> np.ndarray:
-        """The motion along the force that brings an obstacle to the body."""
-        obstacle, contact = self.rigid[part.number], self.level.discrete.contact
-        dim, own = obstacle.dim, contact.boundary == part.number
-        along = np.nan_to_num(obstacle.targets[:dim])
-        along = along / np.linalg.norm(along)
-        towards = -contact.normals[own] @ along
-        if not (towards > 0).any():
-            raise ValueError(
-                f"the force of {part.name!r} pulls it away from the body: it must press, along minus the "
-                "outward normal of the contact boundary"
-            )
-        way = max(0.0, float(np.min(contact.gaps[own][towards > 0] / towards[towards > 0])))
-        motion = np.zeros(3 * dim - 3)
-        motion[:dim] = along * (way + part.sizes[0] if part.free[0] < dim else way)
-        return motion[list(part.free)]
 
     def taken(self, parts: Sequence[_Unknowns], values: np.ndarray) -> dict[str, np.ndarray]:
         """Return the motions with the values (n,) of the unknowns."""
@@ -395,82 +387,267 @@ class Controls:
     def find(
         self,
         parts: Sequence[_Unknowns],
-        solve: Callable[[dict[str, np.ndarray], Result | None], tuple[Result, Kept]],
+        solve: Solve[Kept],
+        posed: Callable[[dict[str, np.ndarray]], Hierarchy],
     ) -> tuple[Result, Kept, dict[str, np.ndarray]]:
         """Return the result, what is kept of it, and the motions with which the forces are as
-        prescribed; ``solve`` takes motions and a result near theirs. Cycles, work and seconds are
-        those of all contact problems together."""
-        sizes = np.concatenate([part.sizes for part in parts])
-        spent: list[tuple[int, float, dict[str, float]]] = []
-
-        def at(values: np.ndarray, near: Result | None) -> tuple[np.ndarray, tuple[Result, Kept]]:
-            solved = solve(self.taken(parts, values * sizes), near)
-            spent.append((solved[0].cycles, solved[0].work_units, solved[0].timings))
-            missed = self.missed(parts, solved[0])
-            _LOG.debug("motions %s miss their forces by %s of their size", values * sizes, missed)
-            return missed, solved
-
-        values, jacobian, reach = self.start(parts) / sizes, None, 1.0
-        missed, (result, kept) = at(values, None)
-        last = result
-
-        def reached() -> bool:
-            return bool(np.abs(missed).max() <= ACCURACY * result.rtol)
-
-        while not reached() and last.status.ok and len(spent) < _MOST:
-            fresh = jacobian is None
-            if fresh:
-                steps = _DIFFERENCE * reach * np.eye(len(values))
-                jacobian = np.stack(
-                    [(at(values + step, result)[0] - missed) / step.max() for step in steps], axis=1
-                )
-            left, values_of, right = np.linalg.svd(jacobian)
-            noise = result.rtol / (_DIFFERENCE * reach)
-            resisted = values_of > max(_UNRESISTED * values_of[0], noise)
-            along = left.T @ missed
-            if fresh and np.abs(along[~resisted]).max(initial=0.0) > 1e-3:
-                raise ValueError(
-                    "nothing resists "
-                    + ", ".join(repr(part.name) for part in parts)
-                    + ": no body, or no "
-                    "friction, opposes a prescribed force or moment: write None for it, add friction, "
-                    "take a moment about= a point near contact, or hold a bolt at both ends"
-                )
-            change = -right[resisted].T @ (along[resisted] / values_of[resisted])
-            change *= min(1.0, _GROWTH * reach / np.abs(change).max())
-            new, solved = at(values + change, result)
-            last = solved[0]
-            if not fresh and np.abs(new).max() > 0.9 * np.abs(missed).max():
-                jacobian = None
-                continue
-            jacobian = jacobian + np.outer(new - missed - jacobian @ change, change) / (
-                change @ change
-            )
-            reach = max(np.abs(change).max(), 0.1 * reach)
-            values, missed, (result, kept) = values + change, new, solved
-        if result.status.ok and not reached():
+        prescribed. Cycles are those of all contact problems on the finest level, work and seconds
+        those of guides, too."""
+        search, guide = Search(self, parts, solve), Guide(self, parts, posed)
+        values = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
+        values = guide.pressed(values / search.sizes)
+        if len(guide.parts) < len(parts):
+            found = search.run(search.pulled(search.at(values, None, _LOOSE)), None)
+        else:
+            found = search.run(search.at(values, None, guide.loose), guide)
+        result = found.result
+        if result.status.ok and not search.reached(found):
             _LOG.warning(
                 "forces of %s are missed by %.1e of their size after %d contact problems",
                 ", ".join(part.name for part in parts),
-                np.abs(missed).max(),
-                len(spent),
+                np.abs(found.missed).max(),
+                len(search.spent),
             )
             result = replace(result, status=Status.LIMIT, mesh=result.mesh_or_none)
-        cycles, work, seconds = zip(*spent, strict=True)
+        spent = [*guide.spent, *search.spent]
         timings = {
-            name: sum(one.get(name, 0.0) for one in seconds)
-            for name in dict.fromkeys(chain(*seconds))
+            name: sum(one.timings.get(name, 0.0) for one in spent)
+            for name in dict.fromkeys(chain(*(one.timings for one in spent)))
         }
         result = replace(
             result,
-            cycles=sum(cycles),
-            work_units=sum(work),
+            cycles=sum(one.cycles for one in search.spent),
+            work_units=sum(one.work_units for one in spent),
             timings=timings,
             mesh=result.mesh_or_none,
         )
-        return result, kept, self.taken(parts, values * sizes)
+        return result, found.kept, self.taken(parts, found.values * search.sizes)
 
     def take(self, factors: Mapping[str, float], motions: Mapping[str, np.ndarray]) -> None:
         """Go past a step."""
         self.factors, self.motions = dict(factors), dict(motions)
         self.places = self.placed(factors, motions)
+
+
+class Guide:
+    """Contact problems in which the motions of obstacles are unknowns, on the finest level with few
+    unknowns; ``posed`` takes motions."""
+
+    def __init__(
+        self,
+        controls: Controls,
+        parts: Sequence[_Unknowns],
+        posed: Callable[[dict[str, np.ndarray]], Hierarchy],
+    ) -> None:
+        self.controls, self.posed, self.all_parts = controls, posed, parts
+        self.parts = [part for part in parts if part.number >= 0]
+        self.size = sum(len(part.targets) for part in self.parts)
+        self.sizes = np.concatenate([part.sizes for part in parts])
+        self.spent: list[Run] = []
+        levels = posed(controls.motions).levels
+        few = [
+            number
+            for number, level in enumerate(levels)
+            if level.discrete_or_none is not None and level.discrete.n_dofs <= _GUIDING
+        ]
+        self.last = len(levels) - 1
+        self.number = few[-1] if few else self.last
+        #: tolerance that suffices where the finest level begins
+        self.loose = 0.0 if self.number == self.last else _LOOSE * _COARSE
+
+    def pressed(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the unknowns with which obstacles balance their forces."""
+        values = values.copy()
+        for _ in range(_RELINEARISED if self.size else 0):
+            change = self._balanced(values, np.zeros(self.size))
+            if not np.abs(change).max() < _FAR:
+                raise nothing_resists(self.parts)
+            values[: self.size] += change
+            if np.abs(change).max() <= _COARSE:
+                break
+        return values
+
+    def nearer(self, values: np.ndarray, missed: np.ndarray) -> np.ndarray:
+        """Return better values than some with which the finest level misses forces by ``missed``:
+        its own, or where its factors are too large or these were its own those with which the
+        forces change by so much."""
+        if self.number == self.last or not factorisable(self.controls.level.discrete):
+            return values + self._balanced(values, -missed)
+        self.number = self.last
+        return self.pressed(values)
+
+    def stiffness(self, values: np.ndarray) -> np.ndarray:
+        """Return the Jacobian (n, n) of forces by motions, the inverse of what small changes of the
+        forces move."""
+        rest = self._balanced(values, np.zeros(self.size))
+        moved = [self._balanced(values, force) - rest for force in _DIFFERENCE * np.eye(self.size)]
+        return np.linalg.inv(np.stack(moved, axis=1) / _DIFFERENCE)
+
+    def _balanced(self, values: np.ndarray, extra: np.ndarray) -> np.ndarray:
+        r"""Return by how much (n,) obstacles move until their forces are as prescribed, and ``extra``
+        ones (n,), to first order in the motion; all in their sizes.
+
+        The motions are unknowns of one contact problem in displacements relative to obstacles,
+        :math:`u = v + M z` at the nodes that they may touch, with the matrix :math:`(I\; M)^T A\,
+        (I\; M)` and the load :math:`(b, M^T b + F^*)`. Soft springs hold motions that nothing
+        resists."""
+        motions = self.controls.taken(self.all_parts, values * self.sizes)
+        posed = self.posed(motions)
+        discrete = posed[self.number].discrete
+        n, dim, contact = self.size, discrete.dim, discrete.contact
+        moves = np.zeros((discrete.n_nodes, dim, n))
+        scales, forces = np.zeros(n), np.zeros(n)
+        for part in self.parts:
+            nodes = contact.nodes[contact.boundary == part.number]
+            arms = discrete.coordinates[nodes] - self.controls.rigid[part.number].about
+            scales[part.own] = part.sizes / part.sizes[0]
+            forces[part.own] = part.targets + part.forces * extra[part.own]
+            own = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
+            moves[nodes, :, part.own] = own * scales[part.own]
+        if discrete.inclined is not None:
+            everywhere = np.arange(discrete.n_nodes)
+            free = [discrete.inclined.free_part(everywhere, moves[:, :, k]) for k in range(n)]
+            moves = np.stack(free, axis=2)
+        moves = moves.reshape(-1, n)
+        moves[discrete.fixed] = 0.0
+        # whole nodes
+        moves = np.pad(moves, ((0, 0), (0, -n % dim)))
+        padded = moves.shape[1]
+        rows = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
+        soft = _SOFT * np.abs(discrete.matrix.diagonal()).max()
+        springs = sparse.diags_array(np.append(np.zeros(discrete.n_dofs), np.full(padded, soft)))
+        matrix = rows.T @ sparse.csr_array(discrete.matrix) @ rows + springs
+        load = rows.T @ discrete.load
+        load[discrete.n_dofs :][:n] += forces * scales
+        volumes = discrete.volumes
+        problem = DiscreteProblem(
+            matrix=0.5 * (matrix + matrix.T),
+            load=load,
+            fixed=np.append(discrete.fixed, np.arange(padded) >= n),
+            fixed_values=np.pad(discrete.fixed_values, (0, padded)),
+            law=discrete.law,
+            contact=contact,
+            volumes=None if volumes is None else volumes.with_rows(volumes.rows @ rows),
+        )
+        run = Run(unit=posed.finest.discrete.matrix.nnz)
+        with run.phase("start"):
+            outcome = ActiveSet().run(Hierarchy.single(problem), run, None)
+        self.spent.append(run)
+        found = outcome.displacement.reshape(-1)[discrete.n_dofs :][:n]
+        return found * scales / self.sizes[:n]
+
+
+@dataclass(frozen=True)
+class _Trial(Generic[Kept]):
+    """A contact problem with prescribed motions."""
+
+    values: np.ndarray  # (n,): of the unknowns, in their sizes
+    missed: np.ndarray  # (n,): by the forces, in theirs
+    result: Result
+    kept: Kept
+    loosened: bool
+
+
+class Search(Generic[Kept]):
+    """The search for motions on the finest level; ``solve`` takes motions, a result near theirs and
+    the tolerance that suffices."""
+
+    def __init__(self, controls: Controls, parts: Sequence[_Unknowns], solve: Solve[Kept]) -> None:
+        self.controls, self.parts, self.solve = controls, parts, solve
+        self.sizes = np.concatenate([part.sizes for part in parts])
+        self.spent: list[Result] = []
+
+    def at(self, values: np.ndarray, near: _Trial[Kept] | None, loose: float = 0.0) -> _Trial[Kept]:
+        """Return the contact problem with the unknowns at some values."""
+        motions = self.controls.taken(self.parts, values * self.sizes)
+        result, kept = self.solve(motions, None if near is None else near.result, loose)
+        self.spent.append(result)
+        missed = self.controls.missed(self.parts, result)
+        _LOG.debug("motions %s miss their forces by %s of their size", motions, missed)
+        return _Trial(values, missed, result, kept, result.rtol == loose)
+
+    def reached(self, trial: _Trial[Kept]) -> bool:
+        """Return whether the forces are as prescribed."""
+        most = ACCURACY * trial.result.rtol
+        return not trial.loosened and bool(np.abs(trial.missed).max() <= most)
+
+    def run(self, trial: _Trial[Kept], guide: Guide | None) -> _Trial[Kept]:
+        """Return the last trial; a guide, if there is one, makes the first Jacobian, and better
+        values where that does not lead to the solution."""
+        reach, jacobian = 1.0, None
+        while trial.result.status.ok and not self.reached(trial) and len(self.spent) < _MOST:
+            fresh = jacobian is None and guide is None
+            if fresh:
+                # as accurate as the differences
+                trial = self.at(trial.values, trial, _EXACT * reach) if trial.loosened else trial
+                jacobian = self.differences(trial, reach)
+            elif jacobian is None:
+                jacobian = guide.stiffness(trial.values)
+            left, stiffnesses, right = np.linalg.svd(jacobian)
+            noise = _EXACT / _DIFFERENCE if fresh else 0.0
+            resisted = stiffnesses > max(_UNRESISTED * stiffnesses[0], noise)
+            along = left.T @ trial.missed
+            if fresh and np.abs(along[~resisted]).max(initial=0.0) > 1e-3:
+                raise nothing_resists(self.parts)
+            change = -right[resisted].T @ (along[resisted] / stiffnesses[resisted])
+            short = min(1.0, _GROWTH * reach / max(np.abs(change).max(), _TINY))
+            change *= short
+            most = max(np.abs(trial.missed).max(), trial.result.rtol)
+            new = self.at(trial.values + change, trial, _LOOSE * most)
+            left_over = np.abs(new.missed).max()
+            if guide is not None and left_over > _SLOW * most:
+                trial = self.at(guide.nearer(trial.values, trial.missed), None)
+                guide = None
+                continue
+            if not fresh and short == 1.0 and left_over > 0.9 * most:
+                jacobian = None
+                continue
+            update = new.missed - trial.missed - jacobian @ change
+            jacobian = jacobian + np.outer(update, change) / max(change @ change, _TINY)
+            reach = max(np.abs(change).max(), 0.1 * reach)
+            trial = new
+        return trial
+
+    def differences(self, trial: _Trial[Kept], reach: float) -> np.ndarray:
+        """Return the Jacobian (n, n) at a trial."""
+        step = _DIFFERENCE * reach
+        columns = [
+            (self.at(trial.values + change, trial, _EXACT * reach).missed - trial.missed) / step
+            for change in step * np.eye(len(trial.values))
+        ]
+        return np.stack(columns, axis=1)
+
+    def pulled(self, trial: _Trial[Kept]) -> _Trial[Kept]:
+        """Return the first trial in which every bolt pulls; each is shortened until something
+        resists it."""
+        for doubling in range(_DOUBLINGS):
+            change = np.zeros(len(trial.values))
+            for part in self.parts:
+                if part.number < 0 and 1.0 + trial.missed[part.first] < _PULLS:
+                    change[part.first] = 2.0**doubling
+            if not change.any():
+                return trial
+            trial = self.at(trial.values + change, trial, _LOOSE)
+        raise nothing_resists(self.parts)
+
+
+def _numbers(values: Iterable[float | None]) -> list[float]:
+    return [-1e300 if value is None else value for value in values]
+
+
+def nothing_resists(parts: Sequence[_Unknowns]) -> ValueError:
+    """Return the error for forces that no motion meets."""
+    return ValueError(
+        f"nothing resists {', '.join(repr(part.name) for part in parts)}: no body, or no friction, "
+        "opposes a prescribed force or moment: press towards the body, write None for it, add "
+        "friction, take a moment about= a point near contact, or hold a bolt at both ends"
+    )
+
+
+def _rigid_moves(arms: np.ndarray) -> np.ndarray:
+    """The displacements (n, 3 or 6, dim) of points with these arms (n, dim) in rigid motions."""
+    n, dim = arms.shape
+    axes = np.eye(3)[3 - 2 * dim :]
+    spatial = np.pad(arms, ((0, 0), (0, 3 - dim)))
+    turns = np.cross(axes, spatial[:, None])[:, :, :dim]
+    return np.concatenate([np.broadcast_to(np.eye(dim), (n, dim, dim)), turns], axis=1)
