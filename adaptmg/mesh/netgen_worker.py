@@ -563,7 +563,8 @@ def read_meshio(path: str) -> MeshioTables:
     import meshio
 
     # its readers know these kinds, and make meshes of them fail: its table of dimensions lacks them
-    sys.modules[meshio.Mesh.__module__].topological_dimension.update(wedge15=3, pyramid13=3)
+    dimensions = sys.modules[meshio.Mesh.__module__].topological_dimension
+    dimensions.update(wedge15=3, pyramid13=3, tetra4=3)
     with open(path, "rb") as file:
         begins = file.readline(60).decode("latin-1").strip()
     printed = io.StringIO()
@@ -598,7 +599,9 @@ def read_meshio(path: str) -> MeshioTables:
         sets = {name: numbered.get(name, []) + sets.get(name, []) for name in numbered | sets}
     points = np.zeros((len(raw.points), 3))
     points[:, : raw.points.shape[1]] = raw.points
-    cells = [(block.type, np.asarray(block.data)) for block in raw.cells]
+    # as Exodus calls it
+    kinds = [block.type.replace("tetra4", "tetra") for block in raw.cells]
+    cells = [(kind, np.asarray(block.data)) for kind, block in zip(kinds, raw.cells, strict=True)]
     if of_gmsh:
         cells = [
             (kind, nodes[:, _ORDER[kind]] if kind in _ORDER else nodes) for kind, nodes in cells

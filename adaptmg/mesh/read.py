@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 # Netgen's types of second order
 _CURVED = (12, 13, 14, 21, 24)
+# of which meshio reads sets of nodes
+_EXODUS = (".e", ".exo", ".ex2")
 # what a reader takes for each byte of a file
 _BYTES_PER_BYTE = 100
 
@@ -241,6 +243,8 @@ def from_file(
             contents = reader(path)
         else:
             contents = Contents(*_read("read_meshio", path))
+            if suffix in _EXODUS:
+                contents.notes.append("not read: side sets, and names of blocks of elements")
         mesh, rest, strange = mesh_of(
             contents,
             unit=unit,

@@ -187,6 +187,25 @@ def test_groups_of_med_name_boundaries_and_bodies(tmp_path):
     assert read.bodies == ("plate",)
 
 
+def test_tetrahedra_of_exodus_are_read_with_sets_of_nodes(tmp_path):
+    netcdf = pytest.importorskip("netCDF4")
+    with netcdf.Dataset(tmp_path / "m.exo", "w", format="NETCDF3_CLASSIC") as file:
+        sizes = {"num_nodes": 4, "num_el_in_blk1": 1, "num_nod_per_el1": 4, "num_nod_ns1": 3}
+        for name, size in {**sizes, "num_node_sets": 1, "len_string": 33}.items():
+            file.createDimension(name, size)
+        for k, name in enumerate("xyz"):
+            file.createVariable(f"coord{name}", "f8", ("num_nodes",))[:] = np.eye(4, 3, -1)[:, k]
+        names = file.createVariable("ns_names", "S1", ("num_node_sets", "len_string"))
+        names[0, :3] = np.array(list("low"), "S1")
+        file.createVariable("node_ns1", "i4", ("num_nod_ns1",))[:] = [1, 2, 3]
+        block = file.createVariable("connect1", "i4", ("num_el_in_blk1", "num_nod_per_el1"))
+        block.elem_type = "TETRA4"
+        block[:] = [[1, 2, 3, 4]]
+    mesh = from_file(tmp_path / "m.exo", unnamed="free")
+    assert mesh.volumes.sum() == pytest.approx(1 / 6) and "not read: side sets" in mesh.notes[0]
+    assert (mesh.points[mesh.boundary_nodes("low"), 2] == 0).all()
+
+
 CUBES = Assembly(
     parts={
         "lower": Box(width=1, depth=1, height=1),
