@@ -202,14 +202,14 @@ class MeshQuality:
 
 
 def quality(mesh: MeshArrays) -> MeshQuality:
-    """Measure the elements of a sound mesh.
+    """Measure the elements of a mesh; ValueError unless it is sound, see :func:`check_mesh`.
 
     Examples
     --------
     >>> round(am.mesh.quality(am.mesh.structured(am.Rectangle(width=1, height=1), 2)).min_angle)
     45
     """
-    dim = mesh.dim
+    dim = check_mesh(mesh).dim
     corners = mesh.points[mesh.elements]
     edges = edge_lengths(corners)
     angles, measures = _angles(mesh.points, mesh.elements)

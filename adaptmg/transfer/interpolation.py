@@ -59,8 +59,8 @@ class Interpolation:
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Return the nodal prolongation (n_fine, n_coarse), at most dim + 1 entries a row.
 
-        ValueError if a fine node lies outside by more than a quarter of an element, or bodies or
-        dimensions differ."""
+        ValueError if a fine node lies outside by more than a quarter of an element, bodies or
+        dimensions differ, or an element is inverted."""
         _check_meshes(coarse, fine)
         if (rows := _between_lattices(coarse, fine)) is not None:
             return rows
@@ -105,6 +105,11 @@ def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
 def _check_meshes(coarse: MeshArrays, fine: MeshArrays) -> None:
     for name, mesh in (("coarse", coarse), ("fine", fine)):
         checks.instance(name, mesh, MeshArrays, "MeshArrays")
+        if not (mesh.sound or (mesh.volumes > 0).all()):
+            raise ValueError(
+                f"{name}: element {np.argmin(mesh.volumes)} is inverted or degenerate: "
+                "adaptmg.mesh.check_mesh finds all that is wrong with a mesh"
+            )
     if coarse.dim != fine.dim:
         raise ValueError(
             f"coarse and fine must have the same dimension, got {coarse.dim} and {fine.dim}"

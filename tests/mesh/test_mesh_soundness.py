@@ -80,8 +80,9 @@ def faults(mesh):
 @BOTH
 def test_faults_are_found_and_located(mesh):
     for change, message in faults(mesh):
-        with pytest.raises(ValueError, match=message):
-            check_mesh(replace(mesh, source=None, element_body=None, **change))
+        for judge in (check_mesh, quality):
+            with pytest.raises(ValueError, match=message):
+                judge(replace(mesh, source=None, element_body=None, **change))
 
 
 def test_two_pieces_need_two_bodies():

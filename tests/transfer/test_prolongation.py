@@ -251,6 +251,18 @@ def test_failures_name_the_argument(transfer):
             transfer.build(coarse, fine)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("transfer", ALL, ids=name)
+def test_meshes_with_inverted_elements_are_refused(transfer, dim):
+    mesh, finer = structured(2, dim), structured(3, dim)
+    elements = np.array(mesh.elements)
+    elements[3, :2] = elements[3, 1::-1]
+    inverted = replace(mesh, elements=elements, source=None)
+    for pair, which in (((inverted, finer), "coarse"), ((finer, inverted), "fine")):
+        with pytest.raises(ValueError, match=f"{which}: element 3 is inverted or degenerate"):
+            transfer.build(*pair)
+
+
 # -- contact rows and relative values -------------------------------------------------------------------------------
 
 
