@@ -24,7 +24,8 @@ In axisymmetry all integrals carry :math:`2\pi r`. Where corners b of a facet ca
 theirs are shared out evenly among its r corners a that do (crosspoint modification): :math:`\psi_a
 + \frac1r\sum_b\psi_b` add up to 1 and are biorthogonal on these corners, and :math:`D_{ab} =
 \frac1r\int\phi_b` makes b one of the nodes that a follows:
-:math:`u_a - (\sum_k M_{ak} u_k - \sum_b D_{ab} u_b)/D_{aa}`.
+:math:`u_a - (\sum_k M_{ak} u_k - \sum_b D_{ab} u_b)/D_{aa}`. Where no corner of a facet carries one,
+at corners of a surface in space, those of the facets around it take over.
 
 Surfaces are made of facets. Where the domain knows the surfaces that both are chords of
 (:mod:`adaptmg.mesh.exact`), g is the distance between these; weights and couplings stay those of
@@ -39,7 +40,7 @@ fraction, and with it the entries of the coupling, which spoils the smoothing. T
 to it take over, so that constant pressures stay exact.
 
 Where the meshes match, node j may face the one master node k(j) nearest to it
-(:func:`node_to_node`):
+(:func:`node_to_node`); nodes without a multiplier are taken over as in front of an obstacle:
 :math:`B_{jk} = \delta_{k,k(j)}`, with
 
 .. math:: g_j = (x_{k(j)} - x_j)\cdot n_j, \qquad w_j = \int\phi_j
@@ -191,11 +192,9 @@ def pair_interface(
     return replace(interface, gaps=gaps)
 
 
-def taken_over(
-    surface: Surface, carries: np.ndarray, axisymmetric: bool, silent: np.ndarray | None = None
-) -> sparse.csr_array:
-    """Return what nodes that carry multipliers (n_nodes,) take over of the measure of the others
-    of a surface, or of those in the mask ``silent``: (n_nodes, n_nodes)."""
+def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse.csr_array:
+    """The shares (n_nodes, n_nodes) in which the nearest nodes that carry multipliers (n_nodes,),
+    columns, stand for each node of a surface: itself, or some of sum 1."""
     n = len(surface.points)
     integrals, facets = surface.shape_integrals(axisymmetric), surface.facets
     corners = facets.shape[1]
@@ -212,6 +211,15 @@ def taken_over(
         rows = sparse.diags_array(scale) @ near @ sparse.diags_array(reached.astype(float))
         share = sparse.csr_array(share + rows @ share)
         reached |= new
+    return share
+
+
+def taken_over(
+    surface: Surface, carries: np.ndarray, axisymmetric: bool, silent: np.ndarray | None = None
+) -> sparse.csr_array:
+    """Return what nodes that carry multipliers (n_nodes,) take over of the measure of the others
+    of a surface, or of those in the mask ``silent``: (n_nodes, n_nodes)."""
+    share = _shares(surface, carries, axisymmetric)
     measure = surface.lumped(axisymmetric)
     given = np.where(carries if silent is None else carries | ~silent, 0.0, measure)
     result = sparse.csr_array(share.T @ sparse.diags_array(given, format="csr"))
@@ -323,8 +331,8 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         len(surfaces.points),
         covered_parts(surfaces, reach),
     )
-    parts = covered.only((covered.enough & carries.any(axis=1))[covered.slave])
-    if not len(parts.slave):
+    parts, alone = covered.only(covered.enough[covered.slave]), ~carries.any(axis=1)
+    if alone[parts.slave].all():
         if len(covered.slave):
             raise ValueError(
                 "the surfaces face each other only where slave nodes are excluded, or on a sliver of each "
@@ -338,13 +346,14 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         )
     measure, shape, dual = _dual_functions(parts)
     own = measure[:, None] * shape
-    # how the dual functions of corners without multiplier go to the others
+    # how the dual functions of corners without multiplier go to the others; where no corner of a
+    # facet has one, to those of other facets
     share = (
         carries[:, :, None]
         * ~carries[:, None, :]
         / np.maximum(carries.sum(axis=1), 1)[:, None, None]
     )
-    share = share + np.eye(carries.shape[1]) * carries[:, :, None]
+    share = share + np.eye(carries.shape[1]) * (carries | alone[:, None])[:, :, None]
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
     followed = share * np.where(carries, 0.0, own)[:, None, :]
     slave, k = surfaces.slave[parts.slave], carries.shape[1]
@@ -366,11 +375,15 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     gaps = np.bincount(
         slave.ravel(), np.einsum("piq,pq->pi", tests, parts.distances).ravel(), minlength=n_nodes
     )
+    least = _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric)
+    nodes = np.flatnonzero(diagonal > least)
+    if alone[parts.slave].any():
+        share = _shares(surfaces.slave_side, diagonal > least, surfaces.axisymmetric).T
+        facing = sparse.csr_array(share @ facing)
+        taken = sparse.csr_array(share @ taken)
+        gaps = share @ gaps
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
-    nodes = np.flatnonzero(
-        diagonal > _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric)
-    )
     scale = sparse.diags_array(1 / diagonal[nodes], format="csr")
     taken = sparse.csr_array(scale @ taken[nodes])
     taken.eliminate_zeros()

@@ -174,3 +174,139 @@ def test_a_cylinder_on_its_end_between_walls(order):
     area = np.pi * (0.4**2 - 0.1**2)
     assert result.resultant("bottom").force[1] == pytest.approx(P * area, rel=1e-9)
     assert result.contact_area == pytest.approx(area + 2 * np.pi * 0.4 * 0.2, rel=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_contact_ends_at_a_support_that_moves(dim):
+    """A side follows a block that is pressed onto a floor across a gap."""
+    up, gap = "xyz"[dim - 1], 2e-4
+    strain = (1 + POISSON) * (1 - 2 * POISSON) / (1 - POISSON) * P / YOUNG
+    sizes = {"width": 1.0, "height": 0.7}
+    box = am.Rectangle(**sizes) if dim == 2 else am.Box(depth=0.9, **sizes)
+    moved = {axis: 0.0 for axis in "xyz"[: dim - 1]} | {up: lambda x: -strain * x[:, -1] - gap}
+    walls = [am.Support("right", x=0.0)]
+    if dim == 3:
+        walls += [am.Support("front", y=0.0), am.Support("back", y=0.0)]
+    floor = am.Plane([0.0] * (dim - 1) + [-gap], [0.0] * (dim - 1) + [1.0])
+    problem = am.ContactProblem(
+        domain=box,
+        material=(am.PlaneStrain if dim == 2 else am.Solid)(young=YOUNG, poisson=POISSON),
+        contact=am.Contact("bottom", floor),
+        law=am.Coulomb(0.3),
+        loads=am.Pressure("top", P),
+        supports=[am.Support("left", **moved), *walls],
+    )
+    grids = am.Hierarchy.uniform(problem, [4 if dim == 3 else 6])
+    result = am.solve(grids, EXACT)
+    exact = np.zeros_like(result.displacement)
+    exact[:, -1] = -strain * result.mesh.points[:, -1] - gap
+    assert np.abs(result.displacement - exact).max() <= 1e-10 * np.abs(exact).max()
+    np.testing.assert_allclose(result.contact.pressure, P, rtol=1e-8)
+    area = 1.0 if dim == 2 else 0.9
+    assert result.resultant("bottom").force[-1] == pytest.approx(P * area, rel=1e-9)
+    assert result.contact_area == pytest.approx(area, rel=1e-12)
+    # what a support holds of the end is its own
+    assert abs(result.resultant("left").force[-1]) <= 1e-8 * P
+    # bodies that do not touch report their gap there, too
+    apart = replace(problem, supports=[am.Support("left", **dict.fromkeys("xyz"[:dim], 0.0))])
+    apart = am.solve(am.Hierarchy.uniform(replace(apart, loads=()), [4]), EXACT)
+    np.testing.assert_allclose(apart.contact.gap, gap, rtol=1e-9)
+
+
+@pytest.mark.parametrize("order", [("floor", "wall", "punch"), ("punch", "wall", "floor")])
+def test_walls_that_move_and_press(order):
+    """A floor and a wall go away, a rigid punch follows with a given force."""
+    walls = {
+        "floor": am.Contact(
+            "bottom", am.Moving(am.Plane((0, 0), (0, 1)), displacement=(0, -3e-4), name="floor")
+        ),
+        "wall": am.Contact(
+            "left", am.Moving(am.Plane((0, 0), (1, 0)), displacement=(-2e-4, 0), name="wall")
+        ),
+        "punch": am.Contact(
+            "right", am.Rigid(am.Plane((1, 0), (-1, 0)), force=(-0.8 * P, 0), name="punch")
+        ),
+    }
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=1.0, height=0.8),
+        material=am.PlaneStrain(young=YOUNG, poisson=POISSON),
+        contact=[walls[name] for name in order],
+        law=am.Frictionless(),
+        loads=am.Pressure("top", P),
+    )
+    grids = am.Hierarchy.uniform(problem, [(5, 4)])
+    strain = (1 + POISSON) * (1 - 2 * POISSON) * P / YOUNG
+    factors = {"floor": (0, 1), "wall": (0.5, 1), "punch": (1, 1), "top": (1, 1)}
+    path = am.solve_path(grids, am.LoadPath(factors), EXACT)
+    for result, floor, wall in zip(path.results, factors["floor"], factors["wall"], strict=True):
+        exact = -strain * result.mesh.points + (-2e-4 * wall, -3e-4 * floor)
+        assert np.abs(result.displacement - exact).max() <= 1e-8 * strain
+        np.testing.assert_allclose(result.contact.pressure, P, rtol=1e-6)
+        np.testing.assert_allclose(result.resultant("right").force, (-0.8 * P, 0), atol=1e-6 * P)
+
+
+@pytest.mark.parametrize("coupling", ["mortar", "nodes"])
+@pytest.mark.parametrize("order", [("floor", "wall", "door"), ("door", "wall", "floor")])
+def test_a_block_in_the_corner_of_bodies(order, coupling):
+    """At a corner of the block a facet may have no node with a condition of its pair."""
+    parts = {
+        "block": am.Box(width=1.0, depth=1.0, height=1.0),
+        "floor": am.Box(width=1.0, depth=1.0, height=0.5, origin=(0, 0, -0.5)),
+        "wall": am.Box(width=0.5, depth=1.0, height=1.0, origin=(1, 0, 0)),
+        "door": am.Box(width=1.0, depth=0.5, height=1.0, origin=(0, -0.5, 0)),
+    }
+    pairs = {
+        "floor": ("block.bottom", "floor.top"),
+        "wall": ("block.right", "wall.left"),
+        "door": ("block.front", "door.back"),
+    }
+    strain = (1 - 2 * POISSON) * P / YOUNG
+    exact = {axis: lambda x, k=k: -strain * x[:, k] for k, axis in enumerate("xyz")}
+    supports = [am.Support(name, **exact) for name in ("floor.bottom", "wall.right", "door.front")]
+    inside = {name for pair in pairs.values() for name in pair}
+    inside |= {one.boundary for one in supports}
+    sides = {f"{body}.{side}" for body in parts for side in SIDES}
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        material=am.Solid(young=YOUNG, poisson=POISSON),
+        contact=[am.ContactPair(*pairs[name], coupling=coupling) for name in order],
+        law=am.Frictionless(),
+        loads=[am.Pressure(name, P) for name in sorted(sides - inside)],
+        supports=supports,
+    )
+    divisions = {"block": 4, "floor": (4, 4, 2), "wall": (2, 4, 4), "door": (4, 2, 4)}
+    if coupling == "mortar":
+        divisions |= {"floor": (3, 5, 2), "door": (3, 1, 2)}
+    result = am.solve(am.Hierarchy.uniform(problem, [divisions]), EXACT)
+    wrong = result.displacement + strain * result.mesh.points
+    assert np.abs(wrong).max() <= 1e-10 * strain
+    np.testing.assert_allclose(result.contact.pressure, P, rtol=1e-8)
+    for name in inside:
+        got = np.abs(result.resultant(name).force).max()
+        assert got == pytest.approx(P, rel=1e-9)
+
+
+@pytest.mark.parametrize("direction", ["normal", "y"])
+def test_the_force_next_to_a_clamped_side_and_its_estimate(direction):
+    """The force on the last half edge is above 1 % here."""
+    domain = am.Polygon(
+        vertices=((0, 0), (1, 0), (1, 0.7), (0, 0.7)), boundaries=("bottom", "right", "top", "left")
+    )
+    problem = am.ContactProblem(
+        domain=domain,
+        material=am.PlaneStrain(young=YOUNG, poisson=POISSON),
+        contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))),
+        law=am.Frictionless(),
+        loads=am.Pressure("top", lambda x: P * (1 + 0.5 * x[:, 0])),
+        supports=am.Support("left", x=0, y=0),
+    )
+    coarse, fine = (
+        am.Hierarchy.from_meshes(problem, [am.mesh.graded(domain, size, ())])
+        for size in (0.032, 0.008)
+    )
+    result, reference = (am.solve(grids, am.ActiveSet()) for grids in (coarse, fine))
+    force, expected = (one.resultant("bottom").force[1] for one in (result, reference))
+    assert force == pytest.approx(expected, rel=2e-3)
+    estimate = am.Goal(am.ContactForce("bottom", direction)).indicate(coarse, result)
+    assert estimate.values[0] == pytest.approx(force, rel=1e-9)
+    assert 0.5 <= estimate.errors[0] / (expected - force) <= 2
