@@ -115,9 +115,9 @@ def get(name: str) -> Case:
     >>> get("greco_bar").function(poisson=0.3).material.poisson
     0.3
     """
-    if name not in CASES:
+    if checks.boundary_name("name", name) not in CASES:
         raise ValueError(
-            f"there is no case {name!r}{checks.suggestion(str(name), CASES)}; the cases are "
+            f"there is no case of the name {name!r}{checks.suggestion(name, CASES)}; the cases are "
             f"{', '.join(CASES)}"
         )
     return CASES[name]

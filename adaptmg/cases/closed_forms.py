@@ -71,6 +71,7 @@ class HertzContact:
 
     def __post_init__(self) -> None:
         checks.convert(self, checks.positive, "load", "radius", "modulus")
+        checks.flag("point", self.point)
 
     @property
     def half_width(self) -> float:
@@ -317,7 +318,7 @@ class PartialSlip:
     def __post_init__(self) -> None:
         checks.convert(self, checks.positive, "friction")
         checks.convert(self, checks.nonnegative, "tangential")
-        most = self.friction * self.normal.load
+        most = self.friction * checks.instance("normal", self.normal, HertzContact).load
         if not self.tangential < most:
             raise ValueError(
                 f"tangential must be below friction times load = {most:g} N/m, got {self.tangential!r}: "

@@ -43,6 +43,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from adaptmg import _checks as checks
 from adaptmg._numba import kernel, read_only
 from adaptmg._threads import in_parts, one_blas_thread
 from adaptmg.discrete.moduli import EDGE_PART, Materials, body_materials, is_axisymmetric, moduli
@@ -68,7 +69,9 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
 
     On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain
     is bounded for no other displacement. Without it the matrix is finite still."""
-    materials, dim = body_materials(mesh, material), mesh.dim
+    dim = checks.instance("mesh", mesh, MeshArrays).dim
+    checks.choice("elements", elements, ("linear", "smoothed"))
+    materials = body_materials(mesh, material)
     axisymmetric = is_axisymmetric(materials)
     if elements == "smoothed":
         patches, of_elements = _around_edges(mesh, axisymmetric), moduli(mesh, materials, EDGE_PART)
@@ -432,6 +435,8 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
     Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in
     the order of ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count
     as one."""
+    checks.instance("mesh", mesh, MeshArrays)
+    checks.flag("axisymmetric", axisymmetric)
     columns = []
     for nodes in nodes_of_pieces(mesh):
         if axisymmetric:

@@ -39,6 +39,7 @@ from adaptmg.discrete.moduli import (
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.laws import Elastic, PlaneStress
 from adaptmg.problem.loads import (
     AnySupport,
@@ -68,9 +69,10 @@ def load_vector(
     number, data that are not finite, or an initial strain without ``material``."""
     materials = None if material is None else body_materials(mesh, material)
     axisymmetric = materials is not None and is_axisymmetric(materials)
-    vector = np.zeros(mesh.points.size)
+    vector = np.zeros(check_mesh(mesh).points.size)
+    checks.choice("elements", elements, ("linear", "smoothed"))
     result = vector.reshape(mesh.points.shape)
-    for load in loads:
+    for load in checks.items("loads", loads, Load, "Pressure, Traction, BodyForce, ..."):
         if isinstance(load, InitialStrain):
             if materials is None:
                 raise ValueError(

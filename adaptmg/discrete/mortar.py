@@ -405,9 +405,9 @@ def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.nda
     measure, centroid, off, covariance = parts.means()
     corners = np.swapaxes(parts.corners - centroid[:, None], 1, 2)
     n, k = corners.shape[::2]
-    shape = np.linalg.solve(
-        np.concatenate([np.ones((n, 1, k)), corners], axis=1), np.eye(k)[:, :1]
-    )[..., 0]
+    # as many right sides as matrices: numpy 1 takes fewer for vectors
+    right = np.broadcast_to(np.eye(k)[:, :1], (n, k, 1))
+    shape = np.linalg.solve(np.concatenate([np.ones((n, 1, k)), corners], axis=1), right)[..., 0]
     towards = np.linalg.solve(covariance, corners)
     return (
         measure,

@@ -295,6 +295,8 @@ class DiscreteProblem(Unknowns):
         if self.volumes is not None:
             checks.instance("volumes", self.volumes, Volumes, "Volumes(...)")
             checks.sparse_matrix("volumes.rows", self.volumes.rows, (len(self.volumes), n))
+        if self.inclined is not None:
+            checks.instance("inclined", self.inclined, Inclined, "Inclined, as discretise makes it")
         if self.coupling is not None:
             checks.instance(
                 "coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled"

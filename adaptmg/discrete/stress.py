@@ -31,6 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import (
     apart,
     element_measures,
@@ -64,7 +65,7 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
     The displacement is (n_nodes, dim) or (n_dofs,), m.
     """
-    gradient = displacement_gradient(mesh, displacement)
+    gradient = displacement_gradient(checks.instance("mesh", mesh, MeshArrays), displacement)
     return 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
 
 
@@ -256,6 +257,8 @@ def full_stress(
     In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress; the
     shear stresses out of the plane are 0. The displacement is (n_nodes, dim) or (n_dofs,), m;
     initial strains among the loads carry no stress, other loads do not matter."""
+    checks.instance("mesh", mesh, MeshArrays)
+    loads = checks.items("loads", loads, Load, "Pressure, Traction, BodyForce, ...")
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
 
 
@@ -272,10 +275,12 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
 
 def _nodal(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """The displacement as float (n_nodes, dim), its shape checked."""
-    u = np.ascontiguousarray(displacement, dtype=np.float64)
+    u = checks.real_array(displacement)
+    if u is None:
+        raise TypeError(f"displacement must be real numbers, got {checks.shown(displacement)}")
     if u.shape not in (mesh.points.shape, (mesh.points.size,)):
         raise ValueError(f"displacement must have shape {mesh.points.shape}, got {u.shape}")
-    return u.reshape(mesh.points.shape)
+    return np.ascontiguousarray(u.reshape(mesh.points.shape), dtype=np.float64)
 
 
 def cut_force(

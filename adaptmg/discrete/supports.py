@@ -301,7 +301,8 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
     Where two supports meet, they must agree or prescribe different components. ValueError for a
     boundary or point the mesh does not have, a z component in 2D, two values for one dof, or
     functions with values that are not finite."""
-    mask, all_values = np.zeros(mesh.points.size, dtype=bool), np.zeros(mesh.points.size)
+    size = checks.instance("mesh", mesh, MeshArrays).points.size
+    mask, all_values = np.zeros(size, dtype=bool), np.zeros(size)
     fixed, values = (array.reshape(mesh.points.shape) for array in (mask, all_values))
     origin = np.zeros(mesh.points.shape, dtype=np.int64)  # of fixed ones
     held = held_by(mesh, supports)

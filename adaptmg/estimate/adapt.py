@@ -153,6 +153,8 @@ def adapt(
     _check(parts)
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
+    if depends is not None:
+        checks.mapping("depends", depends, "names to what stands for them")
     _check_obstacles(problem, load_path)
     if problem.elements != "linear":
         from adaptmg.estimate.goal import Goal, need_linear  # most loops do without it

@@ -36,7 +36,7 @@ from adaptmg.multigrid.split_matrix import nodal_prolongations, split
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.smoother.system import held_tangents, local_contact, local_system
 from adaptmg.solver.record import Run
-from adaptmg.transfer.galerkin import galerkin_product
+from adaptmg.transfer.galerkin import coarse_matrix
 
 _LOG = logging.getLogger(__name__)
 
@@ -305,7 +305,7 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
     for nodal, below in zip(
         reversed(nodal_prolongations(hierarchy)[:-1]), reversed(levels[:-2]), strict=True
     ):
-        matrix = galerkin_product(matrix, nodal)
+        matrix = coarse_matrix(matrix, nodal)
         matrices.insert(0, split(matrix, below.discrete.fixed))
         prolongations.insert(0, nodal)
     cycle = LinearCycle(matrices, prolongations, Run(unit=1), [2] * len(matrices))

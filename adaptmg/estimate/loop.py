@@ -166,6 +166,7 @@ class Step(Generic[AnyEstimate]):
         ``am.Step.table(list(am.adapt(...)))``."""
         import pandas
 
+        steps = checks.items("steps", steps, Step)
         return pandas.DataFrame(
             [
                 {

@@ -175,7 +175,7 @@ def vtk_series(
     >>> am.export.vtk_series(list(steps), "bar.pvd").name
     'bar.pvd'
     """
-    results = list(results)
+    results = checks.items("results", results, Result)
     if not results:
         raise ValueError("results is empty: a series needs at least one step")
     times = np.arange(len(results), dtype=float) if times is None else checks.vector("times", times)

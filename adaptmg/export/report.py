@@ -437,6 +437,10 @@ def study_report(
                 f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}"
             )
     own = table.attrs.get("columns", {"status": "status", "seconds": "seconds", "error": "error"})
+    for name, text in (("summary", summary), ("csv", csv)):
+        checks.instance(name, text, str, "a text")
+    for name, given in (("units", units), ("made", made)):
+        checks.mapping(name, {} if given is None else given, "names to texts")
     units = {own["seconds"]: "s"} | dict(units or {})
     status = own["status"]
     error = own["error"]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
 from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, padded
@@ -46,7 +47,10 @@ class SimplexLocator:
 
     def locate(self, points: np.ndarray) -> Location:
         """Find points."""
-        queries = np.asarray(points, dtype=np.float64)
+        queries = checks.real_array(points)
+        if queries is None:
+            raise TypeError(f"points must be real numbers, got {checks.shown(points)}")
+        queries = queries.astype(np.float64, copy=False)
         if queries.ndim != 2 or queries.shape[1] != self.dim:
             raise ValueError(f"points must have shape (n, {self.dim}), got {queries.shape}")
         if not np.isfinite(queries).all():

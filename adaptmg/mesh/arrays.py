@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from adaptmg import _checks as checks
 from adaptmg._on_demand import OnDemand, made_on_demand
 from adaptmg._text import shortened
 
@@ -231,7 +232,7 @@ class MeshArrays:
     def boundary_facets(self, boundary: str) -> np.ndarray:
         """Return the facets (n, dim) of a named boundary; ValueError if there is no such
         boundary."""
-        if boundary not in self.boundaries:
+        if checks.boundary_name("boundary", boundary) not in self.boundaries:
             raise ValueError(
                 f"boundary {boundary!r} does not exist; the boundaries are {', '.join(self.boundaries)}"
             )
@@ -244,7 +245,7 @@ class MeshArrays:
     def surface(self, boundary: str) -> Surface:
         """Return a named boundary with its measures and normals; ValueError if it does not exist,
         or has no facets."""
-        if boundary not in self._surfaces:
+        if checks.boundary_name("boundary", boundary) not in self._surfaces:
             facets = self.boundary_facets(boundary)
             if not len(facets):
                 raise ValueError(

@@ -328,6 +328,7 @@ def gradings_of(
 ) -> list[float | dict[str, float]]:
     """Return the gradings of levels, coarse to fine, which make their size fields multiples of the
     first."""
+    checks.positive("grading", coarsest)
 
     def of(size: float, first: float) -> float:
         # levels whose sizes rise are refused once they are meshed

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import (
     FacetTable,
     MeshArrays,
@@ -67,7 +68,8 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
         _check_closed(mesh, table)
         _check_bodies(mesh, table)
         object.__setattr__(mesh, "sound", True)
-    _check_names(mesh, (boundaries,) if isinstance(boundaries, str) else boundaries)
+    names = (boundaries,) if isinstance(boundaries, str) else boundaries
+    _check_names(mesh, checks.strings("boundaries", names))
     return mesh
 
 

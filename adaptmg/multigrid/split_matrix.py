@@ -30,7 +30,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, minus_row, read, scale, times, write
 from adaptmg.smoother.strips import Strips, product
-from adaptmg.transfer.galerkin import galerkin_product, seen, without_fixed
+from adaptmg.transfer.galerkin import coarse_matrix, seen, without_fixed
 
 
 @dataclass(eq=False)
@@ -265,7 +265,7 @@ def galerkin_levels(
             matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
         else:
             finer = seen(nodal, finer)
-            matrix = galerkin_product(_supported(matrix, fine, nodal, level.discrete), finer)
+            matrix = coarse_matrix(_supported(matrix, fine, nodal, level.discrete), finer)
             fixed = level.discrete.fixed
         fine = level.discrete_or_none
         result.insert(0, split(matrix, fixed))

@@ -59,6 +59,9 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
         MeshArrays,
         "MeshArrays (read a mesh file with am.Hierarchy.from_meshes or adaptmg.mesh.read.as_mesh)",
     )
+    contact = checks.strings("contact", (contact,) if isinstance(contact, str) else contact)
+    for name in contact:
+        checks.choice("contact", name, drawn.boundaries)
     ax = style.canvas(ax, (5.4, 5.0), drawn.dim)
     _draw_mesh(ax, drawn, contact)
     style.entitle(ax, f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
@@ -160,6 +163,10 @@ def deformation(
     2
     """
     mesh = checks.instance("result", result, Result).mesh  # which raises without one
+    for name, value in (("stress", stress), ("displacement", displacement), ("states", states)):
+        checks.flag(name, value)
+    if lines is not None:
+        checks.flag("lines", lines)
     names = _names(mesh, bodies)
     colors = _coloring(result, stress, displacement)
     factor = (
@@ -218,9 +225,8 @@ def deformation(
 
 
 def _names(mesh: MeshArrays, bodies: Sequence[str] | None) -> tuple[str, ...]:
-    names = (
-        mesh.bodies if bodies is None else (bodies,) if isinstance(bodies, str) else tuple(bodies)
-    )
+    given = (bodies,) if isinstance(bodies, str) else bodies
+    names = mesh.bodies if given is None else checks.strings("bodies", given)
     if not names:
         raise ValueError("bodies must name at least one body; None shows all")
     return tuple(checks.choice("bodies", name, mesh.bodies) for name in names)

@@ -460,7 +460,7 @@ def load_history(
 
 
 def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result], np.ndarray]:
-    results = list(results)
+    results = list(checks.listed("results", results, "Result, one a load step"))
     if not results or not all(isinstance(r, Result) for r in results):
         raise TypeError("results must be a sequence of at least one Result, one a load step")
     factors = checks.vector("factors", factors)

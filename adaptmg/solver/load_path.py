@@ -336,6 +336,8 @@ def solve_path(
         checks.optional_callable(
             "progress", progress, "the number of a step and a row of its history (or a bool)"
         )
+    if depends is not None:
+        checks.mapping("depends", depends, "names to what stands for them")
     loop = PathLoop(grids, path, solver)
     mark = (
         {}

@@ -150,7 +150,10 @@ class Study:
         fixed: Mapping[str, Value] | None = None,
         depends: Mapping[str, object] | None = None,
     ) -> None:
-        self._function, self._depends = run, dict(depends or {})
+        self._function = run
+        self._depends = checks.mapping(
+            "depends", {} if depends is None else depends, "names to what stands for them"
+        )
         self._fingerprint()
         if (
             inspect.iscoroutinefunction(run)
@@ -160,7 +163,8 @@ class Study:
             raise TypeError(
                 f"run must return a dict, but {run.__name__} is a generator or a coroutine"
             )
-        self.fixed = {key: parameter_value(key, value) for key, value in (fixed or {}).items()}
+        given = checks.mapping("fixed", {} if fixed is None else fixed, "names to values")
+        self.fixed = {key: parameter_value(key, value) for key, value in given.items()}
         self.name = run.__name__ if name is None else checks.boundary_name("name", name)
         self.design = as_design("parameters", parameters)
         _check_names(run, self.design.names, self.fixed)
@@ -283,7 +287,7 @@ class Study:
         Where a parameter or a result has such a name, the column of the study is ``run_status``,
         say. ``attrs`` has the study's name, its fixed parameters and, as ``columns``, those
         names."""
-        return self._table(self._fingerprint(), details)
+        return self._table(self._fingerprint(), checks.flag("details", details))
 
     def status(self) -> StudyStatus:
         """Return how many runs are done, failed, stale and missing, and why runs are stale."""
@@ -317,6 +321,8 @@ class Study:
         ``row`` is the number of the row in :meth:`table`, the row itself, or the parameters of the
         run. Of a figure the text of its SVG is returned."""
         if isinstance(row, Mapping | pd.Series):
+            if missing := [key for key in self.design.names if key not in row]:
+                raise ValueError(f"row must have all parameters, got none of {', '.join(missing)}")
             point = {
                 **self.fixed,
                 **{key: parameter_value(key, row[key]) for key in self.design.names},
@@ -472,6 +478,14 @@ def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
     if not (callable(cost) or isinstance(cost, str)):
         raise TypeError(
             f"cost must be a function of a point, or the name of a column, got {checks.described(cost)}"
+        )
+
+    stored = [record.results for _, record in todo.values() if record and record.results]
+    named = {"seconds"}.union(*stored, *(point for point, _ in todo.values()))
+    if stored and isinstance(cost, str) and cost not in named:
+        raise ValueError(
+            f"cost must be a function, or the name of a parameter or of a result, got "
+            f"{cost!r}{checks.suggestion(cost, named)}"
         )
 
     def of(item: tuple[str, Stored]) -> float:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg._text import printable
 from adaptmg.study.designs import Value
 
@@ -97,6 +98,8 @@ def as_text(
     >>> "14" in text
     True
     """
+    for name, text in (("caption", caption), ("note", note)):
+        checks.instance(name, text, str, "a text")
     headers, columns = cells(table, units, formats)
     widths = [
         max(map(len, (header, *column)), default=0)
@@ -120,7 +123,10 @@ def cells(
     table: Table, units: Mapping[str, str] | None = None, formats: Mapping[str, str] | None = None
 ) -> tuple[list[str], list[list[str]]]:
     """Return headers, and the texts of each column."""
-    units, formats, columns = units or {}, formats or {}, list(table.items())
+    checks.offers("table", table, "items", "a pandas.DataFrame or a mapping of names to columns")
+    columns = list(table.items())
+    units = checks.mapping("units", {} if units is None else units, "columns to units")
+    formats = checks.mapping("formats", {} if formats is None else formats, "columns to formats")
     names = [name for name, _ in columns]
     if len(set(names)) < len(names):
         raise ValueError(f"table has columns of the same name: {names}")

@@ -19,7 +19,16 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     every component.
 
     Sorted columns; every coarse node has a diagonal block, that of a node which nothing reaches is
-    the mean of the others' diagonals."""
+    the mean of the others' diagonals. TypeError or ValueError where the matrices do not fit, or
+    their indices are damaged."""
+    checks.instance("matrix", matrix, sparse.bsr_array)
+    checks.sparse_matrix("matrix", matrix, (matrix.shape[0],) * 2)
+    nodal = checks.sparse_matrix("nodal", nodal, (matrix.shape[0] // matrix.blocksize[0], None))
+    return coarse_matrix(matrix, sparse.csr_array(nodal))
+
+
+def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
+    """Return what :func:`galerkin_product` does, of matrices of the package's own."""
     dim, coarse = matrix.blocksize[0], nodal.shape[1]
     # products of scalars would drop entries that vanish, and truncation needs the whole pattern: a
     # column of zeros more
@@ -121,7 +130,7 @@ def coarse_spaces(
             )
         rows = P.shape[1]
         finer = seen(P, finer)
-        current = galerkin_product(current, finer)
+        current = coarse_matrix(current, finer)
         matrices.insert(0, current)
     return checked, matrices
 
@@ -131,7 +140,7 @@ def without_fixed(
 ) -> sparse.bsr_array:
     """Return the matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal;
     the pattern stays."""
-    dim = matrix.blocksize[0]
+    dim = checks.instance("matrix", matrix, sparse.bsr_array).blocksize[0]
     if copy:
         matrix = sparse.bsr_array(
             (matrix.data.copy(), matrix.indices, matrix.indptr), shape=matrix.shape
@@ -157,7 +166,8 @@ def aggregated_prolongations(
     translations are taken; ``max_coarse`` bounds the nodes of the coarsest level."""
     import pyamg
 
-    dim = matrix.blocksize[0]
+    dim = checks.instance("matrix", matrix, sparse.bsr_array).blocksize[0]
+    checks.integer("max_coarse", max_coarse, minimum=1)
     if near_nullspace is None:
         near_nullspace = np.tile(np.eye(dim), (matrix.shape[0] // dim, 1))
     modes = np.where(fixed[:, None], 0.0, near_nullspace)

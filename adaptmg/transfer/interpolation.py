@@ -28,6 +28,7 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg.geometry.location import Location, SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays, longest_edges
+from adaptmg.mesh.soundness import check_mesh
 
 
 @runtime_checkable
@@ -76,7 +77,7 @@ class PointLocator(SimplexLocator):
     without volume."""
 
     def __init__(self, mesh: MeshArrays, body: int | None = None) -> None:
-        checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
+        check_mesh(mesh)
         chosen = None if body is None else np.flatnonzero(mesh.element_body == body)
         if len(mesh.elements if chosen is None else chosen) == 0:
             whose = (
@@ -323,6 +324,5 @@ def size_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
 
     Levels of an adaptive hierarchy are kept by it: at most about 4.
     """
-    return float(
-        np.quantile(_size_ratios(coarse, fine, max(1, len(fine.elements) // _SAMPLE)), 0.99)
-    )
+    elements = checks.instance("fine", fine, MeshArrays).elements
+    return float(np.quantile(_size_ratios(coarse, fine, max(1, len(elements) // _SAMPLE)), 0.99))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arrays_and_matrices import contact, discrete, grids
+from scipy import sparse
 
 import adaptmg as am
 from adaptmg import mesh as meshes
@@ -71,6 +72,18 @@ def mask():
 
 def estimate():
     return am.Estimate(squares=np.ones(len(mesh().elements)), norm=1.0)
+
+
+def line():
+    return am.cases.HertzContact(load=1.0, radius=1.0, modulus=1.0)
+
+
+def square(n):
+    return {"m": n * n}
+
+
+def studied(details=False, **given):
+    return am.Study(square, {"n": [1]}, **given).table(details)
 
 
 def adapted(**given):
@@ -242,6 +255,32 @@ DOORS = {
     meshes.bisect: {"mesh": mesh, "marked": mask, "passes": 2},
     meshes.refine_near: {"mesh": mesh, "boundaries": "top", "levels": 2},
     am.Doerfler().mark: {"estimate": estimate},
+    meshes.quality: {"mesh": mesh},
+    am.discrete.stiffness: {
+        "mesh": mesh,
+        "material": am.PlaneStrain(**ELASTIC),
+        "elements": "linear",
+    },
+    am.discrete.rigid_motions: {"mesh": mesh, "axisymmetric": False},
+    am.discrete.load_vector: {"mesh": mesh, "loads": [am.Pressure("top", 1.0)]},
+    am.discrete.element_strain: {"mesh": mesh, "displacement": np.zeros(50)},
+    am.transfer.galerkin_product: {
+        "matrix": lambda: grids().finest.discrete.matrix,
+        "nodal": sparse.csr_array(np.eye(25)),
+    },
+    am.transfer.PointLocator: {"mesh": mesh},
+    am.plot.deformation: {
+        "result": lambda: am.solve(grids()),
+        "stress": False,
+        "states": False,
+        "lines": True,
+        "bodies": ["body"],
+    },
+    am.plot.mesh: {"drawn": mesh, "contact": ["top"]},
+    am.study.as_text: {"table": {"a": [1.0]}, "units": {}, "formats": {}},
+    am.cases.HertzContact: {"load": 1.0, "radius": 1.0, "modulus": 1.0, "point": False},
+    am.cases.PartialSlip: {"normal": line(), "friction": 0.3, "tangential": 0.1},
+    studied: {"fixed": {}, "depends": {}, "details": False},
     am.cases.greco_block: {"plane_strain": True, "young": 1e9},
     am.Bisect().refine: {
         "problem": bar,
@@ -256,6 +295,57 @@ DOORS = {
         for indicator in (am.Residual(), am.Recovery(), am.Goal(am.ContactForce()))
     },
 }
+
+
+def inverted():
+    box = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
+    elements = box.elements.copy()
+    elements[3] = elements[3][[1, 0, 2, 3]]
+    return am.MeshArrays(box.points, elements, box.facets, box.facet_labels, box.boundaries)
+
+
+def damaged():
+    nodal = sparse.csr_array(np.eye(25))
+    nodal.indices[7] = 10**9
+    return nodal
+
+
+def computed():
+    study = am.Study(square, {"n": [1]})
+    study.run(progress=False)
+    return study
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: meshes.quality(inverted()), "inverted"),
+        (lambda: am.transfer.PointLocator(inverted()), "inverted"),
+        (lambda: am.discrete.load_vector(inverted(), [am.Pressure("top", 1.0)]), "inverted"),
+        (lambda: am.transfer.galerkin_product(grids().finest.discrete.matrix, damaged()), "nodal"),
+        (lambda: am.plot.mesh(mesh(), contact="nobody"), "contact must be one of"),
+        (lambda: am.discrete.stiffness(mesh(), am.PlaneStrain(**ELASTIC), "nobody"), "elements"),
+        (lambda: am.Hierarchy.graded(bar(), sizes=(20e-3,), grading=True), "grading"),
+        (lambda: computed().run(rerun=True, cost="nobody"), "cost must be a function, or the name"),
+        (lambda: computed().load({}), "row must have all parameters"),
+        (lambda: am.DiscreteProblem(**posed(inclined=True)), "inclined"),
+        (lambda: am.cases.get([]), "name must be a string"),
+        (lambda: am.solve(grids()).resultant([]), "boundary must be a string"),
+        (lambda: am.solve_path(grids(), am.LoadPath(), depends=3), "depends must map"),
+        (lambda: am.Step.table([3]), r"steps\[0\] must be Step"),
+    ],
+)
+def test_what_no_type_shows_is_refused_by_name(call, says):
+    with pytest.raises((TypeError, ValueError), match=says):
+        call()
+
+
+def posed(**changes):
+    one = grids().finest.discrete
+    names = ("matrix", "load", "fixed", "law", "contact")
+    return {name: getattr(one, name) for name in names} | changes
+
+
 #: what messages say instead of the name
 SAYS = {"coarsest": "", "meshes": "mesh", "sizes": "size"}
 
