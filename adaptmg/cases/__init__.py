@@ -117,7 +117,7 @@ def get(name: str) -> Case:
     """
     if checks.boundary_name("name", name) not in CASES:
         raise ValueError(
-            f"there is no case of the name {name!r}{checks.suggestion(name, CASES)}; the cases are "
+            f"there is no case {name!r}{checks.suggestion(name, CASES)}; the cases are "
             f"{', '.join(CASES)}"
         )
     return CASES[name]

@@ -500,7 +500,7 @@ class Result:
         two discrete surfaces: 1e-8 to 1e-4 of force times size on curved ones, across whose gap the
         mortar transmits each force without regard to its arm."""
         mesh = self.mesh_or_none
-        checks.boundary_name("boundary", boundary)
+        checks.instance("boundary", boundary, str, "a string")
         at_point = mesh is not None and boundary in self.springs and boundary not in mesh.boundaries
         nodes, forces = (
             (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)

@@ -319,7 +319,9 @@ class Supports:
 def supports(P_cc: sparse.csr_array) -> Supports:
     """Return the sets S_k of P_cc (n_fine_contact, n_coarse_contact); ValueError if an entry is
     negative or not finite."""
-    columns = sparse.csc_array(checks.sparse_matrix("P_cc", P_cc), dtype=np.float64, copy=True)
+    if not sparse.issparse(P_cc):
+        raise TypeError(f"P_cc must be a scipy sparse matrix, got {checks.shown(P_cc)}")
+    columns = sparse.csc_array(P_cc, dtype=np.float64, copy=True)
     columns.sum_duplicates()
     if not (np.isfinite(columns.data) & (columns.data >= 0)).all():
         raise ValueError(

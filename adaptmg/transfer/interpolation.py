@@ -28,7 +28,6 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg.geometry.location import Location, SimplexLocator
 from adaptmg.mesh.arrays import MeshArrays, longest_edges
-from adaptmg.mesh.soundness import check_mesh
 
 
 @runtime_checkable
@@ -77,7 +76,7 @@ class PointLocator(SimplexLocator):
     without volume."""
 
     def __init__(self, mesh: MeshArrays, body: int | None = None) -> None:
-        check_mesh(mesh)
+        checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
         chosen = None if body is None else np.flatnonzero(mesh.element_body == body)
         if len(mesh.elements if chosen is None else chosen) == 0:
             whose = (

@@ -320,7 +320,6 @@ def computed():
     ("call", "says"),
     [
         (lambda: meshes.quality(inverted()), "inverted"),
-        (lambda: am.transfer.PointLocator(inverted()), "inverted"),
         (lambda: am.discrete.load_vector(inverted(), [am.Pressure("top", 1.0)]), "inverted"),
         (lambda: am.transfer.galerkin_product(grids().finest.discrete.matrix, damaged()), "nodal"),
         (lambda: am.plot.mesh(mesh(), contact="nobody"), "contact must be one of"),
