@@ -132,7 +132,9 @@ def exact_of(problem: ContactProblem) -> dict[str, list[Revolved]]:
 def side_of(mesh: MeshArrays, name: str, exact: Mapping[str, Sequence[Revolved]]) -> Surface:
     """Return a boundary with its exact surfaces where these are known."""
     side = mesh.surface(name)
-    return Curved(mesh.points, side.facets, exact[name]) if name in exact else side
+    if name not in exact:
+        return side
+    return Curved(mesh.points, side.facets, exact[name], mesh.refinement is not None)
 
 
 def pair_interface(

@@ -21,7 +21,7 @@ from adaptmg.mesh.arrays import MeshArrays, Surface, signed_measures, sound_by_c
 from adaptmg.mesh.bisection import with_refinement
 from adaptmg.mesh.exact import surfaces_of
 from adaptmg.mesh.soundness import check_mesh
-from adaptmg.mesh.surfaces import in_space, nearest, settled
+from adaptmg.mesh.surfaces import CHORDAL, in_space, nearest, settled
 from adaptmg.problem.plane_domains import Domain
 
 _KEPT_VOLUME = 0.25
@@ -125,7 +125,7 @@ def _moved(
         labels, first = np.full((len(points), 2), -1), 0
         for own, nodes, normals in sides:
             mine = (depth[nodes] == level) & ~stays[nodes]
-            number = nearest(own, points[parents[nodes[mine]]], normals[mine])
+            number = nearest(own, points[parents[nodes[mine]]], normals[mine], CHORDAL)
             found = nodes[mine][number >= 0]
             labels[found, 1] = first + number[number >= 0]
             labels[found, 0] = np.where(labels[found, 0] < 0, labels[found, 1], labels[found, 0])

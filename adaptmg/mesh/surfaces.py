@@ -37,9 +37,11 @@ _NEWTON = 6
 # cosine between a direction and the normal of a surface below which it does not lead onto it, and
 # between facets and the surface behind them
 _GRAZING, _PARALLEL = 0.1, 0.5
-# corners of a facet lie nearer to the surface behind it than this part of the extent of the boundary:
-# bisection without a geometry leaves them on chords, of which those of 90 degrees are .1 high
-_NEARBY = 0.1
+# corners of a facet lie nearer to the surface behind it than this part of the extent of the boundary,
+# else the mesh is another one than that of the domain: nodes of files have six digits
+_MOVED = 1e-5
+#: the same after bisection, which may leave nodes on chords: those of 90 degrees are .1 high
+CHORDAL = 0.1
 # the middle of a facet lies over the edge behind it, or beside it by this part of its length: rounding
 _BESIDE = 1e-3
 
@@ -120,12 +122,14 @@ class Curved(Surface):
     """Facets, and the exact surfaces that they are chords of."""
 
     exact: Sequence[Revolved]
+    bisected: bool = False  # nodes of which may lie on chords; those of others do not miss surfaces
 
     @cached_property
     def behind(self) -> np.ndarray:
         """Return the number (n,) of the surface behind each facet, -1 where it is plane, or none is
         near."""
-        number = nearest(self.exact, self.points[self.facets], self.normals)
+        near = CHORDAL if self.bisected else _MOVED
+        number = nearest(self.exact, self.points[self.facets], self.normals, near)
         plane = np.array([surface.plane for surface in self.exact] + [True])
         return np.where(plane[number], -1, number)
 
@@ -155,15 +159,18 @@ class Curved(Surface):
         return result
 
 
-def nearest(surfaces: Sequence[Revolved], corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def nearest(
+    surfaces: Sequence[Revolved], corners: np.ndarray, normals: np.ndarray, near: float
+) -> np.ndarray:
     """Return the number (n,) of the surface that facets or edges with some corners (n, k, dim) are
-    chords of: the nearest one that is about parallel to their normals (n, dim), -1 if none is near."""
+    chords of: the nearest one that is about parallel to their normals (n, dim), -1 if none is within
+    the part ``near`` of their extent."""
     corners, normals = in_space(corners), in_space(normals)
     middle, length = corners.mean(axis=1), np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
     number = np.full(len(corners), -1)
     if not len(corners):
         return number
-    best = np.full(len(corners), _NEARBY * np.linalg.norm(np.ptp(corners, axis=(0, 1))))
+    best = np.full(len(corners), near * np.linalg.norm(np.ptp(corners, axis=(0, 1))))
     # planes first: what lies on two is rather straight
     for k in sorted(range(len(surfaces)), key=lambda k: not surfaces[k].plane):
         surface = surfaces[k]

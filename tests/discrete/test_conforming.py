@@ -121,6 +121,19 @@ def test_gaps_stay_exact_where_bisection_leaves_nodes_on_chords(shape):
     assert gap == pytest.approx(CLEARANCE, rel=0.03)
 
 
+def test_a_mesh_that_was_moved_keeps_its_own_gaps():
+    inner, outer, side, hole = disc_in_plate(RADIUS, RADIUS + CLEARANCE, (0, 0, 0))
+    domain = am.Assembly(parts={"inner": inner, "outer": outer})
+    mesh = graded(domain, SIZES)
+    points = mesh.points.copy()
+    points[mesh.elements[mesh.element_body == 0]] += [0.02, 0.0]
+    pair = am.ContactPair(f"inner.{side}", f"outer.{hole}", allow_interference=True)
+    gaps = am.discretise(
+        posed(domain, pair), replace(mesh, points=points, source=None)
+    ).contact.gaps
+    assert gaps.min() < -0.015 and gaps.max() > 0.015
+
+
 def test_gaps_between_faces_of_a_step_file_are_exact(tmp_path):
     fit = RADIUS + CLEARANCE
     pin, drill = (occ.Cylinder(occ.Pnt(0, 0, 0), occ.Z, 1e3 * r, 80) for r in (RADIUS, fit))
