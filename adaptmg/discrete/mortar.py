@@ -129,12 +129,21 @@ def exact_of(problem: ContactProblem) -> dict[str, list[Revolved]]:
     return exact_surfaces(problem.domain, names) if names else {}
 
 
-def side_of(mesh: MeshArrays, name: str, exact: Mapping[str, Sequence[Revolved]]) -> Surface:
-    """Return a boundary with its exact surfaces where these are known."""
-    side = mesh.surface(name)
-    if name not in exact:
-        return side
-    return Curved(mesh.points, side.facets, exact[name], mesh.refinement is not None)
+def sides_of(
+    mesh: MeshArrays, pair: ContactPair, exact: Mapping[str, Sequence[Revolved]]
+) -> tuple[Surface, Surface]:
+    """Return slave and master, with their exact surfaces where both are known: the heights of chords
+    that match cancel, and those of one side alone are gaps."""
+    names = pair.slave, pair.master
+    slave, master = map(mesh.surface, names)
+    if not all(name in exact for name in names):
+        return slave, master
+    bisected = mesh.refinement is not None
+    curved = tuple(
+        Curved(mesh.points, side.facets, exact[name], bisected)
+        for name, side in zip(names, (slave, master), strict=True)
+    )
+    return curved if all(side.known for side in curved) else (slave, master)
 
 
 def pair_interface(
@@ -148,7 +157,7 @@ def pair_interface(
 ) -> MortarInterface:
     """Return the interface of a pair; gaps are those between the ``exact`` surfaces, by boundary, that
     are known."""
-    slave, master = (side_of(mesh, name, exact) for name in (pair.slave, pair.master))
+    slave, master = sides_of(mesh, pair, exact)
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
         nothing = sparse.csr_array((0, mesh.n_nodes))
         return MortarInterface(

@@ -36,7 +36,7 @@ def surfaces_of(domain: Domain | None) -> Surfaces:
     if isinstance(domain, Cracked) and domain.dim == 3:
         return surfaces_of(domain.domain)
     if isinstance(domain, Combination) and domain.dim == 3:
-        return merged(
+        return _merged(
             (domain.renamed(part, name), surface)
             for part in "ab"
             for name, surfaces in surfaces_of(getattr(domain, part)).items()
@@ -48,11 +48,10 @@ def surfaces_of(domain: Domain | None) -> Surfaces:
             name: [surface.moved(rotation, offset) for surface in surfaces]
             for name, surfaces in surfaces_of(domain.solid).items()
         }
-    return merged(_faces(in_edges(domain)))
+    return _merged(_faces(in_edges(domain)))
 
 
-def merged(named: Iterable[tuple[str, Revolved]]) -> Surfaces:
-    """Return the surfaces by names."""
+def _merged(named: Iterable[tuple[str, Revolved]]) -> Surfaces:
     result: Surfaces = {}
     for name, surface in named:
         result.setdefault(name, []).append(surface)

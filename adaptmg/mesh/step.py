@@ -12,7 +12,7 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import combinations, product
+from itertools import chain, combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._files import file_size
-from adaptmg.mesh.exact import merged, surfaces_of
+from adaptmg.mesh.exact import surfaces_of
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen, read_s
 from adaptmg.mesh.netgen_meshes import Shape, StepSolid, built_shape
 from adaptmg.mesh.surfaces import Revolved, candidates
@@ -395,19 +395,13 @@ def _read_surfaces(
     domain: StepFile, _changed: int, bodies: frozenset[str]
 ) -> dict[str, list[Revolved]]:
     """The surfaces of faces of some solids; read once as long as the file does not change."""
-    found: list[tuple[str, Revolved]] = []
-    other = set()
+    faces: dict[str, list[list[Revolved]]] = {}
     solids = {body: solid for body, solid in step_solids(domain).items() if body in bodies}
     with netgen() as worker:
         for body, solid in solids.items():
             shape = built_shape(worker, solid)
             for face, samples in zip(shape.names, shape.samples, strict=True):
-                name = f"{body}.{face}"
-                surfaces = candidates([samples])
-                if surfaces is None:
-                    other.add(name)
-                    continue
-                found += [
-                    (name, one.moved(np.eye(3), shape.lower, shape.scale)) for one in surfaces[0]
-                ]
-    return merged((name, surface) for name, surface in found if name not in other)
+                own = (candidates([samples]) or [[]])[0]
+                moved = [surface.moved(np.eye(3), shape.lower, shape.scale) for surface in own]
+                faces.setdefault(f"{body}.{face}", []).append(moved)
+    return {name: list(chain(*own)) for name, own in faces.items() if all(own)}

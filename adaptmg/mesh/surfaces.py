@@ -125,13 +125,21 @@ class Curved(Surface):
     bisected: bool = False  # nodes of which may lie on chords; those of others do not miss surfaces
 
     @cached_property
+    def _nearest(self) -> np.ndarray:
+        near = CHORDAL if self.bisected else _MOVED
+        return nearest(self.exact, self.points[self.facets], self.normals, near)
+
+    @property
+    def known(self) -> bool:
+        """Return whether most facets lie on surfaces of the domain, and are not moved away."""
+        return (self._nearest >= 0).mean() > 0.5
+
+    @cached_property
     def behind(self) -> np.ndarray:
         """Return the number (n,) of the surface behind each facet, -1 where it is plane, or none is
         near."""
-        near = CHORDAL if self.bisected else _MOVED
-        number = nearest(self.exact, self.points[self.facets], self.normals, near)
         plane = np.array([surface.plane for surface in self.exact] + [True])
-        return np.where(plane[number], -1, number)
+        return np.where(plane[self._nearest], -1, self._nearest)
 
     def _by_surface(self, facets: np.ndarray) -> Iterator[tuple[Revolved, np.ndarray]]:
         """Each exact surface behind some facets, and the mask of these."""

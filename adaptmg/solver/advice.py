@@ -17,7 +17,7 @@ import numpy as np
 
 from adaptmg._text import warn_user
 from adaptmg.discrete.moduli import body_materials
-from adaptmg.discrete.mortar import chord_heights, exact_of, side_of
+from adaptmg.discrete.mortar import chord_heights, exact_of, sides_of
 from adaptmg.discrete.sides import STIFFER, stiffness_ratio, young_of
 from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
 from adaptmg.level import Level
@@ -133,9 +133,12 @@ def advise_on_chords(
         facing = discrete.coupling.weights[nodes]
         touching = np.zeros(mesh.n_nodes, dtype=bool)
         touching[nodes] = touching[facing.indices] = True
-        sides = [side_of(mesh, name, exact) for name in (pair.slave, pair.master)]
         heights, lengths = np.concatenate(
-            [chord_heights(side)[:, touching[side.facets].all(axis=1)] for side in sides], axis=1
+            [
+                chord_heights(side)[:, touching[side.facets].all(axis=1)]
+                for side in sides_of(mesh, pair, exact)
+            ],
+            axis=1,
         )
         round_ones = (FLAT * lengths < 4 * heights) & (4 * heights < CORNER * lengths)
         if not round_ones.any() or np.median(facing.max(axis=1).toarray()) > PARTNER:
