@@ -171,9 +171,9 @@ class Hierarchy:
             size. Default: a quarter, an eighth and a sixteenth (3D: a third and a sixth) of the
             bodies' mean extent.
         contact_ratio : float or mapping, optional
-            Size away from contact over size at contact, >= 1; of several bodies also body name ->
-            ratio. Default 1; without ``sizes`` in the plane such that the shortest contact boundary
-            has 64 elements.
+            Size away from contact over size at contact (at ties where there is no contact), >= 1;
+            of several bodies also body name -> ratio. Default 1; without ``sizes`` in the plane
+            such that the shortest contact boundary has 64 elements.
         transfer, contact_rows
             See :meth:`from_meshes`.
         mesher : {"own", "netgen"}
@@ -192,6 +192,7 @@ class Hierarchy:
         domain, ratio = meshed_domain(problem), 1.0
         if sizes is None:
             sizes, ratio = sensible_sizes(domain, problem.pair_boundaries)
+        fine = problem.pair_boundaries or problem.tied_boundaries
         contact_ratio = ratio if contact_ratio is None else contact_ratio
         sizes = _each("sizes", sizes, (float, int, np.number, Mapping))
         origin = (
@@ -201,7 +202,7 @@ class Hierarchy:
         return cls._build(
             problem,
             lambda: [
-                graded(domain, size, problem.pair_boundaries, contact_ratio, growth, mesher=mesher)
+                graded(domain, size, fine, contact_ratio, growth, mesher=mesher)
                 for size, growth in zip(sizes, gradings, strict=True)
             ],
             transfer,

@@ -53,6 +53,9 @@ from adaptmg.problem.loads import (
     Traction,
 )
 
+#: points of each facet at which a load that seems to be zero is looked for
+_BETWEEN = 32
+
 
 def load_vector(
     mesh: MeshArrays,
@@ -107,6 +110,28 @@ def _add(
         "cq,qk,cqd->ckd", weights, rule, load_density(load, points, normals), optimize=True
     )
     np.add.at(result, cells, nodal)
+
+
+def check_loads(mesh: MeshArrays, loads: Sequence[Load]) -> None:
+    """Raise ValueError for a pressure or traction, a function of position, that is not zero only
+    between the points at which it is integrated."""
+    for load in loads:
+        if not isinstance(load, Pressure | Traction):
+            continue
+        if not any(map(callable, (load.value,) if isinstance(load, Pressure) else load.components)):
+            continue
+        surface = mesh.surface(load.boundary)
+        corners = mesh.points[surface.facets]
+        _, points, _ = integration(mesh.points, surface.facets, surface.measures, False)
+        between = np.random.default_rng(0).dirichlet(np.ones(mesh.dim), _BETWEEN)
+        more = np.einsum("sk,fkd->fsd", between, corners)
+        seen, present = (load_density(load, at, surface.normals).any() for at in (points, more))
+        if present and not seen:
+            size = np.ptp(corners, axis=1).max()
+            raise ValueError(
+                f"the {type(load).__name__} on {load.boundary!r} acts on less than an edge ({size:.3g} m) "
+                "and integrates to 0: take a finer mesh there, or make that part a boundary of its own"
+            )
 
 
 def load_density(

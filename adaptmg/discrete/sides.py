@@ -127,7 +127,7 @@ def tie_interfaces(
     parts = []
     for tie in ties:
         if isinstance(tie, Periodic):
-            parts.append(_periodic(tie, mesh, taken))
+            parts.append(_periodic(tie, mesh, taken, held.fixed))
             taken[parts[-1].nodes] = True
             continue
         pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
@@ -156,7 +156,9 @@ def _warn_of_gaps(tie: Tied, mesh: MeshArrays, apart: float) -> None:
         )
 
 
-def _periodic(tie: Periodic, mesh: MeshArrays, taken: np.ndarray) -> MortarInterface:
+def _periodic(
+    tie: Periodic, mesh: MeshArrays, taken: np.ndarray, fixed: np.ndarray
+) -> MortarInterface:
     """Nodes of a side of a cell, each with its partner on the other one."""
     slave, master = mesh.surface(tie.slave).nodes, mesh.surface(tie.master).nodes
     points, size = mesh.points, np.ptp(mesh.points, axis=0).max()
@@ -173,6 +175,14 @@ def _periodic(tie: Periodic, mesh: MeshArrays, taken: np.ndarray) -> MortarInter
             f"periodic sides {tie.master!r} and {tie.slave!r} do not match: {len(master)} and "
             f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
             f"lies {away[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
+        )
+    alone = (fixed[slave] & ~fixed[master[partner]]).any(axis=1)
+    if alone.any():
+        i = int(np.argmax(alone))
+        raise ValueError(
+            f"a support holds node {slave[i]} {tuple(points[slave[i]].tolist())} of periodic side "
+            f"{tie.slave!r}, and not its partner, which would move apart from it: hold the partner at "
+            f"{tuple(points[master[partner[i]]].tolist())}, which this node follows"
         )
     free = ~taken[slave]
     slave, partner = slave[free], master[partner[free]]

@@ -16,6 +16,7 @@ from contextvars import ContextVar
 import numpy as np
 
 from adaptmg._text import warn_user
+from adaptmg.discrete.loads import check_loads
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.mortar import chord_heights, exact_of, sides_of
 from adaptmg.discrete.sides import STIFFER, stiffness_ratio, young_of
@@ -78,9 +79,11 @@ def advise(kind: str, text: str, category: type[Warning] = UserWarning) -> None:
 
 
 def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -> None:
-    """Warn of slaves on the wrong side, of elements that lock, and of lengths that are not in m."""
+    """Warn of slaves on the wrong side, of elements that lock, and of lengths that are not in m;
+    ValueError for loads that the mesh does not see."""
     if problem is None or mesh is None:
         return
+    check_loads(mesh, problem.loads)
     materials = body_materials(mesh, problem.material)
     for pair in problem.contact if len(mesh.bodies) > 1 else ():
         if (

@@ -264,3 +264,23 @@ class TestCoupled:
             ),
         )
     )
+
+
+@pytest.mark.parametrize("kind", ["pressure", "traction"])
+def test_a_load_on_less_than_an_edge_that_integrates_to_zero_is_refused(kind):
+    def solved(width):
+        def patch(x):
+            return 1e6 * (np.abs(x[:, 0] - 0.5) < width / 2)
+
+        load = am.Pressure("top", patch)
+        problem = am.ContactProblem(
+            domain=am.Rectangle(width=1, height=1),
+            material=am.PlaneStrain(young=1e9, poisson=0.3),
+            loads=load if kind == "pressure" else am.Traction("top", (0.0, lambda x: -patch(x))),
+            supports=am.Support("bottom", x=0, y=0),
+        )
+        return am.solve(am.Hierarchy.uniform(problem, (2, 4)))
+
+    with pytest.raises(ValueError, match=r"on 'top' acts on less than an edge \(0\.25 m\)"):
+        solved(0.1)
+    assert solved(0.4).displacement.any() and not solved(0.0).displacement.any()

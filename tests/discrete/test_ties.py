@@ -277,6 +277,15 @@ def test_a_periodic_cell_is_sheared_uniformly(dim):
     np.testing.assert_allclose(path[1].displacement, -result.displacement, atol=1e-10 * SHEAR)
 
 
+@pytest.mark.parametrize("corner", [(1, 0), (0, 1), (1, 1)])
+def test_a_support_of_a_node_that_follows_its_partner_is_refused(corner):
+    """It would hold the jump; with the partner it holds both (the shear was .84 to 1.04 of it)."""
+    at_corner = am.PointSupport(corner, x=0, y=0)
+    problem, _ = cell(2, supports=at_corner)
+    with pytest.raises(ValueError, match=r"not its partner, .* hold the partner at \("):
+        am.Hierarchy.uniform(problem, (2, 4))
+
+
 @pytest.mark.parametrize("shift", [(0, 2), (2, 1)])
 def test_a_cell_does_not_depend_on_where_it_begins(shift):
     """A stiff inclusion anywhere in the cell: the same mean stress, whose work is the energy (Hill
@@ -343,3 +352,20 @@ test_refused = refused(
     ),
     (lambda: am.solve(am.Hierarchy.uniform(cantilever(supports=()), [2])), "nothing holds"),
 )
+
+
+def test_contact_ratio_refines_at_ties_where_there_is_no_contact():
+    halves = {
+        "a": am.Rectangle(width=1, height=1),
+        "b": am.Rectangle(width=1, height=1, origin=(0, -1)),
+    }
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=halves),
+        material=dict.fromkeys(halves, am.PlaneStrain(young=E, poisson=NU)),
+        ties=am.Tied("a.bottom", "b.top"),
+        supports=am.Support("b.bottom", x=0, y=0),
+    )
+    mesh = am.Hierarchy.graded(problem, (0.5, 0.25), contact_ratio=4).finest.mesh
+    sides = mesh.points[mesh.surface("a.bottom").facets]
+    lengths = np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1)
+    np.testing.assert_allclose(lengths, 0.25 / 4, rtol=0.3)
