@@ -36,11 +36,13 @@ def read_mdpa(path: Path) -> Contents:
     # the numbers of the cells of each block; elements, conditions and geometries are counted apart
     cells: list[tuple[str, np.ndarray]] = []
     for names, rows in _blocks(read_bytes(path).decode("utf-8", "replace")):
-        keyword = names[-1][0]
+        keyword = " ".join(names[-1][:1])
         what = keyword.removeprefix("SubModelPart")
-        part = "_".join(name[1] for name in names if name[0] == "SubModelPart")
+        part = "_".join(name[1] for name in names if name[:1] == ["SubModelPart"] and name[1:])
         if keyword == "Nodes":
             table = np.array(rows, dtype=np.float64)
+            if table.shape[1] != 4:
+                raise ValueError(f"a node has a number and x, y, z, got {' '.join(rows[0])!r}")
             numbers, first = np.unique(table[:, 0].astype(np.int64), return_index=True)
             contents.points = table[first, 1:4]
         elif keyword in ("Elements", "Conditions", "Geometries"):

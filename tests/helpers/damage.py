@@ -4,6 +4,7 @@ bytes changed."""
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -15,6 +16,26 @@ from netgen.occ import Box, Cylinder, Pnt, Z
 import adaptmg as am
 
 NUMBERS = (b"0", b"-1", b"nan", b"1e300", b"999999999999", b"1000000000", b"", b"2.5", b"$", b"*")
+
+
+def _of_kratos(mesh: am.MeshArrays) -> str:
+    """A plane mesh as a file of Kratos, with one boundary."""
+
+    def block(name: str, rows: Iterable[Sequence]) -> str:
+        lines = "\n".join(" ".join(map(str, row)) for row in rows)
+        return f"Begin {name}\n{lines}\nEnd {name.split()[0]}\n"
+
+    number = range(1, mesh.n_nodes + 1)
+    low = mesh.boundary_facets("bottom") + 1
+    part = block("SubModelPartConditions", [(k + 1,) for k in range(len(low))])
+    return (
+        block("Nodes", [(k, *x, 0.0) for k, x in zip(number, mesh.points, strict=True)])
+        + block(
+            "Elements Element2D3N", [(k + 1, 0, *row) for k, row in enumerate(mesh.elements + 1)]
+        )
+        + block("Conditions LineCondition2D2N", [(k + 1, 0, *row) for k, row in enumerate(low)])
+        + f"Begin SubModelPart low\n{part}End SubModelPart\n"
+    )
 
 
 @cache
@@ -31,6 +52,7 @@ def sound() -> tuple[tuple[str, bytes], ...]:
         for name, one in (("solid.inp", solid), ("flat.inp", flat), ("solid.msh", solid)):
             am.export.mesh(one, folder / name)
         gmsh_file.write(folder / "four.msh", flat, version="gmsh")
+        (folder / "parts.mdpa").write_text(_of_kratos(flat))
         shapes = {"plate": Box(Pnt(0, 0, 0), Pnt(9, 9, 2)), "pin": Cylinder(Pnt(0, 0, 0), Z, 2, 9)}
         step_assembly.write(
             folder / "parts.step",
