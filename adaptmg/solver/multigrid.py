@@ -8,12 +8,14 @@ options are None where they are not given.
 Where the truncated multigrid does not converge, :func:`handed_over` goes on for the cycles that are
 left: on problems of moderate size with the active set method, which needs the finest level alone
 and few steps, but factorisations; on larger ones with the monotone correction, which is slow but
-needs no more memory. A Newton step counts as a cycle, and its residual as one pass over the finest
+needs no more memory, and which nearly incompressible bodies do not have: these begin again from zero on
+every second level. A Newton step counts as a cycle, and its residual as one pass over the finest
 matrix; factorisations count as seconds."""
 
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -215,7 +217,20 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
     if outcome.left and hierarchy.discretised and problem.volumes is None:
         solver = Multigrid(correction=Monotone(), rtol=outcome.rtol, max_cycles=outcome.left)
         return _continued(outcome, solver, "Monotone", start, hierarchy, run)
+    if outcome.left and problem.volumes is not None and len(hierarchy) > 2:
+        solver = Multigrid(rtol=outcome.rtol, max_cycles=outcome.left)
+        fewer = _fewer_levels(hierarchy)
+        return _continued(outcome, solver, "Truncated on fewer levels", None, fewer, run)
     return outcome
+
+
+def _fewer_levels(hierarchy: Hierarchy) -> Hierarchy:
+    """The hierarchy without every second level, from the next to the finest on, if it is made of
+    meshes."""
+    with suppress(ValueError):
+        for level in range(len(hierarchy) - 2, 0, -2):
+            hierarchy = hierarchy.without(level)
+    return hierarchy
 
 
 def _continued(

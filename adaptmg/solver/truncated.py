@@ -374,6 +374,8 @@ class TruncatedRun:
 
     #: cycles on a level of a complete nested start at most
     COMPLETE_LIMIT = 60
+    #: times the least residual on a level of the nested start beyond which its cycles diverge, and are rejected
+    RUNAWAY = 10.0
 
     def __init__(
         self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int
@@ -555,6 +557,7 @@ class TruncatedRun:
             return problem.from_prescribed(solution)
 
     def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
+        given, first = unknowns.copy(), np.inf
         step, problem = self._step(number, unknowns), self.problems[number]
         with self.run.phase("start"):
             if start.cycles == "complete":
@@ -570,6 +573,11 @@ class TruncatedRun:
                     trusted = TruncatedIteration.TRUSTED * sizes.forces(
                         step.unknowns, state.reactions
                     )
+                    first = min(first, state.residual)
+                    if state.residual > self.RUNAWAY * first and state.residual > trusted:
+                        _LOG.info("level %d: the cycles of the nested start diverge", number)
+                        step.truncation.restore()
+                        return given
                     step.correct()
                     if cycle + 1 >= enough and state.residual <= trusted:
                         break

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from bisected_meshes import shaken
+from norms import far
 from refused import refused
 from scipy.optimize import nnls
 
@@ -17,6 +18,7 @@ from adaptmg.mesh import MeshArrays, structured
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.solver.certificate import certify
 from adaptmg.solver.record import Outcome
+from adaptmg.solver.truncated import TruncatedRun
 
 KINDS = {"plane strain": am.PlaneStrain, "axisymmetric": am.Axisymmetric, "solid": am.Solid}
 EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
@@ -500,3 +502,24 @@ def test_a_heated_body_between_walls_floats_on_its_obstacle_with_the_stress_of_t
     density = 0.5 * (-pressure * (up - heat) - 2 * across * heat)
     volume = {am.PlaneStrain: 0.6, am.Axisymmetric: 2 * np.pi * 0.6, am.Solid: 0.6}[kind]
     assert results[0].energy == pytest.approx(density * volume, rel=1e-7)
+
+
+@pytest.mark.parametrize("rejected", [True, False])
+def test_a_nested_start_that_diverges_is_left_out(rejected, monkeypatch):
+    """On the middle one of three independent meshes of a solid cylinder cycles double the error."""
+    problem = am.ContactProblem(
+        material=am.Solid(young=1e7, poisson=0.49),
+        law=am.Coulomb(0.3),
+        domain=am.Cylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=0.01, height=0.01),
+        elements="smoothed",
+        contact=am.Contact("bottom", am.Plane((0, 0, 0), (0, 0, 1))),
+        loads=am.Pressure("top", 1e5),
+        supports=am.Support("top", x=0.0, y=0.0),
+    )
+    hierarchy = am.Hierarchy.graded(problem, sizes=(6e-3, 4e-3, 2.5e-3), contact_ratio=3)
+    if not rejected:
+        monkeypatch.setattr(TruncatedRun, "RUNAWAY", np.inf)
+    result, exact = am.solve(hierarchy), am.solve(hierarchy, am.Multigrid(rtol=1e-9))
+    assert rejected == (not result.fallback) and (rejected or "fewer levels" in result.fallback)
+    assert result.cycles <= (25 if rejected else 60)
+    assert far(result, exact) <= 1e-6
