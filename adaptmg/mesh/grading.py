@@ -209,15 +209,17 @@ def _graded_body(
 
     if mesher == "own" and (mesh := _own(domain, field)) is not None:
         return mesh
+    if isinstance(domain, Box):
+        return solid_mesh(domain, SolidSizes(size, names, near, grading), "netgen")
     return plane_mesh(domain, field, size, near, names, grading, 1 if names else 0)
 
 
 def _own(domain: Domain, field: SizeField, growth: float | None = None) -> MeshArrays | None:
     """The mesh of a plane domain or a box, None if triangulation fails."""
-    if isinstance(domain, Box):
-        mesh = drafted(domain, _cells(domain, field), lambda mesh: _CLOSER * field(mesh.points))
-        return swept(check_sizes(check_mesh(mesh), field))
     try:
+        if isinstance(domain, Box):
+            mesh = drafted(domain, _cells(domain, field), lambda mesh: _CLOSER * field(mesh.points))
+            return swept(check_sizes(check_mesh(mesh), field))
         mesh = finished(domain, triangulated(domain, field, growth))
         return check_sizes(check_rims(domain, mesh), field)
     except (Untriangulated, Unfit) as error:
@@ -320,6 +322,9 @@ def sized(
                 refuse_too_many(expected_nodes(coarse, too_large(coarse, limited)[1]), domain)
         if (mesh := _own(domain, limited, grading)) is not None:
             return mesh
+    if isinstance(domain, Box):
+        solid = SolidSizes(max_size, grading=grading, function=size_function)
+        return solid_mesh(domain, solid, "netgen")
     return plane_mesh(domain, limited, max_size, None, (), grading, 2)
 
 

@@ -398,7 +398,7 @@ def solid_mesh(
 
 def _at_rest(domain: Domain) -> tuple[Domain, np.ndarray, np.ndarray]:
     """The solid along its own axes, and the rotation and shift from there. Netgen cuts space along
-    the axes: elements of slim bars that lie obliquely are a hundred times worse."""
+    the axes: of slim bars that lie obliquely its elements have a tenth of the angles."""
     if isinstance(domain, Moved):
         solid, turn, offset = _at_rest(domain.solid)
         return solid, domain.rotation @ turn, domain.rotation @ offset + domain.offset

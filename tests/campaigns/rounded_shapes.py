@@ -1,10 +1,10 @@
 """Random rounded shapes, graded towards all or part of their rims: no fans, no long edges, exact
 rims.
 
-Discs, ovals, ellipses, rounded polygons, rings, plates with a hole and lenses; contact on all or part of the rim,
-ratios from 1 to 64; turned, scaled from 1e-5 to 1e3 m, up to 1000 diameters from the origin. Sizes
-are measured against points laid along the rim, areas against the polygon through these, both
-without the mesher. `python tests/campaigns/rounded_shapes.py [--count N]`"""
+Discs, ovals, ellipses, rounded polygons, rings, plates with a hole and lenses; contact on all or
+part of the rim, ratios from 1 to 64; turned, scaled from 1e-5 to 1e3 m, up to 1000 diameters from
+the origin. Sizes are measured against points laid along the rim, areas against the polygon through
+these, both without the mesher. `python tests/campaigns/rounded_shapes.py [--count N]`"""
 
 from __future__ import annotations
 

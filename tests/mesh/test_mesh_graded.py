@@ -113,6 +113,14 @@ def test_a_mesh_that_is_not_what_was_asked_for_is_refused(spoilt, why, monkeypat
         graded(RING, 0.1, "inner", 2)
 
 
+def test_netgen_meshes_a_box_whose_cells_are_not_refined(monkeypatch, caplog):
+    monkeypatch.setattr(grading, "drafted", lambda domain, draft, field: draft)
+    with caplog.at_level("INFO", "adaptmg"):
+        mesh = graded(BOX, 10e-3, "bottom", 4)
+    assert re.search("Netgen meshes the domain: .* as the sizes ask for", caplog.text)
+    assert np.median(edge_lengths(mesh, "bottom")) < 5e-3
+
+
 def test_sizes_that_fall_make_meshes_that_grow():
     """Discs came out with 61, 630, 2187, 473 nodes."""
     plate = am.Rectangle(width=40e-3, height=40e-3, origin=(0.28, -0.22))
