@@ -402,7 +402,7 @@ def _elsewhere(
     taken, weights = contact.taken_over, discrete.coupling.weights[contact.nodes]
     if taken.shape[1]:
         weights = sparse.csr_array(weights + taken)
-        weights.data[np.abs(weights.data) < ROUNDING] = 0.0
+        weights.data[np.abs(weights.data) < _NO_WEIGHT] = 0.0
         weights.eliminate_zeros()
     facing = []
     for at, instead, _ in discrete.held_together():
@@ -424,6 +424,9 @@ def _elsewhere(
             )
     return tuple(map(np.concatenate, zip(*parts, strict=True)))
 
+
+#: a weight that is rounding: of a node that is taken over and does not follow
+_NO_WEIGHT = 1e-12
 
 #: a natural residual below this share of the terms it sums is rounding
 ROUNDING = 8 * np.finfo(float).eps
