@@ -270,7 +270,9 @@ def _filled(
                 if not _limit(points, elements[:n_elements], sizes, growth):
                     break
         cells = _look(points, sizes, elements[:n_elements], n_read, settled)
-        refuse_too_many(NODES_PER_CELL[2] * cells, domain)
+        # triangles between nodes of a fine rim have its sizes, though those inside may be far larger
+        if n_read > 0:
+            refuse_too_many(NODES_PER_CELL[2] * cells, domain)
         n_read = n
         for most in range(n_read + BATCH, room + BATCH, BATCH):
             most = min(most, room)

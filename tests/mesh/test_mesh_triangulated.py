@@ -240,3 +240,9 @@ def test_too_many_nodes_are_refused_before_they_are_made():
             ValueError, match=r"the sizes ask for about .* nodes \(at most 5e\+06\)"
         ):
             sized(SQUARE, size, 0.1)
+
+
+def test_a_fine_rim_does_not_ask_for_its_size_all_over():
+    """30 000 nodes were refused as 5 million."""
+    disc = am.Circle((0, 0), 1.0)
+    assert graded(disc, 0.05, "circle", 62).n_nodes < 60_000
