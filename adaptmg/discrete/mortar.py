@@ -138,12 +138,12 @@ def sides_of(
     slave, master = map(mesh.surface, names)
     if not all(name in exact for name in names):
         return slave, master
-    bisected = mesh.refinement is not None
     curved = tuple(
-        Curved(mesh.points, side.facets, exact[name], bisected)
+        Curved(mesh.points, side.facets, exact[name], mesh.refinement is not None)
         for name, side in zip(names, (slave, master), strict=True)
     )
-    return curved if all(side.known for side in curved) else (slave, master)
+    # else the mesh was moved away from the domain
+    return curved if all(np.median(side.nearest) >= 0 for side in curved) else (slave, master)
 
 
 def pair_interface(

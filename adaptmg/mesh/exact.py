@@ -19,10 +19,9 @@ from adaptmg.problem.plane_edges import Arc, Segment
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 
 _AXIS = (0.0, 0.0, 1.0)
-Surfaces = dict[str, list[Revolved]]
 
 
-def surfaces_of(domain: Domain | None) -> Surfaces:
+def surfaces_of(domain: Domain | None) -> dict[str, list[Revolved]]:
     """Return the surfaces of the faces of each boundary of a domain, m, in no order; none of a STEP
     file, which :func:`adaptmg.mesh.step.exact_surfaces` reads."""
     if domain is None or isinstance(domain, StepFile):
@@ -51,8 +50,8 @@ def surfaces_of(domain: Domain | None) -> Surfaces:
     return _merged(_faces(in_edges(domain)))
 
 
-def _merged(named: Iterable[tuple[str, Revolved]]) -> Surfaces:
-    result: Surfaces = {}
+def _merged(named: Iterable[tuple[str, Revolved]]) -> dict[str, list[Revolved]]:
+    result: dict[str, list[Revolved]] = {}
     for name, surface in named:
         result.setdefault(name, []).append(surface)
     return result

@@ -1,4 +1,5 @@
-r"""The surfaces of revolution that faces of solids lie on, and new nodes put onto them.
+r"""The surfaces of revolution that faces of solids lie on, new nodes put onto them, and what lies
+behind facets.
 
 A plane, cylinder, cone, sphere or torus is a straight line or a circle of a half plane (r, z),
 turned about an axis. It is found from points and normals that OCC gives. All normals of such a
@@ -125,21 +126,16 @@ class Curved(Surface):
     bisected: bool = False  # nodes of which may lie on chords; those of others do not miss surfaces
 
     @cached_property
-    def _nearest(self) -> np.ndarray:
+    def nearest(self) -> np.ndarray:
+        """Return the number (n,) of the surface behind each facet, -1 where none is near."""
         near = CHORDAL if self.bisected else _MOVED
         return nearest(self.exact, self.points[self.facets], self.normals, near)
 
     @property
-    def known(self) -> bool:
-        """Return whether most facets lie on surfaces of the domain, and are not moved away."""
-        return (self._nearest >= 0).mean() > 0.5
-
-    @cached_property
     def behind(self) -> np.ndarray:
-        """Return the number (n,) of the surface behind each facet, -1 where it is plane, or none is
-        near."""
+        """Return the same, -1 also where it is plane."""
         plane = np.array([surface.plane for surface in self.exact] + [True])
-        return np.where(plane[self._nearest], -1, self._nearest)
+        return np.where(plane[self.nearest], -1, self.nearest)
 
     def _by_surface(self, facets: np.ndarray) -> Iterator[tuple[Revolved, np.ndarray]]:
         """Each exact surface behind some facets, and the mask of these."""
