@@ -66,12 +66,12 @@ def in_front_of(
     taken = taken_over(surface, carries, problem.axisymmetric, silent)[nodes[kept]]
     weights = (surface.lumped(problem.axisymmetric) + tied)[nodes[kept]]
     taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken)
-    normals, own = along_free(free, normals, gaps)
+    normals, gaps = along_free(free[kept], normals[kept], gaps[kept] + taken[:, nodes] @ gaps)
     return MortarInterface(
         nodes[kept],
-        normals[kept],
+        normals,
         weights,
-        own[kept] + taken[:, nodes] @ gaps,
+        gaps,
         coupling=-taken if taken.nnz else None,
         taken_over=taken,
     )
@@ -236,11 +236,9 @@ def moved(
         points, outward = mesh.points[nodes], slave_normals(mesh.surface(boundary), held)[nodes]
         direct, gap = facing_obstacle(obstacle, boundary, points, outward)
         at, taken = np.searchsorted(nodes, contact.nodes[own]), contact.taken_over[own][:, nodes]
-        direct, beside = direct[at], taken @ gap
         normals[own], gaps[own] = along_free(
-            held.free_part(contact.nodes[own], direct), direct, gap[at]
+            held.free_part(contact.nodes[own], direct[at]), direct[at], gap[at] + taken @ gap
         )
-        gaps[own] += beside
         motion = obstacle.motion(points) - before[k].motion(points)
         reference[own] += motion[at] + taken @ motion
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _TURNED

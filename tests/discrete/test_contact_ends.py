@@ -310,3 +310,22 @@ def test_the_force_next_to_a_clamped_side_and_its_estimate(direction):
     estimate = am.Goal(am.ContactForce("bottom", direction)).indicate(coarse, result)
     assert estimate.values[0] == pytest.approx(force, rel=1e-9)
     assert 0.5 <= estimate.errors[0] / (expected - force) <= 2
+
+
+def test_contact_ends_on_a_plane_of_symmetry():
+    """A sloping floor: next to the end of the common edge a part of its normal is held."""
+    mesh, gap = am.mesh.structured(am.Box(width=1.0, depth=1.0, height=1.0), 3), 2e-4
+    mesh = replace(mesh, points=mesh.points - [[0, 0, 0.5]] * mesh.points[:, :1], source=None)
+    normal = mesh.surface("bottom").normals[0]
+    strain, moved = (1 - 2 * POISSON) * P / YOUNG, np.array([0, 0, gap / normal[2]])
+    exact = {axis: lambda x, k=k: -strain * x[:, k] + moved[k] for k, axis in enumerate("xyz")}
+    problem = am.ContactProblem(
+        material=am.Solid(young=YOUNG, poisson=POISSON),
+        law=am.Frictionless(),
+        contact=am.Contact("bottom", am.Plane(gap * normal, -normal)),
+        loads=[am.Pressure(name, P) for name in ("right", "back", "top")],
+        supports=[am.Support("left", x=0.0), am.Support("front", **exact)],
+    )
+    result = am.solve(am.discretise(problem, mesh), EXACT)
+    wrong = result.displacement + strain * mesh.points - moved
+    assert np.abs(wrong).max() <= 1e-10 * gap
