@@ -53,7 +53,7 @@ class ActiveSet:
         changes), which bounds the error of the iterate before it, and, times 10, for the relative
         natural residual. Where initial strains act, relative to u without what expands freely.
     max_steps : int
-        Steps at most.
+        Steps at most, in all solves.
     nested_start : bool
         Solve on the coarser levels first, each from the solution of the level below.
 
@@ -140,8 +140,16 @@ class ActiveSet:
             # a given start fits another load
             done = solve > 0 and augmented.missed(start) <= self.rtol
             last = augmented.exact or done or solve == Augmented.MOST - 1
+            options = replace(self, max_steps=self.max_steps - cycles)
             newton = _Newton(
-                self, local, run, number, start, factors, finest=True, pressures=augmented.pressures
+                options,
+                local,
+                run,
+                number,
+                start,
+                factors,
+                finest=True,
+                pressures=augmented.pressures,
             )
             run.first_cycle += cycles
             status, stop = newton.solve(certified=last)
@@ -149,6 +157,9 @@ class ActiveSet:
             start = local.to_cartesian(newton.unknowns)
             pressures = augmented.pressures(start)
             if last:
+                break
+            if cycles >= self.max_steps:
+                status = Status.LIMIT
                 break
             pressures = augmented.accelerated(pressures, past)
         return Outcome(

@@ -523,3 +523,9 @@ def test_a_nested_start_that_diverges_is_left_out(rejected, monkeypatch):
     assert rejected == (not result.fallback) and (rejected or "fewer levels" in result.fallback)
     assert result.cycles <= (25 if rejected else 60)
     assert far(result, exact) <= 1e-6
+
+
+def test_the_limit_on_steps_holds_for_all_solves_of_the_active_set_method():
+    whole = am.solve(grids(0.49999), am.ActiveSet())
+    result = am.solve(grids(0.49999), am.ActiveSet(max_steps=whole.cycles - 2), throw=False)
+    assert result.status is am.Status.LIMIT and result.cycles <= whole.cycles - 2
