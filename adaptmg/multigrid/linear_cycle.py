@@ -291,8 +291,6 @@ class CoarseFactors:
     #: solutions of forces of size 1 beyond 1 / SINGULAR mean singular; the shift that makes the matrix regular; both
     #: over the diagonal
     SINGULAR, SHIFT = 1e-12, 1e-6
-    #: share of singular dofs up to which the shift stays: a body that contact holds again needs its exact matrix
-    LOCAL = 0.1
     #: dofs up to which dense factors are quicker
     DENSE = 1500
 
@@ -323,10 +321,8 @@ class CoarseFactors:
         self._solve = self._factors(self._shift)
         singular = ~(np.abs(self._solve(self._probe)) < 1 / self.SINGULAR)
         if singular.any():
-            shift = np.where(singular, self.SHIFT * self._scale, self._shift)
-            self._solve = self._factors(shift)
-            if singular.mean() <= self.LOCAL:
-                self._shift = shift
+            self._shift = np.where(singular, self.SHIFT * self._scale, self._shift)
+            self._solve = self._factors(self._shift)
 
     def _factors(self, shift: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         if self.level.n_dofs <= self.DENSE:

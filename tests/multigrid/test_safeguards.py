@@ -86,17 +86,23 @@ def test_a_body_that_nearly_slides_takes_few_cycles(dim, law, held, divisions):
         assert result.history["true_error"][-1] < 1e-7
 
 
+class Nothing:
+    """A linear correction that corrects nothing."""
+
+    def setup(self, matrices, prolongations):
+        return self
+
+    def solve(self, rhs):
+        return np.zeros_like(rhs)
+
+
+#: cycles that only smooth
+SMOOTHING = am.Multigrid(correction=am.Truncated(correct=Nothing(), recombine=0))
+
+
 @pytest.fixture
-def failing(monkeypatch):
-    """Grids, and coarse spaces alone, on which cycles give up after the third."""
-    correct = TruncatedIteration._correct
-
-    def gives_up(self):
-        return correct(self) or (
-            am.Status.STALLED if self.run is not None and self.cycles == 3 else None
-        )
-
-    monkeypatch.setattr(TruncatedIteration, "_correct", gives_up)
+def failing():
+    """Grids, and coarse spaces alone."""
     grids = am.Hierarchy.uniform(nearly_sliding(2, am.Tresca(2e7), 0.98), (4, 8, 16))
     return grids, am.Hierarchy.algebraic(grids.finest.discrete, max_coarse=60)
 
@@ -104,14 +110,14 @@ def failing(monkeypatch):
 def test_the_active_set_method_takes_over(failing):
     exact = am.solve(failing[0], am.ActiveSet(rtol=1e-12)).displacement
     for grids in failing:
-        result = am.solve(grids, am.Multigrid())
+        result = am.solve(grids, SMOOTHING)
         assert "ActiveSet from cycle" in result.fallback
         assert np.isnan(result.rate)  # of Newton steps it would be that of no cycle
         # one count of cycles and of work for both
         assert result.history["cycle"][-1] == result.cycles
         assert all((np.diff(result.history[name]) >= 0).all() for name in ("cycle", "work_units"))
         assert np.abs(result.displacement - exact).max() < 1e-8 * np.abs(exact).max()
-        early = am.solve(grids, am.Multigrid(max_cycles=2), throw=False)
+        early = am.solve(grids, replace(SMOOTHING, max_cycles=2), throw=False)
         assert early.status is am.Status.LIMIT and not early.fallback
 
 
@@ -125,7 +131,7 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, mo
             raise np.linalg.LinAlgError("singular")
 
         monkeypatch.setattr(multigrid.ActiveSet, "run", singular)
-    result = am.solve(failing[0], am.Multigrid(), throw=False)
+    result = am.solve(failing[0], SMOOTHING, throw=False)
     assert "Monotone from cycle" in result.fallback
     # slow, but on its way, and not in silence
     assert result.residual < 1e-2 and result.status.ok == (result.residual <= 1e-7)
@@ -135,7 +141,7 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, mo
             ProjectedRun, "finish", lambda self, unknowns: singular(self, None, None, None)
         )
         for grids in failing:
-            nothing = am.solve(grids, am.Multigrid(), throw=False)
+            nothing = am.solve(grids, SMOOTHING, throw=False)
             assert not nothing.status.ok and not nothing.fallback
 
 
@@ -154,19 +160,13 @@ def test_a_large_coarsest_grid_is_factorised_sparse(monkeypatch):
     assert not result.fallback and result.cycles <= 15 and result.history["true_error"][-1] < 3e-8
 
 
-def test_one_wild_start_or_uneven_ratio_decides_nothing():
+def test_one_wild_start_sets_no_tolerance():
     problem = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4,)).finest.discrete
     watch = TruncatedIteration(None, problem, "discretisation", 100)
     watch.size = 1.0
     for change in (1e-2, 1e3):
         watch.take_discretisation_error(change)
         assert watch.rtol == pytest.approx(min(0.1 * change / np.sqrt(3), 1e-2))
-    for rate, slow in ((0.5, False), (0.97, True)):
-        watch = TruncatedIteration(None, problem, 1e-8, 100)
-        watch.size, watch.residual = 1.0, 1e-5
-        watch.changes = [rate**k for k in range(30)]
-        watch.changes.append(1.1 * watch.changes[-1])
-        assert watch._too_slow(70) is slow
 
 
 @pytest.mark.parametrize(("pull", "ratio", "finest"), [(-2e7, 25, 12), (5e7, 100, 16)])
