@@ -16,6 +16,7 @@ import warnings
 from functools import lru_cache
 
 import numpy as np
+import pandas as pd
 from common import Output, main
 from flexible import bar, blocks, cantilever
 
@@ -58,7 +59,7 @@ def random_body(seed: int) -> am.Hierarchy:
     stretch = rng.uniform(1.0, 3.0)
     crown = 0.02 * np.column_stack([stretch * np.cos(angles), np.sin(angles)])
     foot = 0.02 * stretch * np.array([[-1.0, 0.0], [1.0, 0.0]])
-    vertices = np.vstack([foot, crown])
+    vertices = tuple((float(x), float(y)) for x, y in np.vstack([foot, crown]))
     names = ["foot"] + ["side"] * (len(vertices) - 1)
     names[1 + int(rng.integers(len(crown) + 1))] = "loaded"
     weight = am.BodyForce((rng.uniform(-0.2, 0.2) * 1e9, -1e9))
@@ -66,12 +67,12 @@ def random_body(seed: int) -> am.Hierarchy:
     floats = seed % 2 == 0
     friction = rng.uniform(0.5, 1.0) if floats else rng.uniform(0.0, 1.2)
     problem = am.ContactProblem(
-        domain=am.Polygon(vertices=vertices, boundaries=names),
+        domain=am.Polygon(vertices=vertices, boundaries=tuple(names)),
         material=am.PlaneStrain(young=10 ** rng.uniform(9, 11.5), poisson=rng.uniform(0, 0.4)),
         law=am.Coulomb(friction),
         contact=am.Contact("foot", am.GapFunction(lambda x: 1e-7 * (x[:, 0] / 0.02) ** 2)),
-        loads=[weight] if floats else [weight, press],
-        supports=[] if floats else [am.Spring("side", normal=1e10, tangential=1e10)],
+        loads=(weight,) if floats else (weight, press),
+        supports=() if floats else (am.Spring("side", normal=1e10, tangential=1e10),),
         name=f"random body {seed}",
     )
     return am.Hierarchy.graded(problem, (8e-3, 4e-3, 2e-3), contact_ratio=3)
@@ -108,10 +109,14 @@ def study(out: Output) -> None:
     ]
     table = am.Study(run, points, out.store).run(throw=True)
     table["kind"] = np.where(table["case"].isin(hard), "hard", "random")
-    sums = table.groupby(["variant", "kind"])[["nested", "zero", "handed_over", "spent"]].sum()
-    rows = sums.unstack("kind").loc[list(VARIANTS)]
-    rows.columns = [f"{what}, {kind}" for what, kind in rows.columns]
-    rows = rows.rename(columns=lambda name: name.replace("_", " "))
+    rows = table.pivot_table(
+        index="variant",
+        columns="kind",
+        values=["nested", "zero", "handed_over", "spent"],
+        aggfunc="sum",
+        sort=False,
+    ).loc[list(VARIANTS)]
+    rows.columns = pd.Index([f"{what}, {kind}".replace("_", " ") for what, kind in rows.columns])
     out.table(
         "parts",
         rows.reset_index(),

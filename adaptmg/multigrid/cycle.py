@@ -162,7 +162,7 @@ class CorrectionLevel:
 
 def local_prolongations(
     hierarchy: Hierarchy, problems: list[LocalProblem]
-) -> list[sparse.bsr_array]:
+) -> list[sparse.csr_array]:
     """Return the prolongations between neighbouring levels in contact frames, coarsest first.
 
     Parameters
@@ -174,7 +174,7 @@ def local_prolongations(
 
     Returns
     -------
-    list of scipy.sparse.bsr_array
+    list of scipy.sparse.csr_array
         (n_dofs, n_dofs of the next coarser level), zero in rows and columns of fixed dofs; normal
         goes to normal and tangent to tangent. Primal; the transpose restricts residuals.
 
@@ -187,7 +187,7 @@ def local_prolongations(
     """
     hierarchy.need_discretised("a prolongation in contact frames")
     return [
-        local_prolongation(level.contact_prolongation, fine, coarse)
+        sparse.csr_array(local_prolongation(level.contact_prolongation, fine, coarse))
         for level, coarse, fine in zip(
             hierarchy.levels[1:], problems[:-1], problems[1:], strict=True
         )

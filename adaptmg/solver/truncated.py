@@ -61,7 +61,8 @@ class TruncatedIteration(StopTest):
     SAFETY = 3.0
     #: cycles over which the speed is measured, once there are twice as many: where it does not lead to the tolerance
     #: within the cycles left, another method takes over. 140 solves of random problems and 96 of hard ones to 1e-6
-    #: take 1590 and 1088 cycles; at 12, 1625 and 1149; at 4, 1539 and 1032, one more of them handed over, which costs factors on large meshes
+    #: take 1590 and 1088 cycles; at 12, 1625 and 1149; at 4, 1539 and 1032, but one more is handed over, which costs
+    #: factors on large meshes
     WINDOW = 8
     #: cycles at most after which a level of the nested start is trusted
     START_CYCLES = 20
