@@ -205,7 +205,7 @@ def test_laws_and_parts_of_the_user_are_compared_by_value(tmp_path):
         TypeError, match=r"value of mark, which cannot be compared .*depends=\{'mark': \.\.\.\}"
     ):
         run(share=np.random.default_rng(0))
-    with pytest.raises(TypeError, match="depends must be a mapping"):
+    with pytest.raises(TypeError, match="depends must map names"):
         run(depends=3)
     named = [
         list(run(share=np.random.default_rng(0), folder="b", depends={"mark": 1})) for _ in range(2)
