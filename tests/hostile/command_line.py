@@ -85,7 +85,7 @@ _ADAPT = {
     "theta": "--theta=2",
     "tolerance": "--tolerance=nan",
 }
-_CASES = {"did you mean 'greco_bar'": "greco_bax", "there is no case": "a\x1b[31m"}
+_CASES = {"did you mean 'greco_bar'": "greco_bax", "name must be printable": "a\x1b[31m"}
 
 
 def _options():
