@@ -246,11 +246,8 @@ class Evidence:
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
         # what holds ties is as large as it must be; its counterpart on masters is not a violation
-        borne = (
-            -residual
-            if not problem.ties
-            else np.where(problem.fixed & ~problem.held, 0.0, -residual)
-        )
+        tying = np.where(problem.fixed & ~problem.held, -residual, 0.0)
+        borne = -residual - tying
         self.unexplained = problem.physical_forces(borne).reshape(shape)
         self.unexplained[self.nodes] -= self.claimed
         np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
@@ -259,10 +256,10 @@ class Evidence:
         self.left = np.where(self.fixed, 0.0, self.unexplained)
         self.internal = _norm(problem.load - residual)
         load, claimed = problem.physical_forces(problem.load), self.claimed
-        self.force = max(_norm(load), _norm(self.in_supports), _norm(claimed))
-        self.total = float(
-            max(np.abs(load).sum(), np.abs(self.in_supports).sum(), np.abs(claimed).sum())
-        )
+        # ties too: in a periodic cell no other forces act, and these are no rounding
+        present = (load, self.in_supports, claimed, tying)
+        self.force = max(map(_norm, present))
+        self.total = float(max(np.abs(forces).sum() for forces in present))
         self.length = float(np.abs(self.u).max())
         # a row sums terms of the size of its diagonal times its displacement
         terms = np.abs(diagonal * self.u)
