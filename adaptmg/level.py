@@ -94,7 +94,7 @@ class Level:
             if value is not None:
                 value = checks.sparse_matrix(name, value)
                 as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
-                value = value if as_csr else sparse.csr_array(value, dtype=np.float64)
+                value = value if as_csr else sparse.csr_array(value).astype(np.float64, copy=False)
                 object.__setattr__(self, name, indices_frozen(value))
 
     __repr__ = brief
