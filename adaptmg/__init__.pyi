@@ -72,6 +72,7 @@ from .problem import (
     Plane as Plane,
     PlaneStrain as PlaneStrain,
     PlaneStress as PlaneStress,
+    PointForce as PointForce,
     PointSpring as PointSpring,
     PointSupport as PointSupport,
     Polygon as Polygon,

@@ -19,7 +19,7 @@ from adaptmg._on_demand import ABSENT, made_on_demand
 from adaptmg._text import brief
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import Assembly, ContactProblem, Cracked, PointSpring, PointSupport
+from adaptmg.problem import Assembly, ContactProblem, Cracked, PointForce, PointSpring, PointSupport
 from adaptmg.problem.plane_domains import Domain, with_vertex
 
 if TYPE_CHECKING:
@@ -259,13 +259,13 @@ def need_domain(problem: ContactProblem) -> None:
 
 
 def meshed_domain(problem: ContactProblem) -> Domain:
-    """Return the domain of a problem, with a vertex where a point support or spring lies on a
-    straight plane edge."""
+    """Return the domain of a problem, with a vertex where a point support, spring or force
+    lies on a straight plane edge."""
 
     def cut(domain: Domain, body: str | None) -> Domain:
-        for one in problem.supports:
+        for one in (*problem.supports, *problem.loads):
             if (
-                isinstance(one, PointSupport | PointSpring)
+                isinstance(one, PointSupport | PointSpring | PointForce)
                 and body in (None, one.body or body)
                 and domain.dim == 2
             ):

@@ -1,4 +1,5 @@
-r"""The load vector: tractions, body forces and initial strains tested with the P1 shape functions.
+r"""The load vector: tractions, body forces and initial strains tested with the P1 shape functions,
+and forces at nodes.
 
 .. math:: b_{i} = \int_\Omega f\,\varphi_i + \int_{\Gamma} g\,\varphi_i
    + \int_\Omega C \varepsilon_0 : \varepsilon(\varphi_i), \qquad \sigma = C (\varepsilon - \varepsilon_0)
@@ -46,6 +47,7 @@ from adaptmg.problem.loads import (
     BodyForce,
     InitialStrain,
     Load,
+    PointForce,
     PointSpring,
     Preload,
     Pressure,
@@ -84,6 +86,8 @@ def load_vector(
             result += initial_strain_load(mesh, load, materials, elements)
         elif isinstance(load, Preload):
             continue  # its strain is to be found
+        elif isinstance(load, PointForce):
+            result[node_at(mesh, load.point, load.body)] += load.components
         elif isinstance(load, BodyForce):
             here = slice(None) if load.body is None else body_elements(mesh, load.body)
             _add(result, mesh, mesh.elements[here], mesh.volumes[here], load, axisymmetric)

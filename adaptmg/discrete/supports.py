@@ -167,6 +167,8 @@ class HeldNodes:
 def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -> int:
     """Return the node at a point; ValueError if there is none, or several bodies have one."""
     text = f"point {tuple(point)}"
+    if len(point) != mesh.dim:
+        raise ValueError(f"{text} has {len(point)} components on a {mesh.dim}D mesh")
     if body is not None and body not in mesh.bodies:
         raise ValueError(
             f"{text}: body {body!r} does not exist; the bodies are {', '.join(mesh.bodies)}"

@@ -343,7 +343,8 @@ class Residual:
 
         The terms of the estimate are "element residual", "jumps inside", "traction on boundaries",
         "traction in contact", "complementarity" and "friction"; squares of energies, N m (plane:
-        per metre of thickness). TypeError or ValueError without problem, mesh or materials, for a
+        per metre of thickness); elements at a :class:`adaptmg.PointForce`, whose energy is
+        infinite, are left out. TypeError or ValueError without problem, mesh or materials, for a
         result of another mesh, other loads, or not finite."""
         this = posed(hierarchy, result)
         volume = volume_squares(this.stress, this.problem.loads, this.young)
@@ -358,7 +359,7 @@ class Residual:
             "complementarity": complementarity,
             "friction": friction,
         }
-        parts = {name: part for name, part in parts.items() if part is not None}
+        parts = {name: part * this.regular for name, part in parts.items() if part is not None}
         return Estimate(
             squares=sum(parts.values()),
             norm=this.norm,
@@ -557,11 +558,14 @@ class Recovery:
         """Estimate the error on the finest mesh of a hierarchy, of a result of
         :func:`adaptmg.solve` on it.
 
-        The terms of the estimate are the bodies by name; TypeError and ValueError as of
+        The terms of the estimate are the bodies by name; elements at a
+        :class:`adaptmg.PointForce` are left out. TypeError and ValueError as of
         :meth:`adaptmg.Residual.indicate`.
         """
         this = posed(hierarchy, result)
-        squares = recovered_energy(this.stress, *recovered(this.mesh, this.stress.values))
+        squares = this.regular * recovered_energy(
+            this.stress, *recovered(this.mesh, this.stress.values)
+        )
         by_body = np.bincount(
             this.mesh.element_body, weights=squares, minlength=len(this.mesh.bodies)
         )

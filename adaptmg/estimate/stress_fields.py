@@ -28,9 +28,11 @@ from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.moduli import Moduli, body_materials, isotropic
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, hoop_strain
+from adaptmg.discrete.supports import node_at
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys
 from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.loads import PointForce
 from adaptmg.solver.examine import ContactResult, energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
@@ -198,6 +200,16 @@ class Posed:
             [one.young for one in body_materials(self.mesh, self.problem.material)]
         )
         return of_bodies[self.mesh.element_body]
+
+    @cached_property
+    def regular(self) -> np.ndarray:
+        """Elements (n_elements,) bool at which no point force acts: its energy is infinite."""
+        nodes = [
+            node_at(self.mesh, load.point, load.body)
+            for load in self.problem.loads
+            if isinstance(load, PointForce)
+        ]
+        return ~np.isin(self.mesh.elements, nodes).any(axis=1)
 
     @cached_property
     def norm(self) -> float:

@@ -29,8 +29,8 @@ from adaptmg.problem import Contact, ContactPair, ContactProblem, StepFile, laws
 _CONTACT, _MASTER, _SUPPORT = "#e8833a", "#f2c530", "#4fb38a"
 
 SurfaceLoad = loads.Pressure | loads.Traction
-#: a load, and points, outward unit normals and tractions (n, dim) on its boundary
-_Drawn = tuple[SurfaceLoad, np.ndarray, np.ndarray, np.ndarray]
+#: a load, and points, outward normals and tractions (n, dim) on its boundary; or a point and its force
+_Drawn = tuple[SurfaceLoad | loads.PointForce, np.ndarray, np.ndarray, np.ndarray]
 
 
 @style.styled
@@ -107,7 +107,17 @@ def _draw(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> None:
             mesh, load.boundary, 24 if solid else max(3, round(12 * length / extent))
         )
         places.append((load, x, normals, load_density(load, x[:, None], normals)[:, 0]))
-    arrows = [(scale * tails, scale * vectors) for tails, vectors in _arrows(places, extent / 6)]
+    middle = mesh.points.mean(axis=0)
+    points = [
+        (load, np.array([load.point]), load.point - middle[None], np.array([load.components]))
+        for load in posed.loads
+        if isinstance(load, loads.PointForce)
+    ]
+    reach = extent / 6
+    arrows = [
+        (scale * tails, scale * vectors)
+        for tails, vectors in (*_arrows(places, reach), *_arrows(points, reach))
+    ]
     strokes = [stroke for arrow in arrows for stroke in _strokes(*arrow)] if solid else []
     draw_bodies(
         ax,
@@ -352,6 +362,11 @@ def _legend(
         for load in posed.loads
         if isinstance(load, loads.BodyForce | loads.InitialStrain | loads.Preload)
     ]
+    entries += [
+        (Line2D([], [], color=style.BLUE), f"{_force_text(load, posed)} at {load.place}")
+        for load in posed.loads
+        if isinstance(load, loads.PointForce)
+    ]
     used = {name for name, *_ in _uses(posed)} | {load.boundary for load, _ in acting}
     if len(mesh.bodies) == 1 and (
         free := [style.quoted(name) for name in mesh.boundaries if name not in used]
@@ -441,7 +456,15 @@ def _volume_text(load: loads.BodyForce | loads.InitialStrain | loads.Preload, ax
         return f"initial strain{where}\n{', '.join(parts) or '0'}"
     if any(map(callable, load.components)):
         return f"body force f(x){where}"
-    factor, unit = style.scaled(max(map(abs, load.components)), "N/m³")
-    return (
-        f"body force ({', '.join(style.number(factor * c) for c in load.components)}) {unit}{where}"
+    return f"body force {_vector_text(load.components, 'N/m³')}{where}"
+
+
+def _force_text(load: loads.PointForce, posed: ContactProblem) -> str:
+    return "force " + _vector_text(
+        load.components, "N/m" if posed.dim == 2 and not posed.axisymmetric else "N"
     )
+
+
+def _vector_text(components: Sequence[float], unit: str) -> str:
+    factor, unit = style.scaled(max(map(abs, components)), unit)
+    return f"({', '.join(style.number(factor * c) for c in components)}) {unit}"

@@ -18,6 +18,7 @@ from adaptmg.problem.load_path import LoadPath, step_problem
 from adaptmg.problem.loads import (
     BodyForce,
     InitialStrain,
+    PointForce,
     PointSpring,
     PointSupport,
     Preload,
@@ -62,6 +63,7 @@ __all__ = [
     "Plane",
     "PlaneStrain",
     "PlaneStress",
+    "PointForce",
     "PointSpring",
     "PointSupport",
     "Polygon",

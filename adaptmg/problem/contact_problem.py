@@ -109,7 +109,7 @@ class ContactProblem(checks.Checked):
         On all contact boundaries that have no law of their own; its parameters may vary in space.
     ties : Tied, Periodic or sequence of them
         Boundaries that move together.
-    loads : sequence of Pressure, Traction, BodyForce, InitialStrain, Preload
+    loads : sequence of Pressure, Traction, BodyForce, PointForce, InitialStrain, Preload
     supports : sequence of Support, Symmetry, PointSupport, Spring, PointSpring
     domain : Domain, optional
         The geometry: Rectangle, Box, Polygon, Outline, Assembly, ...; not needed when every mesh is

@@ -32,7 +32,7 @@ class LoadPath:
     ----------
     factors : mapping of str to float or sequence of float
         Factor of each step, by the name of loads and supports, or where one alone is called so by
-        that of its place: a boundary, "point (0, 1)" of a PointSupport, a body (InitialStrain,
+        that of its place: a boundary, "point (0, 1)" of a PointSupport or PointForce, a body (InitialStrain,
         BodyForce), "body force" (of all bodies). A single number holds in all steps. Factors below
         1e-14 of the largest of their sequence, what rounding leaves of zero, become zero.
     default : float or sequence of float

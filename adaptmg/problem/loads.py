@@ -184,6 +184,49 @@ class BodyForce(Acting):
 
 
 @dataclass(frozen=True)
+class PointForce(Acting):
+    """Force at the node at a point.
+
+    The displacement of this node grows without bound as meshes become finer, and so does the strain
+    energy: take the displacements and stresses some element sizes away from it. Indicators leave
+    the elements of the node out.
+
+    Parameters
+    ----------
+    point : sequence of float
+        m. Every mesh must have a node there: graded meshes of plane domains do at points of
+           straight edges.
+    components : sequence of float
+        Cartesian components, N (plane: per metre of thickness; axisymmetric: of the full
+        circumference).
+    body : str, optional
+        Name of the body, where nodes of several lie at the point.
+    name : str, optional
+        In load paths; default the place, such as "point (0, 1)".
+
+    Examples
+    --------
+    >>> am.PointForce((2.0, 0.5), (0.0, -1e4)).path_name
+    'point (2, 0.5)'
+    """
+
+    point: Point
+    components: Point
+    body: Name | None = None
+    _: KW_ONLY
+    name: Name | None = None
+    _amounts = ("components",)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.components) != len(self.point):
+            raise ValueError(
+                f"components must have as many entries as point, {len(self.point)}, got "
+                f"{len(self.components)}"
+            )
+
+
+@dataclass(frozen=True)
 class InitialStrain(Acting):
     r"""Stress-free strain of one body: thermal expansion, the imposed shortening of a bolt.
 
@@ -300,7 +343,7 @@ class Preload(Acting):
         return InitialStrain(self.body, tuple(components), name=self.name)
 
 
-Load = Pressure | Traction | BodyForce | InitialStrain | Preload
+Load = Pressure | Traction | BodyForce | PointForce | InitialStrain | Preload
 
 
 class _Holds(Acting):
