@@ -14,7 +14,17 @@ from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar, cast, get_args, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    SupportsIndex,
+    TypeVar,
+    cast,
+    get_args,
+    get_type_hints,
+    overload,
+)
 
 import numpy as np
 
@@ -46,10 +56,9 @@ def convert(owner: object, check: Callable[..., object], /, *names: str, **optio
 def number(name: str, value: object) -> float:
     """Return ``value`` as a finite float; bools, strings, complex numbers and arrays of several
     numbers are refused."""
-    if type(value) in (float, int) and -VAST <= value <= VAST:
-        return float(
-            value
-        )  # most are, the questions below take time, and numpy has no integers of any size
+    # most are, the questions below take time, and numpy has no integers of any size
+    if (type(value) is float or type(value) is int) and -VAST <= value <= VAST:
+        return float(value)
     entries = real_array(value)
     if entries is None or entries.ndim:
         raise TypeError(f"{name} must be a number, got {shown(value)}")
@@ -91,9 +100,9 @@ def integer(name: str, value: object, minimum: int = 0, maximum: int = 2**63 - 1
     """Return ``value`` as an int >= ``minimum`` (floats and bools are refused, numpy integers are
     fine)."""
     try:
-        result = operator.index(
-            None if isinstance(value, (bool, np.bool_, np.ma.MaskedArray)) else value
-        )
+        if isinstance(value, (bool, np.bool_, np.ma.MaskedArray)):
+            raise TypeError
+        result = operator.index(cast("SupportsIndex", value))
     except TypeError:
         raise TypeError(f"{name} must be an integer, got {shown(value)}") from None
     if not minimum <= result <= maximum:
@@ -142,13 +151,14 @@ def optional_callable(name: str, value: _T, words: str) -> _T:
     return value
 
 
-def function_or(name: str, value: _T, check: Callable[[str, _T], object] = quantity) -> _T | object:
+def function_or(name: str, value: _T, check: Callable[[str, Any], object] = quantity) -> _T:
     """Return a function unchanged, anything else as ``check`` returns it; a class is not a
     function."""
-    return value if callable(value) and not isinstance(value, type) else check(name, value)
+    is_function = callable(value) and not isinstance(value, type)
+    return cast("_T", value if is_function else check(name, value))
 
 
-def items(name: str, value: _T | Iterable[_T], types: Types[_T], words: str = "") -> tuple[_T, ...]:
+def items(name: str, value: object, types: Types[_T], words: str = "") -> tuple[_T, ...]:
     """Return a sequence of instances of ``types`` as a tuple; one instance alone stands for a
     sequence of one."""
     entries = (value,) if isinstance(value, types) else listed(name, value, words or _names(types))
@@ -159,13 +169,17 @@ def _names(types: Types[_T]) -> str:
     return " or ".join(kind.__name__ for kind in (types if isinstance(types, tuple) else (types,)))
 
 
-def listed(name: str, value: Iterable[_T], words: str) -> tuple[_T, ...]:
+@overload
+def listed(name: str, value: Iterable[_T], words: str) -> tuple[_T, ...]: ...
+@overload
+def listed(name: str, value: object, words: str) -> tuple[object, ...]: ...
+def listed(name: str, value: object, words: str) -> tuple[object, ...]:
     """Return a sequence (not text, a mapping or a matrix) as a tuple; ``words`` describe its
     items."""
     try:
         # a sparse matrix, of scipy, which Netgen's process does without
         if not isinstance(value, (str, bytes, Mapping, type)) and not hasattr(value, "tocsr"):
-            return tuple(value)
+            return tuple(cast("Iterable[object]", value))
     except TypeError:
         pass
     raise TypeError(f"{name} must be a sequence of {words}, got {described(value)}")
@@ -339,20 +353,22 @@ def sparse_matrix(
 
     if not sparse.issparse(value):
         raise TypeError(f"{name} must be a scipy sparse matrix, got {type(value).__name__}")
-    _check_shape(name, value.shape, shape)
-    if value.dtype.kind not in "iuf":
-        raise TypeError(f"{name} must hold real numbers, got {value.dtype}")
+    matrix = cast("sparse.coo_array | Compressed", value)  # or another that offers tocsr
+    _check_shape(name, matrix.shape, shape)
+    if matrix.dtype.kind not in "iuf":
+        raise TypeError(f"{name} must hold real numbers, got {matrix.dtype}")
     try:
-        if value.format == "coo":  # whose constructor looks at the indices
-            type(value)((value.data, value.coords), shape=value.shape)
-        value = value if value.format in ("csr", "csc", "bsr") else value.tocsr()
-        _check_format(value)
+        if matrix.format == "coo":  # whose constructor looks at the indices
+            type(matrix)((matrix.data, matrix.coords), shape=matrix.shape)
+        as_given = matrix.format in ("csr", "csc", "bsr")
+        compressed = cast("Compressed", matrix if as_given else matrix.tocsr())
+        _check_format(compressed)
     except (TypeError, ValueError) as error:
         raise type(error)(f"{name}: {error}") from None
-    if value.data.dtype.kind not in "iuf":
-        raise TypeError(f"{name} must hold real numbers, got {value.data.dtype}")
-    _check_finite(name, value.data)
-    return narrowed(value)
+    if compressed.data.dtype.kind not in "iuf":
+        raise TypeError(f"{name} must hold real numbers, got {compressed.data.dtype}")
+    _check_finite(name, compressed.data)
+    return narrowed(compressed)
 
 
 def square_blocks(name: str, value: object, size: int) -> sparse.bsr_array:
@@ -378,14 +394,13 @@ def _check_format(value: Compressed) -> None:
     # what scipy's check leaves out: indptr that ends with 0, and rows outside the blocks
     if (np.diff(value.indptr) < 0).any():
         raise ValueError("indptr must not fall")
-    if np.mod(value.shape, getattr(value, "blocksize", 1)).any():
-        raise ValueError(
-            f"its shape {value.shape} is not a multiple of its blocks {value.blocksize}"
-        )
+    blocks = getattr(value, "blocksize", 1)
+    if np.mod(value.shape, blocks).any():
+        raise ValueError(f"its shape {value.shape} is not a multiple of its blocks {blocks}")
     type(value)(value).check_format()  # which may shorten arrays: not those of the argument
 
 
-def shape_of(matrix: sparse.sparray) -> tuple[int, int]:
+def shape_of(matrix: Compressed) -> tuple[int, int]:
     """Return the shape of a matrix as type checkers take it: of scipy's arrays it may be None to
     them."""
     return cast("tuple[int, int]", matrix.shape)

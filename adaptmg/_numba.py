@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, cast
 
 import numba
 import numpy as np
@@ -24,23 +24,24 @@ from adaptmg._text import say
 _LOG = logging.getLogger(__name__)
 
 
-def kernel(function: Callable | None = None, **options: object) -> Any:
+def kernel(function: Callable | None = None, **options: Any) -> Any:
     """Compile a function that Python calls; ``options`` are those of ``numba.njit``. Division by
     zero is as in numpy: a test before each division would take time, here and in the compilation.
     Other threads of Python run meanwhile."""
     if function is None:
         return partial(kernel, **options)
-    options = {
+    chosen: dict[str, Any] = {
         "cache": True,
         "no_cfunc_wrapper": True,
         "error_model": "numpy",
         "nogil": True,
     } | options
     try:
-        return numba.njit(**options)(function)
+        return numba.njit(**chosen)(function)
     except RuntimeError:  # numba finds no folder that it can write
         _warn_of_no_cache()
-        return numba.njit(**options | {"cache": False})(function)
+        chosen["cache"] = False
+        return numba.njit(**chosen)(function)
 
 
 def inner_kernel(function: Callable | None = None, **options: object) -> Any:
@@ -75,9 +76,9 @@ class _Compiling(Listener):
     def on_start(self, event: Event) -> None:
         self.depth += 1
         if self.depth == 1:
-            if compiling_seconds() > 1.0 and str(
-                event.data["dispatcher"].py_func.__module__
-            ).startswith("adaptmg."):
+            data = cast("dict[str, Any]", event.data)  # numba infers None from its default
+            module = str(data["dispatcher"].py_func.__module__)
+            if compiling_seconds() > 1.0 and module.startswith("adaptmg."):
                 _announce()
             self.begin = time.perf_counter()
 

@@ -8,10 +8,12 @@ import sys
 import warnings
 from dataclasses import MISSING, fields
 from inspect import isfunction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas
+    from _typeshed import DataclassInstance
 
 #: characters of a repr
 MOST = 400
@@ -61,7 +63,7 @@ def html_table(table: pandas.DataFrame) -> str:
         return table.to_html(index=False, max_rows=20, border=0, float_format="{:.4g}".format)
 
 
-def html_fields(self: object) -> str:
+def html_fields(self: DataclassInstance) -> str:
     """Return the ``_repr_html_`` of a dataclass: its name, and a row for each value, of a tuple for
     each part."""
     import pandas
@@ -87,7 +89,7 @@ def shortened(text: str) -> str:
     return text if len(text) <= MOST else f"{text[: MOST - 3]}..."
 
 
-def brief(self: object) -> str:
+def brief(self: DataclassInstance) -> str:
     """Return the ``__repr__`` of a dataclass without defaults; values on demand are not made.
     Arrays are shown by their shapes, and of what is long less is shown."""
     values = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
@@ -109,11 +111,12 @@ def brief(self: object) -> str:
 
 
 def _value(value: object, most: int) -> str:
-    name, shape = type(value).__name__, getattr(value, "shape", ())
+    name = type(value).__name__
+    shape = cast("tuple[int, ...]", getattr(value, "shape", ()))
     if isinstance(shape, tuple) and shape:
-        if len(shape) > 1 or shape[0] > 12:
+        if shape[0] > 12 or len(shape) > 1:
             return f"<array {' x '.join(map(str, shape))}>"
-        value = value.tolist()
+        value = cast("np.ndarray", value).tolist()
     if isinstance(value, dict | tuple | list) and len(value) > 50:
         return f"<{name} of {len(value)}>"
     if isinstance(value, dict):

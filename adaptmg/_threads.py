@@ -23,7 +23,7 @@ import numpy as np
 from adaptmg import _checks as checks
 
 if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
+    from threadpoolctl import ThreadpoolController, _ThreadpoolLimiter
 
 #: numbers read from which a kernel is cut into this many parts
 LARGE, PARTS = 1_000_000, 16
@@ -139,12 +139,12 @@ def scattering(
     """Return ranges of rows in two colours: those of a colour write to different ``columns``, given
     row by row (row k from ``starts[k]`` on, or all rows are as long). One range if they read few
     numbers (``size``), or where the order of rows and columns has little to do with each other."""
-    if starts is None:
-        starts = np.arange(len(columns) + 1) * columns.shape[1]
-    n, flat = len(starts) - 1, columns.reshape(-1)
+    offsets: np.ndarray
+    offsets = np.arange(len(columns) + 1) * columns.shape[1] if starts is None else starts
+    n, flat = len(offsets) - 1, columns.reshape(-1)
     bounds = [n * k // PARTS for k in range(PARTS + 1)]
-    if size >= LARGE and (np.diff(starts[bounds]) > 0).all():
-        at = starts[bounds[:-1]]
+    if size >= LARGE and (np.diff(offsets[bounds]) > 0).all():
+        at = offsets[bounds[:-1]]
         least, most = np.minimum.reduceat(flat, at), np.maximum.reduceat(flat, at)
         if (most[:-2] < least[2:]).all():
             ranges = list(pairwise(bounds))
@@ -156,8 +156,13 @@ class _Blas:
     """The limit of BLAS, set by the first thread of Python to enter, and lifted by the last to
     leave: threadpoolctl's own ends with the thread that set it."""
 
+    # set where the first thread enters
+    libraries: ThreadpoolController
+    limit: _ThreadpoolLimiter
+
     def __init__(self) -> None:
-        self.lock, self.inside, self.libraries, self.limit = RLock(), 0, None, None
+        self.lock = RLock()
+        self.inside = 0
 
     def enter(self) -> None:
         # imported inside the block scipy would bring another BLAS without a limit

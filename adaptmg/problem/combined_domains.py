@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,7 +57,7 @@ def _part(name: str, value: Domain) -> Domain:
     return part
 
 
-Part = Annotated[Domain, _part]
+Part = Annotated[SolidDomain | Box | Rectangle | Outline | Circle, _part]
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ def _pieces(
         centre = outline.arcs.get(i)
         for start, end in pairwise(numbers):
             middle = 0.5 * (points[start] + points[end])
-            if centre is not None:
+            if isinstance(edge, Arc):
                 off = middle - np.array(centre)
                 middle = np.array(centre) + off * (edge.radius / np.linalg.norm(off))
             result.append(_Piece(start, end, outline.boundaries[i], centre, middle))
@@ -394,6 +394,7 @@ class Cracked(SolidDomain):
         """Return the outline of a plane body, with the cracks as holes without width."""
         body, paths = self._anchored()
         _check_cracks(body, paths)
+        vertices: list[tuple[float, ...]]
         vertices, names, holes, twins = (
             list(body.vertices),
             list(body.boundaries),
@@ -407,7 +408,7 @@ class Cracked(SolidDomain):
             names += [f"{name}.left"] * n + [f"{name}.right"] * n
             twins |= {first + n + j: first + n - 1 - j for j in range(n)}
         return Slit(
-            vertices=tuple(vertices),
+            vertices=cast("tuple[tuple[float, float], ...]", tuple(vertices)),
             boundaries=tuple(names),
             arcs=body.arcs,
             holes=tuple(holes),
@@ -418,7 +419,8 @@ class Cracked(SolidDomain):
         """The outline with a vertex where cracks end on it, and the cracks with these ends, or
         points of others; one of one edge gets a vertex in the middle, so that there is a node that
         opens."""
-        body, paths = self.domain.outline, {}
+        body = self.domain.outline
+        paths: dict[str, Path] = {}
         near = _NEAR * float((self.upper - self.lower).max())
         for name, path in self.cracks.items():
             ends = []
@@ -440,7 +442,7 @@ class Cracked(SolidDomain):
         return body, paths
 
 
-def normal_of(polygon: ArrayLike) -> np.ndarray:
+def normal_of(polygon: np.ndarray | Path) -> np.ndarray:
     """Return twice the area vector (3,) of a plane polygon, pointing to where it runs
     counter-clockwise."""
     spokes = np.array(polygon) - polygon[0]
@@ -470,7 +472,9 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
     """ValueError unless cracks lie in the body, meet only at their points, and leave it in one
     piece."""
     n = len(body.vertices)
-    number = {p: i for i, p in reversed(list(enumerate(body.vertices)))}
+    number: dict[tuple[float, ...], int] = {
+        p: i for i, p in reversed(list(enumerate(body.vertices)))
+    }
     starts, ends, names = list(range(n)), body.following.tolist(), list(body.boundaries)
     # a loop of the boundary is one part; each edge of a crack joins two parts, or encloses a piece
     part = np.searchsorted(body.holes, np.arange(n), side="right").tolist()
@@ -565,7 +569,9 @@ class Assembly(Domain):
         """Return the distinct boundary names "body.edge", body by body."""
         return tuple(
             dict.fromkeys(
-                f"{body}.{edge}" for body, part in self.parts.items() for edge in part.boundaries
+                f"{body}.{edge}"
+                for body, part in self.parts.items()
+                for edge in part.boundaries or ()
             )
         )
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name
@@ -62,7 +62,9 @@ def _several(*types: type) -> partial:
     return partial(checks.items, types=types)
 
 
-def _materials(name: str, material: object) -> Elastic | dict[str, Elastic]:
+def _materials(
+    name: str, material: Elastic | Mapping[str, Elastic]
+) -> Elastic | dict[str, Elastic]:
     if isinstance(material, Elastic):
         return material
     if (
@@ -81,11 +83,12 @@ def _materials(name: str, material: object) -> Elastic | dict[str, Elastic]:
         raise ValueError(
             f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}"
         )
-    soft, stiff = (pick(material, key=lambda body: material[body].young) for pick in (min, max))
-    if material[stiff].young > _MOST_STIFFER * material[soft].young:
+    young = {body: m.young for body, m in material.items()}
+    soft, stiff = (pick(young, key=lambda body: young[body]) for pick in (min, max))
+    if young[stiff] > _MOST_STIFFER * young[soft]:
         raise ValueError(
             f"material: Young's moduli must lie within a factor {_MOST_STIFFER:g} of each other, got "
-            f"{material[stiff].young:g} ({stiff!r}) and {material[soft].young:g} ({soft!r}): use "
+            f"{young[stiff]:g} ({stiff!r}) and {young[soft]:g} ({soft!r}): use "
             "am.Contact for a rigid body"
         )
     return dict(material)
@@ -141,11 +144,9 @@ class ContactProblem(checks.Checked):
     """
 
     material: Annotated[Elastic | Mapping[str, Elastic], _materials]
-    contact: Annotated[
-        Contact | ContactPair | tuple[Contact | ContactPair, ...], _several(Contact, ContactPair)
-    ] = ()
+    contact: Annotated[tuple[Contact | ContactPair, ...], _several(Contact, ContactPair)] = ()
     law: Law | Any = None  # Any: it is None only while the problem is made
-    ties: Annotated[Tied | Periodic | tuple[Tied | Periodic, ...], _several(Tied, Periodic)] = ()
+    ties: Annotated[tuple[Tied | Periodic, ...], _several(Tied, Periodic)] = ()
     loads: Annotated[tuple[Load, ...], _several(*get_args(Load))] = ()
     supports: Annotated[tuple[AnySupport, ...], _several(*get_args(AnySupport))] = ()
     domain: Domain | Any = None  # Any: only problems without a domain need the test for None
@@ -154,6 +155,23 @@ class ContactProblem(checks.Checked):
     reference: Annotated[Mapping[str, Any], partial(checks.mapping, words="names to values")] = (
         field(default_factory=dict)
     )
+
+    if TYPE_CHECKING:  # what is stored as a tuple is given as any sequence, or as one alone
+
+        def __init__(
+            self,
+            *,
+            material: Elastic | Mapping[str, Elastic],
+            contact: Contact | ContactPair | Sequence[Contact | ContactPair] = (),
+            law: Law | None = None,
+            ties: Tied | Periodic | Sequence[Tied | Periodic] = (),
+            loads: Load | Sequence[Load] = (),
+            supports: AnySupport | Sequence[AnySupport] = (),
+            domain: Domain | None = None,
+            elements: str = "linear",
+            name: str = "contact problem",
+            reference: Mapping[str, Any] = ...,
+        ) -> None: ...
 
     __repr__, _repr_html_ = brief, html_fields
 
@@ -226,10 +244,11 @@ class ContactProblem(checks.Checked):
         for one in self.contact:
             if not isinstance(one, Contact):
                 continue
-            if getattr(one.obstacle, "dim", self.dim) != self.dim:
+            dim = getattr(one.obstacle, "dim", self.dim)
+            if dim != self.dim:
                 raise ValueError(
                     f"the {type(one.obstacle).__name__} in front of {one.boundary!r} is "
-                    f"{one.obstacle.dim}D, the material {self.dim}D"
+                    f"{dim}D, the material {self.dim}D"
                 )
             for part in moving_parts(one.obstacle) if self.axisymmetric else ():
                 if (
@@ -242,8 +261,9 @@ class ContactProblem(checks.Checked):
                         "axis only, or be pressed along it, in an axisymmetric problem"
                     )
         for tie in self.ties:
-            if isinstance(tie, Periodic) and len(tie.jump or (0,) * self.dim) != self.dim:
-                raise ValueError(f"jump must have {self.dim} components, got {len(tie.jump)}")
+            jump = (tie.jump if isinstance(tie, Periodic) else None) or (0,) * self.dim
+            if len(jump) != self.dim:
+                raise ValueError(f"jump must have {self.dim} components, got {len(jump)}")
 
     def _check_sides(self) -> None:
         """Raise ValueError if a boundary carries nodes of two contacts or ties, or a master is a

@@ -28,7 +28,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar, Protocol, Self, TypeVar, runtime_checkable
+from typing import Annotated, ClassVar, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -368,12 +368,14 @@ class Law(Protocol):
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Law:
         """Return the law with its parameters evaluated at contact nodes (points (n, dim) m, weights
         (n,) m or m^2)."""
+        ...
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
         """Return nodal ``(slip_limit, friction)``, each (n_contact,): a force and a coefficient."""
+        ...
 
 
-def check_law(name: str, law: Law) -> Law:
+def check_law(name: str, law: object) -> Law:
     """Return ``law`` if it is an instance with the two methods of a law."""
     for method in ("at_nodes", "bounds"):
         checks.offers(
@@ -382,7 +384,7 @@ def check_law(name: str, law: Law) -> Law:
             method,
             "Frictionless(), Tresca(...), Coulomb(...) or offer at_nodes and bounds",
         )
-    return law
+    return cast("Law", law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,7 +437,7 @@ def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> n
             f"{name} must be a number or a function of position on a ContactProblem; arrays over contact "
             "nodes belong on a DiscreteProblem"
         )
-    return checks.field(name, value, points, minimum=0.0)
+    return checks.field(name, cast("FieldLike", value), points, minimum=0.0)
 
 
 def _with(law: _AnyLaw, name: str, values: np.ndarray) -> _AnyLaw:

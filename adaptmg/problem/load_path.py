@@ -6,9 +6,9 @@ Friction depends on the history: the same load, applied in another order, leaves
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
 DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
 
 _ROUNDING = 1e-14
+_ALL_LOADS = cast("np.ndarray", 1.0)  # an array once it is checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class LoadPath:
     """
 
     factors: Mapping[str, np.ndarray] = field(default_factory=dict)
-    default: np.ndarray = 1.0
+    default: np.ndarray = _ALL_LOADS
 
     if TYPE_CHECKING:
 
@@ -92,12 +93,14 @@ class LoadPath:
 
         ValueError if the path names something that the problem does not load or move.
         """
-        if problem is None and self.factors:
-            raise ValueError(
-                f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem have "
-                "no names: give default=... alone, or a hierarchy made from a ContactProblem"
-            )
-        names = (DEFAULT,) if problem is None else names_in_path(problem)
+        if problem is None:
+            if self.factors:
+                raise ValueError(
+                    f"path names {next(iter(self.factors))!r}, but the loads of a bare DiscreteProblem "
+                    "have no names: give default=... alone, or a hierarchy made from a ContactProblem"
+                )
+            return {DEFAULT: self.of(DEFAULT)}
+        names = names_in_path(problem)
         _check_names("path names", self.factors, names)
         for name in self.factors:
             alike = [one for one in _acting(problem) if name in one.path_names]
@@ -107,7 +110,7 @@ class LoadPath:
         return {name: self.of(name) for name in names}
 
 
-def _acting(problem: ContactProblem) -> list[Acting]:
+def _acting(problem: ContactProblem) -> Sequence[Acting]:
     """Return what a path scales: loads, prescribed displacements and jumps other than zero, and
     moving obstacles."""
     held = [

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, cast
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class Product:
         first, second = (
             np.asarray(one(points)) if callable(one) else one for one in (self.first, self.second)
         )
-        return first * second
+        return np.multiply(first, second)
 
 
 def times(value: Any, factor: float) -> Any:
@@ -67,7 +67,8 @@ def times(value: Any, factor: float) -> Any:
         return value
     if isinstance(value, tuple):
         return tuple(times(one, factor) for one in value)
-    return Product(value, factor) if callable(value) else factor * value
+    function = cast("FieldLike", value)
+    return Product(function, factor) if callable(value) else factor * value
 
 
 class Acting(checks.Checked):
@@ -80,8 +81,9 @@ class Acting(checks.Checked):
     @property
     def place(self) -> str:
         """Return the name of the boundary or body, or the point as text."""
-        if hasattr(self, "point"):
-            return f"point ({', '.join(f'{x:.6g}' for x in self.point)})"
+        point = getattr(self, "point", None)
+        if point is not None:
+            return f"point ({', '.join(f'{x:.6g}' for x in point)})"
         return getattr(self, "boundary", None) or getattr(self, "body", None) or BODY_FORCE
 
     @property
@@ -101,7 +103,8 @@ class Acting(checks.Checked):
 
     def scaled(self, factor: float) -> Self:
         """Return the same, multiplied by a factor."""
-        return replace(self, **{name: times(getattr(self, name), factor) for name in self._amounts})
+        changed = {name: times(getattr(self, name), factor) for name in self._amounts}
+        return replace(cast("Any", self), **changed)  # all subclasses are dataclasses
 
 
 @dataclass(frozen=True)
@@ -283,13 +286,15 @@ class InitialStrain(Acting):
         >>> am.InitialStrain.thermal(1.2e-5, 50.0).components
         (0.0006000000000000001, 0.0006000000000000001, 0.0006000000000000001)
         """
-        alike = callable(expansion) or not isinstance(expansion, Sequence | np.ndarray)
-        each = _components("expansion", (expansion,) * 3 if alike else expansion)
+        entries = cast("Sequence[FieldLike]", expansion)
+        if callable(expansion) or not isinstance(expansion, Sequence | np.ndarray):
+            entries = (expansion,) * 3
+        each = _components("expansion", entries)
         rise = checks.function_or("temperature", temperature)
         return cls(
             body,
             tuple(
-                Product(one, rise) if callable(one) or callable(rise) else one * rise
+                Product(one, rise) if callable(one) or callable(rise) else float(one) * float(rise)
                 for one in each
             ),
             name=name,

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal, TypeVar, overload
 
 import numpy as np
 
@@ -43,6 +43,7 @@ class Domain(checks.Checked):
 
     dim: int
     boundaries: tuple[str, ...] | None
+    outline: Outline  # of plane domains only
     _extremes: Callable[
         [], np.ndarray
     ]  # points (n, dim), m, whose bounding box contains the domain
@@ -63,6 +64,10 @@ class Domain(checks.Checked):
         return self._extremes().max(axis=0)
 
 
+@overload
+def corner(name: str, value: object, dim: Literal[2]) -> tuple[float, float]: ...
+@overload
+def corner(name: str, value: object, dim: int) -> tuple[float, ...]: ...
 def corner(name: str, value: object, dim: int) -> tuple[float, ...]:
     """Return ``value`` as ``dim`` finite numbers."""
     return tuple(map(float, checks.vector(name, value, dim)))
@@ -238,7 +243,7 @@ class Outline(Domain):
         result = []
         for first, last in self._loops():
             x, y = (np.array(self.vertices[first:last]) - self.vertices[first]).T
-            bulges = sum(self.arc(i).bulge for i in self.arcs if first <= i < last)
+            bulges = sum(self._arc(i).bulge for i in self.arcs if first <= i < last)
             result.append(0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)) + bulges)
         return result
 
@@ -277,8 +282,10 @@ class Outline(Domain):
 
     def arc(self, i: int) -> Arc | None:
         """Return edge i as an arc, None if it is straight."""
-        if i not in self.arcs:
-            return None
+        return self._arc(i) if i in self.arcs else None
+
+    def _arc(self, i: int) -> Arc:
+        """Return edge i, one of ``arcs``."""
         center = self.arcs[i]
         (ax, ay), (bx, by) = (np.array(p) - np.array(center) for p in self._ends(i))
         angle = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
@@ -339,7 +346,7 @@ class Outline(Domain):
     def _extremes(self) -> np.ndarray:
         points = [np.array(self.vertices)]
         for i in self.arcs:
-            arc = self.arc(i)
+            arc = self._arc(i)
             fractions = (0.5 * math.pi * np.arange(-6, 7) - arc.start) / arc.angle
             points.append(arc.at(fractions[(fractions > 0) & (fractions < 1)]))
         return np.concatenate(points)
@@ -412,7 +419,12 @@ class Circle(Domain):
         return np.array([[-self.radius], [self.radius]]) + self.centre
 
 
-def with_vertex(domain: Domain, point: tuple[float, ...], arcs: bool = False) -> Domain:
+_Outlined = TypeVar("_Outlined", bound=Domain)
+
+
+def with_vertex(
+    domain: _Outlined, point: tuple[float, ...], arcs: bool = False
+) -> _Outlined | Outline:
     """Return a plane domain with a vertex at a point of a straight edge, or of any; itself if it
     lies elsewhere."""
     outline, near = domain.outline, 1e-9 * float((domain.upper - domain.lower).max())
@@ -425,10 +437,12 @@ def with_vertex(domain: Domain, point: tuple[float, ...], arcs: bool = False) ->
         return domain
     centres = {k + (k > i): centre for k, centre in outline.arcs.items()}
     if (arc := outline.arc(i)) is not None:
-        point = tuple(arc.at(np.array(arc.along(np.array(point)))).tolist())
+        x, y = arc.at(np.array(arc.along(np.array(point)))).tolist()
         centres[i + 1] = arc.center
+    else:
+        x, y = point
     return Outline(
-        vertices=(*outline.vertices[: i + 1], point, *outline.vertices[i + 1 :]),
+        vertices=(*outline.vertices[: i + 1], (x, y), *outline.vertices[i + 1 :]),
         boundaries=(*outline.boundaries[: i + 1], *outline.boundaries[i:]),
         arcs=centres,
         holes=tuple(k + (k > i) for k in outline.holes),

@@ -106,20 +106,25 @@ def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]
     """Return the points where two edges cross or touch, and the ends of one that lie on the
     other."""
     points = [*e.ends, *f.ends]
-    if isinstance(e, Arc) and isinstance(f, Arc):
-        points += _circles(e, f, tol)
-    elif isinstance(e, Arc) or isinstance(f, Arc):
-        arc, line = (e, f) if isinstance(e, Arc) else (f, e)
-        along = (line.end - line.start) / np.linalg.norm(line.end - line.start)
-        centre = np.array(arc.center)
-        foot = line.start + along * ((centre - line.start) @ along)
-        points += _both_sides(foot, along, arc.radius, float(np.linalg.norm(foot - centre)), tol)
+    if isinstance(e, Arc):
+        both = isinstance(f, Arc)
+        points += _circles(e, f, tol) if both else _line_and_circle(f, e, tol)
+    elif isinstance(f, Arc):
+        points += _line_and_circle(e, f, tol)
     else:
         u, v, w = e.end - e.start, f.end - f.start, f.start - e.start
         cross = u[0] * v[1] - u[1] * v[0]
         if abs(cross) > _PARALLEL * np.linalg.norm(u) * np.linalg.norm(v):
             points.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
     return on_both(e, f, points, tol)
+
+
+def _line_and_circle(line: Segment, arc: Arc, tol: float) -> list[np.ndarray]:
+    """Return the points where the line and the circle of two edges meet."""
+    along = (line.end - line.start) / np.linalg.norm(line.end - line.start)
+    centre = np.array(arc.center)
+    foot = line.start + along * ((centre - line.start) @ along)
+    return _both_sides(foot, along, arc.radius, float(np.linalg.norm(foot - centre)), tol)
 
 
 def on_both(
@@ -177,7 +182,8 @@ def check_simple(
     low, high, tiny = np.minimum(a, b) - grown, np.maximum(a, b) + grown, _ROUND * extent
     pairs = np.stack(np.triu_indices(len(a), 1), axis=1)
     near = (low[pairs] <= high[pairs[:, ::-1]] + tiny).all(axis=(1, 2))
-    for i, j in pairs[near].tolist():
+    close: list[list[int]] = pairs[near].tolist()
+    for i, j in close:
         shared = [
             a[i] if k == first[i] else b[i] for k in {first[i], last[i]} & {first[j], last[j]}
         ]
@@ -200,9 +206,12 @@ def _meet(e: Segment | Arc, f: Segment | Arc, shared: list[np.ndarray], tiny: fl
 
 def _again(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[np.ndarray]:
     """The other point where the lines or circles of two edges meet that meet at v."""
-    if isinstance(e, Segment) and isinstance(f, Segment):
+    if isinstance(e, Arc):
+        arc, other = e, f
+    elif isinstance(f, Arc):
+        arc, other = f, e
+    else:
         return []
-    arc, other = (e, f) if isinstance(e, Arc) else (f, e)
     centre = np.array(arc.center)
     # mirrored at the line of both centres, or at the normal of the line through the centre
     along = np.array(other.center) - centre if isinstance(other, Arc) else other.end - other.start

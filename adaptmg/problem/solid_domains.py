@@ -29,6 +29,7 @@ class SolidDomain(Domain):
     combinations."""
 
     dim: ClassVar[int] = 3
+    boundaries: tuple[str, ...]
 
 
 def _direction(name: str, value: object) -> tuple[float, ...]:

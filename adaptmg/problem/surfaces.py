@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,8 @@ from adaptmg.problem.loads import Acting, point, times
 
 Numbers = Annotated[Sequence[float], lambda name, value: tuple(checks.vector(name, value).tolist())]
 OwnLaw = Annotated[Law, check_law]
+Coordinates = Annotated[np.ndarray, point]
+_NO_ROTATION = cast("np.ndarray", 0.0)  # an array once it is checked
 
 
 class Obstacle(Protocol):
@@ -68,7 +70,7 @@ class Plane(checks.Checked):
     [0.0, 0.0, 1.0]
     """
 
-    point: Annotated[np.ndarray, point]
+    point: Coordinates
     normal: np.ndarray
 
     __repr__ = brief
@@ -187,8 +189,8 @@ class Moving(_MovingPart):
 
     obstacle: AnyObstacle
     _: KW_ONLY
-    displacement: Annotated[np.ndarray, point]
-    rotation: np.ndarray | float = 0.0
+    displacement: Coordinates
+    rotation: np.ndarray = _NO_ROTATION
     about: np.ndarray | None = None
     name: Name = "obstacle"
     _amounts = ("displacement", "rotation")
@@ -264,6 +266,7 @@ def _targets(name: str, values: object) -> tuple[float | None, ...]:
 
 
 Force = tuple[float | None, ...]
+_NO_MOMENT = cast("Force", None)  # a tuple once it is checked
 
 
 def _forces(name: str, values: object) -> Force | dict[str, Force]:
@@ -317,7 +320,7 @@ class Rigid(_MovingPart):
     obstacle: AnyObstacle
     _: KW_ONLY
     force: Annotated[Force | Mapping[str, Force], _forces]
-    moment: tuple[float | None, ...] | float | None = None
+    moment: Force = _NO_MOMENT
     about: np.ndarray | None = None
     name: Name = "obstacle"
     _amounts = ("force", "moment")
