@@ -48,7 +48,7 @@ from adaptmg._numba import kernel, read_only
 from adaptmg._threads import in_parts, one_blas_thread
 from adaptmg.discrete.moduli import EDGE_PART, Materials, body_materials, is_axisymmetric, moduli
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, pair_keys
 
 #: corners of the edges of an element
 _EDGES = {
@@ -189,8 +189,8 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
 def _elements_of_edges(mesh: MeshArrays) -> sparse.csr_array:
     """The elements (n_edges, n_elements) around each edge of each body, as ones."""
     a, b = (mesh.elements[:, ends] for ends in _EDGES[mesh.dim].T)
-    first = mesh.element_body[:, None] * np.int64(mesh.n_nodes) + np.minimum(a, b)
-    keys = first * mesh.n_nodes + np.maximum(a, b)
+    first = pair_keys(mesh.element_body[:, None], np.minimum(a, b), mesh.n_nodes)
+    keys = pair_keys(first, np.maximum(a, b), mesh.n_nodes)
     number, (n, k) = np.unique(keys, return_inverse=True)[1].reshape(-1), keys.shape
     edges = sparse.csr_array(
         (np.ones(n * k), number, k * np.arange(n + 1)), shape=(n, number.max() + 1)
@@ -275,7 +275,7 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     n = mesh.n_nodes
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
-    keys = mesh.element_body[:, None].astype(np.int64) * n + mesh.elements
+    keys = pair_keys(mesh.element_body[:, None], mesh.elements, n)
     used, numbers = np.unique(keys, return_inverse=True)  # by body, then node
     node, again = used % n, np.ones(len(used), dtype=bool)
     again[np.unique(node, return_index=True)[1]] = False

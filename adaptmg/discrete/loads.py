@@ -39,7 +39,7 @@ from adaptmg.discrete.moduli import (
 )
 from adaptmg.discrete.supports import node_at
 from adaptmg.geometry.quadrature import integration, quadrature_points
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, pair_keys
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.laws import Elastic, PlaneStress
 from adaptmg.problem.loads import (
@@ -280,10 +280,10 @@ def supported_stiffness(
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
         rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))
-        keys = rows * mesh.n_nodes + matrix.indices
+        keys = pair_keys(rows, matrix.indices, mesh.n_nodes)
     for spring in springs:
         cells, blocks = _elements(mesh, spring, is_axisymmetric(material))
-        wanted = cells[:, :, None] * mesh.n_nodes + cells[:, None, :]
+        wanted = pair_keys(cells[:, :, None], cells[:, None, :], mesh.n_nodes)
         np.add.at(
             matrix.data,
             np.searchsorted(keys, wanted.ravel()),

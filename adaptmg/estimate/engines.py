@@ -49,7 +49,7 @@ from adaptmg import _checks as checks
 from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.geometry.location import SimplexLocator
 from adaptmg.level import meshed_domain, need_domain
-from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.arrays import MeshArrays, Surface, pair_keys
 from adaptmg.mesh.bisection import check_marked, refined
 from adaptmg.mesh.onto_domain import onto_domain
 from adaptmg.mesh.soundness import check_mesh
@@ -416,11 +416,9 @@ def equilibrated_sizes(
 
 def _edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Both ends and lengths of the edges of a mesh."""
-    i, j = (
-        mesh.elements[:, corners].ravel().astype(np.int64)
-        for corners in np.triu_indices(mesh.dim + 1, 1)
-    )
-    i, j = np.divmod(np.unique(np.minimum(i, j) * mesh.n_nodes + np.maximum(i, j)), mesh.n_nodes)
+    i, j = (mesh.elements[:, corners].ravel() for corners in np.triu_indices(mesh.dim + 1, 1))
+    keys = np.unique(pair_keys(np.minimum(i, j), np.maximum(i, j), mesh.n_nodes))
+    i, j = np.divmod(keys, mesh.n_nodes)
     return i, j, np.linalg.norm(mesh.points[i] - mesh.points[j], axis=1)
 
 

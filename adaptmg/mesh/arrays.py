@@ -537,6 +537,12 @@ def element_facets(elements: np.ndarray) -> np.ndarray:
     return elements[:, OPPOSITE[elements.shape[1] - 1]]
 
 
+def pair_keys(first: np.ndarray, second: np.ndarray, n: int) -> np.ndarray:
+    """Return one integer (int64) a pair of numbers, the second of them below ``n``: ``divmod`` with
+    n gives both back. Numbers of int32, as those of nodes are, overflow in n * n from n = 46341."""
+    return np.multiply(first, n, dtype=np.int64) + second
+
+
 def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
     """Return one integer a facet, the same for every order of its nodes."""
     dim = facets.shape[1]
@@ -545,8 +551,9 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
     nodes = np.ascontiguousarray(facets.T, dtype=np.int64)
     lowest, highest = nodes.min(axis=0), nodes.max(axis=0)
     if dim == 2:
-        return lowest * n_nodes + highest
-    return (lowest * n_nodes + (nodes.sum(axis=0) - lowest - highest)) * n_nodes + highest
+        return pair_keys(lowest, highest, n_nodes)
+    middle = nodes.sum(axis=0) - lowest - highest
+    return pair_keys(pair_keys(lowest, middle, n_nodes), highest, n_nodes)
 
 
 def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:

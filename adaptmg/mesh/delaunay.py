@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.predicates import in_circle, turn
+from adaptmg.mesh.arrays import pair_keys
 
 #: nodes after which kernels come back to Python, so that Ctrl-C ends them
 BATCH = 50_000
@@ -85,10 +86,10 @@ def _inside(
     elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.ndarray, heads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The triangles inside the boundary, their neighbours, and which edges are there."""
-    begins, ends = (np.roll(elements, -k, axis=1).astype(np.int64) for k in (1, 2))
+    begins, ends = (np.roll(elements, -k, axis=1) for k in (1, 2))
     keys, edges = (
-        np.stack([begins * n_nodes + ends, ends * n_nodes + begins]),
-        tails * n_nodes + heads,
+        np.stack([pair_keys(begins, ends, n_nodes), pair_keys(ends, begins, n_nodes)]),
+        pair_keys(tails, heads, n_nodes),
     )
     order = np.argsort(edges)
     row = order[np.minimum(np.searchsorted(edges, keys, sorter=order), len(edges) - 1)]

@@ -22,6 +22,7 @@ from adaptmg.mesh.arrays import (
     Surface,
     facet_keys,
     facet_table,
+    pair_keys,
     positive,
     same_orientation,
 )
@@ -57,9 +58,9 @@ def opened(
     part = connected_components(
         sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(cells.size,) * 2)
     )[1]
-    node = cells.astype(np.int64).ravel()
+    node = cells.ravel()
     pairs, number = np.unique(
-        np.where(at_slit[node], part, cells.size) * n_nodes + node, return_inverse=True
+        pair_keys(np.where(at_slit[node], part, cells.size), node, n_nodes), return_inverse=True
     )
     origin = pairs % n_nodes
     again = np.ones(len(pairs), dtype=bool)

@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from adaptmg.mesh.arrays import MeshArrays, Surface, trusted
+from adaptmg.mesh.arrays import MeshArrays, Surface, pair_keys, trusted
 from adaptmg.mesh.soundness import least_angle
 from adaptmg.problem.plane_edges import Arc, Segment
 
@@ -316,9 +316,7 @@ def onto_surfaces(
     row, corner = np.nonzero(mesh.facets >= n_old)
     if not len(row):
         return mesh
-    pairs = np.unique(
-        mesh.facets[row, corner].astype(np.int64) * len(surfaces) + mesh.facet_labels[row]
-    )
+    pairs = np.unique(pair_keys(mesh.facets[row, corner], mesh.facet_labels[row], len(surfaces)))
     nodes, first, count = np.unique(pairs // len(surfaces), return_index=True, return_counts=True)
     labels = (pairs % len(surfaces))[np.stack([first, first + count - 1], axis=1)]
     places, missed = settled(surfaces, mesh.points[nodes], labels, _ON)

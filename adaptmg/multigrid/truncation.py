@@ -21,6 +21,7 @@ from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
+from adaptmg.mesh.arrays import pair_keys
 from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother.system import CLOSED, HELD, TANGENTIAL
@@ -79,7 +80,7 @@ class _ChangedDofs(_Changed):
         """Build from the weights of changed dofs, the coarse ones they reach, and the pattern of
         the change (ones)."""
         order = sparse.coo_array(pattern)
-        keys = np.sort(order.row.astype(np.int64) * len(dofs) + order.col)
+        keys = np.sort(pair_keys(order.row, order.col, len(dofs)))
         rows, columns = dofs[keys // len(dofs)], dofs[keys % len(dofs)]
         slots = np.empty(len(keys), dtype=np.int64)
         find_slots(
@@ -103,9 +104,9 @@ class _ChangedDofs(_Changed):
         result = sparse.coo_array(self.weights.T @ (change @ self.weights))
         # a product may leave out entries that happen to vanish
         values = np.zeros(len(self.keys))
-        values[
-            np.searchsorted(self.keys, result.row.astype(np.int64) * result.shape[1] + result.col)
-        ] = result.data
+        values[np.searchsorted(self.keys, pair_keys(result.row, result.col, result.shape[1]))] = (
+            result.data
+        )
         self.store(values)
         return sparse.csr_array(result)
 
