@@ -461,10 +461,16 @@ class Guide:
         self.loose = 0.0 if self.number == self.last else _LOOSE * _COARSE
 
     def pressed(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the unknowns with which obstacles balance their forces."""
+        """Return values of the unknowns with which obstacles balance their forces, the nearest ones
+        that are found."""
         values = values.copy()
         for _ in range(_RELINEARISED if self.size else 0):
-            change = self._balanced(values, np.zeros(self.size))
+            try:
+                change = self._balanced(values, np.zeros(self.size))
+            except ValueError:  # singular equations
+                if not self.spent:
+                    raise
+                break
             if not np.abs(change).max() < _FAR:
                 raise nothing_resists(self.parts)
             values[: self.size] += change
@@ -477,16 +483,23 @@ class Guide:
         its own, or where its factors are too large or these were its own those with which the
         forces change by so much."""
         if self.number == self.last or not factorisable(self.controls.level.discrete):
-            return values + self._balanced(values, -missed)
+            try:
+                return values + self._balanced(values, -missed)
+            except ValueError:
+                return values
         self.number = self.last
         return self.pressed(values)
 
-    def stiffness(self, values: np.ndarray) -> np.ndarray:
+    def stiffness(self, values: np.ndarray) -> np.ndarray | None:
         """Return the Jacobian (n, n) of forces by motions, the inverse of what small changes of the
-        forces move."""
-        rest = self._balanced(values, np.zeros(self.size))
-        moved = [self._balanced(values, force) - rest for force in _DIFFERENCE * np.eye(self.size)]
-        return np.linalg.inv(np.stack(moved, axis=1) / _DIFFERENCE)
+        forces move; None where equations are singular."""
+        try:
+            rest = self._balanced(values, np.zeros(self.size))
+            changes = _DIFFERENCE * np.eye(self.size)
+            moved = [self._balanced(values, force) - rest for force in changes]
+            return np.linalg.inv(np.stack(moved, axis=1) / _DIFFERENCE)
+        except ValueError:
+            return None
 
     def _balanced(self, values: np.ndarray, extra: np.ndarray) -> np.ndarray:
         r"""Return by how much (n,) obstacles move until their forces are as prescribed, and ``extra``
@@ -588,6 +601,10 @@ class Search(Generic[Kept]):
                 jacobian = self.differences(trial, reach)
             elif jacobian is None:
                 jacobian = guide.stiffness(trial.values)
+            if jacobian is None:
+                trial = self.at(guide.nearer(trial.values, trial.missed), None)
+                guide = None
+                continue
             left, stiffnesses, right = np.linalg.svd(jacobian)
             noise = _EXACT / _DIFFERENCE if fresh else 0.0
             resisted = stiffnesses > max(_UNRESISTED * stiffnesses[0], noise)

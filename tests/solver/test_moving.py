@@ -143,6 +143,24 @@ def test_a_pad_bears_tangential_force_on_a_surface_that_stretches(n, share):
     np.testing.assert_allclose(moved.resultant("top").force, force, atol=1e-5 * PRESS)
 
 
+@pytest.mark.parametrize("solvable", [1, 4])
+def test_motions_are_found_where_guides_are_singular(solvable, monkeypatch):
+    """All contact problems with unknown motions but the first ones fail."""
+    run, left = am.ActiveSet.run, [solvable]
+
+    def singular(*arguments):
+        if not left[0]:
+            raise np.linalg.LinAlgError("the matrix is singular")
+        left[0] -= 1
+        return run(*arguments)
+
+    force = np.array([0.03, -1.0]) * PRESS
+    grids = pad(40, force=tuple(force))
+    monkeypatch.setattr(am.ActiveSet, "run", singular)
+    result = am.solve(grids)
+    np.testing.assert_allclose(result.resultant("top").force, force, atol=1e-6 * PRESS)
+
+
 def test_forces_of_an_obstacle_have_names_on_a_path():
     """The normal force stays while the tangential one turns round and exceeds friction."""
     grids = pad(16, force={"P": (0, -PRESS), "Q": (PRESS, 0)})
