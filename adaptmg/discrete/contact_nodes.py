@@ -3,6 +3,7 @@ problem."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg._on_demand import ABSENT
 from adaptmg._text import brief
 from adaptmg.problem.contact_problem import CONTACT
 from adaptmg.problem.laws import Law
@@ -57,13 +59,13 @@ class ContactNodes(checks.Checked):
     nodes: Annotated[np.ndarray, partial(checks.array, shape=(None,), integer=True)]
     normals: np.ndarray
     gaps: np.ndarray
-    weights: np.ndarray | None = None
-    slip_reference: np.ndarray | None = None
+    weights: np.ndarray = ABSENT
+    slip_reference: np.ndarray = ABSENT
     allow_interference: checks.Flag = False
-    boundary: np.ndarray | None = None
+    boundary: np.ndarray = ABSENT
     names: Annotated[tuple[str, ...], checks.strings] = ("contact",)
-    masters: tuple[str, ...] | None = None
-    taken_over: sparse.csr_array | None = None
+    masters: tuple[str, ...] = ABSENT
+    taken_over: sparse.csr_array = ABSENT
 
     __repr__ = brief
     if TYPE_CHECKING:
@@ -215,7 +217,7 @@ def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
     return mask
 
 
-def checked_bodies(bodies: object, n_nodes: int) -> dict[str, np.ndarray]:
+def checked_bodies(bodies: Mapping[str, ArrayLike], n_nodes: int) -> dict[str, np.ndarray]:
     """Return nodes by body, checked."""
     result = {}
     for body, nodes in checks.mapping("bodies", bodies, "names to arrays of nodes").items():

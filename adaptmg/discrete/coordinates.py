@@ -167,7 +167,7 @@ def held_slaves(
     acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (facing.sum(axis=1) > 0)
     held = (fixed[nodes] & (facing @ fixed.astype(float) <= NEGLIGIBLE)).any(axis=1)
     if inclined is not None:
-        either = fixed.any(axis=1)
+        either = np.any(fixed, axis=1)
         either[inclined.nodes] = True
         held |= np.isin(nodes, inclined.nodes) & (facing @ either.astype(float) <= NEGLIGIBLE)
     return np.flatnonzero(acts & held)

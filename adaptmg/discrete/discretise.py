@@ -37,7 +37,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy import sparse
@@ -207,7 +207,7 @@ def changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[
 _PLAIN = (type(None), bool, int, float, str, np.number, Path)
 
 
-def same(a: object, b: object) -> bool:
+def same(a: object, b: Any) -> bool:
     """Return whether parts have the same values; functions and objects of other modules may change
     unseen."""
     if type(a) is not type(b):
@@ -237,8 +237,8 @@ def rediscretise(
     check_bounds(law, len(posed))
     if old.coupling is not None:
         # which slave nodes carry multipliers depends on where friction acts
-        acts = [np.maximum(*one.bounds(len(posed))) > 0 for one in (law, old.law)]
-        if not np.array_equal(*acts):
+        now, before = (np.maximum(*one.bounds(len(posed))) > 0 for one in (law, old.law))
+        if not np.array_equal(now, before):
             return discretise(problem, mesh)
     parts = {"law": law, "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if changed:
@@ -430,7 +430,8 @@ def _masses_of_ties(
         masses[own] = surfaces[k].lumped(problem.axisymmetric)[own]
     tied = np.unique(np.concatenate([tie.nodes for tie in ties]))
     takes[tied] = 0.0
-    step = _followed(list(ties), len(owner)).maximum(0.0).T
+    followed = cast("sparse.csr_array", _followed(list(ties), len(owner)))  # ties have weights
+    step = followed.maximum(0.0).T
     reached = sparse.csr_array(step.shape)
     path = step
     for _ in ties:
@@ -443,14 +444,12 @@ def _masses_of_ties(
 
 def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | None:
     """Rows (n_nodes, n_nodes) of what the nodes of all pairs face."""
-    coupled = [part for part in parts if part.coupling is not None]
+    coupled = [(part.nodes, part.coupling) for part in parts if part.coupling is not None]
     if not coupled:
         return None
-    rows = np.concatenate(
-        [np.repeat(part.nodes, np.diff(part.coupling.indptr)) for part in coupled]
-    )
-    columns = np.concatenate([part.coupling.indices for part in coupled])
-    values = np.concatenate([part.coupling.data for part in coupled])
+    rows = np.concatenate([np.repeat(nodes, np.diff(weights.indptr)) for nodes, weights in coupled])
+    columns = np.concatenate([weights.indices for _, weights in coupled])
+    values = np.concatenate([weights.data for _, weights in coupled])
     return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
 
 
@@ -461,16 +460,15 @@ class LoadSteps:
     n_dofs: int
     loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
-    stress: StressData | None = (
-        None  # what stresses follow from before initial strains; None without a problem
-    )
+    # what stresses follow from before initial strains; Any: None without a problem, and so without strains
+    stress: StressData | Any = None
     strains: Mapping[str, np.ndarray] = field(
         default_factory=dict
     )  # dict of str to (n_elements, 3)
     strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
-    mesh: MeshArrays | None = None
+    mesh: MeshArrays | Any = None  # Any: as of stress
 
-    def stress_data(self, factors: Mapping[str, float]) -> StressData | None:
+    def stress_data(self, factors: Mapping[str, float]) -> StressData | Any:
         """Return what the stresses of a step follow from."""
         if not self.strains:
             return self.stress
@@ -501,7 +499,10 @@ class LoadSteps:
         """Return ``strain_free`` of a step, see :class:`DiscreteProblem`."""
         if not self.strains:
             return None
-        load = sum(factors[name] * load for name, load in self.strain_loads.items())
+        load = sum(
+            (factors[name] * load for name, load in self.strain_loads.items()),
+            np.zeros(self.n_dofs),
+        )
         return load, self.stress_data(factors).suppressed(self.mesh)
 
     def load(self, factors: Mapping[str, float]) -> np.ndarray:

@@ -104,7 +104,8 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
         indptr = indptr.astype(np.int32)
     for array in (indices, indptr):
         array.flags.writeable = False
-    matrix = sparse.bsr_array((data, indices, indptr), shape=(dim * mesh.n_nodes,) * 2, copy=False)
+    n_dofs = dim * mesh.n_nodes
+    matrix = sparse.bsr_array((data, indices, indptr), shape=(n_dofs, n_dofs), copy=False)
     matrix.has_sorted_indices = True
     return matrix
 
@@ -458,9 +459,10 @@ def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
     if n_bodies == 1:
         return [np.arange(mesh.n_nodes)]
     body = np.repeat(mesh.element_body, mesh.elements.shape[1])
+    size = n_bodies + mesh.n_nodes
     uses = sparse.coo_array(
         (np.ones(len(body), dtype=np.int8), (body, n_bodies + mesh.elements.reshape(-1))),
-        shape=(n_bodies + mesh.n_nodes,) * 2,
+        shape=(size, size),
     )
     labels = connected_components(uses, directed=False)[1]
     pieces = list(dict.fromkeys(labels[np.unique(mesh.element_body)].tolist()))

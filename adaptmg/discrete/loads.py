@@ -23,6 +23,7 @@ r`."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast, get_args
 
 import numpy as np
 from scipy import sparse
@@ -77,7 +78,7 @@ def load_vector(
     vector = np.zeros(check_mesh(mesh).points.size)
     checks.choice("elements", elements, ("linear", "smoothed"))
     result = vector.reshape(mesh.points.shape)
-    for load in checks.items("loads", loads, Load, "Pressure, Traction, BodyForce, ..."):
+    for load in checks.items("loads", loads, get_args(Load), "Pressure, Traction, BodyForce, ..."):
         if isinstance(load, InitialStrain):
             if materials is None:
                 raise ValueError(
@@ -147,7 +148,8 @@ def load_density(
     flat = points.reshape(-1, dim)
     if isinstance(load, Pressure):
         value = checks.field(f"pressure on {load.boundary!r}", load.value, flat).reshape(shape)
-        return -value[:, :, None] * normals[:, None, :]
+        # on surfaces, which have normals
+        return -value[:, :, None] * cast("np.ndarray", normals)[:, None, :]
     if len(load.components) != dim:
         raise ValueError(f"{load!r} has {len(load.components)} components on a {dim}D mesh")
     return np.stack(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.laws import Axisymmetric, Elastic, PlaneStress
+from adaptmg.problem.laws import Anisotropy, Axisymmetric, Elastic, PlaneStress
 
 #: one material for all bodies, body name -> material, or what :func:`body_materials` returns
 Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]
@@ -129,7 +129,9 @@ def moduli(mesh: MeshArrays, materials: tuple[Elastic, ...], most: float = np.in
         if material.anisotropy is not None:
             here = np.flatnonzero(mesh.element_body == k)
             own, rows = (
-                _turned(material, mesh.points[mesh.elements[here]].mean(axis=1)),
+                _turned(
+                    material, material.anisotropy, mesh.points[mesh.elements[here]].mean(axis=1)
+                ),
                 result.rows.copy(),
             )
             rows[here] = len(result.table) + (
@@ -153,9 +155,9 @@ def isotropic(
     return Moduli(table, mesh.element_body)
 
 
-def _turned(material: Elastic, points: np.ndarray) -> np.ndarray:
+def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np.ndarray:
     """Tensors (1 or n, k, k) of an anisotropic material at points."""
-    anisotropy, (i, j), k = material.anisotropy, _PAIRS.T, 2 * material.dim
+    (i, j), k = _PAIRS.T, 2 * material.dim
     axes = anisotropy.rotations(points)
     turn = axes[:, i][:, :, i] * axes[:, j][:, :, j] + axes[:, i][:, :, j] * axes[:, j][:, :, i]
     turn[:, :3] *= 0.5

@@ -60,6 +60,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -138,12 +139,13 @@ def sides_of(
     slave, master = map(mesh.surface, names)
     if not all(name in exact for name in names):
         return slave, master
-    curved = tuple(
+    one, other = (
         Curved(mesh.points, side.facets, exact[name], mesh.refinement is not None)
         for name, side in zip(names, (slave, master), strict=True)
     )
     # else the mesh was moved away from the domain
-    return curved if all(np.median(side.nearest) >= 0 for side in curved) else (slave, master)
+    known = all(np.median(side.nearest) >= 0 for side in (one, other))
+    return (one, other) if known else (slave, master)
 
 
 def pair_interface(
@@ -181,7 +183,7 @@ def pair_interface(
         # a row that slave nodes without a multiplier take part in measures their gaps with its own
         silent = np.setdiff1d(slave.nodes, interface.nodes)
         if len(silent):
-            gaps = gaps - interface.coupling[:, silent] @ checks.field(
+            gaps = gaps - cast("sparse.csr_array", interface.coupling)[:, silent] @ checks.field(
                 f"gap of {what}", pair.gap, mesh.points[silent]
             )
     if not pair.allow_interference:
@@ -342,7 +344,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         len(surfaces.points),
         covered_parts(surfaces, reach),
     )
-    parts, alone = covered.only(covered.enough[covered.slave]), ~carries.any(axis=1)
+    parts, alone = covered.only(covered.enough[covered.slave]), ~np.any(carries, axis=1)
     if alone[parts.slave].all():
         if len(covered.slave):
             raise ValueError(

@@ -26,6 +26,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
@@ -44,7 +45,7 @@ class Surfaces:
     normals: (
         np.ndarray
     )  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
-    excluded: np.ndarray = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
+    excluded: ArrayLike = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
     axisymmetric: bool = False  # x is a radius; 2D only
     points: np.ndarray = field(init=False, repr=False)  # (n_nodes, dim): those of the mesh, m
     slave: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets

@@ -12,10 +12,10 @@ coordinates (:mod:`adaptmg.discrete.coordinates`), which :meth:`DiscreteProblem.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._checks import indices_frozen
-from adaptmg._on_demand import OnDemand, Token, made_on_demand, remembered
+from adaptmg._on_demand import ABSENT, OnDemand, Token, Value, made_on_demand, remembered
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
@@ -88,7 +88,7 @@ class DiscreteProblem(Unknowns):
     fixed: np.ndarray
     law: Law
     contact: ContactNodes
-    fixed_values: np.ndarray | None = None
+    fixed_values: np.ndarray = ABSENT
     coordinates: np.ndarray | None = None
     near_nullspace: np.ndarray | Any = (
         None  # Any: only problems without coordinates need the test for None
@@ -106,6 +106,7 @@ class DiscreteProblem(Unknowns):
     volumes: Volumes | None = None  # groups of nodes whose mean volume strains add to the stiffness
 
     if TYPE_CHECKING:
+        _structure: ClassVar[Token]  # of each object, set by _complete; no field
 
         def __init__(
             self,
@@ -157,13 +158,10 @@ class DiscreteProblem(Unknowns):
             raise ValueError(
                 "only a problem in displacements can be coupled, not with coupling or inclined supports"
             )
-        weights = sparse.csr_array(
-            checks.sparse_matrix("weights", weights, (self.n_nodes,) * 2), dtype=np.float64
-        )
-        _check_row_sums(weights)
-        return self.assembled(
-            weights, **{one.name: self.__dict__[one.name] for one in fields(self)}
-        )
+        given = checks.sparse_matrix("weights", weights, (self.n_nodes, self.n_nodes))
+        rows = sparse.csr_array(given, dtype=np.float64)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs
+        _check_row_sums(rows)
+        return self.assembled(rows, **{one.name: self.__dict__[one.name] for one in fields(self)})
 
     def __repr__(self) -> str:
         return shortened(
@@ -337,9 +335,13 @@ class DiscreteProblem(Unknowns):
         return self.n_dofs // self.dim
 
 
-#: makes a function compute once for all problems that share matrix, fixed dofs, contact nodes and normals: those of
-#: :meth:`DiscreteProblem.posing`. Load, law, prescribed values and slips must not matter to it.
-remembered_of_structure = partial(remembered, of=lambda problem: problem._structure)
+def remembered_of_structure(
+    function: Callable[[DiscreteProblem], Value],
+) -> Callable[[DiscreteProblem], Value]:
+    """Make a function compute once for all problems that share matrix, fixed dofs, contact nodes and
+    normals: those of :meth:`DiscreteProblem.posing`. Load, law, prescribed values and slips must not
+    matter to it."""
+    return remembered(function, of=lambda problem: problem._structure)
 
 
 def _check_row_sums(weights: sparse.csr_array) -> None:
@@ -393,11 +395,11 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
 
 
 def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:
-    return problem.coupling.relative(modes.make(problem))
+    return cast("Coupling", problem.coupling).relative(cast("np.ndarray", modes.make(problem)))
 
 
 def _own_modes(problem: DiscreteProblem) -> np.ndarray:
-    return rigid_body_modes(problem.coordinates)
+    return rigid_body_modes(cast("np.ndarray", problem.coordinates))
 
 
 DiscreteProblem.near_nullspace = made_on_demand(

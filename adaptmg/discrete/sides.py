@@ -20,12 +20,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg._text import warn_user
-from adaptmg.discrete.coordinates import Unknowns
+from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.mortar import MortarInterface, pair_interface
 from adaptmg.discrete.supports import HeldNodes
@@ -121,7 +122,7 @@ def tie_interfaces(
     supports hold in all directions is not tied."""
     if not ties:
         return []
-    taken = held.fixed.all(axis=1)
+    taken = np.all(held.fixed, axis=1)
     if held.inclined is not None:  # a support that moves such a node prescribes it
         taken[held.inclined.nodes[held.inclined.moving]] = True
     parts = []
@@ -168,7 +169,9 @@ def _periodic(
     shift = middle[0] - middle[1]
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
-    away, partner = cKDTree(points[master]).query(points[slave] - shift)
+    # scipy-stubs: of several points
+    found = cKDTree(points[master]).query(points[slave] - shift)
+    away, partner = cast("tuple[np.ndarray, np.ndarray]", found)
     if len(slave) != len(master) or away.max() > _OFFSET * size:
         i = int(np.argmax(away))
         raise ValueError(
@@ -210,7 +213,8 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     for slave, master, tied in problem.ties:
         own = np.where(held[tied], 0.0, at[tied])
         own = own if problem.inclined is None else problem.inclined.free_part(tied, own)
-        rows = sparse.csr_array(problem.coupling.weights[tied])
+        # ties are rows of a coupling
+        rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
         facing = np.unique(rows.indices)
         nodes += [tied, facing]
         forces += [own, -(rows.T @ own)[facing]]

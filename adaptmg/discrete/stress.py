@@ -27,11 +27,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast, get_args
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg._checks import shape_of
 from adaptmg.discrete.elasticity import (
     apart,
     element_measures,
@@ -258,7 +260,7 @@ def full_stress(
     shear stresses out of the plane are 0. The displacement is (n_nodes, dim) or (n_dofs,), m;
     initial strains among the loads carry no stress, other loads do not matter."""
     checks.instance("mesh", mesh, MeshArrays)
-    loads = checks.items("loads", loads, Load, "Pressure, Traction, BodyForce, ...")
+    loads = checks.items("loads", loads, get_args(Load), "Pressure, Traction, BodyForce, ...")
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
 
 
@@ -331,8 +333,9 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     corners = cells.shape[1]
     centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
     of_nodes = elements_of_nodes(cells, len(points))
+    rows, columns = shape_of(of_nodes)
     around = sparse.csr_array(
-        (np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=of_nodes.shape[::-1]
+        (np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=(columns, rows)
     )
     indptr, _ = pattern(of_nodes, starts_of(cells), cells.reshape(-1))
     # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2);
@@ -389,7 +392,9 @@ def _fits(
         sums = sparse.csr_array(
             (terms[:, a], np.arange(len(terms)), patches.indptr), shape=(n, len(terms))
         )
-        matrix[a], sides[a] = (sums @ terms).T, (sums @ samples).T
+        # scipy-stubs: of dense arrays
+        matrix[a] = cast("np.ndarray", sums @ terms).T
+        sides[a] = cast("np.ndarray", sums @ samples).T
     means, limit = sides[0] / matrix[0, 0], _SINGULAR * matrix[0, 0]
     for a in range(k):
         good &= matrix[a, a] > limit

@@ -175,8 +175,8 @@ def stress_intensity(
     return StressIntensity(
         tuple(tip.place.tolist()),
         *factors.mean(axis=0).tolist(),
-        radii,
-        tuple(np.ptp(factors, axis=0).tolist()),
+        radii=radii,
+        spread=tuple(np.ptp(factors, axis=0).tolist()),
     )
 
 
@@ -300,6 +300,7 @@ def _near_field(
 
 def _stress(mean: np.ndarray, difference: np.ndarray) -> np.ndarray:
     """Stresses (..., 2, 2) of phi' and of conj(z) phi'' + psi'."""
-    mean = 2 * mean.real
-    parts = [mean - difference.real, difference.imag, difference.imag, mean + difference.real]
-    return np.stack(parts, axis=-1).reshape(*mean.shape, 2, 2)
+    twice = 2 * np.real(mean)
+    real, imaginary = np.real(difference), np.imag(difference)
+    parts = [twice - real, imaginary, imaginary, twice + real]
+    return np.stack(parts, axis=-1).reshape(*twice.shape, 2, 2)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from scipy import sparse
@@ -65,13 +65,11 @@ class Inclined:
     @property
     def moving(self) -> np.ndarray:
         """Which of the nodes (k,) bool supports move."""
-        return (
-            sum(
-                (part.any(axis=1) for part in self.moved.values()),
-                np.zeros(len(self.nodes), dtype=bool),
-            )
-            > 0
+        moving = sum(
+            (part.any(axis=1) for part in self.moved.values()),
+            np.zeros(len(self.nodes), dtype=bool),
         )
+        return np.greater(moving, 0)
 
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (n, dim) at some nodes without their parts along the directions that are
@@ -221,7 +219,7 @@ def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
             0.0 if isinstance(one, Symmetry) else one.normal if isinstance(one, Support) else None
         )
         if normal is not None:
-            normals = mesh.surface(one.boundary).normals
+            normals = mesh.surface(cast("str", one.boundary)).normals  # with a normal, no point
             direction = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
             if not (normals @ direction).min() > 1 - _ALONG_AXIS:
                 raise ValueError(
@@ -248,7 +246,7 @@ def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[st
     """Return by boundary the orthonormal directions (k, dim) along which supports hold it."""
     by_boundary: dict[str, list[np.ndarray]] = {}
     for one in held_by(mesh, [support for support in supports if support.boundary is not None]):
-        by_boundary.setdefault(one.support.boundary, []).append(one.direction)
+        by_boundary.setdefault(cast("str", one.support.boundary), []).append(one.direction)
     result = {}
     for name, directions in by_boundary.items():
         result[name] = np.array(sorted({tuple(direction.tolist()) for direction in directions}))

@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
-from adaptmg._on_demand import OnDemand, made_on_demand
+from adaptmg._on_demand import ABSENT, OnDemand, made_on_demand
 from adaptmg._text import shortened
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class MeshArrays:
     facets: np.ndarray
     facet_labels: np.ndarray
     boundaries: tuple[str, ...]
-    element_body: np.ndarray | None = None
+    element_body: np.ndarray = ABSENT
     bodies: tuple[str, ...] = ("body",)
     source: ngsolve.Mesh | None = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)

@@ -63,7 +63,10 @@ class OrderedFactors:
 
     @classmethod
     def of(
-        cls, matrix: sparse.csr_array, order: np.ndarray, threshold: float = 0.0
+        cls,
+        matrix: sparse.csr_array | sparse.csc_array,
+        order: np.ndarray,
+        threshold: float = 0.0,
     ) -> OrderedFactors:
         """Factorise, with pivots off the diagonal, which destroy the order, only where it is below
         a threshold."""

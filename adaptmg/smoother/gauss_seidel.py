@@ -54,6 +54,7 @@ class Smoother(Protocol):
     ) -> float:
         """Improve ``unknowns`` in place by ``sweeps`` sweeps; return the passes over the matrix
         that it took."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +143,7 @@ class ProjectedGaussSeidel:
 def _check(system: LocalSystem, contact: NodalContact, **vectors: np.ndarray) -> None:
     """Raise unless ``vectors`` (n_dofs,) and the arrays of ``contact`` are as the kernel, which
     checks nothing, reads them: contiguous float64 arrays that fit ``system``."""
+    expected: dict[str, tuple[np.ndarray, tuple[int, ...]]]
     expected = {name: (value, (system.n_dofs,)) for name, value in vectors.items()}
     n = len(system.nodes)
     expected |= {

@@ -192,12 +192,15 @@ class Span(Protocol):
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
         """Return S e."""
+        ...
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
         """Return B e (n_contact, dim)."""
+        ...
 
     def restricted(self, forces: np.ndarray) -> np.ndarray:
         """Return B'q of forces (n_contact, dim)."""
+        ...
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
         """Factor S + B'DB, D the blocks (n_contact, dim, dim) of the nodes; return None where that

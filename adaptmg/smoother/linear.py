@@ -68,6 +68,7 @@ class Prepared(Protocol):
 
     def solve(self, rhs: np.ndarray, rtol: float = 1e-10) -> LinearSolution:
         """Solve K x = rhs to |rhs - K x| <= rtol |rhs|, Euclidean."""
+        ...
 
 
 class LinearSolver(Protocol):
@@ -83,6 +84,7 @@ class LinearSolver(Protocol):
         previous: Prepared | None = None,
     ) -> Prepared:
         """Prepare to solve with a matrix."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +202,7 @@ class AMG:
                 sparse.bsr_matrix(basis),
                 B=near_nullspace,
                 symmetry="symmetric",
-                strength=("symmetric", {"theta": 0.0}),
+                strength=("symmetric", {"theta": 0.0}),  # pyright: ignore[reportArgumentType]  pyamg has no stubs
                 presmoother=smoother,
                 postsmoother=smoother,
             )

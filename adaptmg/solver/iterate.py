@@ -49,6 +49,7 @@ class Iteration(Protocol):
     def step(self) -> State | Status:
         """Do the next step (the first one: what comes before the first measurement); a status where
         the method gives up."""
+        ...
 
 
 def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status:

@@ -178,3 +178,4 @@ class Solver(Protocol):
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level of ``hierarchy`` from ``start`` (n_nodes, dim) or zero, writing
         to ``run``."""
+        ...

@@ -23,7 +23,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -355,7 +355,8 @@ class TruncatedRun:
                 parts.coarse_smoother,
                 parts.correct,
             )
-        self.problems: list[DiscreteProblem | None] = [
+        # Any: None on coarse spaces, whose problems nothing reads
+        self.problems: list[DiscreteProblem | Any] = [
             level.discrete_or_none for level in hierarchy.levels
         ]
         self._coarse: CoarseContact | None = None

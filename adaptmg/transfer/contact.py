@@ -180,9 +180,9 @@ def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str
         pair
         for pair in dict.fromkeys(pairs)
         if set(pair) <= set(mesh.boundaries)
-        and len(np.intersect1d(*map(mesh.boundary_nodes, pair)))
+        and len(np.intersect1d(mesh.boundary_nodes(pair[0]), mesh.boundary_nodes(pair[1])))
     ]
-    return [faces for pair in shared for faces in (pair, pair[::-1])]
+    return [faces for one, other in shared for faces in ((one, other), (other, one))]
 
 
 def _on_side(
@@ -218,7 +218,7 @@ def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.c
     nodal = checks.sparse_matrix(
         f"what transfer.build of {checks.shown(transfer)} returns", returned
     )
-    nodal = sparse.csr_array(nodal, dtype=np.float64)
+    nodal = sparse.csr_array(nodal, dtype=np.float64)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs
     if not nodal.has_sorted_indices:  # products sort in place, and prolongations are read-only
         nodal = nodal.sorted_indices()
     largest = largest_entry(nodal.data)

@@ -22,9 +22,10 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
     the mean of the others' diagonals. TypeError or ValueError where the matrices do not fit, or
     their indices are damaged."""
     checks.instance("matrix", matrix, sparse.bsr_array)
-    checks.sparse_matrix("matrix", matrix, (matrix.shape[0],) * 2)
-    nodal = checks.sparse_matrix("nodal", nodal, (matrix.shape[0] // matrix.blocksize[0], None))
-    return coarse_matrix(matrix, sparse.csr_array(nodal))
+    n_dofs = matrix.shape[0]
+    checks.sparse_matrix("matrix", matrix, (n_dofs, n_dofs))
+    rows = checks.sparse_matrix("nodal", nodal, (n_dofs // matrix.blocksize[0], None))
+    return coarse_matrix(matrix, sparse.csr_array(rows))
 
 
 def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
@@ -93,7 +94,8 @@ def _with_diagonal_blocks(
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:
     # a copy: duplicates are summed in place
-    P = sparse.csr_array(checks.sparse_matrix(name, value), dtype=np.float64, copy=True)
+    given = checks.sparse_matrix(name, value)
+    P = sparse.csr_array(given, dtype=np.float64, copy=True)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs
     P.sum_duplicates()
     largest = np.abs(P.data).max(initial=0.0)
     if not _SMALLEST <= largest <= 1 / _SMALLEST:
@@ -146,7 +148,7 @@ def without_fixed(
             (matrix.data.copy(), matrix.indices, matrix.indptr), shape=matrix.shape
         )
     free = (~fixed).astype(np.float64).reshape(-1, dim)
-    held = ~free.all(axis=1)
+    held: np.ndarray = ~np.all(free, axis=1)
     rows = np.repeat(np.arange(len(free)), np.diff(matrix.indptr))
     # few blocks are touched
     at = np.flatnonzero(held[rows] | held[matrix.indices])
@@ -175,7 +177,7 @@ def aggregated_prolongations(
         made = pyamg.smoothed_aggregation_solver(
             sparse.bsr_matrix(without_fixed(matrix, fixed)),
             B=modes,
-            strength=("symmetric", {"theta": 0.0}),
+            strength=("symmetric", {"theta": 0.0}),  # pyright: ignore[reportArgumentType]  pyamg has no stubs
             max_coarse=max_coarse,
             max_levels=10,
         )

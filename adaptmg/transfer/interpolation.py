@@ -37,6 +37,7 @@ class Transfer(Protocol):
     def build(self, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
         """Return the nodal prolongation (n_fine, n_coarse); rows should sum to 1, or rigid
         translations are not reproduced."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)

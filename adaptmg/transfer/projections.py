@@ -19,7 +19,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from scipy import sparse
@@ -208,7 +208,8 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
     low, high = 0.5, (dim + 2) / 2
     middle, half = (high + low) / 2, (high - low) / 2
     sigma = middle / half
-    scaled_mass, scaled_rhs = inverse @ mass, inverse @ rhs
+    scaled_mass = inverse @ mass
+    scaled_rhs = cast("Any", inverse @ rhs)  # scipy-stubs: sparse or dense as rhs is
     solution = step = scaled_rhs / middle
     root = np.sqrt(high / low)
     steps = int(np.ceil(np.log(2 / tolerance) / np.log((root + 1) / (root - 1))))
@@ -223,7 +224,7 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
                 interpolation.dropped(step, drop),
                 interpolation.dropped(solution, drop),
             )
-    return solution
+    return cast("Any", solution)
 
 
 COVERED = 1e-11
@@ -333,9 +334,9 @@ def _body_entries(
         )
         if done == len(elements):
             break
-        element, columns, values = (
-            np.concatenate([a, np.empty_like(a)]) for a in (element, columns, values)
-        )
+        element = np.concatenate([element, np.empty_like(element)])
+        columns = np.concatenate([columns, np.empty_like(columns)])
+        values = np.concatenate([values, np.empty_like(values)])
     whole = np.zeros(len(fine.elements), dtype=bool)
     whole[elements] = np.abs(covered - 1.0) <= COVERED
     entries = np.flatnonzero(whole[element[:count]])
