@@ -118,7 +118,7 @@ class Level:
         return self.__dict__["mesh"]
 
     @property
-    def contact_prolongation(self) -> sparse.csr_array | None:
+    def contact_prolongation(self) -> sparse.csr_array:
         """Return the form of the prolongation for corrections that carry constraints to the coarse
         contact nodes."""
         return self.prolongation if self.surface_prolongation is None else self.surface_prolongation

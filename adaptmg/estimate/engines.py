@@ -436,7 +436,7 @@ def graded_sizes(
     weights = np.concatenate([growth * lengths, sizes])
     ends = np.append(i, np.full(n, n)), np.append(j, np.arange(n))
     graph = sparse.csr_array((weights, ends), shape=(n + 1, n + 1))
-    return dijkstra(graph, directed=False, indices=n)[:n]
+    return dijkstra(graph, directed=False, indices=n)[:n]  # pyright: ignore[reportArgumentType]  scipy-stubs
 
 
 @dataclass(frozen=True, eq=False)

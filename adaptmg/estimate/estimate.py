@@ -198,6 +198,7 @@ class Indicator(Protocol[AnyEstimate]):
 
     def indicate(self, hierarchy: Hierarchy, result: Result) -> AnyEstimate:
         """Return the estimate for the elements of the finest mesh."""
+        ...
 
 
 def estimate_of(indicator: Indicator, hierarchy: Hierarchy, result: Result) -> Estimate:
@@ -224,6 +225,7 @@ class Mark(Protocol):
 
     def mark(self, estimate: Estimate) -> np.ndarray:
         """Return the mask (n_elements,) of the marked elements."""
+        ...
 
 
 def marks_of(mark: Mark, estimate: Estimate) -> np.ndarray:

@@ -24,6 +24,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -59,8 +60,8 @@ class GoalEstimate(Estimate):
     1
     """
 
-    value: float
-    signed: float
+    value: float  # pyright: ignore[reportGeneralTypeIssues]  all are keywords
+    signed: float  # pyright: ignore[reportGeneralTypeIssues]
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: np.ndarray  # of the discrete solution
@@ -152,7 +153,9 @@ class Goal:
     def quantities(self) -> tuple[Quantity, ...]:
         """Return all quantities."""
         return (
-            tuple(self.quantity) if isinstance(self.quantity, (list, tuple)) else (self.quantity,)
+            tuple(self.quantity)
+            if isinstance(self.quantity, (list, tuple))
+            else (cast("Quantity", self.quantity),)
         )
 
     @one_blas_thread()
@@ -190,7 +193,7 @@ class Goal:
         ]
         values = np.array([one.value for one in functionals])
         return GoalEstimate(
-            squares=sum(squares),
+            squares=sum(squares, np.zeros(len(squares[0]))),
             norm=this.norm,
             terms={name: part.sum() for name, part in zip(names, squares, strict=True)},
             indicator=f"dual-weighted residuals for {names[0]}"

@@ -28,7 +28,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING, Any, Generic, cast
 
 import numpy as np
 
@@ -287,13 +287,14 @@ class AdaptiveLoop:
         while True:
             last = self.done[-1]
             reason = self._reached(last)
+            mesh = None
             if not reason:
                 mesh, reason = self._refine(last)
             if reason:
                 object.__setattr__(last, "outcome", reason)
                 _LOG.debug("the adaptive loop ends: %s", reason)
                 return
-            yield self._solve(*self._carry(last, mesh))
+            yield self._solve(*self._carry(last, cast("MeshArrays", mesh)))
 
     def _reached(self, last: Step) -> str:
         """Which limit a step has reached, as text; empty if none."""
@@ -362,7 +363,7 @@ class AdaptiveLoop:
                 if most is None or finer.n_nodes <= most:
                     return finer, ""
                 # sizes are met roughly only: ask for as much less
-                bound = int(0.98 * bound * most / finer.n_nodes)
+                bound = int(0.98 * cast("int", bound) * most / finer.n_nodes)
         return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {most} are allowed"
 
     @one_blas_thread()
@@ -397,6 +398,7 @@ class AdaptiveLoop:
         self._report("estimate", hierarchy.finest.n_nodes)
         with self.clock.phase("estimate"):
             if path is None:
+                result = cast("Result", result)
                 estimate = estimate_of(parts.indicator, hierarchy, result)
             else:
                 k, estimate, self.steering = _path_estimate(hierarchy, parts, path)
@@ -471,7 +473,7 @@ class AdaptiveLoop:
             stored.timings,
             path=stored.path,
             settled=settled(stored.estimate, last and last.estimate),
-            **stored.numbers,
+            **cast("Any", stored.numbers),  # names of seconds and work units
         )
 
     def _remember(self, step: Step) -> None:
@@ -525,7 +527,7 @@ MOST_BETWEEN, GROWTH = 4, 1.2
 def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarchy:
     """Return the hierarchy with a finer mesh, and meshes between it and the present finest where
     the size ratio asks for them."""
-    between = getattr(engine, "intermediate", None)
+    between = cast("Any", getattr(engine, "intermediate", None))
     for _ in range(MOST_BETWEEN if callable(between) else 0):
         finest = hierarchy.finest.mesh
         if size_ratio(finest, mesh) <= RATIO:
@@ -596,7 +598,9 @@ def _path_estimate(
     steps = range(len(results)) if parts.adapt_on == "worst" else (len(results) - 1,)
     estimates = {
         k: estimate_of(
-            parts.indicator, posed_at(hierarchy, parts.load_path, results, k), results[k]
+            parts.indicator,
+            posed_at(hierarchy, cast("LoadPath", parts.load_path), results, k),
+            results[k],
         )
         for k in steps
         if parts.adapt_on == "last" or results[k].displacement.any()

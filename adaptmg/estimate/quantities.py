@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.estimate.adjoint import LinearisedContact, linearised_contact
 from adaptmg.estimate.stress_fields import Posed
 from adaptmg.geometry.search import BoxTree
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, Refinement
 from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.onto_domain import onto_domain
 from adaptmg.problem import ContactProblem
@@ -73,7 +73,8 @@ class GoalView:
 
     def interpolated(self, coarse: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) of the coarse mesh, relative coordinates, on this one."""
-        nodal = self.coarse.discrete.physical(coarse).reshape(-1, self.mesh.dim)
+        # of a halved mesh only
+        nodal = cast("GoalView", self.coarse).discrete.physical(coarse).reshape(-1, self.mesh.dim)
         return self.discrete.relative(_halved(self.mesh, nodal, _mean)).reshape(-1)
 
     def halved(self) -> tuple[GoalView, np.ndarray]:
@@ -107,7 +108,7 @@ def _halved(
     """Values (n_nodes, ...) of a mesh that was bisected, from those of the first nodes, by a rule
     for halved edges."""
     n = len(values)
-    first, second = mesh.refinement.parents[n:].T
+    first, second = cast("Refinement", mesh.refinement).parents[n:].T
     result = np.concatenate([values, np.zeros((len(first), *values.shape[1:]), values.dtype)])
     while True:  # a new node may halve an edge of another one, whose number is lower
         new = rule(result[first], result[second])
@@ -141,6 +142,7 @@ class Quantity(Protocol):
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the quantity, or several, of a solution."""
+        ...
 
 
 def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
@@ -202,7 +204,7 @@ class Displacement:
                 f"points must all have 2 or all 3 coordinates, got {checks.shown(self.points)}"
             ) from None
         points = (
-            []
+            np.empty((0, 0))
             if 0 in shape
             else checks.array(
                 "points", [self.points] if len(shape) == 1 else self.points, (None, None)
@@ -246,7 +248,12 @@ class Displacement:
             nodal[mesh.elements[element], k] = weights
             value = float(np.sum(nodal * view.displacement))
             result.append(
-                Functional(f"u_{'xyz'[k]} at {_place(point)}", value, "m", view.load_of(nodal))
+                Functional(
+                    f"u_{'xyz'[k]} at {_place(cast('Sequence[float]', point))}",
+                    value,
+                    "m",
+                    view.load_of(nodal),
+                )
             )
         return result
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.moduli import Moduli, body_materials, isotropic
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.sides import TieForces
 from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.discrete.supports import node_at
 from adaptmg.hierarchy import Hierarchy
@@ -209,7 +211,7 @@ class Posed:
             for load in self.problem.loads
             if isinstance(load, PointForce)
         ]
-        return ~np.isin(self.mesh.elements, nodes).any(axis=1)
+        return ~np.any(np.isin(self.mesh.elements, nodes), axis=1)
 
     @cached_property
     def norm(self) -> float:
@@ -230,7 +232,7 @@ class Posed:
         unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
         forces, volumes = self.discrete.matrix @ unknowns, self.discrete.volumes
         return unknowns, forces if volumes is None else forces + volumes.forces(
-            self.result.pressures
+            cast("np.ndarray", self.result.pressures)
         )
 
     def check_loads(self) -> None:
@@ -338,17 +340,18 @@ def contact_tractions(
     sides = np.zeros(mesh.n_nodes, dtype=np.int64)
     for name in set(names):
         sides[mesh.surface(name).nodes] += 1
+    tied = cast("TieForces", ties)  # read for each name
     for k, name in enumerate(names):
-        surface, own = mesh.surface(name), ties.boundary == k
+        surface, own = mesh.surface(name), tied.boundary == k
         mass = surface.lumped(axisymmetric)[surface.nodes, None]
         values = np.zeros((len(surface.nodes), mesh.dim))
-        values[np.searchsorted(surface.nodes, ties.node[own])] = ties.force[own]
+        values[np.searchsorted(surface.nodes, tied.node[own])] = tied.force[own]
         values = np.divide(values, mass, out=np.zeros_like(values), where=mass > 0)
         # where several meet, and at slave nodes that are not tied, the traction is that of the
         # neighbours
         lone = sides[surface.nodes] == 1
         _fill(
-            surface, lone & (np.isin(surface.nodes, ties.node[own]) if k % 2 == 0 else True), values
+            surface, lone & (np.isin(surface.nodes, tied.node[own]) if k % 2 == 0 else True), values
         )
         before = found[name].values if name in found else 0.0
         found[name] = SurfaceTraction(surface.facets, surface.nodes, before + values)

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 from scipy import sparse
@@ -65,6 +65,7 @@ class Correction(Protocol):
     @property
     def needs_initial(self) -> bool:
         """Whether :meth:`transport` gets the first solution on the coarse level."""
+        ...
 
     def transport(
         self,
@@ -75,6 +76,7 @@ class Correction(Protocol):
         initial: InitialContact | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the coarse gap D, slip U and limit G."""
+        ...
 
 
 class Recorder(Protocol):
@@ -149,9 +151,10 @@ class CorrectionLevel:
     """One level of the coarse correction."""
 
     system: LocalSystem  # matrix on this level, local components
-    prolongation: sparse.bsr_array | None = None  # from the next coarser level, in local components
-    restriction: sparse.bsr_array | None = None
-    contact_prolongation: sparse.csr_array | None = None  # (n_contact, n_contact coarse)
+    # Any: the coarsest level has None, and is not asked for them
+    prolongation: sparse.bsr_array | Any = None  # from the next coarser level, in local components
+    restriction: sparse.bsr_array | Any = None
+    contact_prolongation: sparse.csr_array | Any = None  # (n_contact, n_contact coarse)
 
     @cached_property
     def supports(self) -> Supports:
@@ -390,12 +393,12 @@ class PaperCorrection:
             self.gap
         ](reach, opening)
         slips = {
-            "initial": lambda: initial.slip,
+            "initial": lambda: cast("InitialContact", initial).slip,  # see needs_initial
             "injected": lambda: injected_slip(reach, slip),
             "minmod": lambda: minmod_slip(reach, slip, (slip == 0.0).all(axis=1)),
         }
         limits = {
-            "initial": lambda: initial.limit,
+            "initial": lambda: cast("InitialContact", initial).limit,
             "injected": lambda: injected_limit(reach, limit),
             "summed": lambda: summed_limit(reach, limit),
         }

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from scipy import linalg, sparse
@@ -35,8 +35,9 @@ class LinearLevel:
     """One level with its operators: matrix, prolongation, smoother and vectors."""
 
     matrix: SplitMatrix
-    below: LinearLevel | None  # the next coarser one
-    prolongation: sparse.csr_array | None  # from there, nodal or by dofs
+    # Any: the coarsest level has None of both, and is not asked for them
+    below: LinearLevel | Any  # the next coarser one
+    prolongation: sparse.csr_array | Any  # from there, nodal or by dofs
     pre: int  # sweeps before the coarse correction
     post: int  # and after it
     smoother: _LevelSmoother | None = None  # in place of the sweeps
@@ -175,7 +176,7 @@ class LinearCycle:
             below = self.levels[-1] if self.levels else None
             self.levels.append(LinearLevel(matrix, below, prolongation, pre, post))
         self.factors = CoarseFactors(matrices[0], coarse_solve)
-        self._corrector: PreparedSolve | None = None
+        self._corrector: PreparedSolve | Any = None  # Any: made by renew before it is read
 
     @property
     def reads_diagonals(self) -> bool:
@@ -189,8 +190,9 @@ class LinearCycle:
             self._corrector = self._prepared(number)
             return
         self.factors.renew()
-        for level in self.levels[1:number] if self.coarse_smoother is not None else ():
-            level.smoother = _LevelSmoother(self.coarse_smoother, level.matrix)
+        if self.coarse_smoother is not None:
+            for level in self.levels[1:number]:
+                level.smoother = _LevelSmoother(self.coarse_smoother, level.matrix)
 
     def solve(self, number: int, load: np.ndarray, smooth: bool = True) -> np.ndarray:
         """Run the cycles of one correction from zero for a load (n_dofs,) of a level; return their
@@ -248,7 +250,7 @@ class LinearCycle:
         prolongations = [
             _by_dofs(level.prolongation, level.matrix.n_dofs) for level in self.levels[1:number]
         ]
-        made = self.correction.setup(matrices, prolongations)
+        made = cast("LinearCorrection", self.correction).setup(matrices, prolongations)
         words = "an object with solve(rhs) -> solution"
         return checks.offers("correct: what setup returns", made, "solve", words)
 
@@ -302,7 +304,8 @@ class CoarseFactors:
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self.forget()
         self._probe = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
-        self._solve: Callable[[np.ndarray], np.ndarray] | None = None
+        # Any: made by renew before it is read
+        self._solve: Callable[[np.ndarray], np.ndarray] | Any = None
         self._prepared: PreparedSolve | None = None
 
     def forget(self) -> None:
@@ -374,6 +377,7 @@ class PreparedSolve(Protocol):
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Return the solution (n_dofs,) for a right-hand side (n_dofs,)."""
+        ...
 
 
 class PreparedSmoother(Protocol):
@@ -381,6 +385,7 @@ class PreparedSmoother(Protocol):
 
     def smooth(self, rhs: np.ndarray, x: np.ndarray) -> float:
         """Improve x (n_dofs,) in place; returns the passes over the matrix that it took."""
+        ...
 
 
 class LinearSolve(Protocol):
@@ -392,6 +397,7 @@ class LinearSolve(Protocol):
         symmetric; where only contact holds a body it may be singular. The passes over the matrix
         that the object's ``passes`` names for its last solve, if it has them, are counted as
         work."""
+        ...
 
 
 class LinearSmoother(Protocol):
@@ -399,6 +405,7 @@ class LinearSmoother(Protocol):
 
     def setup(self, matrix: sparse.csr_array) -> PreparedSmoother:
         """Prepare for a matrix; see :meth:`LinearSolve.setup`."""
+        ...
 
 
 class LinearCorrection(Protocol):
@@ -410,6 +417,7 @@ class LinearCorrection(Protocol):
         """Prepare for the matrices (coarsest first; the last one is solved with) and the
         prolongations (n_dofs, n_dofs of the next coarser level) between them, whenever the contact
         status changes them; see :meth:`LinearSolve.setup`."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -458,7 +466,7 @@ class PyAMG:
         for matrix, prolongation in zip(
             reversed(matrices), [*reversed(prolongations), None], strict=True
         ):
-            level = pyamg.MultilevelSolver.Level()
+            level: Any = pyamg.MultilevelSolver.Level()  # pyamg has no stubs
             level.A = sparse.csr_matrix(matrix)
             if prolongation is not None:
                 level.P = sparse.csr_matrix(prolongation)

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -166,7 +167,8 @@ class SplitMatrix:
         """Return the whole matrix (n_dofs, n_dofs), sorted; needs ``diagonal``."""
         order, indptr, indices = self._order
         return sparse.bsr_array(
-            (np.concatenate(self._blocks)[order], indices, indptr), shape=(self.n_dofs,) * 2
+            (np.concatenate(self._blocks)[order], indices, indptr),
+            shape=(self.n_dofs, self.n_dofs),
         )
 
 
@@ -265,7 +267,9 @@ def galerkin_levels(
             matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
         else:
             finer = seen(nodal, finer)
-            matrix = coarse_matrix(_supported(matrix, fine, nodal, level.discrete), finer)
+            # below a coarse space there are only others
+            problem = cast("DiscreteProblem", fine)
+            matrix = coarse_matrix(_supported(matrix, problem, nodal, level.discrete), finer)
             fixed = level.discrete.fixed
         fine = level.discrete_or_none
         result.insert(0, split(matrix, fixed))

@@ -32,12 +32,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import linalg, sparse
 
 from adaptmg._numba import kernel
 from adaptmg._threads import sum_of_parts
+from adaptmg.discrete.volumes import Volumes
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import LinearCycle, least_weights, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
@@ -127,8 +129,11 @@ class TruncatedStep:
     def smooth(self) -> None:
         """Improve the iterate locally; leaves f - A u in ``residual``."""
         self._projected_sweeps()
-        for k in range(self._interface_sweeps):
-            self._interface_sweep(self.interface.backward if k % 2 == 0 else self.interface.forward)
+        if self.interface is not None:
+            for k in range(self._interface_sweeps):
+                backward = k % 2 == 0
+                order = self.interface.backward if backward else self.interface.forward
+                self._interface_sweep(self.interface, order)
         if self.motions is not None:
             # pressures stand behind the unknowns
             past = [iterate[: len(self.unknowns)] for iterate, _ in self._past]
@@ -139,7 +144,7 @@ class TruncatedStep:
         coarse matrices. A residual above ``trusted`` (N) freezes g in the matrices, which keeps
         them symmetric."""
         changed, natural, reactions = self.contact.update_status(self.residual)
-        whole = None if self.pressures is None else self.residual.copy()
+        whole = self.residual if self.pressures is None else self.residual.copy()
         at_contact = self.contact.truncate(self.residual)
         self._restricted = np.empty(self.coarse.n_dofs)
         elsewhere = max(self.level.restrict(self.residual, self._restricted) - at_contact, 0.0)
@@ -161,7 +166,10 @@ class TruncatedStep:
             self._frozen = frozen
             self._uniform = []
         if self.pressures is not None and not self._uniform and changed <= self.FEW:
-            self._uniform = [self._of_uniform(whole, one) for one in self.pressures.uniform()]
+            self._uniform = [
+                self._of_uniform(self.pressures.volumes, whole, one)
+                for one in self.pressures.uniform()
+            ]
         return StepState(changed, residual, float(np.sqrt(reactions)), energy)
 
     def correct(self, shorten: bool = False) -> float:
@@ -257,16 +265,16 @@ class TruncatedStep:
         )
 
     def _of_uniform(
-        self, residual: np.ndarray, pressures: np.ndarray
+        self, volumes: Volumes, residual: np.ndarray, pressures: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """The pressures, and what they add to the restricted residual and to what volumes miss."""
         changed, restricted = (
-            residual - self.pressures.volumes.forces(pressures),
+            residual - volumes.forces(pressures),
             np.empty(self.coarse.n_dofs),
         )
         self.contact.truncate(changed)
         self.level.restrict(changed - self.residual, restricted)
-        return pressures, np.append(restricted, -self.pressures.volumes.compliance * pressures)
+        return pressures, np.append(restricted, -volumes.compliance * pressures)
 
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
@@ -295,19 +303,19 @@ class TruncatedStep:
         self.cycle.recorder.count(1.0, matrix.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
 
-    def _interface_sweep(self, order: np.ndarray) -> None:
+    def _interface_sweep(self, interface: Interface, order: np.ndarray) -> None:
         c = self.contact
         projected_sweeps.local(
             ZERO[self.matrix.dim],
             order,
-            *self.interface.arrays,
+            *interface.arrays,
             self.matrix.inverse,
             c.contact_of,
             *c.node_data,
             self.unknowns,
             self.residual,
         )
-        self.cycle.recorder.count(1.0, self.interface.nonzeros)
+        self.cycle.recorder.count(1.0, interface.nonzeros)
 
     def _recombined(self, iterate: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         r"""The iterate and its restricted residual, recombined with the last ones: the weights of
@@ -361,7 +369,7 @@ class TruncatedStep:
         """Square of the A-norm of the difference to other unknowns; half a pass."""
         matrix, arrays = self.matrix, self.matrix.lower_arrays
         self.cycle.recorder.count(0.5, matrix.nonzeros)
-        return sum_of_parts(
+        parts = sum_of_parts(
             projected_sweeps.energy_product,
             matrix.n_nodes,
             len(arrays[-1]),
@@ -372,6 +380,7 @@ class TruncatedStep:
             self.unknowns,
             other,
         )
+        return float(parts)
 
     def rounding(self) -> float:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that
@@ -407,9 +416,12 @@ class CoarseContact:
 
     def __init__(self, step: TruncatedStep, coordinates: list[np.ndarray | None]) -> None:
         self.step = step
-        self.number, rows, nodes = next(self._spaces(), (None, None, None))
-        if self.number is None:
+        #: Any: None where no level serves; then it is not called
+        self.number: int | Any = None
+        space = next(self._spaces(), None)
+        if space is None:
             return
+        self.number, rows, nodes = space
         levels, contact, dim = step.cycle.levels, step.contact, step.contact.dim
         matrix = step.base_matrix(self.number)
         fixed = np.zeros(matrix.shape[0], dtype=bool)

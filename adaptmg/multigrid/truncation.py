@@ -13,8 +13,8 @@ one slot number: L first, then the diagonal, then U."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -129,10 +129,13 @@ class _ChangedBlocks(_Changed):
         return self._change
 
 
-class _Update:
+Changed = TypeVar("Changed", bound=_Changed)
+
+
+class _Update(Generic[Changed]):
     """Carries changes of the finest level down the levels ``below``, finest of them first."""
 
-    below: Sequence[_Changed]
+    below: list[Changed]
 
     def restore(self) -> None:
         """Put the base matrices back."""
@@ -140,7 +143,7 @@ class _Update:
             below.store(np.zeros(len(below.base)))
 
 
-class DofUpdate(_Update):
+class DofUpdate(_Update[_ChangedDofs]):
     """The carrier to levels of single dofs, by sparse products."""
 
     def __init__(
@@ -191,7 +194,7 @@ class DofUpdate(_Update):
             matrix = below.update(matrix)
 
 
-class NodalUpdate(_Update):
+class NodalUpdate(_Update[_ChangedBlocks]):
     """The carrier by nodal prolongations, through lists of products made once."""
 
     def __init__(

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -33,7 +34,13 @@ from scipy import sparse
 from adaptmg._checks import indices_frozen
 from adaptmg._on_demand import Token
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.discrete.volumes import Volumes
 from adaptmg.multigrid.linear_cycle import least_weights
+
+
+def _volumes(problem: DiscreteProblem) -> Volumes:
+    """Return the volumes of a problem that has them: what this module is for."""
+    return cast("Volumes", problem.volumes)
 
 
 class VolumePressures:
@@ -43,7 +50,7 @@ class VolumePressures:
     CAUTIOUS, STEPS = 0.5, 2
 
     def __init__(self, problem: DiscreteProblem, start: np.ndarray | None = None) -> None:
-        volumes, free = problem.volumes, (~problem.fixed).astype(float)
+        volumes, free = _volumes(problem), (~problem.fixed).astype(float)
         rows = sparse.csr_array(
             (
                 volumes.rows.data * free[volumes.rows.indices],
@@ -62,7 +69,7 @@ class VolumePressures:
         if start is not None:
             self.values = start.copy()
         self._cautious = 0
-        self._prescribed = problem.volumes.strains(problem.fixed_values)
+        self._prescribed = _volumes(problem).strains(problem.fixed_values)
 
     @property
     def weights(self) -> np.ndarray:
@@ -126,7 +133,7 @@ _MOST = 100.0  # c
 @remembered_of_structure
 def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
     """The problem with its whole matrix, and kappa of the groups as far as the matrix has it."""
-    volumes = problem.volumes
+    volumes = _volumes(problem)
     with np.errstate(divide="ignore"):
         kappa = np.minimum(1 / volumes.compliance, _MOST * volumes.modulus)
     rows = sparse.diags_array(np.sqrt(kappa / volumes.areas), format="csr") @ volumes.rows
@@ -153,14 +160,15 @@ class Augmented:
 
     def __init__(self, problem: DiscreteProblem, pressures: np.ndarray | None) -> None:
         formed, self._kappa = _formed(problem)
-        self._volumes, rest = problem.volumes, 1 - self._kappa * problem.volumes.compliance
+        volumes = _volumes(problem)
+        self._volumes, rest = volumes, 1 - self._kappa * volumes.compliance
         self._before = np.zeros(len(rest)) if pressures is None else pressures
         self._offset = rest * self._before
         #: whether the first solve ends it
         self.exact = not (rest > 1e-12).any()
-        resting = self._offset - self._kappa * problem.volumes.expansion
+        resting = self._offset - self._kappa * volumes.expansion
         self.problem = formed.posing(
-            load=problem.load - problem.volumes.forces(resting),
+            load=problem.load - volumes.forces(resting),
             law=problem.law,
             fixed_values=problem.fixed_values,
             contact=problem.contact,
