@@ -44,7 +44,9 @@ class Certificate:
         friction on its bound and opposite to the slip, less that of the claimed friction), 'slip
         along the force' (weighted by force), 'open, touching' (forces at open nodes), 'touching,
         open' (gaps at touching nodes), 'slip, sticking' (slip at sticking nodes), 'balance' (sum of
-        loads and all reactions).
+        loads and all reactions); of results on meshes also 'stiffness' (the nodal forces of an
+        affine field against its tractions and springs) and 'loads' (force and moment against
+        what is posed), by closed forms that share nothing with the assembly.
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned
         steps: mostly 0 to 10 % too large, seldom too small. Where a solve stopped far below its
@@ -106,7 +108,7 @@ class Certificate:
         names = [
             line.name
             for line in self.lines
-            if beyond(line.relative, self.FACTOR * rtol, line.rounding)
+            if beyond(line.relative, line.limit or self.FACTOR * rtol, line.rounding)
         ]
         if beyond(self.energy_error, energy_factor * rtol, self.energy_rounding):
             names.append("energy error")
@@ -146,10 +148,12 @@ def certify(
     rtol: float = 0.0,
     pressures: np.ndarray | None = None,
     residual: np.ndarray | None = None,
+    posed: tuple[Condition, ...] = (),
 ) -> Certificate:
     """Check a displacement and the contact forces and states that go with it; of a problem with
     volumes also their ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by
-    one step. ``residual``: b - A w, if it was computed."""
+    one step. ``residual``: b - A w, if it was computed. ``posed``: lines of what the matrix and
+    the load must contain (:mod:`adaptmg.solver.closed_forms`)."""
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
         evidence = Evidence(
@@ -157,7 +161,7 @@ def certify(
         )
         aggregates = None if bound or problem.fixed.all() else aggregates_of(problem)
         energy, energy_rounding = evidence.energy_error(aggregates, rtol)
-        lines = evidence.lines()
+        lines = (*evidence.lines(), *posed)
     return Certificate(
         lines,
         0.0 if evidence.idle else energy,
@@ -205,6 +209,7 @@ class Condition:
     unit: str  # of both; empty for a number
     relative: float
     rounding: float = 0.0  # the part of relative that rounding explains
+    limit: float = 0.0  # the largest relative one, whatever the tolerance; 0: by the tolerance
 
 
 class Evidence:

@@ -35,7 +35,7 @@ from adaptmg.smoother.system import (
     held_tangents,
     local_contact,
 )
-from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.certificate import Certificate, Condition, certify
 
 if TYPE_CHECKING:
     import pandas
@@ -252,8 +252,9 @@ class Examined:
 class Examiner:
     """Examines displacements of one problem."""
 
-    def __init__(self, discrete: DiscreteProblem) -> None:
+    def __init__(self, discrete: DiscreteProblem, posed: tuple[Condition, ...] = ()) -> None:
         self.discrete = discrete
+        self.posed = posed
         self.contact, self.frames = local_contact(discrete)
         self.held, self.blocks = held_tangents(discrete), contact_blocks(discrete)
         self.sizes = Sizes(discrete)
@@ -323,7 +324,13 @@ class Examiner:
         contact = self._contact_result(solved, residual)
         natural = self._residual(solved, residual, pressures)
         checked = certify(
-            discrete, displacement, contact, rtol=rtol, pressures=pressures, residual=residual
+            discrete,
+            displacement,
+            contact,
+            rtol=rtol,
+            pressures=pressures,
+            residual=residual,
+            posed=self.posed,
         )
         residual = -residual
         if discrete.inclined is not None:

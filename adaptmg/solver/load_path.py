@@ -31,6 +31,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
+from adaptmg.solver.closed_forms import posed_conditions
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import (
     Controls,
@@ -413,7 +414,9 @@ class PathLoop:
         for k in range(len(path)):
             # two supports that no longer agree should show before the first step is solved
             self.loads[-1].fixed_values(self._factors_at(k))
-        self.examiner = Examiner(grids.finest.discrete)
+        finest = grids.finest
+        posed = posed_conditions(grids.problem, finest.mesh_or_none, finest.discrete)
+        self.examiner = Examiner(finest.discrete, posed)
         truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
         self.method = TruncatedSteps(solver) if truncated else _Restarted(solver)
         self.controls = Controls(

@@ -17,6 +17,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
+from adaptmg.solver.closed_forms import posed_conditions
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.multigrid import handed_over
 from adaptmg.solver.outcome import (
@@ -150,22 +151,23 @@ def solve(
     with run.phase("statics"):
         check_statics_of(grids)
     with run.phase("setup"):
-        run.examiner = examiner = Examiner(discrete)
+        posed = posed_conditions(grids.problem, grids.finest.mesh_or_none, discrete)
+        run.examiner = examiner = Examiner(discrete, posed)
         warn_of_several_solutions(grids)
         advise_on_problem(grids.problem, grids.finest.mesh_or_none)
     outcome = handed_over(
         checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run
     )
     with run.phase("result"):
-        posed, mesh = grids.problem, grids.finest.mesh_or_none
+        problem, mesh = grids.problem, grids.finest.mesh_or_none
         stress_data = (
             None
-            if posed is None or mesh is None
-            else StressData.of(mesh, posed.material, posed.loads, posed.elements)
+            if problem is None or mesh is None
+            else StressData.of(mesh, problem.material, problem.loads, problem.elements)
         )
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
-        advise_on_results(posed, [result])
-        advise_on_chords(posed, grids.finest, [result])
+        advise_on_results(problem, [result])
+        advise_on_chords(problem, grids.finest, [result])
     _LOG.info(
         "%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)",
         result.problem_name,
