@@ -119,7 +119,7 @@ class StopTest:
 
     def verdict(self) -> Status | None:
         """Return how the iteration ends; None if it goes on."""
-        if self._rounding or (self.met and not self.refused()):
+        if self.met and (self._rounding or not self.refused()):
             return Status.CONVERGED
         if self.diverged:
             return Status.DIVERGED
