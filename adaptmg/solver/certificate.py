@@ -50,10 +50,10 @@ class Certificate:
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned
         steps: mostly 0 to 10 % too large, seldom too small. Where a solve stopped far below its
-        rtol fewer steps do: one below .1 rtol, which may miss half of it, two below .6, which may
-        say half too much. Where the corrected displacement contradicts the status, the status may
-        change (:mod:`adaptmg.solver.aggregates`). With ``bound=True`` by a factorisation: exact for
-        this status, and infinite where it leaves a motion free that is loaded.
+        rtol two steps do, below .6 rtol, which may say half too much. Where the corrected
+        displacement contradicts the status, the status may change
+        (:mod:`adaptmg.solver.aggregates`). With ``bound=True`` by a factorisation: exact for this
+        status, and infinite where it leaves a motion free that is loaded.
     energy_rounding : float
         The part of it that rounding explains: of the displacement, and where the error is above
         rtol though all forces balance to the last digits, of the residual, too, measured: some
@@ -151,8 +151,8 @@ def certify(
     posed: tuple[Condition, ...] = (),
 ) -> Certificate:
     """Check a displacement and the contact forces and states that go with it; of a problem with
-    volumes also their ``pressures``, Pa. An energy error below a tenth of ``rtol`` is estimated by
-    one step. ``residual``: b - A w, if it was computed. ``posed``: lines of what the matrix and
+    volumes also their ``pressures``, Pa. An energy error far below ``rtol`` is estimated by two
+    steps. ``residual``: b - A w, if it was computed. ``posed``: lines of what the matrix and
     the load must contain (:mod:`adaptmg.solver.closed_forms`)."""
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
@@ -174,7 +174,8 @@ def certify(
 
 
 _OPEN, _SLIP, _STICK = 0, 1, 2
-#: share of rtol up to which one step estimates the energy error: further steps would make it a few times larger at most
+#: share of rtol that an energy error far below it has; times the factors of :mod:`adaptmg.solver.energy_error` the
+#: share up to which fewer steps estimate it
 _NEGLIGIBLE = 0.1
 #: share of the correction that penetrates, or of the largest pressure that pulls, from which on a status is wrong
 _WRONG = 0.05

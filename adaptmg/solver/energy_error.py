@@ -219,8 +219,9 @@ def correction(
     rounding: float,
 ) -> HeldCorrection:
     """Return the correction that a residual (n_nodes, dim), and the volumes ``missed`` (n_groups,),
-    bring about in the space of a status. If its energy is at most ``negligible`` after the first
-    step, 36 times that after the second, or 81 times after the third, that is the answer. A
+    bring about in the space of a status. If its energy is at most 36 times ``negligible``
+    after the second step, or 81 times after the third, that is the answer: an energy is never too
+    large after one step, however small it is, so that one step proves nothing. A
     residual whose norm is at most ``rounding`` loads no motion. Without aggregates by factors; the
     residual is overwritten."""
     status.project(residual)
@@ -340,8 +341,6 @@ def _estimated(
             ):
                 return HeldCorrection(energy, *total), True
             continue
-        if energy <= negligible:
-            return HeldCorrection(energy, *total), True
         basis[step - 1 - len(overlaps) : step, step - 1] = np.append(
             overlaps, np.sqrt(square)
         ) / np.sqrt(product)

@@ -321,19 +321,15 @@ def test_nothing_is_missing_where_all_dofs_are_fixed():
     assert am.solve(problem, am.SingleGrid()).checked.energy_error == 0.0
 
 
-def test_one_step_sees_what_is_smooth():
-    """Hats that keep the contact status; constants over boxes that leave contact out see a third of
-    it here."""
+def test_few_steps_are_not_too_small():
+    """Where the tolerance is far above the error, the estimate is that error or more."""
     hierarchy = grids(divisions=(4, 8, 16, 32, 64))
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6), throw=False)
     true = result.certificate(hierarchy.finest.discrete, bound=True).energy_error
-    one_step, more = (
-        certify(
-            hierarchy.finest.discrete, result.displacement, result.contact, rtol=rtol
-        ).energy_error
-        for rtol in (100 * true, 0.0)
-    )
-    assert 0.75 * true <= one_step < more
+    discrete = hierarchy.finest.discrete
+    for rtol in (0.0, true, 3 * true, 100 * true):
+        estimate = certify(discrete, result.displacement, result.contact, rtol=rtol).energy_error
+        assert 0.75 * true <= estimate <= 1.6 * true
 
 
 def test_a_result_shares_no_array_with_the_solver():
@@ -377,7 +373,8 @@ def test_it_is_printed_saved_and_computed_again(tmp_path):
         loaded.certificate(), Certificate
     )
     again = loaded.certificate(grids().finest.discrete, bound=True)
-    assert again.exact_energy and again.lines == result.certificate().lines
+    # what is posed is not computed again
+    assert again.exact_energy and again.lines == result.certificate().lines[: len(again.lines)]
     with pytest.raises(ValueError, match=r"^problem: this result keeps no matrix"):
         loaded.certificate(bound=True)
     with pytest.raises(TypeError, match="problem must be"):
