@@ -170,6 +170,15 @@ DEEP = two(line(np.linspace(0, 1, 4), -0.5), line(np.linspace(0, 1, 3), up=True)
 CUP, BAR = arc(1.0, np.linspace(-0.25 * np.pi, -0.75 * np.pi, 12)), np.array([-0.3, 0.3])
 
 
+def test_heights_of_chords_of_a_circle():
+    """Of a closed polygon of n sides in a circle: radius times 1 - cos(pi / n)."""
+    radius, n = 3.0, 40
+    points, facets, *_ = two(*2 * [arc(radius, 2 * np.pi * np.arange(n) / n)], closed=True)
+    heights, lengths = coupling_module.chord_heights(Surface(points, facets))
+    np.testing.assert_allclose(heights, radius * (1 - np.cos(np.pi / n)), rtol=1e-2)
+    np.testing.assert_allclose(lengths, 2 * radius * np.sin(np.pi / n))
+
+
 def test_reach_and_depth():
     assert len(mortar(*DATA, reach=0.11)) == 4 and len(mortar(*two(CUP, line(BAR, -0.5))))
     np.testing.assert_allclose(mortar(*DEEP, reach=0.6).gaps, -0.5)

@@ -65,6 +65,30 @@ def test_a_tie_passes_a_uniform_stress_exactly(dim, seed):
         assert indicator.indicate(grids, result).relative < 1e-6
 
 
+def test_a_chain_of_ties_follows_a_rigid_motion():
+    """The corner of the arm follows that of the block, which follows the base."""
+    parts = {
+        "base": am.Rectangle(width=1, height=0.5),
+        "block": am.Rectangle(width=1, height=0.5, origin=(0, 0.5)),
+        "arm": am.Rectangle(width=1, height=0.5, origin=(1, 0.5)),
+    }
+    turn = 1e-3
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        material=PLANE,
+        ties=(am.Tied("block.bottom", "base.top"), am.Tied("arm.left", "block.right")),
+        supports=am.Support("base.bottom", x=0.02, y=lambda x: 0.01 + turn * x[:, 0]),
+    )
+    cells = {"base": (3, 2), "block": (4, 3), "arm": (2, 2)}
+    grids = am.Hierarchy.uniform(
+        problem, [cells, {k: (2 * a, 2 * b) for k, (a, b) in cells.items()}]
+    )
+    result = am.solve(grids, EXACT)
+    x, y = result.mesh.points.T
+    expected = np.column_stack([0.02 - turn * y, 0.01 + turn * x])
+    np.testing.assert_allclose(result.displacement, expected, atol=1e-10)
+
+
 def cantilever(**changes):
     """Two beams welded end to end."""
     parts = {

@@ -200,6 +200,22 @@ def test_at_the_limit_of_cycles_the_certificate_decides(last, status):
     )
 
 
+def test_an_estimate_that_was_refuted_is_believed_by_its_factor_less():
+    """The true error is three times what the changes tell; the certificate knows it."""
+    method, asked = Halving(), []
+
+    def shortfall(rtol):
+        asked.append(method.cycles)
+        excess = 3 * 0.5**method.cycles / rtol
+        return excess if excess > 1 else 0.0
+
+    stop = StopTest(1e-3, 100, shortfall)
+    assert iterate(method, stop) is am.Status.CONVERGED
+    # 3 / 2^k is below 1e-3 from k = 12 on, and nothing is asked between
+    assert asked == [10, 12]
+    assert 3 * 0.5**12 <= stop.error_estimate <= 1e-3
+
+
 @pytest.mark.parametrize("make", [am.cases.greco_bar, am.cases.greco_block])
 def test_other_laws_and_loads_share_factors_and_aggregates(make):
     grids = am.Hierarchy.uniform(make(), (2, 4))

@@ -75,6 +75,11 @@ STANDING = {
     },
     # 4 m of contact under a limit of .25 bear a side load of 1 on 4 m2
     "below the limit": plate(law=am.Tresca(0.25), loads=weight(0.25 * 0.999, -1.0)),
+    "below the limit, free in one direction": plate(
+        law=am.Tresca(0.25),
+        loads=weight(0.25 * 0.999, 0.0),
+        supports=(am.Support("top", y=0.0),),
+    ),
     # weight 1 on 4 m2 at lever 2 m against a push at lever 1/2 m: tips about the right foot beyond
     # slope 4
     "about to tip": plate(law=am.Coulomb(5.0), loads=weight(3.99, -1.0)),
@@ -95,6 +100,14 @@ FALLING = {
     "free to slide": (plate(), "the solution is not unique: a translation along x is left free"),
     "beyond the limit": (
         plate(law=am.Tresca(0.25), loads=weight(0.25 * 1.001, -1.0)),
+        "holds a translation along x",
+    ),
+    "beyond the limit, free in one direction": (
+        plate(
+            law=am.Tresca(0.25),
+            loads=weight(0.25 * 1.001, 0.0),
+            supports=(am.Support("top", y=0.0),),
+        ),
         "holds a translation along x",
     ),
     "tipped": (
