@@ -681,3 +681,22 @@ def test_friction_is_opposite_to_all_of_the_slip(law, pull):
     np.testing.assert_allclose(against, -size, rtol=1e-9)
     for solver in (am.ActiveSet(condensed=False, rtol=1e-12), am.FullMultigrid(rtol=1e-10)):
         assert am.solve(levels, solver, reference=exact).history["true_error"][-1] <= 3e-10
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, 1.2])
+def test_a_roller_closes_its_gap_along_the_way_it_is_free_to_go(angle):
+    """A corner on a guide along y has the height above an inclined floor as its gap."""
+    floor = am.Plane(point=(0.0, -0.1), normal=(np.sin(angle), np.cos(angle)))
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=E, poisson=0.3),
+        domain=am.Rectangle(width=1, height=1),
+        contact=am.Contact("bottom", floor),
+        law=am.Frictionless(),
+        loads=am.Pressure("top", PRESSURE),
+        supports=am.Support("left", x=0.0),
+    )
+    mesh = structured(problem.domain, 2)
+    contact = am.discretise(problem, mesh).contact
+    corner = (mesh.points[contact.nodes] == 0.0).all(axis=1)
+    np.testing.assert_allclose(contact.gaps[corner], 0.1, rtol=1e-12)
+    np.testing.assert_allclose(contact.normals[corner], [[0.0, -1.0]], atol=1e-12)
