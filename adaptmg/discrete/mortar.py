@@ -232,6 +232,8 @@ def taken_over(
 ) -> sparse.csr_array:
     """Return what nodes that carry multipliers (n_nodes,) take over of the measure of the others
     of a surface, or of those in the mask ``silent``: (n_nodes, n_nodes)."""
+    if carries[surface.nodes].all():  # of most boundaries: half of the time that these take
+        return sparse.csr_array((len(carries), len(carries)))
     share = _shares(surface, carries, axisymmetric)
     measure = surface.lumped(axisymmetric)
     given = np.where(carries if silent is None else carries | ~silent, 0.0, measure)

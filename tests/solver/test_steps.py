@@ -120,6 +120,9 @@ class Returns:
 class ByLU:
     """The coarse problems, solved exactly."""
 
+    def __repr__(self):
+        return "ByLU()"
+
     def setup(self, matrices, prolongations):
         for prolongation, fine, coarse in zip(
             prolongations, matrices[1:], matrices[:-1], strict=True
