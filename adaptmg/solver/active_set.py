@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 from scipy import linalg, sparse
@@ -113,7 +114,8 @@ class ActiveSet:
             newton = _Newton(self, local, run, number, start, condensed, finest=number == last)
             status, stop = newton.solve(certified=number == last)
             start = local.to_cartesian(newton.unknowns)
-        return Outcome(start, status, newton.cycles, self.rtol, stop.error_estimate, stop.rate)
+        solved = cast("np.ndarray", start)  # of the last level
+        return Outcome(solved, status, newton.cycles, self.rtol, stop.error_estimate, stop.rate)
 
     def _augmented(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve a finest problem with volumes, by one factorisation and perhaps several solves."""
@@ -138,7 +140,7 @@ class ActiveSet:
             local = local_system(augmented.problem, first.system)
             factors = None if condensed is None else replace(condensed, full=local)
             # a given start fits another load
-            done = solve > 0 and augmented.missed(start) <= self.rtol
+            done = solve > 0 and augmented.missed(cast("np.ndarray", start)) <= self.rtol
             last = augmented.exact or done or solve == Augmented.MOST - 1
             options = replace(self, max_steps=self.max_steps - cycles)
             newton = _Newton(
@@ -162,8 +164,9 @@ class ActiveSet:
                 status = Status.LIMIT
                 break
             pressures = augmented.accelerated(pressures, past)
+        solved = cast("np.ndarray", start)  # of the last solve
         return Outcome(
-            start, status, cycles, self.rtol, stop.error_estimate, stop.rate, pressures=pressures
+            solved, status, cycles, self.rtol, stop.error_estimate, stop.rate, pressures=pressures
         )
 
 
@@ -234,7 +237,7 @@ class _Newton:
             b"",
             0,
         )  # states of the steps before, and their number
-        self._equations: Linearised | None = None
+        self._equations: Linearised | Any = None  # Any: None before the first step alone
 
     def solve(self, certified: bool) -> tuple[Status, StopTest]:
         """Iterate, on the finest level under the eyes of the run, in the end (if ``certified``) of
@@ -262,12 +265,13 @@ class _Newton:
                 return status
         residual = self._residual()
         self._decide(residual, self._hold_first and self.cycles == 0)
-        active, slip = self._equations.active, self._equations.slip
+        equations = cast("Linearised", self._equations)  # as just decided
+        active, slip = equations.active, equations.slip
         return self._measure(
             self.cycles,
             self.unknowns,
             residual,
-            settled=self._equations.key == self._last,
+            settled=equations.key == self._last,
             active=int(active.sum()),
             slip=int((active & slip).sum()),
         )
@@ -450,7 +454,8 @@ class SparseSteps:
             rhs[released] = 0.0
         self._prepare(equations, matrix, released)
         with self.run.phase("solve"):
-            solution = self._solution(self._prepared, rhs, self.RTOL)
+            prepared = cast("Prepared", self._prepared)
+            solution = self._solution(prepared, rhs, self.RTOL)
         if not solution.converged and not isinstance(self.linear, Direct):
             raise np.linalg.LinAlgError("the Newton step is not solved")
         return solution.unknowns + change

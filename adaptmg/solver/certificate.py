@@ -17,7 +17,7 @@ largest displacement, energies to u'Au: never to a lifted nodal jump."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from scipy import sparse
@@ -191,13 +191,26 @@ class ContactClaims(Protocol):
     """What a result says of its contact nodes; see
     :class:`adaptmg.solver.examine.ContactResult`."""
 
-    node: np.ndarray
-    frames: np.ndarray
-    force_n: np.ndarray
-    force_t: np.ndarray
-    state: np.ndarray
-    master_node: np.ndarray
-    master_force: np.ndarray
+    @property
+    def node(self) -> np.ndarray: ...
+
+    @property
+    def frames(self) -> np.ndarray: ...
+
+    @property
+    def force_n(self) -> np.ndarray: ...
+
+    @property
+    def force_t(self) -> np.ndarray: ...
+
+    @property
+    def state(self) -> np.ndarray: ...
+
+    @property
+    def master_node(self) -> np.ndarray: ...
+
+    @property
+    def master_force(self) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
@@ -235,7 +248,11 @@ class Evidence:
             load - problem.matrix @ self.unknowns.reshape(-1) if residual is None else residual
         )
         energy = _sum(self.unknowns, load - residual)
-        energy += 0.0 if problem.volumes is None else problem.volumes.energy(pressures)
+        energy += (
+            0.0
+            if problem.volumes is None
+            else problem.volumes.energy(cast("np.ndarray", pressures))
+        )
         self.energy = float(
             np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0)))
         )
@@ -357,7 +374,9 @@ class Evidence:
         volumes = self.problem.volumes
         return (
             self._forces(
-                "volumes", volumes.scale * volumes.missed(self.unknowns.reshape(-1), self.pressures)
+                "volumes",
+                volumes.scale
+                * volumes.missed(self.unknowns.reshape(-1), cast("np.ndarray", self.pressures)),
             ),
         )
 
@@ -490,7 +509,8 @@ class Evidence:
         forces[contact.nodes] += here.forces(contact.normals) - lawful
         exerted = forces[contact.nodes] + lawful
         if self.problem.volumes is not None:
-            missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
+            pressures = cast("np.ndarray", self.pressures)
+            missed = self.problem.volumes.missed((unknowns + change).reshape(-1), pressures)
         corrected = correction(
             self.problem, status, forces, missed, aggregates, negligible, self.rounding
         )

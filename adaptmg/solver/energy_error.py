@@ -36,6 +36,7 @@ Nothing here comes from the solvers but the arithmetic of small blocks.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -43,6 +44,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
 from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks, remembered_of_structure
+from adaptmg.discrete.volumes import Volumes
 from adaptmg.smoother.blocks import (
     ONE,
     ZERO,
@@ -227,7 +229,7 @@ def correction(
     status.project(residual)
     load = residual.reshape(-1)
     if missed is not None:
-        load = np.append(load, -problem.volumes.areas * missed)
+        load = np.append(load, -cast("Volumes", problem.volumes).areas * missed)
     size = load @ load
     if not 0.0 < size < np.inf:
         none = np.zeros((len(status.nodes), problem.dim))

@@ -16,7 +16,7 @@ reactions :math:`A u - b` of the supports."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy import sparse
@@ -295,7 +295,8 @@ class Examiner:
                 np.hypot(
                     size,
                     euclidean_norm(
-                        discrete.volumes.scale * discrete.volumes.missed(solved, pressures)
+                        discrete.volumes.scale
+                        * discrete.volumes.missed(solved, cast("np.ndarray", pressures))
                     ),
                 )
             )
@@ -315,7 +316,7 @@ class Examiner:
         if (
             self._last is not None
             and np.array_equal(self._last[0], solved)
-            and (pressures is None or np.array_equal(self._last[1], pressures))
+            and (pressures is None or np.array_equal(cast("np.ndarray", self._last[1]), pressures))
         ):
             return self._last[2]
         discrete, self._last = self.discrete, None
@@ -429,7 +430,8 @@ def _elsewhere(
             parts.append(
                 (node, np.column_stack(exerted), np.full(number, k), np.full(number, itself))
             )
-    return tuple(map(np.concatenate, zip(*parts, strict=True)))
+    node, exerted, boundary, itself = map(np.concatenate, zip(*parts, strict=True))
+    return node, exerted, boundary, itself
 
 
 #: a weight that is rounding: of a node that is taken over and does not follow

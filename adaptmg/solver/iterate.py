@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from scipy import sparse
@@ -30,7 +30,8 @@ class State:
     """An iterate as a step leaves it."""
 
     cycles: int  # cycles, sweeps or steps done
-    residual: float | None = None  # Euclidean norm of the natural residual, N; None: not computed
+    # Euclidean norm of the natural residual, N; Any: None where a method judges by changes alone
+    residual: float | Any = None
     forces: float = 0.0  # norm of the acting forces, N
     size: float = 0.0  # A-norm of the displacement
     floor: float = (
@@ -38,7 +39,7 @@ class State:
     )
     idle: bool = False  # whether the acting forces are mere rounding: nothing strains
     change: float | None = None  # A-norm of what the step changed; None: unknown
-    relative_change: float | None = None  # Euclidean, relative to the iterate
+    relative_change: float | Any = None  # Euclidean, relative to the iterate; Any: as of residual
     settled: bool = True  # whether the contact status has come to rest
     columns: dict[str, float] = field(default_factory=dict)  # further ones of the history
 
@@ -134,7 +135,7 @@ class StopTest:
         """Return whether the last residual is as small as arithmetic allows, ``floor`` being the
         norm of D u, N. A large residual at the level of rounding is that of unknowns that have run
         away."""
-        return self._last <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
+        return bool(self._last <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT)
 
     @property
     def residual_met(self) -> bool:
@@ -231,7 +232,7 @@ def true_error(
     """Return the A-norm of an error (n_dofs,) over that of the reference of a run; its time is not
     counted."""
     with run.untimed():
-        size = displacement_norm(problem, run.reference)
+        size = displacement_norm(problem, cast("np.ndarray", run.reference))
         return energy_norm(error, matrix @ error) / size if size > 0 else np.nan
 
 
@@ -246,7 +247,7 @@ class ChangeTest(StopTest):
         if not self.relative_change < np.inf:
             return Status.DIVERGED
         if state.residual is not None:
-            self._record(state, run)
+            self._record(state, cast("Run", run))
         if not self.relative_change > self.rtol:
             return Status.CONVERGED
         return Status.LIMIT if self.cycles >= self.limit else None
@@ -308,7 +309,10 @@ class Measure:
         )
         if self.reference is not None:
             columns["true_error"] = true_error(
-                unknowns - self.reference, system.matrix, self.local.discrete, self.run
+                unknowns - self.reference,
+                system.matrix,
+                self.local.discrete,
+                cast("Run", self.run),
             )
         return State(
             cycles, natural, forces, size, floor, idle, change, settled=settled, columns=columns

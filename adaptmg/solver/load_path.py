@@ -15,7 +15,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, cast, overload
 
 import numpy as np
 
@@ -418,7 +418,7 @@ class PathLoop:
         posed = posed_conditions(grids.problem, finest.mesh_or_none, finest.discrete)
         self.examiner = Examiner(finest.discrete, posed)
         truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
-        self.method = TruncatedSteps(solver) if truncated else _Restarted(solver)
+        self.method = TruncatedSteps(cast("Multigrid", solver)) if truncated else _Restarted(solver)
         self.controls = Controls(
             grids.problem if _problem_with_names(grids) else None, grids.finest
         )

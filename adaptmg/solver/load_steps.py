@@ -31,14 +31,14 @@ import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, cast
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import lsmr
 
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.stress import cut_force, cut_stiffness
+from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
 from adaptmg.multigrid.cycle import NestedStart
@@ -202,7 +202,8 @@ class TruncatedSteps:
     EXTRAPOLATE = 0.05
 
     def __init__(self, solver: Multigrid) -> None:
-        self.parts, self.rtol, self.max_cycles = solver.correction, solver.rtol, solver.max_cycles
+        self.parts = cast("Truncated", solver.correction)
+        self.rtol, self.max_cycles = solver.rtol, solver.max_cycles
         self.start = solver.start if isinstance(solver, FullMultigrid) else None
         self.multigrid: KeptMultigrid | None = None
 
@@ -329,7 +330,8 @@ class Controls:
             loaded = obstacle.loaded(factors).targets
             targets = loaded[list(obstacle.free)]
             force = float(np.linalg.norm(np.nan_to_num(loaded[:dim])))
-            nodes = mesh.surface(self.problem.contact[number].boundary).nodes
+            problem = cast("ContactProblem", self.problem)
+            nodes = mesh.surface(problem.contact[number].boundary).nodes
             size = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
             turns = np.arange(3 * dim - 3)[list(obstacle.free)] >= dim
             result.append(
@@ -348,7 +350,9 @@ class Controls:
             name = bolt.path_name
             if factors[name] == self.factors.get(name, 0.0):
                 continue
-            size = bolt.force / cut_stiffness(mesh, self.problem.material, bolt)
+            size = bolt.force / cut_stiffness(
+                mesh, cast("ContactProblem", self.problem).material, bolt
+            )
             result.append(
                 _Unknowns(
                     name,
@@ -385,13 +389,21 @@ class Controls:
             if part.number >= 0:
                 obstacle = self.rigid[part.number]
                 total = result.resultant(
-                    self.problem.contact[part.number].boundary, about=obstacle.about
+                    cast("ContactProblem", self.problem).contact[part.number].boundary,
+                    about=obstacle.about,
                 )
                 have = np.concatenate([total.force, np.atleast_1d(total.moment)])[list(part.free)]
             else:
                 bolt = next(one for one in self.bolts if one.path_name == part.name)
                 have = np.array(
-                    [cut_force(result.mesh, result.stress_data, result.displacement, bolt)]
+                    [
+                        cut_force(
+                            result.mesh,
+                            cast("StressData", result.stress_data),
+                            result.displacement,
+                            bolt,
+                        )
+                    ]
                 )
             missed.append((have - part.targets) / part.forces)
         return np.concatenate(missed)
@@ -524,7 +536,10 @@ class Guide:
         scales, forces = np.zeros(n), np.zeros(n)
         for part in self.parts:
             nodes = contact.nodes[contact.boundary == part.number]
-            arms = discrete.coordinates[nodes] - self.controls.rigid[part.number].about
+            arms = (
+                cast("np.ndarray", discrete.coordinates)[nodes]
+                - self.controls.rigid[part.number].about
+            )
             scales[part.own] = part.sizes / part.sizes[0]
             forces[part.own] = part.targets + part.forces * extra[part.own]
             own = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
@@ -607,7 +622,7 @@ class Search(Generic[Kept]):
                 trial = self.at(trial.values, trial, _EXACT * reach) if trial.loosened else trial
                 jacobian = self.differences(trial, reach)
             elif jacobian is None:
-                jacobian = guide.stiffness(trial.values)
+                jacobian = cast("Guide", guide).stiffness(trial.values)
             if jacobian is None:
                 trial = self.at(guide.nearer(trial.values, trial.missed), None)
                 guide = None

@@ -17,7 +17,7 @@ from __future__ import annotations
 import logging
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -157,7 +157,7 @@ class Multigrid:
             hierarchy=hierarchy,
             run=run,
             correction=self.correction,
-            rtol=self.rtol,
+            rtol=cast("float", self.rtol),
             max_cycles=self.max_cycles,
             **PROJECTED | self._named,
         )

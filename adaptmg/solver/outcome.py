@@ -68,7 +68,7 @@ def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy
         if hasattr(solver, "setup") and not hasattr(solver, "run"):
             return grids, Stepped(cast("Method", solver)), ""
         words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer setup() or run()"
-        return grids, checks.offers("solver", solver, "run", words), ""
+        return grids, cast("Solver", checks.offers("solver", solver, "run", words)), ""
     if len(grids) > 1:
         return _levels_that_pay(grids) if grids.discretised else (grids, Multigrid(), "")
     level, n_dofs = grids.finest, grids.finest.discrete.n_dofs

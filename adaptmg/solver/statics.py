@@ -23,6 +23,7 @@ from __future__ import annotations
 import logging
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 from scipy import sparse
@@ -260,12 +261,14 @@ class _Forces:
         bounds[n_edges : n_edges + len(self.limits)] = np.column_stack([-self.limits, self.limits])
         cost = np.zeros(columns.shape[1])
         cost[-2 * k :] = 1.0
-        result = linprog(cost, A_eq=columns, b_eq=-work, bounds=bounds, method="highs-ds")
+        result = linprog(
+            cost, A_eq=columns, b_eq=-work, bounds=cast("Any", bounds), method="highs-ds"
+        )
         if not result.success:
             raise RuntimeError(
                 f"the linear programme of the rigid-body statics failed: {result.message}"
             )
-        return float(result.fun), -result.eqlin.marginals
+        return float(cast("float", result.fun)), -result.eqlin.marginals
 
     def let_go(self, motion: np.ndarray, work: np.ndarray) -> bool:
         """Return whether no admissible force balances ``work`` on this very motion."""

@@ -30,7 +30,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from enum import Enum
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -382,7 +382,7 @@ def fingerprint(
         ],
         "supports": {
             name: [*_sums(dofs), *_sums(values)]
-            for name, (dofs, values) in loads[-1].prescribed.items()
+            for name, (dofs, values) in cast("LoadSteps", loads[-1]).prescribed.items()
         },
         "contact": [
             _sums(part) for part in (contact.nodes, contact.normals, contact.gaps, contact.weights)

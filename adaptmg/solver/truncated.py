@@ -23,11 +23,12 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import Cycle, NestedStart
@@ -89,7 +90,7 @@ class TruncatedIteration(StopTest):
         nested: np.ndarray | None = None,
         coarse: Callable[[], CoarseContact] | None = None,
     ) -> None:
-        super().__init__(0.0 if rtol == "discretisation" else rtol, limit)
+        super().__init__(0.0 if isinstance(rtol, str) else rtol, limit)
         self.multigrid = multigrid
         self.problem = problem
         self.run = run
@@ -113,7 +114,7 @@ class TruncatedIteration(StopTest):
         measured = cycles % 4 == 0 or sizes.prescribed
         self._shorten = self._coarse is not None and self._start != "given" and cycles == 0
         if self._seeks_status():
-            correction = self._coarse()
+            correction = cast("Callable[[], CoarseContact]", self._coarse)()
             if correction.number is None:
                 self._coarse = None
             else:
@@ -409,7 +410,7 @@ class TruncatedRun:
             mesh is not None and mesh.dim == 2 and mesh.lattices for mesh in meshes
         ):
             return 0.0
-        before, here, after = (1 / mesh.n_nodes for mesh in meshes)
+        before, here, after = (1 / mesh.n_nodes for mesh in meshes if mesh is not None)
         return (here - after) / (before - here)
 
     def finish(self, unknowns: np.ndarray, start: str) -> Outcome:
@@ -459,7 +460,9 @@ class TruncatedRun:
             contact.start(unknowns)
             interface = None
             if problem.between_bodies and parts.interface_sweeps:
-                interface = Interface(levels[number], problem.coupling, problem.fixed)
+                interface = Interface(
+                    levels[number], cast("Coupling", problem.coupling), problem.fixed
+                )
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
             pressures = (
