@@ -350,16 +350,17 @@ class Controls:
             name = bolt.path_name
             if factors[name] == self.factors.get(name, 0.0):
                 continue
-            size = bolt.force / cut_stiffness(
-                mesh, cast("ContactProblem", self.problem).material, bolt
-            )
+            # of a bolt that is let go, the force that it had
+            force = bolt.force * max(abs(factors[name]), abs(self.factors.get(name, 0.0)))
+            material = cast("ContactProblem", self.problem).material
+            size = force / cut_stiffness(mesh, material, bolt)
             result.append(
                 _Unknowns(
                     name,
                     first,
                     np.array([factors[name] * bolt.force]),
                     np.array([size]),
-                    np.array([bolt.force]),
+                    np.array([force]),
                 )
             )
             first += 1
@@ -600,6 +601,8 @@ class Search(Generic[Kept]):
     def at(self, values: np.ndarray, near: _Trial[Kept] | None, loose: float = 0.0) -> _Trial[Kept]:
         """Return the contact problem with the unknowns at some values."""
         motions = self.controls.taken(self.parts, values * self.sizes)
+        # a bolt shortened too far pulls with many times its force
+        loose = min(loose, _LOOSE)
         result, kept = self.solve(motions, None if near is None else near.result, loose)
         self.spent.append(result)
         missed = self.controls.missed(self.parts, result)
@@ -667,7 +670,8 @@ class Search(Generic[Kept]):
         for doubling in range(_DOUBLINGS):
             change = np.zeros(len(trial.values))
             for part in self.parts:
-                if part.number < 0 and 1.0 + trial.missed[part.first] < _PULLS:
+                target = part.targets[0] / part.forces[0]
+                if part.number < 0 and target + trial.missed[part.first] < _PULLS * target:
                     change[part.first] = 2.0**doubling
             if not change.any():
                 return trial
