@@ -294,6 +294,16 @@ def supported_stiffness(
     return matrix
 
 
+def largest_nodal_stiffness(
+    mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
+) -> float:
+    """Return the largest force, N/m, by which a spring resists a unit translation at one node."""
+    cells, blocks = _elements(mesh, spring, axisymmetric)
+    forces = np.zeros((mesh.n_nodes, mesh.dim, mesh.dim))
+    np.add.at(forces, cells, blocks.sum(axis=2))
+    return float(np.linalg.norm(forces, axis=2).max())
+
+
 def spring_resultants(
     mesh: MeshArrays, supports: Sequence[AnySupport], displacement: np.ndarray, axisymmetric: bool
 ) -> dict[str, list[float]]:

@@ -31,8 +31,10 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg._on_demand import remembered
 from adaptmg.discrete.coordinates import frames_of
+from adaptmg.discrete.loads import largest_nodal_stiffness
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.smoother.system import contact_blocks
 from adaptmg.solver.advice import advise
@@ -41,6 +43,9 @@ _LOG = logging.getLogger(__name__)
 
 _UNBALANCED = 1e-6  # share of the load that counts as not held
 _STILL = 1e-7  # amplitude, of a motion of amplitude 1, that counts as none
+# nodal stiffness of a spring, over the largest of the bodies, from which on it counts: a block on rollers with 16,
+# 32, 64 divisions converges, to 5e-6, with 2.5e-11, 3.5e-11, 4.4e-11; with 32, 64 it stalls at 1.8e-11, 2.5e-11
+_SOFTEST = 4e-11
 _SEGMENTS = 8  # of the friction polygon in 3D, which has twice as many sides
 _LIMIT = 1e6  # Tresca limits beyond this multiple of the load count as this: keeps the programme well scaled
 
@@ -84,13 +89,45 @@ def check_statics_of(grids: Hierarchy) -> None:
     is not asked. A coarse grid has the same rigid motions, loads and directions of contact and
     costs nothing; what it cannot hold the finest one may (on a curved surface, say)."""
     coarsest = grids[0].discrete_or_none
-    if len(grids) > 1 and coarsest is not None and _free_parts(coarsest) is not None:
+    # nodes of finer grids have less of a spring
+    sprung = grids.problem is not None and any(
+        isinstance(one, Spring | PointSpring) for one in grids.problem.supports
+    )
+    if len(grids) > 1 and not sprung and coarsest is not None and _free_parts(coarsest) is not None:
         try:
             check_statics(coarsest)
             return
         except ValueError as error:
             _LOG.info("the coarsest grid cannot be held (%s); asking the finest", error)
-    check_statics(grids.finest.discrete)
+    try:
+        check_statics(grids.finest.discrete)
+    except ValueError as error:
+        raise ValueError(f"{error}{_too_soft(grids)}") from None
+
+
+def _too_soft(grids: Hierarchy) -> str:
+    """Say which springs are too soft to count on the finest grid, and from which stiffness on they
+    surely count."""
+    level, problem = grids.finest, grids.problem
+    if problem is None or level.mesh_or_none is None:
+        return ""
+    least = _SOFTEST * np.abs(level.discrete.matrix.data).max()
+    words = ""
+    for one in problem.supports:
+        if not isinstance(one, Spring | PointSpring):
+            continue
+        own = largest_nodal_stiffness(level.mesh, one, problem.axisymmetric)
+        if own <= least:
+            names = ("normal", "tangential") if isinstance(one, Spring) else "xyz"[: problem.dim]
+            unit = replace(one, **dict.fromkeys(names, 1.0))
+            # one per cent for the rounding of the number
+            limit = 1.01 * least / largest_nodal_stiffness(level.mesh, unit, problem.axisymmetric)
+            words += (
+                f". The spring on {one.place!r} counts as none: double precision needs at least "
+                f"{limit:.3g} {'N/m^3' if isinstance(one, Spring) else 'N/m'} beside these bodies; "
+                "make it stiffer, or replace it by a support with the displacement load / stiffness"
+            )
+    return words
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +208,7 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
         return modes[:, :0]
     basis = vectors[:, independent] * np.sqrt(len(nodes) / values[independent])
     modes, forces = modes @ basis, forces @ basis
-    strained = np.abs(forces).max(axis=1) > 1e-9
+    strained = np.linalg.norm(forces, axis=1) > _SOFTEST
     # springs far softer than the body hold it too
     scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
     return (

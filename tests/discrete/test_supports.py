@@ -1,6 +1,7 @@
 """Springs, supports at points, planes of symmetry; supports that hold contact nodes, where friction
 acts too."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -87,6 +88,28 @@ def test_springs_across_and_at_points_hold_a_body():
     hung = am.solve(am.Hierarchy.uniform(posed, (4, 8)), am.Multigrid())
     assert hung.resultant("point (1, 0)", about=(1, 0)).force == pytest.approx([0, 0.5], rel=1e-4)
     np.testing.assert_allclose(hung.displacement.mean(axis=0), [0.0, -0.05], atol=1e-6)
+
+
+def test_soft_springs_hold_or_are_named_with_the_least_stiffness():
+    def pulled(stiffness):
+        problem = am.ContactProblem(
+            domain=am.Rectangle(width=0.3, height=0.1),
+            material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+            loads=[am.Traction("left", (1e-3 * stiffness, 0.0))],
+            supports=[am.Spring("right", normal=stiffness), am.Support("bottom", y=0)],
+        )
+        return am.Hierarchy.uniform(problem, (4, 8, 16))
+
+    with pytest.raises(ValueError, match="spring on 'right' counts as none") as refusal:
+        am.solve(pulled(10.0))
+    least = float(re.search(r"at least (\S+) N/m\^3", str(refusal.value)).group(1))
+    with pytest.raises(ValueError, match="spring on 'right' counts as none"):
+        am.solve(pulled(0.3 * least))
+    for stiffness in (least, 2e4):
+        with pytest.warns(UserWarning, match="below what double precision reaches"):
+            held = am.solve(pulled(stiffness))
+        assert held.rtol < 1e-5
+        np.testing.assert_allclose(held.displacement[:, 0], 1e-3, rtol=2 * held.rtol)
 
 
 def test_point_supports_hold_one_node_symmetry_one_component():
