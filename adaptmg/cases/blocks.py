@@ -113,7 +113,7 @@ def _bound(law: Law, normal: float) -> float:
     )
     if callable(value) or np.ndim(value):
         return np.inf
-    return float(value) * (normal if isinstance(law, am.Coulomb) else 1.0)
+    return float(np.asarray(value)) * (normal if isinstance(law, am.Coulomb) else 1.0)
 
 
 def _flat(dim: int, size: float) -> dict[str, Domain]:
@@ -170,7 +170,9 @@ def _held(
         supports.append(am.Support(f"{body}.left", x=0.0))
         loads += [am.Pressure(f"{body}.{wall}", side) for wall in walls if side]
         if dim == 3:
-            supports.append(am.Support(f"{body}.{depth[0]}", **{"z" if sloping else "y": 0.0}))
+            side_wall = f"{body}.{depth[0]}"
+            along_z = am.Support(side_wall, z=0.0)
+            supports.append(along_z if sloping else am.Support(side_wall, y=0.0))
             loads += [am.Pressure(f"{body}.{depth[1]}", side)] if side else []
     return loads, supports
 

@@ -132,12 +132,13 @@ def bolted_junction(
         math.pi * ((flanges.bore + flanges.wall) ** 2 - flanges.bore**2),
     )
     strain = (*before, -flanges.shortening(preload, material.young, dim) / flanges.clamped)
-    supports = [am.Support("lower.pipe", **{"xyz"[dim - 1]: 0.0})]
+    plane = dim == 2
+    supports = [am.Support("lower.pipe", y=0.0) if plane else am.Support("lower.pipe", z=0.0)]
     if dim == 3:
         supports += [
-            am.Support(f"{side}.{name}", **{axis: 0.0})
+            support
             for side in ("upper", "lower")
-            for name, axis in (("start", "y"), ("end", "x"))
+            for support in (am.Support(f"{side}.start", y=0.0), am.Support(f"{side}.end", x=0.0))
         ]
     return am.ContactProblem(
         name="bolted junction" if dim == 2 else "bolted junction, sector",

@@ -38,6 +38,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import cast
 
 import numpy as np
 
@@ -232,11 +233,13 @@ def _posed(
     if material.dim == 3:
         parts = {body: am.Revolution(section, 90.0) for body, section in sections.items()}
         supports = [
-            am.Support(f"{body}.{side}", **{axis: 0.0})
+            support
             for body in parts
-            for side, axis in (("start", "y"), ("end", "x"))
+            for support in (am.Support(f"{body}.start", y=0.0), am.Support(f"{body}.end", x=0.0))
         ]
-    supports.append(am.Support("lower.bottom", **{"y" if material.dim == 2 else "z": 0.0}))
+    plane = material.dim == 2
+    held = am.Support("lower.bottom", y=0.0) if plane else am.Support("lower.bottom", z=0.0)
+    supports.append(held)
     return am.ContactProblem(
         name=f"Hertz, {name}",
         material=material,
@@ -387,7 +390,7 @@ def cattaneo(
     if (friction := constant_friction(law)) is not None:
         slip = PartialSlip(normal=form, friction=friction, tangential=tangential)
         sources = {
-            **reference["sources"],
+            **cast("dict[str, str]", reference["sources"]),
             "partial_slip": "Cattaneo; Johnson, Contact Mechanics, section 7.2",
         }
         reference |= {"stick": slip.stick, "partial_slip": slip, "sources": sources}

@@ -28,6 +28,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 import adaptmg as am
 from adaptmg import _checks as checks
@@ -220,7 +221,10 @@ def _sheared(field: TransitionField, normal: float, points: np.ndarray) -> np.nd
     return normal * field.stress(points)[:, 2]
 
 
-def _complex(points: np.ndarray) -> np.ndarray:
+_Complex = NDArray[np.complexfloating]
+
+
+def _complex(points: np.ndarray) -> _Complex:
     """Complex coordinates (n,); points below the plane by rounding are moved onto it, where the
     fields have a cut."""
     points = np.asarray(points, dtype=np.float64)
@@ -228,23 +232,21 @@ def _complex(points: np.ndarray) -> np.ndarray:
 
 
 def _derivatives(
-    z: np.ndarray, exponent: float, a: complex, b: complex
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    z: _Complex, exponent: float, a: complex, b: complex
+) -> tuple[_Complex, _Complex, _Complex]:
     """Phi', conj(z) phi'' and psi'."""
     slope = exponent * z ** (exponent - 1)
     # conj(z) / z as a turn, which is finite at z = 0
     return a * slope, a * (exponent - 1) * slope * np.exp(-2j * np.angle(z)), b * slope
 
 
-def _displacement(
-    z: np.ndarray, exponent: float, a: complex, b: complex, poisson: float
-) -> np.ndarray:
+def _displacement(z: _Complex, exponent: float, a: complex, b: complex, poisson: float) -> _Complex:
     """2 mu (u_x + i u_y)."""
     first = _derivatives(z, exponent, a, b)[0]
     return (3 - 4 * poisson) * a * z**exponent - z * np.conj(first) - np.conj(b * z**exponent)
 
 
-def _stress(z: np.ndarray, exponent: float, a: complex, b: complex) -> np.ndarray:
+def _stress(z: _Complex, exponent: float, a: complex, b: complex) -> np.ndarray:
     """xx, yy, xy (n, 3)."""
     first, second, other = _derivatives(z, exponent, a, b)
     mean, rest = 2 * first.real, second + other

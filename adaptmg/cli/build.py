@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Any
+from typing import Any, cast
 
 import adaptmg as am
 from adaptmg import _checks as checks
@@ -78,7 +78,7 @@ def _class_of(argument: str, name: object, kinds: Sequence[type]) -> type:
             f"{argument} must be one of {', '.join(by_name)}, got {checks.shown(name)}"
             f"{checks.suggestion(str(name).lower(), by_name)}"
         )
-    return by_name[name]
+    return by_name[cast("str", name)]
 
 
 @cache
@@ -281,7 +281,7 @@ def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
 
 def solved(
     settings: Mapping[str, Arguments],
-    callback: Callable[[dict[str, float]], None] | None = None,
+    callback: Callable[[dict], None] | None = None,
     each: Callable[[am.Step], None] | None = None,
     store: str | os.PathLike[str] | None = None,
 ) -> tuple[Result, am.Hierarchy, list[am.Step]]:
@@ -306,7 +306,7 @@ def solved(
     return steps[-1].result, steps[-1].hierarchy, steps
 
 
-def case_facts(name: str) -> dict[str, object]:
+def case_facts(name: str) -> dict[str, Any]:
     """Return arguments, boundaries and loads of a case as JSON takes them."""
     posed = get(name).function()
     return {
@@ -314,7 +314,7 @@ def case_facts(name: str) -> dict[str, object]:
         "description": CASES[name].description,
         "dimension": posed.dim,
         "arguments": {key: dataclasses.asdict(item) for key, item in case_keys(name).items()},
-        "boundaries": list(posed.domain.boundaries),
+        "boundaries": list(posed.domain.boundaries or ()),
         "contact": list(posed.pair_boundaries),
         "loads": list(names_in_path(posed)),
     }

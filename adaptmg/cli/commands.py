@@ -19,12 +19,15 @@ from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO, cast
 
 from adaptmg import __version__
 from adaptmg._text import printable
 
 if TYPE_CHECKING:
+    from importlib.abc import Loader
+    from importlib.machinery import ModuleSpec
+
     from adaptmg.study import Study
     from adaptmg.study.store import Record
 
@@ -353,9 +356,12 @@ def _study_of(path: Path, store: Path | None) -> Study:
     # as Python does for a script, so that it finds its neighbours; workers get it by value
     sys.path.insert(0, os.fspath(file.resolve().parent))
     spec = importlib.util.spec_from_file_location(file.stem, file)
+    # a file whose name ends with .py has both
+    spec = cast("ModuleSpec", spec)
+    loader = cast("Loader", spec.loader)
     module = sys.modules[file.stem] = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        loader.exec_module(module)
     except Exception as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     cloudpickle.register_pickle_by_value(module)

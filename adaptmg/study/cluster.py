@@ -34,12 +34,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import dask.config
 import psutil
 from distributed import Client, Future, KilledWorker, LocalCluster, Nanny, Security, get_worker
-from distributed.comm import CommClosedError
-from distributed.deploy import Cluster
+from distributed.comm.core import CommClosedError
+from distributed.deploy.cluster import Cluster
 from distributed.utils import sync
 
 from adaptmg import _checks as checks
@@ -117,9 +118,11 @@ def local_cluster(workers: int, *, memory_limit: float | None = None) -> Iterato
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
+        # distributed infers coroutines and None for what a client that is connected returns
+        address = cast("str", cluster.scheduler_address)  # pyright: ignore[reportAttributeAccessIssue]
         for _ in range(_STARTS):
-            with _processes(cluster.scheduler_address, count, limit, folder, security) as process:
-                while process.poll() is None and len(client.nthreads()) < count:
+            with _processes(address, count, limit, folder, security) as process:
+                while process.poll() is None and len(client.nthreads()) < count:  # pyright: ignore[reportArgumentType]
                     time.sleep(0.05)
                 if process.poll() is None:
                     yield client
@@ -224,7 +227,8 @@ def opened(
 ) -> Iterator[Execute]:
     """Yield an executor on new processes of this machine, or on the cluster of the user."""
     if scheduler is None:
-        clients = local_cluster(min(workers, runs), memory_limit=memory_limit)
+        count = cast("int", workers)  # where no scheduler is given
+        clients = local_cluster(min(count, runs), memory_limit=memory_limit)
     elif isinstance(scheduler, Client):
         clients = contextlib.nullcontext(scheduler)
     else:
@@ -261,7 +265,7 @@ def on_cluster(client: Client, task: Task, points: Iterator[Point | None]) -> Do
 def check_workers(client: Client, order: Order, limited: bool) -> None:
     """Raise ValueError or RuntimeError for workers that cannot compute the runs, or would compute
     others."""
-    address = client.scheduler.address
+    address = client.scheduler.address  # pyright: ignore[reportOptionalMemberAccess]
     while True:
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
@@ -277,7 +281,7 @@ def check_workers(client: Client, order: Order, limited: bool) -> None:
             _log.warning(
                 "the scheduler %s has no workers yet: %d were requested",
                 address,
-                len(client.cluster.worker_spec),
+                len(client.cluster.worker_spec),  # pyright: ignore[reportOptionalMemberAccess]
             )
     for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
         if worker["nthreads"] != 1:
@@ -289,7 +293,7 @@ def check_workers(client: Client, order: Order, limited: bool) -> None:
             raise ValueError(
                 f"the worker {name} has no nanny, which limit_s needs: start it without --no-nanny"
             )
-    for name, error in client.run(execute.check, order, on_error="return").items():
+    for name, error in client.run(execute.check, order, on_error="return").items():  # pyright: ignore[reportAttributeAccessIssue]
         if error is not None and not isinstance(
             error, CommClosedError
         ):  # that of a worker that left meanwhile
@@ -422,13 +426,13 @@ class _Runs:
     def _slots(self) -> int:
         """Return the number of workers; OSError if the processes of this machine are gone for
         good."""
-        count = len(self._client.nthreads())
+        count = len(self._client.nthreads())  # pyright: ignore[reportArgumentType]
         if count or time.monotonic() - self._seen > PATIENCE_S:
             self._seen = time.monotonic()
             if not count:
                 _log.warning(
                     "the scheduler %s has no workers: %d runs wait",
-                    self._client.scheduler.address,
+                    self._client.scheduler.address,  # pyright: ignore[reportOptionalMemberAccess]
                     len(self._out),
                 )
                 if isinstance(self._client.cluster, LocalCluster):
@@ -458,7 +462,7 @@ class _Runs:
             if time.monotonic() - run.began < self._limit_s or run.future.done():
                 continue
             run.began = math.inf
-            if name not in self._client.processing().get(run.worker, ()):
+            if name not in self._client.processing().get(run.worker, ()):  # pyright: ignore[reportAttributeAccessIssue]
                 continue  # its worker died, and dask starts it again on another one, with a new clock
             # cancelled first, so that dask does not start it elsewhere
             self._back.put(
@@ -475,7 +479,7 @@ class _Runs:
         time.sleep(0.2)
         busy = [
             address
-            for address, keys in self._client.processing().items()
+            for address, keys in self._client.processing().items()  # pyright: ignore[reportAttributeAccessIssue]
             if set(keys) & set(self._out)
         ]
         self._stop(self._out.values(), busy)
@@ -503,9 +507,9 @@ class _Runs:
         if isinstance(result, Finished):
             return result
         if isinstance(result, concurrent.futures.CancelledError):
+            address = self._client.scheduler.address  # pyright: ignore[reportOptionalMemberAccess]
             raise OSError(
-                f"scheduler: the connection to {self._client.scheduler.address} was lost; finished runs are "
-                "stored"
+                f"scheduler: the connection to {address} was lost; finished runs are stored"
             ) from result
         if isinstance(result, UnfitWorker | ImportError | AttributeError):
             raise RuntimeError(

@@ -23,6 +23,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from adaptmg import _checks as checks
 from adaptmg._machine import peak_memory, reset_peak_memory
@@ -89,7 +90,7 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
         if interruptible and isinstance(error, KeyboardInterrupt):
             raise
         exception = error
-    failed = (
+    failed: dict[str, Any] = (
         {}
         if exception is None
         else {
@@ -263,7 +264,7 @@ def warm() -> None:
 
 
 def perform(
-    function: RunFunction, uses_adaptmg: bool, point: Point, begin: Callable[[], None]
+    function: RunFunction, uses_adaptmg: bool, point: Point, begin: Callable[[], object]
 ) -> Finished:
     """Compute one run on a worker; ``begin`` is called when its clock starts."""
     import cloudpickle
@@ -280,7 +281,7 @@ def perform(
     return replace(finished, exception=sendable)
 
 
-def _cached_again(function: RunFunction, parameters: dict[str, int | bool]) -> RunFunction:
+def _cached_again(function: RunFunction, parameters: dict[str, Any]) -> RunFunction:
     return functools.lru_cache(**parameters)(function)
 
 

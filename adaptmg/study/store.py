@@ -29,7 +29,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -41,6 +41,8 @@ from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.study.designs import Scalar, Value, canonical
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from adaptmg.solver.result import Result
 
     Kept = np.ndarray | MeshArrays | Result | str
@@ -99,7 +101,7 @@ def pack(value: object) -> Packed | None:
         )
     elif isinstance(value, _loaded("matplotlib.figure", "Figure")):
         buffer = io.BytesIO()
-        value.savefig(buffer, format="svg", bbox_inches="tight")
+        cast("Figure", value).savefig(buffer, format="svg", bbox_inches="tight")
         packed = Packed("figure", buffer.getvalue())
     if packed is not None and len(packed.content) > _MOST_BYTES:
         raise ValueError(

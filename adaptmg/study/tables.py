@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -127,7 +127,7 @@ def cells(
     columns = list(table.items())
     units = checks.mapping("units", {} if units is None else units, "columns to units")
     formats = checks.mapping("formats", {} if formats is None else formats, "columns to formats")
-    names = [name for name, _ in columns]
+    names = [cast("str", name) for name, _ in columns]
     if len(set(names)) < len(names):
         raise ValueError(f"table has columns of the same name: {names}")
     for what, mapping in (("units", units), ("formats", formats)):
@@ -140,7 +140,8 @@ def cells(
         for name in names
     ]
     return headers, [
-        [_cell(value, formats.get(name)) for value in column] for name, column in columns
+        [_cell(value, formats.get(name)) for value in column]
+        for name, (_, column) in zip(names, columns, strict=True)
     ]
 
 
