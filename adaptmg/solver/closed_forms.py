@@ -62,6 +62,7 @@ def _stiffness(
     springs = [one for one in problem.supports if isinstance(one, Spring)]
     covered = (
         all(_is_isotropic(one) for one in materials)
+        and not _glued(mesh, materials)
         and not any(isinstance(one, PointSpring) for one in problem.supports)
         and all(_constant(one.normal, one.tangential) for one in springs)
         and discrete.volumes is None
@@ -81,8 +82,8 @@ def _stiffness(
     forces = discrete.physical_forces(discrete.matrix @ unknowns).reshape(field.shape)
     expected = np.zeros_like(field)
     strain = 0.5 * (gradient + gradient.T)
-    for name in mesh.boundaries:
-        surface = mesh.surface(name)
+    for number in np.unique(mesh.facet_labels):
+        surface = mesh.surface(mesh.boundaries[number])
         stresses = np.stack([_stress(one, strain) for one in materials])
         body = mesh.element_body[facet_elements(mesh, surface.facets)]
         tractions = np.einsum("fij,fj->fi", stresses[body], surface.normals)
@@ -95,6 +96,16 @@ def _stiffness(
 
 def _is_isotropic(material: Elastic) -> bool:
     return material.anisotropy is None and np.isfinite(material.lame)
+
+
+def _glued(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> bool:
+    """Return whether bodies of unlike materials share nodes: stresses jump there."""
+    first = np.full(mesh.n_nodes, len(materials))
+    last = np.full(mesh.n_nodes, -1)
+    kinds = np.array([materials.index(one) for one in materials])[mesh.element_body]
+    np.minimum.at(first, mesh.elements, kinds[:, None])
+    np.maximum.at(last, mesh.elements, kinds[:, None])
+    return bool((first < last).any())
 
 
 def _constant(*values: object) -> bool:
@@ -131,7 +142,9 @@ def _loads(
         for one in loads
     )
     axisymmetric = isinstance(body_materials(mesh, problem.material)[0], Axisymmetric)
-    if not acting or axisymmetric or discrete.volumes is not None or not loads:
+    if not acting or axisymmetric or discrete.volumes is not None or discrete.inclined is not None:
+        return ()
+    if not loads:
         return ()
     centre = mesh.points.mean(axis=0)
     arm = float(np.ptp(mesh.points, axis=0).max())

@@ -78,7 +78,8 @@ def test_the_dual_field_is_the_sensitivity_to_a_load(name):
         other = dataclasses.replace(discrete, load=discrete.load + sign * force)
         level = dataclasses.replace(hierarchy.finest, discrete=other, prolongation=None)
         grids = dataclasses.replace(hierarchy, levels=(level,))
-        moved = am.solve(grids, EXACT, start=result.displacement)
+        # the certificate finds that this is not the load that is posed
+        moved = am.solve(grids, EXACT, start=result.displacement, throw=False)
         np.testing.assert_array_equal(moved.contact.state, result.contact.state)
         there = view_of(grids, moved)
         changed.append(
