@@ -33,10 +33,8 @@ def opened(path: str | os.PathLike[str], most: float = MOST_BYTES) -> Iterator[B
     """Open a regular file for reading; ValueError for a folder, device or pipe, and for more than
     ``most`` bytes."""
     # a pipe without a writer would wait
-    flags, shown = (
-        getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0),
-        printable(os.fspath(path)),
-    )
+    flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    shown = printable(os.fspath(path))
     if os.path.isdir(path):
         raise ValueError(f"{shown} must be a file, not a folder, device or pipe")
     with open(os.open(path, os.O_RDONLY | flags), "rb") as file:

@@ -32,7 +32,8 @@ def processor() -> str:
 def process_name(process: int) -> str:
     """Return a name of a process that no other process has, of any machine, before or after; "" if
     there is none of this number. It has nothing of a clock that is set, as psutil's times do."""
-    place, start = platform.node(), None
+    place = platform.node()
+    start = None
     with suppress(OSError):  # containers number their processes anew
         place += os.readlink("/proc/self/ns/pid")
     with suppress(OSError, ValueError):

@@ -71,7 +71,9 @@ class _Compiling(Listener):
     at a time."""
 
     def __init__(self) -> None:
-        self.depth, self.begin, self.here = 0, 0.0, threading.local()
+        self.depth = 0
+        self.begin = 0.0
+        self.here = threading.local()
 
     def on_start(self, event: Event) -> None:
         self.depth += 1

@@ -41,12 +41,14 @@ def say(text: str) -> None:
 
 def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the line that called the package."""
-    level, frame = 1, sys._getframe()
+    level = 1
+    frame = sys._getframe()
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in (
         "adaptmg",
         "contextlib",
     ):
-        level, frame = level + 1, frame.f_back
+        level = level + 1
+        frame = frame.f_back
     warnings.warn(text, category, stacklevel=level)
 
 

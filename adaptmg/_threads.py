@@ -33,10 +33,8 @@ class _Threads:
     """The threads of the process: the one that calls, and those of a pool."""
 
     def __init__(self, number: int = 1) -> None:
-        self.number, self.pool = (
-            number,
-            ThreadPoolExecutor(number - 1, "adaptmg") if number > 1 else None,
-        )
+        self.number = number
+        self.pool = ThreadPoolExecutor(number - 1, "adaptmg") if number > 1 else None
 
     def map(
         self, kernel: Callable, ranges: Sequence[tuple[int, int]], arguments: Sequence[object]
@@ -141,11 +139,13 @@ def scattering(
     numbers (``size``), or where the order of rows and columns has little to do with each other."""
     offsets: np.ndarray
     offsets = np.arange(len(columns) + 1) * columns.shape[1] if starts is None else starts
-    n, flat = len(offsets) - 1, columns.reshape(-1)
+    n = len(offsets) - 1
+    flat = columns.reshape(-1)
     bounds = [n * k // PARTS for k in range(PARTS + 1)]
     if size >= LARGE and (np.diff(offsets[bounds]) > 0).all():
         at = offsets[bounds[:-1]]
-        least, most = np.minimum.reduceat(flat, at), np.maximum.reduceat(flat, at)
+        least = np.minimum.reduceat(flat, at)
+        most = np.maximum.reduceat(flat, at)
         if (most[:-2] < least[2:]).all():
             ranges = list(pairwise(bounds))
             return [ranges[::2], ranges[1::2]]

@@ -88,7 +88,8 @@ class Hierarchy:
             shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
                 shape = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
-            own, other = vars(fine)["prolongation"], fine.surface_prolongation
+            own = vars(fine)["prolongation"]
+            other = fine.surface_prolongation
             for name, matrix in (
                 ("prolongation", own),
                 ("surface_prolongation", own if other is None else other),
@@ -189,7 +190,8 @@ class Hierarchy:
         from adaptmg.mesh import graded
         from adaptmg.mesh.grading import gradings_of, sensible_sizes
 
-        domain, ratio = meshed_domain(problem), 1.0
+        domain = meshed_domain(problem)
+        ratio = 1.0
         if sizes is None:
             sizes, ratio = sensible_sizes(domain, problem.pair_boundaries)
         fine = problem.pair_boundaries or problem.tied_boundaries
@@ -385,7 +387,8 @@ class Hierarchy:
         fine = as_mesh(mesh)
         check_coarse_to_fine([self.finest.mesh, fine])
         meshed = clock()
-        new, assembled = level_of(self.problem, fine), clock()
+        new = level_of(self.problem, fine)
+        assembled = clock()
         new = joined(self.finest, new, the_transfer(self.transfer), self.contact_rows)
         spent = {
             "mesh": meshed - begin,
@@ -419,7 +422,8 @@ class Hierarchy:
         begin = clock()
         self._need_meshes("with_problem")
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
-        domain, other = self.problem.domain, problem.domain
+        domain = self.problem.domain
+        other = problem.domain
         if (
             domain is not None
             and other is not None

@@ -72,7 +72,8 @@ class Level:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        discrete, mesh = self.discrete_or_none, self.mesh_or_none
+        discrete = self.discrete_or_none
+        mesh = self.mesh_or_none
         if discrete is not None:
             checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem or None")
         elif not isinstance(self.galerkin, sparse.bsr_array):
@@ -222,7 +223,8 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
     depend on."""
 
     def parts(problem: DiscreteProblem) -> list:
-        contact, coupling = problem.contact, problem.coupling
+        contact = problem.contact
+        coupling = problem.coupling
         result: list = [contact.names, contact.masters, contact.nodes, contact.boundary]
         if coupling is not None:
             weights = coupling.weights

@@ -63,7 +63,8 @@ def two_block_patch(
     2
     """
     checks.choice("dim", dim, (2, 3))
-    slope, size = checks.nonnegative("slope", slope), checks.quantity("size", size, positive=True)
+    slope = checks.nonnegative("slope", slope)
+    size = checks.quantity("size", size, positive=True)
     if not slope <= _STEEPEST:
         raise ValueError(f"slope must be at most {_STEEPEST:g} degrees, got {slope!r}")
     pressure = checks.quantity("pressure", pressure, positive=True)
@@ -131,7 +132,8 @@ def _flat(dim: int, size: float) -> dict[str, Domain]:
 def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
     """Profiles with an interface through (size / 2, 0); the walls x = 0 are held at a distance from
     it."""
-    left, right = -0.5 * tangent * size, 0.5 * tangent * size
+    left = -0.5 * tangent * size
+    right = 0.5 * tangent * size
     lower = am.Polygon(
         vertices=((0.0, -size), (size, -size), (size, right), (0.0, left), (0.0, -0.6 * size)),
         boundaries=("foot", "right", "interface", "shoulder", "left"),
@@ -149,23 +151,22 @@ def _held(
     dim: int, sloping: bool, pressure: float, side: float
 ) -> tuple[list[am.Pressure], list[am.Support]]:
     if sloping:
-        walls, head, depth = ("right", "shoulder"), "upper.head", ("bottom", "top")
+        walls = ("right", "shoulder")
+        head = "upper.head"
+        depth = ("bottom", "top")
         foot = am.Support("lower.foot", y=0.0)
     elif dim == 2:
-        walls, head, foot, depth = (
-            ("right",),
-            "upper.top",
-            am.Support("lower.bottom", y=0.0),
-            ("", ""),
-        )
+        walls = ("right",)
+        head = "upper.top"
+        foot = am.Support("lower.bottom", y=0.0)
+        depth = ("", "")
     else:
-        walls, head, foot, depth = (
-            ("right",),
-            "upper.top",
-            am.Support("lower.bottom", z=0.0),
-            ("front", "back"),
-        )
-    loads, supports = [am.Pressure(head, pressure)], [foot]
+        walls = ("right",)
+        head = "upper.top"
+        foot = am.Support("lower.bottom", z=0.0)
+        depth = ("front", "back")
+    loads = [am.Pressure(head, pressure)]
+    supports = [foot]
     for body in ("upper", "lower"):
         supports.append(am.Support(f"{body}.left", x=0.0))
         loads += [am.Pressure(f"{body}.{wall}", side) for wall in walls if side]
@@ -221,10 +222,8 @@ def incline(
     ('block', 'slab')
     """
     angle = checks.nonnegative("angle", angle)
-    width, height = (
-        checks.quantity("width", width, positive=True),
-        checks.quantity("height", height, positive=True),
-    )
+    width = checks.quantity("width", width, positive=True)
+    height = checks.quantity("height", height, positive=True)
     density = checks.quantity("density", density, positive=True)
     if not angle < 90:
         raise ValueError(f"angle must be below 90 degrees, got {angle!r}")
@@ -268,7 +267,8 @@ def incline(
 def _tilted(
     x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]
 ) -> am.Polygon:
-    c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+    c = math.cos(math.radians(angle))
+    s = math.sin(math.radians(angle))
     corners = ((x, y), (x + width, y), (x + width, y + height), (x, y + height))
     return am.Polygon(
         vertices=tuple((c * p - s * q, s * p + c * q) for p, q in corners), boundaries=names
@@ -314,7 +314,8 @@ def leaning_strut(
     angle = checks.positive("angle", angle)
     if not angle < 45:
         raise ValueError(f"angle must be below 45 degrees, got {angle!r}")
-    traction, direction = checks.number("traction", traction), checks.number("direction", direction)
+    traction = checks.number("traction", traction)
+    direction = checks.number("direction", direction)
     along = _LENGTH * np.array([math.sin(math.radians(angle)), math.cos(math.radians(angle))])
     corners = np.array([[0.0, 0.0], [_WIDTH, 0.0], [_WIDTH + along[0], along[1]], along])
     return am.ContactProblem(

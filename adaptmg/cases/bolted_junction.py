@@ -92,10 +92,8 @@ def bolted_junction(
     if flanges is None:
         flanges = Flanges() if dim == 2 else Flanges(n_bolts=8, diameter=0.034)
     checks.instance("flanges", flanges, Flanges)
-    preload, pressure = (
-        checks.quantity("preload", preload, positive=True),
-        checks.quantity("pressure", pressure),
-    )
+    preload = checks.quantity("preload", preload, positive=True)
+    pressure = checks.quantity("pressure", pressure)
     material = (am.Axisymmetric if dim == 2 else am.Solid)(young=young, poisson=poisson)
     usual = dim == 2 and (preload, pressure, friction, flanges, young, poisson) == (
         2.5e6,
@@ -127,10 +125,8 @@ def bolted_junction(
     ]
     # each bolt contracts towards its own axis, not towards that of the vessels
     ring = {"upper": material, "lower": material, "bolt": am.Axisymmetric(young=young, poisson=0.0)}
-    before, wall = (
-        (0.0,) * (dim - 1),
-        math.pi * ((flanges.bore + flanges.wall) ** 2 - flanges.bore**2),
-    )
+    before = (0.0,) * (dim - 1)
+    wall = math.pi * ((flanges.bore + flanges.wall) ** 2 - flanges.bore**2)
     strain = (*before, -flanges.shortening(preload, material.young, dim) / flanges.clamped)
     plane = dim == 2
     supports = [am.Support("lower.pipe", y=0.0) if plane else am.Support("lower.pipe", z=0.0)]
@@ -158,7 +154,8 @@ def bolted_junction(
 
 
 def _law(friction: float, flanges: Flanges, dim: int) -> Law:
-    friction, heads = checks.nonnegative("friction", friction), 0.0 if dim == 2 else 0.2
+    friction = checks.nonnegative("friction", friction)
+    heads = 0.0 if dim == 2 else 0.2
     if heads == friction:
         return am.Coulomb(friction) if friction else am.Frictionless()
     return am.Coulomb(partial(_friction, friction, heads, 0.5 * min(flanges.upper, flanges.lower)))
@@ -297,7 +294,8 @@ class Flanges:
 
 def _flange_section(flanges: Flanges, thickness: float, dim: int) -> am.Polygon:
     """The upper flange, the joint at z = 0."""
-    f, wall = flanges, flanges.bore + flanges.wall
+    f = flanges
+    wall = flanges.bore + flanges.wall
     # the seat of a ring is a little wider than its heads
     half = 0.6 * f.seat
     seat = (
@@ -329,8 +327,13 @@ def _mirrored(profile: am.Polygon) -> am.Polygon:
 
 
 def _ring_section(flanges: Flanges) -> am.Polygon:
-    f, head, shank = flanges, 0.5 * flanges.seat, 0.5 * flanges.shank
-    tip, top, low, end = f.upper + f.head_height, f.upper, -f.lower, -f.lower - f.head_height
+    f = flanges
+    head = 0.5 * flanges.seat
+    shank = 0.5 * flanges.shank
+    tip = f.upper + f.head_height
+    top = f.upper
+    low = -f.lower
+    end = -f.lower - f.head_height
     corners = [
         ((-head, end), "tip"),
         ((head, end), "side"),

@@ -226,10 +226,8 @@ def _posed(
     sections: dict[str, am.Outline | am.Polygon],
     pressure: float,
 ) -> am.ContactProblem:
-    supports, parts = (
-        [am.Support("upper.symmetry", x=0.0), am.Support("lower.symmetry", x=0.0)],
-        sections,
-    )
+    supports = [am.Support("upper.symmetry", x=0.0), am.Support("lower.symmetry", x=0.0)]
+    parts = sections
     if material.dim == 3:
         parts = {body: am.Revolution(section, 90.0) for body, section in sections.items()}
         supports = [
@@ -337,7 +335,8 @@ class PartialSlip:
 
     def traction(self, x: np.ndarray) -> np.ndarray:
         """Return the size of the tangential traction at x, Pa."""
-        c, a = self.stick, self.normal.half_width
+        c = self.stick
+        a = self.normal.half_width
         inner = np.sqrt(np.maximum(0.0, 1 - (np.asarray(x) / c) ** 2))
         return self.friction * (self.normal.pressure(x) - self.normal.peak * (c / a) * inner)
 
@@ -394,7 +393,8 @@ def cattaneo(
             "partial_slip": "Cattaneo; Johnson, Contact Mechanics, section 7.2",
         }
         reference |= {"stick": slip.stick, "partial_slip": slip, "sources": sources}
-    a, r = form.half_width, radius
+    a = form.half_width
+    r = radius
     (x, y), edge = _on_circle(r, SLAVE_REACH * a), _block_contact(r, a)
     upper = am.Outline(
         vertices=((-r, r), (-x, y), (0.0, 0.0), (x, y), (r, r)),
@@ -463,10 +463,8 @@ def flat_punch(
     >>> am.cases.flat_punch().dim
     2
     """
-    a, load = (
-        checks.quantity("half_width", half_width, positive=True),
-        checks.quantity("load", load, positive=True),
-    )
+    a = checks.quantity("half_width", half_width, positive=True)
+    load = checks.quantity("load", load, positive=True)
     reference = {}
     if isinstance(law, am.Frictionless):
         reference = {

@@ -114,22 +114,23 @@ def _field(
     kind: str, away: bool, friction: float, pressure: float, material: am.PlaneStrain
 ) -> TransitionField:
     """The mode with a sign, a size and a uniform part that make all states admissible."""
-    poisson, direction = material.poisson, 1.0 if away else -1.0
+    poisson = material.poisson
+    direction = 1.0 if away else -1.0
     beta = (1 - 2 * poisson) / (2 * (1 - poisson))
     exponent = 1.5 + direction * math.atan(friction * beta) / math.pi
     a, b = _mode(kind, friction, poisson, exponent, direction)
     mode = TransitionField(material=material, exponent=exponent, a=a, b=b)
     right, left = (mode.stress(np.array([[x, 0.0]]))[0] for x in (1.0, -1.0))
     if kind == "open":
-        scale, uniform, shear = pressure / -right[1], 0.0, 0.0
+        scale = pressure / -right[1]
+        uniform = 0.0
+        shear = 0.0
     else:
         # the tangential traction at x < 0 must stay below the limit, which the uniform part reaches
         excess = direction * left[2] + friction * left[1]
-        scale, uniform, shear = (
-            -friction * pressure / excess,
-            pressure,
-            direction * friction * pressure,
-        )
+        scale = -friction * pressure / excess
+        uniform = pressure
+        shear = direction * friction * pressure
     field = replace(mode, a=scale * a, b=scale * b, pressure=uniform, shear=shear)
     if kind == "stick":
         return field
@@ -167,7 +168,8 @@ class TransitionField:
 
     def displacement(self, points: np.ndarray) -> np.ndarray:
         """Return u (n, 2), m."""
-        z, mu = _complex(points), self.material.shear_modulus
+        z = _complex(points)
+        mu = self.material.shear_modulus
         u = _displacement(z, self.exponent, self.a, self.b, self.material.poisson) / (2 * mu)
         stretch = -self.pressure / (self.material.lame + 2 * mu)
         return np.column_stack(
@@ -177,7 +179,8 @@ class TransitionField:
     def stress(self, points: np.ndarray) -> np.ndarray:
         """Return xx, yy, xy (n, 3), Pa."""
         result = _stress(_complex(points), self.exponent, self.a, self.b)
-        lame, mu = self.material.lame, self.material.shear_modulus
+        lame = self.material.lame
+        mu = self.material.shear_modulus
         return result + np.array(
             [-self.pressure * lame / (lame + 2 * mu), -self.pressure, self.shear]
         )
@@ -249,5 +252,6 @@ def _displacement(z: _Complex, exponent: float, a: complex, b: complex, poisson:
 def _stress(z: _Complex, exponent: float, a: complex, b: complex) -> np.ndarray:
     """xx, yy, xy (n, 3)."""
     first, second, other = _derivatives(z, exponent, a, b)
-    mean, rest = 2 * first.real, second + other
+    mean = 2 * first.real
+    rest = second + other
     return np.column_stack([mean - rest.real, mean + rest.real, rest.imag])

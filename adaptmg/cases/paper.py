@@ -392,7 +392,8 @@ def dovetail(
     """
     parameters = {"angle": angle, "pull": pull, "clamp": clamp, "young": young, "poisson": poisson}
     angle = _checked_angle(angle)
-    pull, clamp = checks.quantity("pull", pull), checks.quantity("clamp", clamp)
+    pull = checks.quantity("pull", pull)
+    clamp = checks.quantity("clamp", clamp)
     reference: Mapping[str, object] = {"remark": _JOINT_REMARK}
     if constant_friction(law) == 0.2 and parameters == _JOINT_DEFAULTS:
         reference = _JOINT_REFERENCE

@@ -104,7 +104,8 @@ def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) ->
 def keys_of(function: Maker) -> dict[str, Key]:
     """Return the keys of a class or function: its arguments, and those of the objects that these
     may be."""
-    own, nested = {}, {}
+    own = {}
+    nested = {}
     for name, (item, kinds) in _parameters(function).items():
         if kinds[1:]:
             default = _default_class(name, item, kinds)
@@ -179,7 +180,8 @@ def _made(function: Maker, values: Arguments, before: str, what: str) -> Any:
 def problem_of(values: Arguments) -> am.ContactProblem:
     """Return the problem of a case with its arguments and elements; friction or limit alone choose
     the law."""
-    name, elements = values.pop("case"), values.pop("elements", ELEMENTS[0])
+    name = values.pop("case")
+    elements = values.pop("elements", ELEMENTS[0])
     function = get(name).function
     if (
         "law" not in values
@@ -230,7 +232,8 @@ def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> d
                 f"there is no argument {name!r}{checks.suggestion(key, tables[part])}; there are "
                 f"{', '.join(tables[part])}"
             )
-        value, kind = _value_of(text), tables[part][key].values
+        value = _value_of(text)
+        kind = tables[part][key].values
         if kind.startswith("Sequence") and not isinstance(value, tuple):
             value = (value,)
         settings[part][key] = (
@@ -273,9 +276,11 @@ def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     if "sizes" not in values and all(isinstance(part, am.Rectangle | am.Box) for part in parts):
         values = {"divisions": _DIVISIONS[task.dim]} | values
     if "divisions" in values:
-        make, what = am.Hierarchy.uniform, "uniform grids (without hierarchy.sizes)"
+        make = am.Hierarchy.uniform
+        what = "uniform grids (without hierarchy.sizes)"
     else:
-        make, what = am.Hierarchy.graded, "hierarchy.sizes"
+        make = am.Hierarchy.graded
+        what = "hierarchy.sizes"
     return _made(partial(make, task), values, "hierarchy.", what)
 
 
@@ -291,7 +296,8 @@ def solved(
     problem = problem_of(settings["case"])
     if not settings["adapt"]:
         # the method first: what is refused is refused before anything is meshed
-        solver, levels = solver_of(settings["solver"]), grids(problem, settings["hierarchy"])
+        solver = solver_of(settings["solver"])
+        levels = grids(problem, settings["hierarchy"])
         return am.solve(levels, solver, throw=False, callback=callback), levels, []
     steps = []
     for step in _made(

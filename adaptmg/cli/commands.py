@@ -258,7 +258,8 @@ def _cases(parsed: Namespace) -> None:
 def _solve(parsed: Namespace) -> int:
     from adaptmg.cli import build, output
 
-    settings, folder = _settings(parsed), output.folder(parsed.out)
+    settings = _settings(parsed)
+    folder = output.folder(parsed.out)
     with output.watched() as callback:
         result, grids, _ = build.solved(settings, callback)
     files = output.write(folder, result, grids, [])
@@ -274,7 +275,8 @@ def _solve(parsed: Namespace) -> int:
 def _adapt(parsed: Namespace) -> None:
     from adaptmg.cli import build, output
 
-    settings, folder = _settings(parsed), output.folder(parsed.out)
+    settings = _settings(parsed)
+    folder = output.folder(parsed.out)
     waiting: list[str] = []
     with output.watched() as progress:
         # lines would run into the bar: they wait until it ends
@@ -311,7 +313,8 @@ def _study(parsed: Namespace) -> int:
         )
         with logged("adaptmg.study", level, logging.StreamHandler()):
             study.run(progress=False if parsed.quiet else None, **options)
-    table, status = study.table(details=parsed.json), study.status()
+    table = study.table(details=parsed.json)
+    status = study.status()
     columns = table.attrs["columns"]
     if parsed.json:
         rows = {} if parsed.dry_run else {"rows": finite(table.to_dict("records"))}
@@ -374,7 +377,8 @@ def _study_of(path: Path, store: Path | None) -> Study:
                 "--store belongs to scripts with run and parameters: this one makes its am.Study itself"
             )
         return studies[0]
-    run, parameters = getattr(module, "run", None), getattr(module, "parameters", None)
+    run = getattr(module, "run", None)
+    parameters = getattr(module, "parameters", None)
     if studies or run is None or parameters is None:
         raise ValueError(
             f"{file} must make one am.Study, or have run and parameters; it makes {len(studies)} studies"
@@ -410,7 +414,8 @@ def _report(parsed: Namespace) -> None:
         raise ValueError(
             f"--to must be an HTML file, got {checks.shown(str(page))}: its table is a .csv next to it"
         )
-    records, csv = list(store.get(name).values()), page.with_suffix(".csv")
+    records = list(store.get(name).values())
+    csv = page.with_suffix(".csv")
     names = dict.fromkeys(key for record in records for key in record.parameters)
     fixed = {
         key: value
@@ -446,7 +451,8 @@ def _origin(records: Sequence[Record]) -> dict[str, str]:
 def _errors(texts: Sequence[str]) -> Iterator[None]:
     """Bad input and files that cannot be written become a line on standard error and exit code 2;
     Ctrl-C is 130."""
-    as_json, command = "--json" in texts, texts[0] if texts else ""
+    as_json = "--json" in texts
+    command = texts[0] if texts else ""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn

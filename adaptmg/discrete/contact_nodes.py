@@ -233,7 +233,8 @@ def checked_bodies(bodies: Mapping[str, ArrayLike], n_nodes: int) -> dict[str, n
 def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
     """Return a stiffness matrix in blocks, symmetric with a positive diagonal."""
     matrix = checks.square_blocks("matrix", value, dim)
-    scale, diagonal = largest_entry(matrix.data), matrix.diagonal()
+    scale = largest_entry(matrix.data)
+    diagonal = matrix.diagonal()
     if not scale > 0:
         raise ValueError("matrix is zero")
     check_size("matrix", scale)
@@ -251,7 +252,8 @@ def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
     """ValueError unless each block is the transpose of its counterpart, relative to the diagonals
     of its two nodes. sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part
     is judged by its own stiffness."""
-    difference, dim = sparse.coo_array(matrix - matrix.T), matrix.blocksize[0]
+    difference = sparse.coo_array(matrix - matrix.T)
+    dim = matrix.blocksize[0]
     scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))
     rows, columns = (place // dim for place in difference.coords)
     asymmetry = np.abs(difference.data) / (scale[rows] * scale[columns])

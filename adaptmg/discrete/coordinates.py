@@ -55,7 +55,8 @@ class Coupling:
     _series: sparse.csr_array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        weights, n = self.weights, self.weights.shape[0]
+        weights = self.weights
+        n = self.weights.shape[0]
         dim = len(self.fixed) // n
         by_dof = sparse.csr_array(
             sparse.diags_array((~self.fixed).astype(float))
@@ -131,7 +132,8 @@ def relative_prolongation(
 
 def _series(step: sparse.csr_array) -> sparse.csr_array:
     """step + step^2 + ... until it ends."""
-    total, power = step, step
+    total = step
+    power = step
     for _ in range(_MOST_LINKS):
         power = sparse.csr_array(power @ step)
         if not power.nnz:
@@ -255,7 +257,8 @@ class Unknowns:
         one."""
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
-        result, own = nodal[nodes], self.fixed.reshape(-1, self.dim)[nodes]
+        result = nodal[nodes]
+        own = self.fixed.reshape(-1, self.dim)[nodes]
         if self.coupling is not None and own.any():
             # such components are no relative coordinates
             moved = self.physical(nodal)
@@ -270,11 +273,9 @@ class Unknowns:
         1, component."""
         if self.coupling is None:
             return []
-        rows, fixed, result = (
-            self.coupling.weights[self.contact.nodes],
-            self.held.reshape(-1, self.dim),
-            [],
-        )
+        rows = self.coupling.weights[self.contact.nodes]
+        fixed = self.held.reshape(-1, self.dim)
+        result = []
         for c in range(self.dim):
             held = np.flatnonzero(fixed[self.contact.nodes, c])
             weights = sparse.csr_array(

@@ -375,7 +375,8 @@ def contact_data(
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
-    nodes, boundary = nodes[order], boundary[order]
+    nodes = nodes[order]
+    boundary = boundary[order]
     normals, weights, gaps = (
         np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ("normals", "weights", "gaps")
@@ -418,7 +419,8 @@ def _masses_of_ties(
 ) -> np.ndarray:
     """Boundary masses (n_nodes,) in front of obstacles that tied nodes give, < 0, and contact nodes
     that these follow, over tied ones too, take."""
-    masses, takes = np.zeros(len(owner)), np.zeros(len(owner))
+    masses = np.zeros(len(owner))
+    takes = np.zeros(len(owner))
     if not ties:
         return masses
     for k, contact in enumerate(problem.contact):
@@ -528,13 +530,16 @@ class LoadSteps:
                     f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
                     "give both the same factors"
                 )
-            result[dofs], owner[dofs] = scaled, k
+            result[dofs] = scaled
+            owner[dofs] = k
         return result
 
 
 def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> LoadSteps:
     """Return the loads and supports of a problem one by one."""
-    loads, strains, strain_loads = {}, {}, {}
+    loads = {}
+    strains = {}
+    strain_loads = {}
     for name in dict.fromkeys(load.path_name for load in problem.loads):
         named = [
             load.shortening(mesh.dim) if isinstance(load, Preload) else load
@@ -579,7 +584,8 @@ def load_steps(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProb
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:
     """Return all loads and prescribed displacements of a problem without names, as one."""
-    dofs, inclined = np.flatnonzero(discrete.fixed), discrete.inclined
+    dofs = np.flatnonzero(discrete.fixed)
+    inclined = discrete.inclined
     load = discrete.load if inclined is None else inclined.load
     return LoadSteps(
         discrete.n_dofs, {DEFAULT: load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])}

@@ -74,9 +74,11 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
     materials = body_materials(mesh, material)
     axisymmetric = is_axisymmetric(materials)
     if elements == "smoothed":
-        patches, of_elements = _around_edges(mesh, axisymmetric), moduli(mesh, materials, EDGE_PART)
+        patches = _around_edges(mesh, axisymmetric)
+        of_elements = moduli(mesh, materials, EDGE_PART)
     else:
-        patches, of_elements = _of_elements(mesh, axisymmetric), moduli(mesh, materials)
+        patches = _of_elements(mesh, axisymmetric)
+        of_elements = moduli(mesh, materials)
     of_nodes = patches_of_nodes(patches.start, patches.nodes, mesh.n_nodes)
     indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
     data = np.empty((len(indices), dim, dim))
@@ -129,7 +131,8 @@ class _Patches:
 def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
     slopes, measures = shape_gradients(mesh)
     _, corners, dim = slopes.shape
-    hoops, spread = np.empty(0), np.empty((0, 0))
+    hoops = np.empty(0)
+    spread = np.empty((0, 0))
     if axisymmetric:
         radii, (rule, weights) = (
             mesh.points[mesh.elements, 0],
@@ -137,12 +140,14 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
         )
         mean = radii.mean(axis=1)
         # the integral over the element less that of the mean
-        rule, weights = np.vstack([rule, np.full(corners, 1 / corners)]), np.append(weights, -1.0)
+        rule = np.vstack([rule, np.full(corners, 1 / corners)])
+        weights = np.append(weights, -1.0)
         at_points = 2 * np.pi * measures[:, None] * (weights / (radii @ rule.T))
         spread = (at_points @ (rule[:, :, None] * rule[:, None]).reshape(len(rule), -1)).reshape(
             -1, corners
         )
-        hoops, measures = np.repeat(1 / (3 * mean), corners), 2 * np.pi * mean * measures
+        hoops = np.repeat(1 / (3 * mean), corners)
+        measures = 2 * np.pi * mean * measures
     return _Patches(
         starts_of(mesh.elements),
         mesh.elements.reshape(-1),
@@ -160,13 +165,15 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
     if axisymmetric:
         radius = mesh.points[mesh.elements, 0].mean(axis=1)
         hoops = np.repeat(1 / (3 * radius), corners).reshape(n, corners, 1)
-        values, measures = np.concatenate([values, hoops], axis=2), 2 * np.pi * radius * measures
+        values = np.concatenate([values, hoops], axis=2)
+        measures = 2 * np.pi * radius * measures
     blocks = (measures[:, None, None] * values).reshape(n * corners, 1, -1)
     of_elements = sparse.bsr_array(
         (blocks, mesh.elements.reshape(-1), corners * np.arange(n + 1)),
         shape=(n, blocks.shape[2] * mesh.n_nodes),
     )
-    sums, volumes = sparse.bsr_array(edges, blocksize=(1, 1)) @ of_elements, edges @ measures
+    sums = sparse.bsr_array(edges, blocksize=(1, 1)) @ of_elements
+    volumes = edges @ measures
     means = sums.data[:, 0] / np.repeat(volumes, np.diff(sums.indptr))[:, None]
     return _Patches(
         sums.indptr,
@@ -211,7 +218,8 @@ def shape_gradients(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Return the gradients (n_elements, dim + 1, dim) of the shape functions of elements, and their
     volumes."""
     n, corners = mesh.elements.shape
-    slopes, measures = np.empty((n, corners, mesh.dim)), np.empty(n)
+    slopes = np.empty((n, corners, mesh.dim))
+    measures = np.empty(n)
     bad = max(
         in_parts(
             _shape_gradients,
@@ -259,7 +267,8 @@ def pattern(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return row pointers and sorted columns of the matrix of patches; ValueError for a node
     without one."""
-    n, indptr = of_nodes.shape[1], np.zeros(of_nodes.shape[1] + 1, dtype=np.int64)
+    n = of_nodes.shape[1]
+    indptr = np.zeros(of_nodes.shape[1] + 1, dtype=np.int64)
     arguments = of_nodes.indptr, of_nodes.indices, start, nodes, indptr
     in_parts(_find_neighbours, n, 8 * len(nodes), *arguments, np.empty(0, dtype=np.int32))
     if not indptr[1:].all():
@@ -278,7 +287,8 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
         return mesh.elements, mesh.points
     keys = pair_keys(mesh.element_body[:, None], mesh.elements, n)
     used, numbers = np.unique(keys, return_inverse=True)  # by body, then node
-    node, again = used % n, np.ones(len(used), dtype=bool)
+    node = used % n
+    again = np.ones(len(used), dtype=bool)
     again[np.unique(node, return_index=True)[1]] = False
     points = np.concatenate([mesh.points, mesh.points[node[again]]])
     place = np.where(again, n - 1 + np.cumsum(again), node).astype(np.int32)
@@ -292,9 +302,11 @@ def _find_neighbours(first, last, start, listed, begin, nodes, indptr, indices):
     them."""
     # unsigned: numba asks of all others whether they count from the end, which takes half of the
     # time
-    marker, one = np.full(len(start) - 1, -1, dtype=np.int32), np.uint64(1)
+    marker = np.full(len(start) - 1, -1, dtype=np.int32)
+    one = np.uint64(1)
     for i in range(first, last):
-        count, row = np.uint64(0), np.uint64(indptr[i])
+        count = np.uint64(0)
+        row = np.uint64(indptr[i])
         for at in range(start[i], start[i + 1]):
             e = np.uint64(listed[at])
             for p in range(np.uint64(begin[e]), np.uint64(begin[e + one])):
@@ -319,19 +331,22 @@ def _shape_gradients(first, last, zero, points, elements, slopes, measures):
     or -1. ``zero`` (dim,) is a tuple, so that loops over components are compiled for their
     length."""
     dim = len(zero)
-    edges, normals = np.empty((len(zero), len(zero))), np.empty((len(zero), len(zero)))
+    edges = np.empty((len(zero), len(zero)))
+    normals = np.empty((len(zero), len(zero)))
     for e in range(first, last):
         for k in range(dim):
             for d in range(dim):
                 edges[k, d] = points[elements[e, k + 1], d] - points[elements[e, 0], d]
         # the gradient of each corner's shape function, times the determinant of the edges
         for k in range(dim):
-            a, b = (k + 1) % dim, (k + 2) % dim
+            a = (k + 1) % dim
+            b = (k + 2) % dim
             if len(zero) == 2:
                 normals[k, 0], normals[k, 1] = (1 - 2 * k) * edges[a, 1], (2 * k - 1) * edges[a, 0]
             else:
                 for d in range(dim):
-                    i, j = (d + 1) % dim, (d + 2) % dim
+                    i = (d + 1) % dim
+                    j = (d + 2) % dim
                     normals[k, d] = edges[a, i] * edges[b, j] - edges[a, j] * edges[b, i]
         determinant = 0.0
         for d in range(dim):
@@ -367,7 +382,9 @@ def _add_patches(
     data,
 ):
     """Write the upper half of rows: node i is in ``patches[start[i]:start[i + 1]]``."""
-    dim, one, stress = len(zero), np.uint64(1), np.empty((2 * len(zero), len(zero)))
+    dim = len(zero)
+    one = np.uint64(1)
+    stress = np.empty((2 * len(zero), len(zero)))
     slot = np.empty(len(indptr) - 1, dtype=np.int64)
     for i in range(first, last):
         for at in range(indptr[i], indptr[i + 1]):
@@ -375,10 +392,13 @@ def _add_patches(
         data[slot[i] : indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
             e = np.uint64(patches[k])
-            p, end = np.uint64(begin[e]), np.uint64(begin[e + one])
+            p = np.uint64(begin[e])
+            end = np.uint64(begin[e + one])
             while nodes[p] != i:  # the patch has the node
                 p += one
-            own, x, y = np.uint64(rows[e]), measures[e] * slopes[p, 0], measures[e] * slopes[p, 1]
+            own = np.uint64(rows[e])
+            x = measures[e] * slopes[p, 0]
+            y = measures[e] * slopes[p, 1]
             z = measures[e] * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
             for c in range(2 * dim):
                 if len(zero) == 3:
@@ -399,7 +419,9 @@ def _add_patches(
             for q in range(np.uint64(begin[e]), end):
                 if nodes[q] < i:
                     continue
-                at, u, v = np.uint64(slot[np.uint64(nodes[q])]), slopes[q, 0], slopes[q, 1]
+                at = np.uint64(slot[np.uint64(nodes[q])])
+                u = slopes[q, 0]
+                v = slopes[q, 1]
                 w = slopes[q, 2] if len(zero) == 3 else hoops[q] if len(hoops) else 0.0
                 for a in range(dim):  # one addition each, for the sake of rounding
                     if len(zero) == 3:

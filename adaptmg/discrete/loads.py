@@ -144,7 +144,8 @@ def load_density(
 ) -> np.ndarray:
     """Return the force per volume or area at points (n_cells, n_quadrature, dim), in the same
     shape."""
-    shape, dim = points.shape[:2], points.shape[2]
+    shape = points.shape[:2]
+    dim = points.shape[2]
     flat = points.reshape(-1, dim)
     if isinstance(load, Pressure):
         value = checks.field(f"pressure on {load.boundary!r}", load.value, flat).reshape(shape)
@@ -193,14 +194,16 @@ def initial_strain_load(
     if elements == "smoothed":
         volumes = element_measures(mesh, axisymmetric)
         mean = mean_initial_strain(mesh, [load], axisymmetric=axisymmetric)
-        strain, weights = smoothed(mesh, mean, volumes)[here, None], volumes[here, None]
+        strain = smoothed(mesh, mean, volumes)[here, None]
+        weights = volumes[here, None]
         rule = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
     if isinstance(materials[mesh.bodies.index(load.body)], PlaneStress):
         strain[:, :, 2] = 0.0
     own = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
     columns = np.einsum("eij,eqj->eqi", own.table[own.rows[here], :, :3], strain)
     stress = as_tensors(columns.reshape(-1, columns.shape[2])).reshape(*columns.shape[:2], 3, 3)
-    cells, dim = mesh.elements[here], mesh.dim
+    cells = mesh.elements[here]
+    dim = mesh.dim
     forces = shape_gradients(mesh)[0][here] @ np.einsum(
         "eq,eqij->eij", weights, stress[:, :, :dim, :dim]
     )

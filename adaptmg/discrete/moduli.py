@@ -128,12 +128,10 @@ def moduli(mesh: MeshArrays, materials: tuple[Elastic, ...], most: float = np.in
     for k, material in enumerate(materials):
         if material.anisotropy is not None:
             here = np.flatnonzero(mesh.element_body == k)
-            own, rows = (
-                _turned(
-                    material, material.anisotropy, mesh.points[mesh.elements[here]].mean(axis=1)
-                ),
-                result.rows.copy(),
+            own = _turned(
+                material, material.anisotropy, mesh.points[mesh.elements[here]].mean(axis=1)
             )
+            rows = result.rows.copy()
             rows[here] = len(result.table) + (
                 np.arange(len(here)) if material.anisotropy.varies else 0
             )
@@ -147,10 +145,12 @@ def isotropic(
     """Return the tensors of isotropic bodies, of which some are ``thin`` (n_bodies,) sheets in
     plane stress; see
     :func:`moduli`."""
-    lame, k = np.minimum(lame, most * shear), 2 * mesh.dim
+    lame = np.minimum(lame, most * shear)
+    k = 2 * mesh.dim
     table = shear[:, None, None] * np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])[:k, :k]
     table[:, :3, :3] += lame[:, None, None]
-    table[thin, 2], table[thin, :, 2] = 0.0, 0.0
+    table[thin, 2] = 0.0
+    table[thin, :, 2] = 0.0
     table[thin, 2, :2] = -(lame / (2 * shear))[thin, None]
     return Moduli(table, mesh.element_body)
 
@@ -166,7 +166,8 @@ def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np
     if isinstance(material, PlaneStress):
         through = -result[:, 2] / result[:, 2, 2, None]
         result += result[:, 2, :, None] * through[:, None]
-        result[:, :, 2], result[:, 2] = 0.0, through
+        result[:, :, 2] = 0.0
+        result[:, 2] = through
         result[:, 2, 2] = 0.0
     return result
 

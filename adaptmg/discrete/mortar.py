@@ -115,7 +115,8 @@ class MortarInterface:
 def slave_normals(slave: Surface, held: HeldNodes) -> np.ndarray:
     """Return average normals (n_nodes, dim) without components along what supports hold, where
     these are small."""
-    normals, nodes = slave.node_normals.copy(), slave.nodes
+    normals = slave.node_normals.copy()
+    nodes = slave.nodes
     inside = held.free_part(nodes, normals[nodes])
     lengths = np.linalg.norm(inside, axis=1)
     tilted = lengths > _SYMMETRY_TILT
@@ -209,7 +210,8 @@ def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse
     """The shares (n_nodes, n_nodes) in which the nearest nodes that carry multipliers (n_nodes,),
     columns, stand for each node of a surface: itself, or some of sum 1."""
     n = len(surface.points)
-    integrals, facets = surface.shape_integrals(axisymmetric), surface.facets
+    integrals = surface.shape_integrals(axisymmetric)
+    facets = surface.facets
     corners = facets.shape[1]
     ends = np.repeat(facets, corners, axis=1).ravel(), np.tile(facets, (1, corners)).ravel()
     near = sparse.csr_array((np.repeat(integrals, corners, axis=1).ravel(), ends), shape=(n, n))
@@ -273,17 +275,20 @@ def _facet_heights(surface: Surface) -> np.ndarray:
 
 def node_to_node(surfaces: Surfaces) -> MortarInterface:
     """Couple each node of a slave surface to the nearest node of a master surface."""
-    points, normals = surfaces.points, surfaces.normals
+    points = surfaces.points
+    normals = surfaces.normals
     nodes = surfaces.slave_side.nodes
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     facing = surfaces.master_side.nodes
     partner = facing[cKDTree(points[facing]).query(points[nodes])[1]]
-    apart, normal = points[partner] - points[nodes], normals[nodes]
+    apart = points[partner] - points[nodes]
+    normal = normals[nodes]
     gaps = np.einsum("nd,nd->n", apart, normal)
     offset = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
     faces = _with_partners(surfaces, nodes, partner, offset)
-    n, carries = len(points), surfaces.carries
+    n = len(points)
+    carries = surfaces.carries
     matched = np.isin(np.arange(n), nodes[faces])
     weights = surfaces.slave_side.lumped(surfaces.axisymmetric)
     taken = taken_over(surfaces.slave_side, carries, surfaces.axisymmetric, matched)
@@ -292,7 +297,9 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     apart = sparse.csr_array((np.ones(len(nodes)), (nodes, partner)), shape=(n, n))
     coupling = sparse.csr_array(apart + taken @ (apart - sparse.eye_array(n, format="csr")))
     own = carries[nodes]
-    nodes, normal, gaps = nodes[own], normal[own], gaps[own]
+    nodes = nodes[own]
+    normal = normal[own]
+    gaps = gaps[own]
     weights = weights[nodes]
     if not weights.min() > 0:
         raise ValueError(
@@ -315,9 +322,11 @@ def _with_partners(
 ) -> np.ndarray:
     """Return which slave nodes face their partners; ValueError if one with a multiplier does
     not."""
-    points, shortest = surfaces.points, np.full(len(surfaces.points), np.inf)
+    points = surfaces.points
+    shortest = np.full(len(surfaces.points), np.inf)
     np.minimum.at(shortest, surfaces.slave, _edge_lengths(surfaces.slave_side).min(axis=1)[:, None])
-    allowed, vectors = _OFFSET * shortest[nodes], np.zeros(points.shape)
+    allowed = _OFFSET * shortest[nodes]
+    vectors = np.zeros(points.shape)
     for corner in surfaces.master.T:
         np.add.at(vectors, corner, surfaces.master_side.vectors)
     facing = np.einsum("nd,nd->n", vectors[partner], surfaces.normals[nodes]) < 0
@@ -341,12 +350,11 @@ def _with_partners(
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     """Couple the nodes of a slave surface to a master surface."""
-    carries, n_nodes, covered = (
-        surfaces.carries[surfaces.slave],
-        len(surfaces.points),
-        covered_parts(surfaces, reach),
-    )
-    parts, alone = covered.only(covered.enough[covered.slave]), ~np.any(carries, axis=1)
+    carries = surfaces.carries[surfaces.slave]
+    n_nodes = len(surfaces.points)
+    covered = covered_parts(surfaces, reach)
+    parts = covered.only(covered.enough[covered.slave])
+    alone = ~np.any(carries, axis=1)
     if alone[parts.slave].all():
         if len(covered.slave):
             raise ValueError(
@@ -371,7 +379,8 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     share = share + np.eye(carries.shape[1]) * (carries | alone[:, None])[:, :, None]
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
     followed = share * np.where(carries, 0.0, own)[:, None, :]
-    slave, k = surfaces.slave[parts.slave], carries.shape[1]
+    slave = surfaces.slave[parts.slave]
+    k = carries.shape[1]
     rows = np.repeat(np.concatenate([slave, surfaces.slave]), k)
     columns = np.tile(
         np.concatenate([surfaces.master[parts.master], surfaces.slave]), (1, k)

@@ -54,11 +54,9 @@ class Surfaces:
     size: float = field(init=False, repr=False)  # diagonal of the bounding box of both surfaces, m
 
     def __post_init__(self) -> None:
-        points, slave_nodes, master_nodes = (
-            self.slave_side.points,
-            self.slave_side.nodes,
-            self.master_side.nodes,
-        )
+        points = self.slave_side.points
+        slave_nodes = self.slave_side.nodes
+        master_nodes = self.master_side.nodes
         carries = np.zeros(len(points), dtype=bool)
         carries[slave_nodes] = True
         carries[master_nodes] = carries[np.asarray(self.excluded, dtype=np.int64)] = False
@@ -184,10 +182,12 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
     origin = np.where(covered > 0, np.inf, 0.0)
     np.minimum.at(origin, edge, ends[:, 0])
-    slave, master = surfaces.slave[edge], surfaces.master[facet]
+    slave = surfaces.slave[edge]
+    master = surfaces.master[facet]
     offset = (ends[:, :1] - origin[edge][:, None]) + np.diff(ends) * 0.5 * (1 + _GAUSS[0])
     s = origin[edge][:, None] + offset
-    x, e = surfaces.points[slave[:, 0]], np.diff(surfaces.points[slave], axis=1)[:, 0]
+    x = surfaces.points[slave[:, 0]]
+    e = np.diff(surfaces.points[slave], axis=1)[:, 0]
     measure = np.linalg.norm(e, axis=1)[:, None] * np.diff(ends) * 0.5 * _GAUSS[1]
     if surfaces.axisymmetric:
         measure = measure * (2 * np.pi * np.maximum(x[:, :1] + s * e[:, :1], 0.0))
@@ -217,9 +217,13 @@ def _pieces(
     edge, facet = _edges_near(surfaces, backward, forward)
     ends = _in_front(surfaces, edge, facet)
     real = ends[:, 1] - ends[:, 0] > SHORTEST
-    edge, facet, ends = edge[real], facet[real], ends[real]
+    edge = edge[real]
+    facet = facet[real]
+    ends = ends[real]
     order = np.lexsort((facet, ends[:, 0], edge))
-    edge, facet, ends = edge[order], facet[order], ends[order]
+    edge = edge[order]
+    facet = facet[order]
+    ends = ends[order]
     counts = np.bincount(edge, minlength=len(surfaces.slave))
     starts = np.r_[0, np.cumsum(counts)]
     breaks = ends.ravel()[np.lexsort((ends.ravel(), np.repeat(edge, 2)))]
@@ -246,7 +250,8 @@ def _pieces(
 def _edges_near(
     surfaces: Surfaces, backward: float, forward: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    n, x = surfaces.normals[surfaces.slave], surfaces.points[surfaces.slave]
+    n = surfaces.normals[surfaces.slave]
+    x = surfaces.points[surfaces.slave]
     mean = n.mean(axis=1)
     shortest = np.linalg.norm(mean, axis=1)[:, None, None]  # of n(s), for unit normals at the ends
     corners = np.concatenate([x - backward / shortest * n, x + forward / shortest * n], axis=1)
@@ -278,9 +283,14 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
     = 0`. Of the two roots of this quadratic equation the one where q falls: there the node is
     before the centre of curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is
     next to all of the edge."""
-    x, n = surfaces.points[slave], surfaces.normals[slave]
-    e, turn, r = x[:, 1] - x[:, 0], n[:, 1] - n[:, 0], x[:, 0] - surfaces.points[node]
-    a, b, c = cross(e, turn), cross(r, turn) + cross(e, n[:, 0]), cross(r, n[:, 0])
+    x = surfaces.points[slave]
+    n = surfaces.normals[slave]
+    e = x[:, 1] - x[:, 0]
+    turn = n[:, 1] - n[:, 0]
+    r = x[:, 0] - surfaces.points[node]
+    a = cross(e, turn)
+    b = cross(r, turn) + cross(e, n[:, 0])
+    c = cross(r, n[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b * b - 4 * a * c)
         s = np.where(b <= 0, 2 * c / (root - b), -(b + root) / (2 * a))
@@ -294,7 +304,9 @@ def _opposite(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position 0 .. 1 on the master edge, and distance along the unit normal, at points s (n,
     n_points)."""
-    x, n, y = surfaces.points[slave], surfaces.normals[slave], surfaces.points[master]
+    x = surfaces.points[slave]
+    n = surfaces.normals[slave]
+    y = surfaces.points[master]
     s = s[:, :, None]
     at = x[:, :1] + s * (x[:, 1:] - x[:, :1]) - y[:, :1]
     normal = n[:, :1] + s * (n[:, 1:] - n[:, :1])
@@ -314,11 +326,16 @@ def distance_along_normal(points, normals, a, b, y1, y2, s):
     """Return the distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1,
     y2). Infinite if the ray misses the edge, the edge faces away, or rays cross before they reach
     it."""
-    ex, ey = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-    dx, dy = normals[b, 0] - normals[a, 0], normals[b, 1] - normals[a, 1]
-    nx, ny = normals[a, 0] + s * dx, normals[a, 1] + s * dy
-    mx, my = points[y2, 0] - points[y1, 0], points[y2, 1] - points[y1, 1]
-    rx, ry = points[a, 0] + s * ex - points[y1, 0], points[a, 1] + s * ey - points[y1, 1]
+    ex = points[b, 0] - points[a, 0]
+    ey = points[b, 1] - points[a, 1]
+    dx = normals[b, 0] - normals[a, 0]
+    dy = normals[b, 1] - normals[a, 1]
+    nx = normals[a, 0] + s * dx
+    ny = normals[a, 1] + s * dy
+    mx = points[y2, 0] - points[y1, 0]
+    my = points[y2, 1] - points[y1, 1]
+    rx = points[a, 0] + s * ex - points[y1, 0]
+    ry = points[a, 1] + s * ey - points[y1, 1]
     facing = mx * ny - my * nx
     across = rx * ny - ry * nx
     if facing <= 0.0 or across < -_BESIDE * facing or across > (1.0 + _BESIDE) * facing:
@@ -351,8 +368,10 @@ def nearest_pieces(
     edge in front of it."""
     n_pieces = 0
     for e in range(len(slave)):
-        a, b = slave[e, 0], slave[e, 1]
-        following, n_active = starts[e], 0
+        a = slave[e, 0]
+        b = slave[e, 1]
+        following = starts[e]
+        n_active = 0
         for at in range(2 * starts[e], 2 * starts[e + 1]):
             high = breaks[at]
             if at == 2 * starts[e]:
@@ -364,7 +383,9 @@ def nearest_pieces(
                 active[n_active] = following
                 following += 1
                 n_active += 1
-            kept, best, best_distance = 0, -1, np.inf
+            kept = 0
+            best = -1
+            best_distance = np.inf
             for k in range(n_active):
                 pair = active[k]
                 if highs[pair] <= middle:
@@ -375,11 +396,13 @@ def nearest_pieces(
                     points, normals, a, b, master[facets[pair], 0], master[facets[pair], 1], middle
                 )
                 if -backward <= distance <= forward and abs(distance) < best_distance:
-                    best, best_distance = pair, abs(distance)
+                    best = pair
+                    best_distance = abs(distance)
             n_active = kept
             if best >= 0:
                 piece_edge[n_pieces], piece_facet[n_pieces] = e, facets[best]
-                piece_ends[n_pieces, 0], piece_ends[n_pieces, 1] = low, high
+                piece_ends[n_pieces, 0] = low
+                piece_ends[n_pieces, 1] = high
                 n_pieces += 1
             low = high
     return n_pieces
@@ -400,7 +423,8 @@ _POINTS = np.sqrt(2) * np.array(
 
 def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     """The visible common parts of slave and master triangles."""
-    depths, frames = surfaces.depths(reach), _frames(surfaces)
+    depths = surfaces.depths(reach)
+    frames = _frames(surfaces)
     start, near = _triangles_near(surfaces, frames, *depths)
     parts = _common_parts(surfaces, frames, start, near, *depths)
     covariance = parts.means()[-1]
@@ -440,7 +464,8 @@ def _triangles_near(
     """Master facets that may be opposite to a slave facet: where those of each begin, and their
     numbers."""
     origins, local = _local(surfaces, frames)
-    low, high = local.min(axis=1), local.max(axis=1)
+    low = local.min(axis=1)
+    high = local.max(axis=1)
     low[:, 2] -= backward
     high[:, 2] += forward
     slave, near = BoxTree(surfaces.points, surfaces.master).meeting(frames, origins, low, high)
@@ -470,7 +495,10 @@ def _common_parts(
     moments = np.empty((len(near), MOMENTS))
     common_moments(local, other, start, backward, forward, moments)
     real = moments[:, 0] > 0
-    slave, master, other, moments = slave[real], near[real], other[real, ::-1], moments[real]
+    slave = slave[real]
+    master = near[real]
+    other = other[real, ::-1]
+    moments = moments[real]
     area, at, (xx, xy, yy) = moments[:, 0], moments[:, 1:3], moments[:, 3:].T
     # the points are the corners of an equilateral triangle times the square root of the covariance
     wide = np.sqrt(xx)
@@ -534,20 +562,21 @@ def common_moments(slave, masters, start, below, above, moments):
     room = 1
     for s in range(len(slave)):
         room = max(room, start[s + 1] - start[s])
-    parts, sizes, boxes = (
-        np.empty((room, ROOM, 2)),
-        np.empty(room, dtype=np.int64),
-        np.empty((room, 4)),
-    )
-    gaps, base, hiding = np.empty((room, 3)), np.empty(3), np.empty(room, dtype=np.int64)
-    spare, piece = np.empty((2, 2 * ROOM, 2)), np.empty((2, ROOM, 2))
-    stack, states = (
-        np.empty((ROOM * (1 + room), 3, 2)),
-        np.empty((ROOM * (1 + room), 2), dtype=np.int64),
-    )
+    parts = np.empty((room, ROOM, 2))
+    sizes = np.empty(room, dtype=np.int64)
+    boxes = np.empty((room, 4))
+    gaps = np.empty((room, 3))
+    base = np.empty(3)
+    hiding = np.empty(room, dtype=np.int64)
+    spare = np.empty((2, 2 * ROOM, 2))
+    piece = np.empty((2, ROOM, 2))
+    stack = np.empty((ROOM * (1 + room), 3, 2))
+    states = np.empty((ROOM * (1 + room), 2), dtype=np.int64)
     for s in range(len(slave)):
         area = 0.5 * _plane(slave[s], base)
-        first, n, many = start[s], start[s + 1] - start[s], 0
+        first = start[s]
+        n = start[s + 1] - start[s]
+        many = 0
         here = masters[first : first + n]
         for i in range(n):
             _plane(here[i], gaps[i])
@@ -560,7 +589,8 @@ def common_moments(slave, masters, start, below, above, moments):
                 moments[first + i, 0] = 0.0
                 sizes[i] = 0
             for c in range(2):
-                boxes[i, c], boxes[i, 2 + c] = np.inf, -np.inf
+                boxes[i, c] = np.inf
+                boxes[i, 2 + c] = -np.inf
                 for k in range(sizes[i]):
                     boxes[i, c] = min(boxes[i, c], parts[i, k, c])
                     boxes[i, 2 + c] = max(boxes[i, 2 + c], parts[i, k, c])
@@ -601,16 +631,12 @@ def common_moments(slave, masters, start, below, above, moments):
 def _plane(corners, plane):
     """Write height at the origin and slope of the plane through three local points; returns twice
     their area."""
-    x1, y1, z1 = (
-        corners[1, 0] - corners[0, 0],
-        corners[1, 1] - corners[0, 1],
-        corners[1, 2] - corners[0, 2],
-    )
-    x2, y2, z2 = (
-        corners[2, 0] - corners[0, 0],
-        corners[2, 1] - corners[0, 1],
-        corners[2, 2] - corners[0, 2],
-    )
+    x1 = corners[1, 0] - corners[0, 0]
+    y1 = corners[1, 1] - corners[0, 1]
+    z1 = corners[1, 2] - corners[0, 2]
+    x2 = corners[2, 0] - corners[0, 0]
+    y2 = corners[2, 1] - corners[0, 1]
+    z2 = corners[2, 2] - corners[0, 2]
     double = x1 * y2 - x2 * y1
     plane[1] = (z1 * y2 - z2 * y1) / double
     plane[2] = (z2 * x1 - z1 * x2) / double
@@ -628,7 +654,8 @@ def _gap(plane, moments):
 def _nearer(parts, sizes, masters, gaps, i, j, tolerance, spare):
     """Which of two parts is nearer where they overlap, -1 if they do not; the same for (i, j) and
     (j, i)."""
-    a, b = min(i, j), max(i, j)
+    a = min(i, j)
+    b = max(i, j)
     if separated(parts[a], sizes[a], masters[b], 3, tolerance):
         return -1
     common = np.empty(MOMENTS)

@@ -40,7 +40,8 @@ def in_front_of(
 ) -> MortarInterface:
     """Return the nodes of contact boundary k in front of a rigid obstacle. ``tied`` (n_nodes,)
     is the boundary mass that nodes get from others by ties, or give away, < 0."""
-    surface, nodes = surfaces[k], surfaces[k].nodes
+    surface = surfaces[k]
+    nodes = surfaces[k].nodes
     try:
         averaged = slave_normals(surface, held)[nodes]
     except ValueError as error:
@@ -96,14 +97,13 @@ def check_held(
         obstacle = (places or {}).get(k, _first(contact))
         if not moved.any() and not isinstance(obstacle, Moving):
             continue
-        nodes, outward = (
-            mesh.surface(contact.boundary).nodes,
-            slave_normals(mesh.surface(contact.boundary), held),
-        )
+        nodes = mesh.surface(contact.boundary).nodes
+        outward = slave_normals(mesh.surface(contact.boundary), held)
         normals, gaps = facing_obstacle(
             obstacle, contact.boundary, mesh.points[nodes], outward[nodes]
         )
-        free, along = held.free_part(nodes, normals), np.einsum("nd,nd->n", normals, moved[nodes])
+        free = held.free_part(nodes, normals)
+        along = np.einsum("nd,nd->n", normals, moved[nodes])
         # where a part of the normal is held a motion along it, either way, would change the gap
         over = np.where(_held_in_part(free, normals), np.abs(along), along - gaps)
         over[(free == normals).all(axis=1)] = 0.0
@@ -121,7 +121,8 @@ def facing_obstacle(
     obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return what an obstacle, perhaps user-defined, says of points of a boundary, checked."""
-    answer, name = obstacle.contact(points, normals), f"the obstacle in front of {boundary!r}"
+    answer = obstacle.contact(points, normals)
+    name = f"the obstacle in front of {boundary!r}"
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
         raise TypeError(f"{name} must return normals and gaps, got {checks.shown(answer)}")
     directions = checks.array(f"{name}: its normals", answer[0], points.shape)
@@ -224,18 +225,18 @@ def moved(
         return discrete
     held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
     contact = discrete.contact
-    normals, gaps, reference = (
-        contact.normals.copy(),
-        contact.gaps.copy(),
-        contact.slip_reference.copy(),
-    )
+    normals = contact.normals.copy()
+    gaps = contact.gaps.copy()
+    reference = contact.slip_reference.copy()
     for k, obstacle in now.items():
         own = np.flatnonzero(contact.boundary == k)
         boundary = problem.contact[k].boundary
         nodes = mesh.surface(boundary).nodes
-        points, outward = mesh.points[nodes], slave_normals(mesh.surface(boundary), held)[nodes]
+        points = mesh.points[nodes]
+        outward = slave_normals(mesh.surface(boundary), held)[nodes]
         direct, gap = facing_obstacle(obstacle, boundary, points, outward)
-        at, taken = np.searchsorted(nodes, contact.nodes[own]), contact.taken_over[own][:, nodes]
+        at = np.searchsorted(nodes, contact.nodes[own])
+        taken = contact.taken_over[own][:, nodes]
         normals[own], gaps[own] = along_free(
             held.free_part(contact.nodes[own], direct[at]), direct[at], gap[at] + taken @ gap
         )

@@ -205,10 +205,8 @@ class DiscreteProblem(Unknowns):
         if inclined is not None:
             prescribed = inclined.prescribed(factors or {})
             inclined = replace(inclined, load=load)
-            load, strain_free = (
-                inclined.posed(load, prescribed),
-                inclined.strain_free(strain_free, prescribed),
-            )
+            load = inclined.posed(load, prescribed)
+            strain_free = inclined.strain_free(strain_free, prescribed)
         return self.posing(
             load=bounded("load", load, (self.n_dofs,)),
             fixed_values=values,
@@ -364,15 +362,14 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
             "faces has not: exchange slave and master, or leave the node out and let its neighbours take "
             "its part"
         )
-    coupling, modes = (
-        Coupling(weights, parts["fixed"], parts.get("inclined")),
-        parts["near_nullspace"],
-    )
+    coupling = Coupling(weights, parts["fixed"], parts.get("inclined"))
+    modes = parts["near_nullspace"]
     if isinstance(modes, OnDemand):
         modes = OnDemand(partial(_relative_modes, modes))
     elif modes is not None:
         modes = coupling.relative(modes)
-    load, strain_free = coupling.relative_forces(parts["load"]), parts.get("strain_free")
+    load = coupling.relative_forces(parts["load"])
+    strain_free = parts.get("strain_free")
     load.flags.writeable = False
     if strain_free is not None:
         strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
@@ -409,7 +406,8 @@ DiscreteProblem.near_nullspace = made_on_demand(
 
 def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
     """Return the diagonal blocks (n_nodes, dim, dim) of a matrix, which has them all."""
-    numbers, n = np.arange(len(matrix.indices), dtype=np.int32), len(matrix.indptr) - 1
+    numbers = np.arange(len(matrix.indices), dtype=np.int32)
+    n = len(matrix.indptr) - 1
     return matrix.data.take(
         sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal(), axis=0
     )

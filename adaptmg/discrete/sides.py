@@ -161,8 +161,10 @@ def _periodic(
     tie: Periodic, mesh: MeshArrays, taken: np.ndarray, fixed: np.ndarray
 ) -> MortarInterface:
     """Nodes of a side of a cell, each with its partner on the other one."""
-    slave, master = mesh.surface(tie.slave).nodes, mesh.surface(tie.master).nodes
-    points, size = mesh.points, np.ptp(mesh.points, axis=0).max()
+    slave = mesh.surface(tie.slave).nodes
+    master = mesh.surface(tie.master).nodes
+    points = mesh.points
+    size = np.ptp(mesh.points, axis=0).max()
     middle = [
         0.5 * (points[side].max(axis=0) + points[side].min(axis=0)) for side in (slave, master)
     ]
@@ -188,7 +190,8 @@ def _periodic(
             f"{tuple(points[master[partner[i]]].tolist())}, which this node follows"
         )
     free = ~taken[slave]
-    slave, partner = slave[free], master[partner[free]]
+    slave = slave[free]
+    partner = master[partner[free]]
     rows = sparse.csr_array(
         (np.ones(len(slave)), partner, np.arange(len(slave) + 1)), shape=(len(slave), len(points))
     )
@@ -208,8 +211,12 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     without ties."""
     if not problem.ties:
         return None
-    at, held = residual.reshape(-1, problem.dim), problem.held.reshape(-1, problem.dim)
-    nodes, forces, boundary, names = [], [], [], []
+    at = residual.reshape(-1, problem.dim)
+    held = problem.held.reshape(-1, problem.dim)
+    nodes = []
+    forces = []
+    boundary = []
+    names = []
     for slave, master, tied in problem.ties:
         own = np.where(held[tied], 0.0, at[tied])
         own = own if problem.inclined is None else problem.inclined.free_part(tied, own)

@@ -178,7 +178,8 @@ class StressData:
     def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
         """Return strain tensors (n_elements, 3, 3) with initial strains, through the thickness and
         of the hoop, too."""
-        strain, thin = self._elastic(mesh, displacement), self.thin[mesh.element_body]
+        strain = self._elastic(mesh, displacement)
+        thin = self.thin[mesh.element_body]
         if thin.any():
             strain[thin, 2, 2] = self.of_elements(mesh).stress(strain)[thin, 2]
         if len(self.initial_strain):
@@ -188,7 +189,8 @@ class StressData:
     def suppressed(self, mesh: MeshArrays) -> float:
         """Return the energy of stresses that suppress initial strains, N m; of plane bodies of
         those in the plane."""
-        own, volume = self.of_elements(mesh), element_measures(mesh, self.axisymmetric)
+        own = self.of_elements(mesh)
+        volume = element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
         strain[self.thin[mesh.element_body], 2] = 0.0
         stress = own.stress(strain[:, :, None] * np.eye(3))
@@ -200,11 +202,10 @@ class StressData:
 
     def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
         """Return the strain energy, J (plane: J/m)."""
-        elastic, u = self._elastic(mesh, displacement), _nodal(mesh, displacement)
-        stress, volumes = (
-            replace(self, pressure=None)._stress(mesh, elastic),
-            element_measures(mesh, self.axisymmetric),
-        )
+        elastic = self._elastic(mesh, displacement)
+        u = _nodal(mesh, displacement)
+        stress = replace(self, pressure=None)._stress(mesh, elastic)
+        volumes = element_measures(mesh, self.axisymmetric)
         energy = (
             0.5 * float(np.einsum("n,nij,nij->", volumes, stress, elastic)) + self.volume_energy
         )
@@ -227,7 +228,8 @@ class StressData:
                 f"stress data of {len(self.kind)} bodies and {len(self.initial_strain)} elements do not "
                 f"belong to a mesh of {len(mesh.bodies)} and {len(mesh.elements)}"
             )
-        dim, diagonal = mesh.dim, np.arange(3)
+        dim = mesh.dim
+        diagonal = np.arange(3)
         strain = np.zeros((len(mesh.elements), 3, 3))
         strain[:, :dim, :dim] = element_strain(mesh, displacement)
         if self.axisymmetric:
@@ -243,7 +245,8 @@ class StressData:
             strain = smoothed(
                 mesh, strain.reshape(-1, 9), element_measures(mesh, self.axisymmetric)
             ).reshape(-1, 3, 3)
-        stress, diagonal = as_tensors(self.of_elements(mesh).stress(strain)), np.arange(3)
+        stress = as_tensors(self.of_elements(mesh).stress(strain))
+        diagonal = np.arange(3)
         if self.pressure is not None:
             stress[:, diagonal, diagonal] += self.pressure[:, None]
         stress[self.thin[mesh.element_body], 2, 2] = 0.0
@@ -294,7 +297,8 @@ def cut_force(
     With the nodal function chi, 1 beyond the cut and 0 before it, and the axis a it is the virtual
     work of moving the part beyond by a unit, :math:`\int \sigma : \nabla (\chi a)`: what all forces
     on that part pull."""
-    elements, axis = body_elements(mesh, preload.body), preload.direction
+    elements = body_elements(mesh, preload.body)
+    axis = preload.direction
     nodes = np.unique(mesh.elements[elements])
     along = mesh.points[nodes, axis]
     at = 0.5 * (along.min() + along.max()) if preload.at is None else preload.at
@@ -314,10 +318,8 @@ def cut_force(
 def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> float:
     """Return the force, N, that a strain of 1 makes in the mean section of the body, whose sides
     are free."""
-    elements, young = (
-        body_elements(mesh, preload.body),
-        body_materials(mesh, material)[mesh.bodies.index(preload.body)].young,
-    )
+    elements = body_elements(mesh, preload.body)
+    young = body_materials(mesh, material)[mesh.bodies.index(preload.body)].young
     volume = element_measures(mesh, is_axisymmetric(material))[elements].sum()
     return float(young * volume / np.ptp(mesh.points[mesh.elements[elements], preload.direction]))
 
@@ -340,25 +342,28 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     indptr, _ = pattern(of_nodes, starts_of(cells), cells.reshape(-1))
     # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2);
     # else there are more
-    others, count = np.diff(indptr) - 1, np.diff(around.indptr)
+    others = np.diff(indptr) - 1
+    count = np.diff(around.indptr)
     inner = np.flatnonzero(others == count if corners == 3 else 2 * others == count + 4)
     fits, good = _fits(around[inner], points[inner], centroids, values)
-    inner, fits = inner[good], fits[good]
-    nodal, left = np.zeros((len(points), values.shape[1])), np.ones(len(points), dtype=bool)
-    nodal[inner], left[inner] = fits[:, 0], False
+    inner = inner[good]
+    fits = fits[good]
+    nodal = np.zeros((len(points), values.shape[1]))
+    left = np.ones(len(points), dtype=bool)
+    nodal[inner] = fits[:, 0]
+    left[inner] = False
     # the nodes of each element
     corners_of = sparse.csr_array(
         (np.ones(cells.size), cells.reshape(-1), corners * np.arange(len(cells) + 1)),
         shape=of_nodes.shape,
     )
-    shared, fit = sparse.coo_array(around[left] @ corners_of), np.full(len(points), -1)
+    shared = sparse.coo_array(around[left] @ corners_of)
+    fit = np.full(len(points), -1)
     fit[inner] = np.arange(len(inner))
     fitted = fit[shared.col] >= 0
-    at, other, often = (
-        np.flatnonzero(left)[shared.row[fitted]],
-        shared.col[fitted],
-        shared.data[fitted],
-    )
+    at = np.flatnonzero(left)[shared.row[fitted]]
+    other = shared.col[fitted]
+    often = shared.data[fitted]
     fits = fits[fit[other]]
     away = points[at] - points[other]
     np.add.at(nodal, at, often[:, None] * (fits[:, 0] + np.einsum("nd,ndc->nc", away, fits[:, 1:])))
@@ -376,18 +381,17 @@ def _fits(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fits a, B (n, dim + 1, n_values) around places (n, dim) and whether the patches (n,
     n_elements) determine them; elsewhere a is the mean."""
-    first, rows = patches.indptr[:-1], np.repeat(np.arange(len(places)), np.diff(patches.indptr))
+    first = patches.indptr[:-1]
+    rows = np.repeat(np.arange(len(places)), np.diff(patches.indptr))
     away = centroids.take(patches.indices, axis=0) - places.take(rows, axis=0)
     size = np.maximum.reduceat(np.abs(away), first).max(axis=1)
     terms = np.ones((len(rows), away.shape[1] + 1))
     np.divide(away, size[rows, None], out=terms[:, 1:])
     (n, k), samples = (len(places), terms.shape[1]), values.take(patches.indices, axis=0)
     # numbers of all nodes side by side
-    matrix, sides, good = (
-        np.empty((k, k, n)),
-        np.empty((k, values.shape[1], n)),
-        np.ones(n, dtype=bool),
-    )
+    matrix = np.empty((k, k, n))
+    sides = np.empty((k, values.shape[1], n))
+    good = np.ones(n, dtype=bool)
     for a in range(k):
         sums = sparse.csr_array(
             (terms[:, a], np.arange(len(terms)), patches.indptr), shape=(n, len(terms))
@@ -395,7 +399,8 @@ def _fits(
         # scipy-stubs: of dense arrays
         matrix[a] = cast("np.ndarray", sums @ terms).T
         sides[a] = cast("np.ndarray", sums @ samples).T
-    means, limit = sides[0] / matrix[0, 0], _SINGULAR * matrix[0, 0]
+    means = sides[0] / matrix[0, 0]
+    limit = _SINGULAR * matrix[0, 0]
     for a in range(k):
         good &= matrix[a, a] > limit
         matrix[a, a, ~good] = 1.0

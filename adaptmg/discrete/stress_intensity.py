@@ -103,7 +103,8 @@ def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
             f"tip must be below {len(ends)}, the number of tips of {crack!r} in the body, got {number}"
         )
     last, side, facets = ends[number]
-    following, place = dict(facets.tolist()), mesh.points[last]
+    following = dict(facets.tolist())
+    place = mesh.points[last]
     along = place - mesh.points[following[last]]
     along /= np.linalg.norm(along)
     while last in following:  # a path passes each node once
@@ -128,7 +129,8 @@ def stress_intensity(
     radius: float | None,
 ) -> StressIntensity:
     """Return the factors at a tip."""
-    tip, faces = tip_of(mesh, crack, number), [f"{crack}.left", f"{crack}.right"]
+    tip = tip_of(mesh, crack, number)
+    faces = [f"{crack}.left", f"{crack}.right"]
     r = np.abs(tip.local(mesh.points))
     # what is not the straight crack stays outside
     other = ~np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
@@ -209,7 +211,9 @@ def _fitted_tractions(
 ) -> np.ndarray:
     """Tractions on the left face as coefficients (3, 2) of powers of r, half of the difference
     between both faces."""
-    places, masses, loads = [], [], []
+    places = []
+    masses = []
+    loads = []
     for face in faces:
         surface = mesh.surface(face)
         places.append(np.abs(tip.local(mesh.points[surface.nodes])))
@@ -248,24 +252,27 @@ class _Fields:
 
     def factors(self, radius: float) -> list[float]:
         """Return K_I and K_II with a domain of one radius."""
-        mesh, tip, shear = self.mesh, self.tip, self.shear
+        mesh = self.mesh
+        tip = self.tip
+        shear = self.shear
         ratio = shear / (self.lame + shear)  # 0 of incompressible bodies
-        kolosov, modulus = 1 + 2 * ratio, 4 * shear / (1 + ratio)
+        kolosov = 1 + 2 * ratio
+        modulus = 4 * shear / (1 + ratio)
         place = tip.local(mesh.points)
         q = np.clip(2 - 2 * np.abs(place) / radius, 0, 1)
         inside = np.flatnonzero(q[mesh.elements].any(axis=1))
         slopes = displacement_gradient(mesh, np.column_stack([q, q]))[inside, 0] @ tip.axes.T
         rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
         z = tip.local(quadrature_points(mesh.points, mesh.elements[inside], rule))
-        gradient, stress = self.gradient[inside], self.stress[inside]
-        measures, at_points = (
-            mesh.volumes[inside, None] * weights,
-            q[mesh.elements[inside]] @ rule.T,
-        )
+        gradient = self.gradient[inside]
+        stress = self.stress[inside]
+        measures = mesh.volumes[inside, None] * weights
+        at_points = q[mesh.elements[inside]] @ rule.T
         loaded = np.flatnonzero((q > 0) & self.forces.any(axis=1))
         # along the face, from s = 0 to the root of the radius
         s, share = np.polynomial.legendre.leggauss(40)
-        s, share = 0.5 * (1 + s) * np.sqrt(radius), share * np.sqrt(radius)
+        s = 0.5 * (1 + s) * np.sqrt(radius)
+        share = share * np.sqrt(radius)
         traction = (share * np.clip(2 - 2 * s**2 / radius, 0, 1)) @ (
             s[:, None] ** (2 * np.arange(3)) @ self.fit
         )
@@ -290,7 +297,8 @@ def _near_field(
     """Stresses (..., 2, 2) of K_I + i K_II, the derivative of the displacement along the crack
     (..., 2) and that of the stresses (..., 2, 2)."""
     a = np.conj(factor) / np.sqrt(8 * np.pi)
-    first, other = a / np.sqrt(z), (np.conj(a) - 0.5 * a) / np.sqrt(z)
+    first = a / np.sqrt(z)
+    other = (np.conj(a) - 0.5 * a) / np.sqrt(z)
     second = -0.5 * first / z
     stress = _stress(first, np.conj(z) * second + other)
     change = _stress(second, second - 1.5 * np.conj(z) * second / z - 0.5 * other / z)
@@ -301,6 +309,7 @@ def _near_field(
 def _stress(mean: np.ndarray, difference: np.ndarray) -> np.ndarray:
     """Stresses (..., 2, 2) of phi' and of conj(z) phi'' + psi'."""
     twice = 2 * np.real(mean)
-    real, imaginary = np.real(difference), np.imag(difference)
+    real = np.real(difference)
+    imaginary = np.imag(difference)
     parts = [twice - real, imaginary, imaginary, twice + real]
     return np.stack(parts, axis=-1).reshape(*twice.shape, 2, 2)

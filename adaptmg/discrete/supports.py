@@ -98,7 +98,8 @@ class Inclined:
     def of_problem(self, parts: dict[str, Any]) -> dict[str, Any]:
         """Return the parts of a problem, in relative coordinates, with these directions
         eliminated."""
-        matrix, dim = parts["matrix"], self.spans.shape[1]
+        matrix = parts["matrix"]
+        dim = self.spans.shape[1]
         dofs = (dim * self.nodes[:, None] + np.arange(dim)).reshape(-1)
         rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
@@ -112,7 +113,8 @@ class Inclined:
         }
 
     def _eliminated(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
-        size, n = matrix.blocksize, matrix.shape[0]
+        size = matrix.blocksize
+        n = matrix.shape[0]
         free = sparse.bsr_array(
             sparse.eye_array(n) - self.spread(self.spans, n // size[0]), blocksize=size
         )
@@ -143,7 +145,8 @@ class Inclined:
     def reaction(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the forces (n_dofs,) that the supports exert along these directions, of the
         unknowns (n_dofs,), N."""
-        load, result = self.load.reshape(-1, self.spans.shape[1]), np.zeros_like(self.load)
+        load = self.load.reshape(-1, self.spans.shape[1])
+        result = np.zeros_like(self.load)
         forces = (self.rows @ unknowns).reshape(-1, load.shape[1]) - load[self.nodes]
         result.reshape(load.shape)[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
         return result
@@ -212,7 +215,8 @@ class Held(NamedTuple):
 
 def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
     """Return the directions that supports hold: components, and normals of plane boundaries."""
-    axes, result = np.eye(mesh.dim), []
+    axes = np.eye(mesh.dim)
+    result = []
     for one in supports:
         components = list(one.components(mesh.dim))
         normal = (
@@ -265,7 +269,8 @@ def inclined_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> Incli
     nodes = np.unique(
         np.concatenate([supported_nodes(mesh, one.support) for one in held if one.axis is None])
     )
-    rows, values = np.zeros((len(nodes), len(held), mesh.dim)), np.zeros((len(nodes), len(held)))
+    rows = np.zeros((len(nodes), len(held), mesh.dim))
+    values = np.zeros((len(nodes), len(held)))
     for k, one in enumerate(held):
         own = np.intersect1d(supported_nodes(mesh, one.support), nodes)
         at = np.searchsorted(nodes, own)
@@ -302,29 +307,35 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
     boundary or point the mesh does not have, a z component in 2D, two values for one dof, or
     functions with values that are not finite."""
     size = checks.instance("mesh", mesh, MeshArrays).points.size
-    mask, all_values = np.zeros(size, dtype=bool), np.zeros(size)
+    mask = np.zeros(size, dtype=bool)
+    all_values = np.zeros(size)
     fixed, values = (array.reshape(mesh.points.shape) for array in (mask, all_values))
     origin = np.zeros(mesh.points.shape, dtype=np.int64)  # of fixed ones
     held = held_by(mesh, supports)
     for k, one in enumerate(held):
         if one.axis is None:
             continue
-        nodes, d = supported_nodes(mesh, one.support), one.axis
+        nodes = supported_nodes(mesh, one.support)
+        d = one.axis
         prescribed = checks.field(
             f"{'xyz'[d]} of the support on {one.support.place!r}", one.value, mesh.points[nodes]
         )
         clash = fixed[nodes, d] & (values[nodes, d] != prescribed)
         if clash.any():
-            node, here = int(nodes[np.argmax(clash)]), prescribed[np.argmax(clash)]
+            node = int(nodes[np.argmax(clash)])
+            here = prescribed[np.argmax(clash)]
             other = held[origin[node, d]].support.place
             raise ValueError(
                 f"supports on {other!r} and {one.support.place!r} prescribe different {'xyz'[d]} "
                 f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
                 f"{tuple(mesh.points[node].tolist())}: give both the same value or free one"
             )
-        fixed[nodes, d], values[nodes, d], origin[nodes, d] = True, prescribed, k
+        fixed[nodes, d] = True
+        values[nodes, d] = prescribed
+        origin[nodes, d] = k
     for one in held:
         if one.axis is None:
             nodes = supported_nodes(mesh, one.support)
-            fixed[nodes], values[nodes] = False, 0.0
+            fixed[nodes] = False
+            values[nodes] = 0.0
     return mask, all_values

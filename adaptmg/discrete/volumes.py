@@ -110,7 +110,8 @@ class Volumes:
 
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
         """Return the same under initial strains (n_elements, 3)."""
-        own, size = self.corners >= 0, self.corners.shape[1]
+        own = self.corners >= 0
+        size = self.corners.shape[1]
         shares = np.repeat(
             element_measures(mesh, axisymmetric) * strain.sum(axis=1) / size, size
         ).reshape(own.shape)
@@ -131,7 +132,8 @@ class Volumes:
 
 def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     """Return the groups of all bodies that are nearly incompressible; None if there are none."""
-    materials, dim = body_materials(mesh, material), mesh.dim
+    materials = body_materials(mesh, material)
+    dim = mesh.dim
     lame, shear = lame_constants(materials)
     edge = np.minimum(lame, EDGE_PART * shear)
     kappa = np.where([one.anisotropy is None for one in materials], lame - edge, 0.0)
@@ -141,14 +143,18 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
         return None
     # a node of two bodies has a group in each
     cells, points = apart(mesh)
-    elements, body = mesh.elements[soft], mesh.element_body[soft]
+    elements = mesh.elements[soft]
+    body = mesh.element_body[soft]
     used, cells = np.unique(cells[soft], return_inverse=True)
-    n, rank = len(used), np.empty(len(used), dtype=np.int32)
+    n = len(used)
+    rank = np.empty(len(used), dtype=np.int32)
     rank[morton_order(points[used])] = np.arange(n, dtype=np.int32)
     cells = rank[cells.reshape(elements.shape)]
-    node, body_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    node = np.empty(n, dtype=np.int64)
+    body_of = np.empty(n, dtype=np.int64)
     node[cells], body_of[cells] = elements, body[:, None]
-    ends, group = starts_of(cells), np.full(n, -1, dtype=np.int32)
+    ends = starts_of(cells)
+    group = np.full(n, -1, dtype=np.int32)
     count = _gather(
         *pattern(elements_of_nodes(cells, n), ends, read_only(cells.reshape(-1))), GROUP[dim], group
     )
@@ -171,10 +177,8 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     rows = sparse.csr_array(sparse.csr_array(members.T) @ strains)
     rows.sort_indices()
     means = sparse.csr_array((shares / areas[group], (group, node)), shape=(count, mesh.n_nodes))
-    owner, corners = (
-        np.empty(count, dtype=np.int64),
-        np.full(mesh.elements.shape, -1, dtype=np.int32),
-    )
+    owner = np.empty(count, dtype=np.int64)
+    corners = np.full(mesh.elements.shape, -1, dtype=np.int32)
     owner[group], corners[soft] = body_of, group[cells]
     return Volumes(rows, means, areas, 1 / kappa[owner], (edge + shear)[owner], owner, corners)
 
@@ -184,19 +188,25 @@ def _gather(indptr, indices, size, group):
     """Number the groups of nodes in ``group``, which comes as -1; returns their number. A group
     grows from the first free node over free neighbours, the first ones first; one that stays too
     small joins its smallest neighbour."""
-    n, count = len(group), 0
-    queue, sizes = np.empty(size, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    n = len(group)
+    count = 0
+    queue = np.empty(size, dtype=np.int64)
+    sizes = np.zeros(n, dtype=np.int64)
     for seed in range(n):
         if group[seed] >= 0:
             continue
-        queue[0], group[seed], members, best = seed, count, 1, -1
+        queue[0] = seed
+        group[seed] = count
+        members = 1
+        best = -1
         for k in range(size):
             if k == members:
                 break
             for p in range(indptr[queue[k]], indptr[queue[k] + 1]):
                 other = group[indices[p]]
                 if other < 0 and members < size:
-                    queue[members], group[indices[p]] = indices[p], count
+                    queue[members] = indices[p]
+                    group[indices[p]] = count
                     members += 1
                 elif 0 <= other < count and (best < 0 or sizes[other] < sizes[best]):
                     best = other

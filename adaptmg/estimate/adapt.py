@@ -286,14 +286,16 @@ def _of_size(
     size = None if start is None else checks.positive("start", start)
     need_domain(problem)
     volumes, lengths = measures(problem.domain)
-    dim, ratio = problem.dim, 1.0
+    dim = problem.dim
+    ratio = 1.0
     if size is None:
         size = float(f"{(sum(volumes) / len(volumes)) ** (1 / dim) / _ACROSS[dim]:.2g}")
         shortest = min(
             (lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf
         )
         ratio = max(ratio, _ALONG * size / shortest)
-    cells, most = NODES_PER_CELL[dim] * sum(volumes), limits.max_nodes
+    cells = NODES_PER_CELL[dim] * sum(volumes)
+    most = limits.max_nodes
     with np.errstate(over="ignore", divide="ignore"):
         nodes = float(cells * np.float64(1 / size) ** dim)
     if most is not None and nodes > _SURELY * most:

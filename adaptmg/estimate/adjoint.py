@@ -98,24 +98,23 @@ def linearised_contact(
     """Return the contact conditions at a displacement (n_nodes, dim) with these states,
     linearised."""
     nodal, frames = local_contact(discrete)
-    dim, nodes = discrete.dim, discrete.contact.nodes
+    dim = discrete.dim
+    nodes = discrete.contact.nodes
     unknowns = discrete.relative(displacement).reshape(-1)
     residual = discrete.matrix @ unknowns - discrete.load
     held = held_tangents(discrete)
     moved = to_frames(frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
-    slip, gap = (
-        moved[:, 1:],
-        nodal.gap
-        - np.einsum(
-            "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes]
-        ),
+    slip = moved[:, 1:]
+    gap = nodal.gap - np.einsum(
+        "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes]
     )
     force = to_frames(frames, residual.reshape(-1, dim)[nodes])
     force[:, 1:][held] = 0.0
     length = np.linalg.norm(slip, axis=1)
     rubs = (state == State.OPEN) & (nodal.limit > 0)
     still = rubs & (length <= _STILL * np.abs(unknowns).max(initial=0.0))
-    sticks, slips = (state == State.STICK) | still, (state == State.SLIP) | (rubs & ~still)
+    sticks = (state == State.STICK) | still
+    slips = (state == State.SLIP) | (rubs & ~still)
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
     unit = _opposite(slip, length, force[:, 1:])
     direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
@@ -174,7 +173,8 @@ class AdjointSystem:
 
     def direct(self, functionals: list[np.ndarray]) -> list[AdjointSolution]:
         """Return dual fields of functionals (n_dofs,), by one sparse factorisation."""
-        free, result = np.flatnonzero(self.trial), []
+        free = np.flatnonzero(self.trial)
+        result = []
         try:
             factors = splu(sparse.csc_array(sparse.csr_array(self.matrix)[free][:, free]))
         except RuntimeError as error:
@@ -183,7 +183,8 @@ class AdjointSystem:
                 "a support"
             ) from error
         for functional in functionals:
-            load, y = self._load(functional), np.zeros(len(self.trial))
+            load = self._load(functional)
+            y = np.zeros(len(self.trial))
             y[free] = factors.solve(load[free])
             residual = self._relative(load, y)
             result.append(AdjointSolution(self._field(y), residual, 0, residual <= 1e-6))
@@ -197,7 +198,9 @@ class AdjointSystem:
         max_iterations: int = MAX_ITERATIONS,
     ) -> list[AdjointSolution]:
         """Return dual fields of functionals (n_dofs,), by GMRES with a multigrid cycle."""
-        cycle, n, finest = _cycle(hierarchy, self), len(self.trial), len(hierarchy) - 1
+        cycle = _cycle(hierarchy, self)
+        n = len(self.trial)
+        finest = len(hierarchy) - 1
 
         def precondition(load: np.ndarray) -> np.ndarray:
             return cycle.solve(finest, load.reshape(-1)).copy()
@@ -205,10 +208,12 @@ class AdjointSystem:
         preconditioner = LinearOperator((n, n), matvec=precondition, dtype=np.float64)
         result = []
         for functional in functionals:
-            load, norms = self._load(functional), []
+            load = self._load(functional)
+            norms = []
             # scipy tests the preconditioned residual: its tolerance is tightened until the true one
             # is small
-            y, tolerance = np.zeros(n), rtol
+            y = np.zeros(n)
+            tolerance = rtol
             for _ in range(3):
                 y, _ = gmres(
                     self.matrix,
@@ -252,7 +257,9 @@ def error_spaces(
     contact: LinearisedContact,
 ) -> tuple[sparse.csr_array, np.ndarray, sparse.csr_array]:
     """Return A + H in local components, the dofs (n_dofs,) that an error has, and T on them."""
-    local, dim, n = local_system(contact.discrete), contact.discrete.dim, contact.discrete.n_dofs
+    local = local_system(contact.discrete)
+    dim = contact.discrete.dim
+    n = contact.discrete.n_dofs
     matrix = sparse.csr_array(local.system.matrix)
     at = contact.nodes[:, None] * dim + np.arange(dim)
     if contact.hessian.any():
@@ -278,7 +285,8 @@ def error_spaces(
 def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
     """Return the adjoint system of linearised contact conditions."""
     matrix, trial, test = error_spaces(contact)
-    keep, dim = sparse.diags_array(trial.astype(float), format="csr"), contact.discrete.dim
+    keep = sparse.diags_array(trial.astype(float), format="csr")
+    dim = contact.discrete.dim
     product = keep @ matrix @ test + sparse.diags_array((~trial).astype(float), format="csr")
     matrix = sparse.bsr_array(sparse.csr_array(product), blocksize=(dim, dim)).sorted_indices()
     return AdjointSystem(contact, matrix, trial, test)
@@ -289,7 +297,8 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
     friction. M is in local components with the dofs that cannot move decoupled, Z; with the frames
     F at contact nodes and the nodal prolongation P the first coarse matrix is :math:`(Z F P)^T M Z
     F P`; those below are Galerkin products with P."""
-    levels, dim = hierarchy.levels, system.contact.discrete.dim
+    levels = hierarchy.levels
+    dim = system.contact.discrete.dim
     prolongations = [_rotated(levels[-1].prolongation, system.contact, system.trial)]
     matrices = [split(system.matrix, ~system.trial)]
     coarse = sparse.csr_array(
@@ -317,7 +326,8 @@ def _rotated(
     nodal: sparse.csr_array, contact: LinearisedContact, trial: np.ndarray
 ) -> sparse.csr_array:
     """Z F P by dofs, columns sorted."""
-    n, dim = contact.discrete.n_nodes, contact.discrete.dim
+    n = contact.discrete.n_nodes
+    dim = contact.discrete.dim
     frames = np.broadcast_to(np.eye(dim), (n, dim, dim)).copy()
     frames[contact.nodes] = contact.frames
     rotation = sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))

@@ -198,8 +198,12 @@ class Bisect:
         even one is."""
         order = np.flatnonzero(marked)
         order = order[np.argsort(-squares[order], kind="stable")]
-        room, most, fits, best = limit - mesh.n_nodes, len(order) + 1, 0, None
-        count, expected = len(order), _NODES[mesh.dim] * len(order)
+        room = limit - mesh.n_nodes
+        most = len(order) + 1
+        fits = 0
+        best = None
+        count = len(order)
+        expected = _NODES[mesh.dim] * len(order)
         if 0 < room < expected / 1.2:
             count = max(int(count * (_AIM * room / expected) ** (1 / _POWER)), 1)
         for _ in range(_TRIES if room > 0 else 0):
@@ -208,7 +212,8 @@ class Bisect:
             fine = self._halved(mesh, squares, chosen, limit)
             added = fine.n_nodes - mesh.n_nodes
             if added <= room:
-                fits, best = count, fine
+                fits = count
+                best = fine
             else:
                 most = count
             if most <= fits + 1 or _ENOUGH * room <= added <= room:
@@ -370,7 +375,8 @@ class NodeCount:
     docstring)."""
 
     def __init__(self, mesh: MeshArrays) -> None:
-        self.mesh, dim = mesh, mesh.dim
+        self.mesh = mesh
+        dim = mesh.dim
         self.inside = mesh.volumes * (_INSIDE[dim] / (dim + 1))
         self.boundary = Surface(mesh.points, mesh.facets).measures * (_BOUNDARY[dim] / dim)
         self.factor = 1.0
@@ -385,7 +391,8 @@ class NodeCount:
         at = 0.5 * (at + at.mean(axis=1, keepdims=True))
         on = sizes[mesh.facets]
         on = 0.5 * (on + on.mean(axis=1, keepdims=True))
-        inside, boundary = (1 / at**mesh.dim).sum(axis=1), (1 / on ** (mesh.dim - 1)).sum(axis=1)
+        inside = (1 / at**mesh.dim).sum(axis=1)
+        boundary = (1 / on ** (mesh.dim - 1)).sum(axis=1)
         return self.factor * float(self.inside @ inside + self.boundary @ boundary)
 
 
@@ -398,7 +405,9 @@ def equilibrated_sizes(
     largest = squares.max()
     share = np.maximum(squares / largest, _TINY) if largest > 0 else np.ones(len(squares))
     factors = share ** (-1 / (2 + mesh.dim))
-    old, count, edges = simplex_sizes(mesh), NodeCount(mesh), _edges(mesh)
+    old = simplex_sizes(mesh)
+    count = NodeCount(mesh)
+    edges = _edges(mesh)
 
     def sizes(log_c: float) -> np.ndarray:
         new = old * np.clip(math.exp(log_c) * factors, _FINEST_SIZE, _COARSEST_SIZE)
@@ -408,7 +417,8 @@ def equilibrated_sizes(
     def excess(log_c: float) -> float:
         return math.log(count(sizes(log_c)) / n_nodes)
 
-    low, high = math.log(_FINEST_SIZE / factors.max()), math.log(_COARSEST_SIZE / factors.min())
+    low = math.log(_FINEST_SIZE / factors.max())
+    high = math.log(_COARSEST_SIZE / factors.min())
     if excess(low) <= 0.0:
         return sizes(low)
     return sizes(high if excess(high) >= 0.0 else brentq(excess, low, high, xtol=_ACCURACY))

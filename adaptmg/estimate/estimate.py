@@ -271,7 +271,8 @@ class Doerfler:
         Of elements with equal squares those with the lowest numbers come first; none are marked
         where all are 0."""
         squares = _squares(estimate)
-        total, mask = squares.sum(), np.zeros(len(squares), dtype=bool)
+        total = squares.sum()
+        mask = np.zeros(len(squares), dtype=bool)
         if total == 0:
             return mask
         order = np.argsort(-squares, kind="stable")
@@ -372,17 +373,22 @@ class Residual:
 
 def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     """Return squares (n_elements,) on boundaries without and on those with contact, N m."""
-    mesh, stress, near = this.mesh, this.stress, this.neighbours
+    mesh = this.mesh
+    stress = this.stress
+    near = this.neighbours
     touching = contact_tractions(mesh, this.result, stress.axisymmetric)
-    plain, contact = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
+    plain = np.zeros(len(mesh.elements))
+    contact = np.zeros(len(mesh.elements))
     supports = held_directions(mesh, this.problem.supports)
     for k, name in enumerate(mesh.boundaries):
         here = mesh.facet_labels == k
         outside = near.outer[here]
         if not outside.any():
             continue
-        surface, elements = mesh.surface(name), near.owner[here]
-        facets, normals = surface.facets, surface.normals
+        surface = mesh.surface(name)
+        elements = near.owner[here]
+        facets = surface.facets
+        normals = surface.normals
         rule, at, weights = integration(mesh.points, facets, surface.measures, stress.axisymmetric)
         residual = -stress.tractions(elements, normals, facets, rule)
         for load in this.problem.loads:
@@ -418,10 +424,14 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     limit against the slip where there is one. What a solver leaves of them is algebraic error;
     multiplied by a gap, or by a slip, far larger than the deformation it would exceed all that the
     mesh has left."""
-    mesh, contact, near = this.mesh, this.result.contact, this.neighbours
-    complementarity, friction = np.zeros(len(mesh.elements)), np.zeros(len(mesh.elements))
+    mesh = this.mesh
+    contact = this.result.contact
+    near = this.neighbours
+    complementarity = np.zeros(len(mesh.elements))
+    friction = np.zeros(len(mesh.elements))
     opens = contact.state == State.OPEN
-    pressures, gaps = contact.pressure, np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
+    pressures = contact.pressure
+    gaps = np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
     limits, tractions = _friction(this, opens)
     slips = from_frames(contact.frames[:, 1:], contact.slip)
     for k, name in enumerate(contact.names):
@@ -456,7 +466,8 @@ def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     slip, Pa."""
     contact = this.result.contact
     fixed, _ = this.discrete.law.bounds(len(contact))
-    limit, length = np.where(opens, fixed, contact.limit), np.linalg.norm(contact.slip, axis=1)
+    limit = np.where(opens, fixed, contact.limit)
+    length = np.linalg.norm(contact.slip, axis=1)
     moves = (contact.state != State.STICK) & (
         length > _STILL * np.abs(this.result.displacement).max(initial=0.0)
     )
@@ -491,7 +502,8 @@ def jump_squares(this: Posed) -> np.ndarray:
         )
         squares = np.einsum("fqd,fqd,fq->f", jump, jump, weights)
     else:
-        values, vectors = stress.values.T, surface.vectors.T
+        values = stress.values.T
+        vectors = surface.vectors.T
         change = values.take(one, axis=1) - values.take(other, axis=1)
         jumps = [
             sum(change[c] * part for c, part in zip(row, vectors, strict=True))
@@ -528,10 +540,13 @@ def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
     r."""
     mesh = stress.mesh
     slope = displacement_gradient(mesh, stress.displacement)[:, 0, :, None]
-    rise, values = stress.rise(slice(None), mesh.elements, rule), stress.values[:, :, None]
-    per_hoop, r = stress.of_hoop[:, :, None], mesh.points[mesh.elements, 0] @ rule.T
+    rise = stress.rise(slice(None), mesh.elements, rule)
+    values = stress.values[:, :, None]
+    per_hoop = stress.of_hoop[:, :, None]
+    r = mesh.points[mesh.elements, 0] @ rule.T
     # r times the change of the hoop strain along r and along z
-    along_r, along_z = slope[:, 0] - stress.hoop[:, None] - rise, slope[:, 1]
+    along_r = slope[:, 0] - stress.hoop[:, None] - rise
+    along_z = slope[:, 1]
     radial = (
         per_hoop[:, 0] * along_r
         + per_hoop[:, 3] * along_z

@@ -176,7 +176,8 @@ class Goal:
         if len(set(names)) < len(names):
             raise ValueError(f"quantity: one is given twice, {', '.join(names)}")
         sizes = _sizes(functionals)
-        system, vectors = adjoint_system(view.contact), [one.vector for one in functionals]
+        system = adjoint_system(view.contact)
+        vectors = [one.vector for one in functionals]
         direct = len(hierarchy) == 1 or this.discrete.n_dofs <= DIRECT
         duals = system.direct(vectors) if direct else system.multigrid(hierarchy, vectors)
         fine, origin = view.halved()
@@ -244,10 +245,13 @@ class HalvedError:
     """The error of a discrete solution at the new nodes of the mesh with all edges halved."""
 
     def __init__(self, view: GoalView, fine: GoalView, norm: float) -> None:
-        self.view, self.fine, contact = view, fine, fine.contact
+        self.view = view
+        self.fine = fine
+        contact = fine.contact
         matrix, trial, test = error_spaces(contact)
         new = np.flatnonzero(trial & (np.arange(len(trial)) >= view.discrete.n_dofs))
-        self.new, self.test = new, sparse.csr_array(test[:, new].T)
+        self.new = new
+        self.test = sparse.csr_array(test[:, new].T)
         load = self.test @ (contact.fixed_friction - contact.local(contact.residual))
         matrix = sparse.csr_array(self.test @ matrix[:, new])
         diagonal = matrix.diagonal()
@@ -272,14 +276,10 @@ class HalvedError:
         mark."""
         contact = self.fine.contact
         reaction = finer.vector - self.fine.discrete.matrix @ self.fine.interpolated(dual.field)
-        weighted, geometry = (
-            contact.local(reaction)[self.new],
-            _WHOLE * (finer.value - coarse.value),
-        )
-        signed, parts = (
-            _WHOLE * float(weighted @ self.together) + geometry,
-            np.abs(weighted * self.alone),
-        )
+        weighted = contact.local(reaction)[self.new]
+        geometry = _WHOLE * (finer.value - coarse.value)
+        signed = _WHOLE * float(weighted @ self.together) + geometry
+        parts = np.abs(weighted * self.alone)
         if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
             # the contact state alone leaves the quantity no way to change, but a finer mesh may
             # have another state: the parts of the energy; in all a relative error of the
@@ -297,7 +297,8 @@ class HalvedError:
             self.new // contact.discrete.dim, parts, minlength=contact.discrete.n_nodes
         )
         # an edge of length h changes a mean by h^3, a facet by h^4
-        dim, first = contact.discrete.dim, self.view.mesh.n_nodes
+        dim = contact.discrete.dim
+        first = self.view.mesh.n_nodes
         share = np.linalg.norm(finer.vector.reshape(-1, dim), axis=1) ** ((dim + 1) / (dim - 1))
         share[:first] = 0.0
         return signed, nodal + abs(geometry) * share / max(float(share.sum()), np.finfo(float).tiny)
@@ -321,13 +322,15 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
 
     .. math:: -z \cdot r + \sum_{\mathrm{slip}} s\, f \cdot z_t - \lambda^* \cdot \delta, \qquad \lambda^* = A z - j .
     """
-    contact, discrete = view.contact, view.discrete
+    contact = view.contact
+    discrete = view.discrete
     reaction = contact.local(discrete.matrix @ dual.field - functional.vector).reshape(
         -1, discrete.dim
     )[contact.nodes]
     part = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
     part += float(contact.fixed_friction @ contact.local(dual.field))
-    touches, sticks = contact.state != State.OPEN, contact.sticks[:, None] & ~contact.held
+    touches = contact.state != State.OPEN
+    sticks = contact.sticks[:, None] & ~contact.held
     part -= float(
         np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0))
     )

@@ -263,13 +263,11 @@ class AdaptiveLoop:
         store: StepStore | None,
         progress: Progress | None,
     ) -> None:
-        self.first, self.parts, self.limits, self.store, self.progress = (
-            start,
-            parts,
-            limits,
-            store,
-            progress,
-        )
+        self.first = start
+        self.parts = parts
+        self.limits = limits
+        self.store = store
+        self.progress = progress
         self.clock = Run(unit=1)
         self.clock.timings |= start.timings
         self.done: list[Step] = []
@@ -298,7 +296,8 @@ class AdaptiveLoop:
 
     def _reached(self, last: Step) -> str:
         """Which limit a step has reached, as text; empty if none."""
-        limits, relative = self.limits, last.estimate.relative
+        limits = self.limits
+        relative = last.estimate.relative
         met = [
             limits.tolerance is not None and step.estimate.relative <= limits.tolerance
             for step in self.done[-2:]
@@ -337,9 +336,12 @@ class AdaptiveLoop:
     def _refine(self, last: Step) -> tuple[MeshArrays | None, str]:
         """The next mesh; or why there is none."""
         self._report("mesh", last.nodes)
-        most, engine, problem = self.limits.max_nodes, self.parts.engine, self.first.problem
+        most = self.limits.max_nodes
+        engine = self.parts.engine
+        problem = self.first.problem
         with self.clock.phase("mesh"):
-            mesh, estimate = last.hierarchy.finest.mesh, self._steering(last)
+            mesh = last.hierarchy.finest.mesh
+            estimate = self._steering(last)
             marked = marks_of(self.parts.mark, estimate)
             if not marked.any():
                 return None, "no progress: the marking chooses no element"
@@ -384,17 +386,21 @@ class AdaptiveLoop:
     @one_blas_thread()
     def _solve(self, hierarchy: Hierarchy, start: Result | None) -> Step:
         """Solve, estimate and store a step."""
-        number, last, parts = len(self.done), self.done[-1] if self.done else None, self.parts
+        number = len(self.done)
+        last = self.done[-1] if self.done else None
+        parts = self.parts
         self._report("solve", hierarchy.finest.n_nodes)
         with once(self.said), self.clock.phase("solve"):
             if parts.load_path is None:
-                path, result = None, solved(hierarchy, parts.solver, start, parts.rtol)
+                path = None
+                result = solved(hierarchy, parts.solver, start, parts.rtol)
             else:
                 default = FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
                 solver = default if parts.solver is None else parts.solver
                 solver = solver if _applies(solver, hierarchy) else None
                 rtol = parts.rtol if solver is None else None
-                path, result = solve_path(hierarchy, parts.load_path, solver, rtol=rtol), None
+                path = solve_path(hierarchy, parts.load_path, solver, rtol=rtol)
+                result = None
         self._report("estimate", hierarchy.finest.n_nodes)
         with self.clock.phase("estimate"):
             if path is None:
@@ -404,7 +410,8 @@ class AdaptiveLoop:
                 k, estimate, self.steering = _path_estimate(hierarchy, parts, path)
                 result = path[k]
         work = result.work_units if path is None else sum(one.work_units for one in path)
-        nonzeros, timings = hierarchy.finest.matrix.nnz, self.clock.timings
+        nonzeros = hierarchy.finest.matrix.nnz
+        timings = self.clock.timings
         self.clock.timings = {}
         before = (
             0.0
@@ -456,10 +463,8 @@ class AdaptiveLoop:
 
     def _restored(self, number: int, step: Stored) -> Step:
         stored: StoredStep = step.more
-        own, last = (
-            with_refinement(step.value.mesh, stored.history),
-            self.done[-1] if self.done else None,
-        )
+        own = with_refinement(step.value.mesh, stored.history)
+        last = self.done[-1] if self.done else None
         hierarchy = restored(
             self.first if last is None else last.hierarchy, [*stored.levels[:-1], own]
         )
@@ -550,7 +555,8 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
     for level in (len(hierarchy) - 2, len(hierarchy) - 3):
         if level < 1:
             break
-        finer, this = hierarchy[level + 1], hierarchy[level]
+        finer = hierarchy[level + 1]
+        this = hierarchy[level]
         if (
             finer.n_nodes < CLOSE * this.n_nodes
             and size_ratio(hierarchy[level - 1].mesh, finer.mesh) <= THINNED
@@ -562,7 +568,8 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
 def carried(hierarchy: Hierarchy, below: int, result: Result) -> Result:
     """Return the result of a level with displacement and pressures interpolated to the finest one,
     level by level."""
-    values, pressures = hierarchy[below].discrete.relative(result.displacement), result.pressures
+    values = hierarchy[below].discrete.relative(result.displacement)
+    pressures = result.pressures
     for coarse, level in pairwise(hierarchy.levels[below:]):
         values = level.prolongation @ values
         pressures = prolonged_pressures(
@@ -576,9 +583,11 @@ def carried(hierarchy: Hierarchy, below: int, result: Result) -> Result:
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
     """Return the hierarchy with the problem of load step ``k`` on the finest level, slips counted
     from the step before."""
-    problem, finest = hierarchy.problem, hierarchy.finest
+    problem = hierarchy.problem
+    finest = hierarchy.finest
     factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
-    loads, discrete = load_steps(problem, finest.mesh, finest.discrete), finest.discrete
+    loads = load_steps(problem, finest.mesh, finest.discrete)
+    discrete = finest.discrete
     reference = discrete.contact.slip_reference
     if k > 0:
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))

@@ -54,7 +54,8 @@ class GoalView:
     @classmethod
     def of(cls, posed: Posed) -> GoalView:
         """Return the view of a result."""
-        u, state = posed.result.displacement, np.asarray(posed.result.contact.state).astype(int)
+        u = posed.result.displacement
+        state = np.asarray(posed.result.contact.state).astype(int)
         return cls(posed.problem, posed.mesh, u, linearised_contact(posed.discrete, u, state))
 
     @property
@@ -82,13 +83,13 @@ class GoalView:
         that holds it."""
         made = refined(self.mesh, np.ones(len(self.mesh.elements), dtype=bool))
         mesh = onto_domain(self.problem.domain, made.mesh, self.mesh.n_nodes)
-        slips, states = np.zeros(self.displacement.shape), np.full(self.mesh.n_nodes, _NONE)
-        slips[self.touching.nodes], states[self.touching.nodes] = (
-            self.touching.slip_reference,
-            self.contact.state,
-        )
+        slips = np.zeros(self.displacement.shape)
+        states = np.full(self.mesh.n_nodes, _NONE)
+        slips[self.touching.nodes] = self.touching.slip_reference
+        states[self.touching.nodes] = self.contact.state
         discrete = discretise(self.problem, mesh, slip_reference=_halved(mesh, slips, _mean))
-        u, states = _halved(mesh, self.displacement, _mean), _halved(mesh, states, _looser)
+        u = _halved(mesh, self.displacement, _mean)
+        states = _halved(mesh, states, _looser)
         at = discrete.contact.nodes
         contact = linearised_contact(
             discrete, u, np.where(states[at] == _NONE, State.OPEN, states[at])
@@ -148,7 +149,8 @@ class Quantity(Protocol):
 def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
     """Return what a quantity asks for; TypeError or ValueError, which name it, unless these are
     functionals of this view."""
-    made, name = quantity.functionals(view), f"quantity {checks.shown(quantity)}: "
+    made = quantity.functionals(view)
+    name = f"quantity {checks.shown(quantity)}: "
     if not isinstance(made, (list, tuple)) or not all(isinstance(one, Functional) for one in made):
         raise TypeError(
             f"{name}functionals(view) must return a list of Functional, got {checks.described(made)}"
@@ -223,11 +225,9 @@ class Displacement:
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return one functional a point."""
-        mesh, points, k = (
-            view.mesh,
-            np.array(self.points),
-            _axis("component", self.component, view.mesh.dim),
-        )
+        mesh = view.mesh
+        points = np.array(self.points)
+        k = _axis("component", self.component, view.mesh.dim)
         if points.shape[1] != mesh.dim:
             raise ValueError(f"points have {points.shape[1]} coordinates in a {mesh.dim}D problem")
         if self.body is not None and self.body not in mesh.bodies:
@@ -287,8 +287,10 @@ class MeanDisplacement:
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the functional."""
-        mesh, k = view.mesh, _axis("component", self.component, view.mesh.dim)
-        surface, nodal = mesh.surface(self.boundary), np.zeros(mesh.points.shape)
+        mesh = view.mesh
+        k = _axis("component", self.component, view.mesh.dim)
+        surface = mesh.surface(self.boundary)
+        nodal = np.zeros(mesh.points.shape)
         shares = surface.shape_integrals(view.problem.axisymmetric)
         np.add.at(nodal[:, k], surface.facets, shares / shares.sum())
         value = float(np.sum(nodal * view.displacement))
@@ -364,7 +366,8 @@ class ContactForce:
 
     def _direction(self, view: GoalView) -> np.ndarray:
         """The directions d (n_dofs,)."""
-        contact, dim = view.contact, view.mesh.dim
+        contact = view.contact
+        dim = view.mesh.dim
         mine, sign = _contact_mask(view.touching, self.boundary)
         local = np.zeros((len(mine), dim))
         share = mine * view.touching.measures / view.touching.weights
@@ -421,23 +424,24 @@ class Opening:
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the functional."""
-        contact, posed, mesh = view.contact, view.touching, view.mesh
+        contact = view.contact
+        posed = view.touching
+        mesh = view.mesh
         mine, sign = _contact_mask(posed, self.boundary)
         if sign < 0:
             raise ValueError(
                 f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps"
             )
         if self.point is None:
-            weights, name = np.where(mine, posed.weights, 0.0), f"mean opening of {self.boundary!r}"
+            weights = np.where(mine, posed.weights, 0.0)
+            name = f"mean opening of {self.boundary!r}"
             weights /= np.sum(posed.measures[mine])
         else:
             facets = np.concatenate(
                 [mesh.boundary_facets(posed.names[k]) for k in np.unique(posed.boundary[mine])]
             )
-            weights, name = (
-                self._at_point(view, facets),
-                f"opening of {self.boundary!r} at {_place(self.point)}",
-            )
+            weights = self._at_point(view, facets)
+            name = f"opening of {self.boundary!r} at {_place(self.point)}"
             weights = weights * posed.weights / posed.measures
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
         vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]
@@ -445,7 +449,8 @@ class Opening:
 
     def _at_point(self, view: GoalView, facets: np.ndarray) -> np.ndarray:
         """Weights of the contact nodes (n_contact,) at the point."""
-        mesh, point = view.mesh, np.array(self.point)
+        mesh = view.mesh
+        point = np.array(self.point)
         if len(point) != mesh.dim:
             raise ValueError(f"point has {len(point)} coordinates in a {mesh.dim}D problem")
         (k,), (shape,), _ = BoxTree(mesh.points, facets).nearest(point[None])
@@ -457,7 +462,8 @@ class Opening:
             raise ValueError(
                 f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}"
             )
-        nodal, nodes = np.zeros(mesh.n_nodes), view.touching.nodes
+        nodal = np.zeros(mesh.n_nodes)
+        nodes = view.touching.nodes
         nodal[facets[k]] = shape
         lone = facets[k][(shape > 1e-9) & ~np.isin(facets[k], nodes)]
         if view.coarse is None and len(lone):

@@ -80,7 +80,10 @@ class Reference:
                 "a reference must have linear elements, whose energy is that of their strains: solve "
                 'dataclasses.replace(problem, elements="linear")'
             )
-        mesh, points, on_body, constants = this.mesh, {}, {}, {}
+        mesh = this.mesh
+        points = {}
+        on_body = {}
+        constants = {}
         forces = _exerted(this.discrete, result)
         prescribed = _constants(this.problem, mesh)
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
@@ -101,7 +104,8 @@ class Reference:
 
     def against(self, result: Result) -> float:
         """Return a(u, u_h) of a result, N m."""
-        mesh, u = result.mesh, result.displacement
+        mesh = result.mesh
+        u = result.displacement
         product = float(
             load_vector(mesh, self.problem.loads, self.problem.material) @ u.reshape(-1)
         )
@@ -168,7 +172,8 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
 def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
     """Forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's
     residual is cut, and ties do next to no work on displacements that obey them."""
-    contact, forces = result.contact, np.zeros_like(result.reaction)
+    contact = result.contact
+    forces = np.zeros_like(result.reaction)
     forces[contact.node] = contact.force
     np.add.at(forces, contact.master_node, contact.master_force)
     # a support bears what contact does not, whatever both exert at one node

@@ -114,7 +114,8 @@ class ElementStress:
         of their elements; 0 where elements are smoothed."""
         if self.data.smoothed:
             return np.zeros((len(cells), len(rule)))
-        radius, moved = self.mesh.points[cells, 0] @ rule.T, self.displacement[cells, 0] @ rule.T
+        radius = self.mesh.points[cells, 0] @ rule.T
+        moved = self.displacement[cells, 0] @ rule.T
         return (
             np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0)
             - self.hoop[elements, None]
@@ -142,8 +143,11 @@ class Neighbours:
 def neighbours(mesh: MeshArrays) -> Neighbours:
     """Return neighbours in a mesh: two facets of elements with the same nodes follow each other
     when sorted."""
-    k, n, facets = mesh.dim + 1, mesh.n_nodes, element_facets(mesh.elements).reshape(-1, mesh.dim)
-    keys, own = facet_keys(facets, n), facet_keys(mesh.facets, n)
+    k = mesh.dim + 1
+    n = mesh.n_nodes
+    facets = element_facets(mesh.elements).reshape(-1, mesh.dim)
+    keys = facet_keys(facets, n)
+    own = facet_keys(mesh.facets, n)
     order = np.argsort(keys)
     keys = keys[order]
     same = np.flatnonzero(keys[1:] == keys[:-1])
@@ -230,7 +234,8 @@ class Posed:
         """Unknowns and the forces A u (n_dofs,), between bodies relative; with those of the
         pressures of volumes."""
         unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
-        forces, volumes = self.discrete.matrix @ unknowns, self.discrete.volumes
+        forces = self.discrete.matrix @ unknowns
+        volumes = self.discrete.volumes
         return unknowns, forces if volumes is None else forces + volumes.forces(
             cast("np.ndarray", self.result.pressures)
         )
@@ -244,21 +249,16 @@ class Posed:
             raise ValueError(
                 f"result.reaction must have {forces.size} components, got {exerted.shape}"
             )
-        load, inclined = forces - self.discrete.relative_forces(exerted), self.discrete.inclined
-        expected, posed = (
-            self.discrete.load,
-            self.discrete.relative_forces(
-                load_vector(
-                    self.mesh, self.problem.loads, self.problem.material, self.problem.elements
-                )
-            ),
+        load = forces - self.discrete.relative_forces(exerted)
+        inclined = self.discrete.inclined
+        expected = self.discrete.load
+        posed = self.discrete.relative_forces(
+            load_vector(self.mesh, self.problem.loads, self.problem.material, self.problem.elements)
         )
         if inclined is not None:
             # what acts along held directions goes into the supports
-            posed, nodes = (
-                inclined.posed(posed, inclined.along(unknowns)),
-                np.arange(self.mesh.n_nodes),
-            )
+            posed = inclined.posed(posed, inclined.along(unknowns))
+            nodes = np.arange(self.mesh.n_nodes)
             load, expected, posed = (
                 inclined.free_part(nodes, one.reshape(-1, self.mesh.dim)).reshape(-1)
                 for one in (load, expected, posed)
@@ -289,7 +289,9 @@ def posed(hierarchy: Hierarchy, result: Result) -> Posed:
             "hierarchy has no ContactProblem or no mesh (it comes from matrices): make it by "
             "Hierarchy.uniform, graded or from_meshes"
         )
-    mesh, discrete, own = hierarchy.finest.mesh, hierarchy.finest.discrete, result.mesh
+    mesh = hierarchy.finest.mesh
+    discrete = hierarchy.finest.discrete
+    own = result.mesh
     if own is not mesh and not (
         np.array_equal(own.elements, mesh.elements) and np.array_equal(own.points, mesh.points)
     ):
@@ -331,7 +333,8 @@ def contact_tractions(
 ) -> Mapping[str, SurfaceTraction]:
     """Return tractions of contact and ties on all boundaries that touch something, masters too, by
     name."""
-    contact, ties = result.contact, result.ties
+    contact = result.contact
+    ties = result.ties
     found = {
         name: _on_surface(mesh, contact, name, axisymmetric)
         for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])
@@ -342,7 +345,8 @@ def contact_tractions(
         sides[mesh.surface(name).nodes] += 1
     tied = cast("TieForces", ties)  # read for each name
     for k, name in enumerate(names):
-        surface, own = mesh.surface(name), tied.boundary == k
+        surface = mesh.surface(name)
+        own = tied.boundary == k
         mass = surface.lumped(axisymmetric)[surface.nodes, None]
         values = np.zeros((len(surface.nodes), mesh.dim))
         values[np.searchsorted(surface.nodes, tied.node[own])] = tied.force[own]
@@ -361,21 +365,25 @@ def contact_tractions(
 def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
     """Fill ``values`` in at other nodes with the mean of their neighbours', corners from edges that
     were filled."""
-    place, filled = np.searchsorted(surface.nodes, surface.facets), filled.copy()
+    place = np.searchsorted(surface.nodes, surface.facets)
+    filled = filled.copy()
     for _ in range(2):
         before = filled.copy()
         for i in np.flatnonzero(~before):
             near = np.unique(place[(place == i).any(axis=1)])
             if before[near].any():
-                values[i], filled[i] = values[near[before[near]]].mean(axis=0), True
+                values[i] = values[near[before[near]]].mean(axis=0)
+                filled[i] = True
 
 
 def _on_surface(
     mesh: MeshArrays, contact: ContactResult, name: str, axisymmetric: bool
 ) -> SurfaceTraction:
     surface = mesh.surface(name)
-    nodes, mass = surface.nodes, surface.lumped(axisymmetric)[surface.nodes]
-    force, filled = np.zeros((len(nodes), mesh.dim)), np.zeros(len(nodes), dtype=bool)
+    nodes = surface.nodes
+    mass = surface.lumped(axisymmetric)[surface.nodes]
+    force = np.zeros((len(nodes), mesh.dim))
+    filled = np.zeros(len(nodes), dtype=bool)
     for k, (slave, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
         if slave == name:
             mine = contact.boundary == k

@@ -70,7 +70,8 @@ def mesh(mesh: MeshArrays, path: str | os.PathLike[str], *, unit: float = 1.0) -
     True
     """
     check_mesh(mesh)
-    target, unit = checks.file_path("path", path), checks.quantity("unit", unit, positive=True)
+    target = checks.file_path("path", path)
+    unit = checks.quantity("unit", unit, positive=True)
     if target.suffix not in (".msh", ".inp"):
         raise ValueError(f"path must end in .msh or .inp, got {os.fspath(path)!r}")
     deck = target.suffix == ".inp"
@@ -192,10 +193,8 @@ def vtk_series(
         raise ValueError(f"path must end in .pvd, got {os.fspath(path)!r}")
     old = read_bytes(target).decode("utf-8", "replace") if target.exists() else ""
     steps = [f"{target.stem}_{k:04d}.vtu" for k in range(max(len(results), old.count("<DataSet")))]
-    names, listed = (
-        steps[: len(results)],
-        [name for name in steps if f" file={quoteattr(printable(name))}/" in old],
-    )
+    names = steps[: len(results)]
+    listed = [name for name in steps if f" file={quoteattr(printable(name))}/" in old]
     for name in names:
         if os.path.lexists(target.parent / name) and name not in listed:
             raise FileExistsError(
@@ -253,7 +252,8 @@ def _write(result: Result, path: Path) -> None:
 
 
 def _contact_data(result: Result) -> dict[str, np.ndarray]:
-    contact, n = result.contact, len(result.displacement)
+    contact = result.contact
+    n = len(result.displacement)
 
     def spread(values: np.ndarray, elsewhere: float = 0.0) -> np.ndarray:
         full = np.full((n, *values.shape[1:]), elsewhere, dtype=values.dtype)

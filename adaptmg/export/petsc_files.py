@@ -178,7 +178,8 @@ def _prolongation(name: str, level: Level, P: sparse.csr_array, meaning: str) ->
 
 
 def _discrete(discrete: DiscreteProblem) -> Iterator[Part]:
-    dim, contact = discrete.dim, discrete.contact
+    dim = discrete.dim
+    contact = discrete.contact
     yield Part(
         "matrix", "A, stiffness with no boundary condition applied", "N/m", discrete.matrix, dim
     )

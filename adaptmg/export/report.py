@@ -83,7 +83,8 @@ def one_line(text: object) -> str:
 
 def worded(name: object, unit: str | None = None) -> tuple[str, str]:
     """Return a column's name as words, and its unit: ``total_s`` gives 'total' and 's'."""
-    text, unit = one_line(name), one_line(unit or "")
+    text = one_line(name)
+    unit = one_line(unit or "")
     if not _IDENTIFIER.fullmatch(text):
         return text, unit
     words = text.split("_")
@@ -168,9 +169,12 @@ def picture_of(figure: Figure | Picture, caption: str) -> Picture:
         return figure
     checks.instance("figure", figure, Figure, "a matplotlib Figure or a Picture")
     _text("caption", caption, empty=False)
-    kind, data, across = "svg+xml", _svg(figure), figure.get_size_inches()[0]
+    kind = "svg+xml"
+    data = _svg(figure)
+    across = figure.get_size_inches()[0]
     if len(data) > DENSE:
-        kind, data = "png", small_png(figure, min(150.0, _ACROSS / across))
+        kind = "png"
+        data = small_png(figure, min(150.0, _ACROSS / across))
     plt.close(figure)
     return Picture(
         f"data:image/{kind};base64,{base64.b64encode(data).decode()}", caption, round(96 * across)
@@ -189,7 +193,8 @@ def _svg(figure: Figure) -> bytes:
 
 def small_png(figure: Figure, dpi: float = 130) -> bytes:
     """Return a figure as PNG with 256 colours."""
-    buffer, small = io.BytesIO(), io.BytesIO()
+    buffer = io.BytesIO()
+    small = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi, bbox_inches="tight", facecolor="white")
     Image.open(buffer).convert("RGB").quantize(256).save(small, format="png", optimize=True)
     return small.getvalue()
@@ -256,7 +261,8 @@ class Report:
     """
 
     def __init__(self, title: str, summary: str = "", *, terms: str = "") -> None:
-        self.title, self.summary = _text("title", title, empty=False), _text("summary", summary)
+        self.title = _text("title", title, empty=False)
+        self.summary = _text("summary", summary)
         self.terms = _text("terms", terms)
         self._cards: list[dict[str, object]] = []
         self._sections = [_Section("", "")]
@@ -550,8 +556,11 @@ def curves(
     data = data.replace([np.inf, -np.inf], np.nan).dropna()
     joined = axis.joined and not named
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
-        color, values = CYCLE[k % len(CYCLE)], part.groupby("x", sort=not named)["y"]
-        median, low, high = values.median(), values.min(), values.max()
+        color = CYCLE[k % len(CYCLE)]
+        values = part.groupby("x", sort=not named)["y"]
+        median = values.median()
+        low = values.min()
+        high = values.max()
         ax.plot(
             median.index,
             median,
@@ -594,7 +603,8 @@ def caption(axis: Axis, result: str) -> str:
 def _scale(ax: Axes, name: str, values: pd.Series) -> None:
     """Choose a logarithmic scale where values span much; on x, ticks at the values where these are
     few integers."""
-    axis, single = getattr(ax, f"{name}axis"), np.unique(values)
+    axis = getattr(ax, f"{name}axis")
+    single = np.unique(values)
     if len(single) and single[0] > 0 and single[-1] >= _LOGARITHMIC * single[0]:
         ax.set(**{f"{name}scale": "log"})
         label_plainly(axis)

@@ -56,7 +56,9 @@ def common_moments(mu, k, pieces, levels, moments):
             _add_moments(pieces, top, k, moments)
             depth -= 1
             continue
-        inner, outer, n_inner = -1, -1, 0
+        inner = -1
+        outer = -1
+        n_inner = 0
         for v in range(k):
             value = pieces[top, 1 + kk + v * k + m]
             if value > 0.0:
@@ -84,8 +86,10 @@ def common_moments(mu, k, pieces, levels, moments):
 def _cut(pieces, at, moved, kept, m, k):
     """Move a corner of a piece along the edge towards the corner ``kept`` to where mu_m = 0."""
     kk = k * k
-    first, second = 1 + moved * k, 1 + kept * k
-    a, b = pieces[at, kk + first + m], pieces[at, kk + second + m]
+    first = 1 + moved * k
+    second = 1 + kept * k
+    a = pieces[at, kk + first + m]
+    b = pieces[at, kk + second + m]
     t = b / (b - a)
     for c in range(k):
         pieces[at, first + c] = (1.0 - t) * pieces[at, second + c] + t * pieces[at, first + c]
@@ -105,7 +109,8 @@ def _add_moments(pieces, at, k, moments):
         for v in range(k):
             sum_i += pieces[at, 1 + v * k + i]
         for j in range(i + 1):
-            product, sum_j = 0.0, 0.0
+            product = 0.0
+            sum_j = 0.0
             for v in range(k):
                 product += pieces[at, 1 + v * k + i] * pieces[at, 1 + v * k + j]
                 sum_j += pieces[at, 1 + v * k + j]
@@ -133,7 +138,8 @@ def keep_left(polygon, n, ax, ay, bx, by, out):
     """Write the part of a polygon to the left of the line from a to b to ``out``; returns its
     number of corners. Corners beyond the room of ``out`` are dropped: only rounding makes more, on
     an edge along the line."""
-    kept, room = 0, len(out)
+    kept = 0
+    room = len(out)
     if n == 0:
         return kept
     last = n - 1
@@ -148,7 +154,8 @@ def keep_left(polygon, n, ax, ay, bx, by, out):
         if kept < room and side >= 0.0:
             out[kept, 0], out[kept, 1] = polygon[i, 0], polygon[i, 1]
             kept += 1
-        last, side_last = i, side
+        last = i
+        side_last = side
     return kept
 
 
@@ -175,7 +182,10 @@ def _separated_by_edge(polygon, n, window, m, tolerance):
     ``tolerance``."""
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
-        ax, ay, bx, by = window[i, 0], window[i, 1], window[j, 0], window[j, 1]
+        ax = window[i, 0]
+        ay = window[i, 1]
+        bx = window[j, 0]
+        by = window[j, 1]
         length = np.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
         # the direction of a shorter edge is rounding
         if length <= tolerance:
@@ -195,11 +205,16 @@ def separated(polygon, n, window, m, tolerance):
     """Return whether an edge of one of two polygons separates them, but for a strip as wide as
     ``tolerance``."""
     for c in range(2):
-        low, high, window_low, window_high = np.inf, -np.inf, np.inf, -np.inf
+        low = np.inf
+        high = -np.inf
+        window_low = np.inf
+        window_high = -np.inf
         for i in range(n):
-            low, high = min(low, polygon[i, c]), max(high, polygon[i, c])
+            low = min(low, polygon[i, c])
+            high = max(high, polygon[i, c])
         for i in range(m):
-            window_low, window_high = min(window_low, window[i, c]), max(window_high, window[i, c])
+            window_low = min(window_low, window[i, c])
+            window_high = max(window_high, window[i, c])
         if low >= window_high - tolerance or window_low >= high - tolerance:
             return True
     return _separated_by_edge(polygon, n, window, m, tolerance) or _separated_by_edge(
@@ -215,15 +230,19 @@ def _add_triangle(moments, polygon, i, j, k):
         return
     x = (polygon[i, 0] + polygon[j, 0] + polygon[k, 0]) / 3.0
     y = (polygon[i, 1] + polygon[j, 1] + polygon[k, 1]) / 3.0
-    xx, xy, yy = 0.0, 0.0, 0.0
+    xx = 0.0
+    xy = 0.0
+    yy = 0.0
     for corner in (i, j, k):
-        dx, dy = polygon[corner, 0] - x, polygon[corner, 1] - y
+        dx = polygon[corner, 0] - x
+        dy = polygon[corner, 1] - y
         xx += dx * dx / 12.0
         xy += dx * dy / 12.0
         yy += dy * dy / 12.0
     total = moments[0] + area
     share = area / total
-    dx, dy = x - moments[1], y - moments[2]
+    dx = x - moments[1]
+    dy = y - moments[2]
     rest = share * (1.0 - share)
     moments[0] = total
     moments[1] += share * dx
@@ -252,7 +271,8 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
     depth = _push(polygon, n, 0, 0, stack, states, 0)
     while depth > 0:  # at most four pieces follow one, each with a later (blocker, edge)
         depth -= 1
-        at, edge = states[depth, 0], states[depth, 1]
+        at = states[depth, 0]
+        edge = states[depth, 1]
         if at == n_hiding:
             _add_triangle(moments, stack[depth], 0, 1, 2)
             continue
@@ -264,7 +284,10 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
         if edge == 3:
             continue
         end = edge + 1 if edge < 2 else 0
-        ax, ay, bx, by = blocker[edge, 0], blocker[edge, 1], blocker[end, 0], blocker[end, 1]
+        ax = blocker[edge, 0]
+        ay = blocker[edge, 1]
+        bx = blocker[end, 0]
+        by = blocker[end, 1]
         inside = keep_left(stack[depth], 3, ax, ay, bx, by, piece[0])
         outside = keep_left(stack[depth], 3, bx, by, ax, ay, piece[1])
         depth = _push(piece[0], inside, at, edge + 1, stack, states, depth)
@@ -279,6 +302,7 @@ def _push(polygon, n, at, edge, stack, states, depth):
             stack[depth, 0, c] = polygon[0, c]
             stack[depth, 1, c] = polygon[i, c]
             stack[depth, 2, c] = polygon[i + 1, c]
-        states[depth, 0], states[depth, 1] = at, edge
+        states[depth, 0] = at
+        states[depth, 1] = edge
         depth += 1
     return depth

@@ -38,7 +38,8 @@ class SimplexLocator:
         self.chosen = (
             np.arange(len(elements), dtype=np.int32) if chosen is None else chosen.astype(np.int32)
         )
-        self.dim, self.n_nodes = points.shape[1], len(points)
+        self.dim = points.shape[1]
+        self.n_nodes = len(points)
         self.tree = BoxTree(points, elements[self.chosen])
         self.maps = affine_maps(self.tree.points, self.tree.simplices)
         if not np.isfinite(self.maps.sum()) and (bad := ~np.isfinite(self.maps).all(axis=1)).any():
@@ -58,11 +59,9 @@ class SimplexLocator:
                 f"points must be finite; point {np.argmin(np.isfinite(queries).all(axis=1))} is not"
             )
         n = len(queries)
-        holder, weights, distance = (
-            np.empty(n, dtype=np.int64),
-            np.empty((n, self.dim + 1)),
-            np.zeros(n),
-        )
+        holder = np.empty(n, dtype=np.int64)
+        weights = np.empty((n, self.dim + 1))
+        distance = np.zeros(n)
         # about as long as it takes to read 20 numbers a point
         in_parts(
             locate,
@@ -112,10 +111,14 @@ def affine_maps(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 def _coordinates(maps, e, x, y, z, dim):
     """Weights of corners 1, 2 and 3 (2D: 0) of element ``e`` at a point, and of corner 0."""
     if dim == 2:
-        x, y = x - maps[e, 0], y - maps[e, 1]
-        first, second = maps[e, 2] * x + maps[e, 3] * y, maps[e, 4] * x + maps[e, 5] * y
+        x = x - maps[e, 0]
+        y = y - maps[e, 1]
+        first = maps[e, 2] * x + maps[e, 3] * y
+        second = maps[e, 4] * x + maps[e, 5] * y
         return first, second, 0.0, 1.0 - (first + second)
-    x, y, z = x - maps[e, 0], y - maps[e, 1], z - maps[e, 2]
+    x = x - maps[e, 0]
+    y = y - maps[e, 1]
+    z = z - maps[e, 2]
     first = maps[e, 3] * x + maps[e, 4] * y + maps[e, 5] * z
     second = maps[e, 6] * x + maps[e, 7] * y + maps[e, 8] * z
     third = maps[e, 9] * x + maps[e, 10] * y + maps[e, 11] * z
@@ -151,7 +154,8 @@ def _holder(x, y, z, start, maps, boxes, dim, stack):
         node = stack[depth]
         if _box_contains(boxes, node, x, y, z, dim):
             if node < n_leaves - 1:
-                stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
+                stack[depth] = 2 * node + 1
+                stack[depth + 1] = 2 * node + 2
                 depth += 2
                 continue
             first, last = leaf_range(node, n_leaves, n)
@@ -159,7 +163,8 @@ def _holder(x, y, z, start, maps, boxes, dim, stack):
                 if _inside(maps, s, x, y, z, dim):
                     return s, node
         if depth == 0 and top > 0:
-            stack[0], top = top + 1 if top % 2 == 1 else top - 1, (top - 1) // 2
+            stack[0] = top + 1 if top % 2 == 1 else top - 1
+            top = (top - 1) // 2
             depth = 1
     return -1, start
 
@@ -173,7 +178,9 @@ def locate(first, last, queries, sequence, maps, boxes, holder, weights):
     leaf = len(boxes) // 2
     for q in sequence[first:last]:
         # numbers, not slices: making a slice costs more than looking into an element
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        x = queries[q, 0]
+        y = queries[q, 1]
+        z = queries[q, 2]
         holder[q], leaf = _holder(x, y, z, leaf, maps, boxes, dim, stack)
         if holder[q] >= 0:
             _take_clipped(maps, holder[q], x, y, z, dim, q, weights)
@@ -189,9 +196,13 @@ def _take_clipped(maps, e, x, y, z, dim, q, weights):
         steepest += abs(maps[e, m])
     least = _ROUNDING * (abs(x) + abs(y) + abs(z)) * steepest
     first, second, third, rest = _coordinates(maps, e, x, y, z, dim)
-    first, second = first if first > least else 0.0, second if second > least else 0.0
-    third, rest = third if third > least else 0.0, rest if rest > least else 0.0
+    first = first if first > least else 0.0
+    second = second if second > least else 0.0
+    third = third if third > least else 0.0
+    rest = rest if rest > least else 0.0
     total = rest + first + second + third
-    weights[q, 0], weights[q, 1], weights[q, 2] = rest / total, first / total, second / total
+    weights[q, 0] = rest / total
+    weights[q, 1] = first / total
+    weights[q, 2] = second / total
     if dim == 3:
         weights[q, 3] = third / total

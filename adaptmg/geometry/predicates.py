@@ -38,20 +38,23 @@ def turn(points, a, b, c):
 def in_circle(points, a, b, c, d):
     """Return a number that is positive where d lies inside the circle through a, b, c, zero on
     it."""
-    x, y, z, w = (
-        points[b, 0] - points[a, 0],
-        points[b, 1] - points[a, 1],
-        points[c, 0] - points[a, 0],
-        points[c, 1] - points[a, 1],
-    )
-    p, q, r, s = (
-        points[b, 0] - points[d, 0],
-        points[b, 1] - points[d, 1],
-        points[c, 0] - points[d, 0],
-        points[c, 1] - points[d, 1],
-    )
+    x = points[b, 0] - points[a, 0]
+    y = points[b, 1] - points[a, 1]
+    z = points[c, 0] - points[a, 0]
+    w = points[c, 1] - points[a, 1]
+    p = points[b, 0] - points[d, 0]
+    q = points[b, 1] - points[d, 1]
+    r = points[c, 0] - points[d, 0]
+    s = points[c, 1] - points[d, 1]
     value = (p * s - q * r) * (x * z + y * w) - (x * w - y * z) * (p * r + q * s)
-    x, y, z, w, p, q, r, s = abs(x), abs(y), abs(z), abs(w), abs(p), abs(q), abs(r), abs(s)
+    x = abs(x)
+    y = abs(y)
+    z = abs(z)
+    w = abs(w)
+    p = abs(p)
+    q = abs(q)
+    r = abs(r)
+    s = abs(s)
     if abs(value) > _CIRCLE * (
         (p * s + q * r) * (x * z + y * w) + (x * w + y * z) * (p * r + q * s)
     ):
@@ -70,8 +73,11 @@ def _sum(a, b):
 @inner_kernel
 def _product(a, b):
     """A product, and its rounding error."""
-    u, v, product = 134217729.0 * a, 134217729.0 * b, a * b
-    u, v = u - (u - a), v - (v - b)
+    u = 134217729.0 * a
+    v = 134217729.0 * b
+    product = a * b
+    u = u - (u - a)
+    v = v - (v - b)
     return product, (a - u) * (b - v) - (((product - u * v) - (a - u) * v) - u * (b - v))
 
 
@@ -95,7 +101,8 @@ def _add(terms, n, value):
 def _add_product(terms, n, factors, sign, work):
     """Add a signed product of factors, each of two terms, to the sum of n terms; returns how many
     they are then."""
-    work[0, 0], count = sign, 1
+    work[0, 0] = sign
+    count = 1
     for f in factors:
         size = np.int64(0)
         for i in range(count):
@@ -113,17 +120,16 @@ def _add_product(terms, n, factors, sign, work):
 @inner_kernel
 def _exact(points, a, b, c, d):
     """The value of ``in_circle``, or for d < 0 of ``turn``, with the right sign."""
-    terms, work, factors, n = (
-        np.empty(8 * _TERMS),
-        np.empty((2, _TERMS)),
-        np.empty((4, 2)),
-        np.int64(0),
-    )
+    terms = np.empty(8 * _TERMS)
+    work = np.empty((2, _TERMS))
+    factors = np.empty((4, 2))
+    n = np.int64(0)
     sides = np.empty((2, 2, 2, 2))  # from a and from d to b and to c, component, terms
     for k in range(2):
         for i in range(2):
             for j in range(2):
-                start, end = d if i == 1 and d >= 0 else a, c if j == 1 else b
+                start = d if i == 1 and d >= 0 else a
+                end = c if j == 1 else b
                 sides[i, j, k, 0], sides[i, j, k, 1] = _sum(points[end, k], -points[start, k])
     for k in range(2):
         sign = 1.0 - 2.0 * k

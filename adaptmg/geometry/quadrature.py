@@ -26,7 +26,8 @@ def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _radon() -> tuple[np.ndarray, np.ndarray]:
     root = np.sqrt(15)
-    near, far = (6 - root) / 21, (6 + root) / 21
+    near = (6 - root) / 21
+    far = (6 + root) / 21
     points = np.vstack(
         [np.full(3, 1 / 3), _rotations(1 - 2 * near, near, near), _rotations(1 - 2 * far, far, far)]
     )
@@ -62,7 +63,8 @@ def integration(
     rule, weights = quadrature_rule(
         cells.shape[1], AXISYMMETRIC_DEGREE if axisymmetric else PLAIN_DEGREE
     )
-    at, weights = quadrature_points(points, cells, rule), measures[:, None] * weights
+    at = quadrature_points(points, cells, rule)
+    weights = measures[:, None] * weights
     return rule, at, weights * (2 * np.pi * at[:, :, 0]) if axisymmetric else weights
 
 
@@ -70,11 +72,13 @@ def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1."""
     from scipy.special import roots_jacobi  # a first solve without it starts sooner
 
-    shape, weights = np.ones((1, 1)), np.ones(1)
+    shape = np.ones((1, 1))
+    weights = np.ones(1)
     for level in range(dim):
         # collapse the last coordinate: what is left of the simplex there has measure (1 - x)^level
         x, w = roots_jacobi(n, level, 0)
-        x, w = (1 + x) / 2, w / w.sum()
+        x = (1 + x) / 2
+        w = w / w.sum()
         shape = np.concatenate(
             [np.multiply.outer(1 - x, shape), np.multiply.outer(x, np.ones((len(shape), 1)))],
             axis=2,

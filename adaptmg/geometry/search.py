@@ -41,14 +41,18 @@ def _build(points, simplices, n_leaves, boxes):
     for node in range(n_leaves - 1, 2 * n_leaves - 1):
         first, last = leaf_range(node, n_leaves, n)
         for c in range(dim):
-            low, high = np.inf, -np.inf
+            low = np.inf
+            high = -np.inf
             for s in range(first, last):
                 for m in range(k):
                     value = points[simplices[s, m], c]
-                    low, high = min(low, value), max(high, value)
-            boxes[node, c], boxes[node, dim + c] = low, high
+                    low = min(low, value)
+                    high = max(high, value)
+            boxes[node, c] = low
+            boxes[node, dim + c] = high
     for node in range(n_leaves - 2, -1, -1):
-        left, right = 2 * node + 1, 2 * node + 2
+        left = 2 * node + 1
+        right = 2 * node + 2
         for c in range(dim):
             boxes[node, c] = min(boxes[left, c], boxes[right, c])
             boxes[node, dim + c] = max(boxes[left, dim + c], boxes[right, dim + c])
@@ -68,7 +72,8 @@ def bounding_box(points, corners, box):
     """Write lower and upper corner of the bounding box of an element to ``box`` (2 dim,)."""
     dim = len(corners) - 1
     for c in range(dim):
-        box[c], box[dim + c] = np.inf, -np.inf
+        box[c] = np.inf
+        box[dim + c] = -np.inf
         for v in corners:
             box[c], box[dim + c] = min(box[c], points[v, c]), max(box[dim + c], points[v, c])
 
@@ -89,7 +94,8 @@ def overlapping(boxes, box, points, simplices, stack, candidates):
         if not _box_overlaps(boxes, node, box, dim):
             continue
         if node < n_leaves - 1:
-            stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
+            stack[depth] = 2 * node + 1
+            stack[depth + 1] = 2 * node + 2
             depth += 2
             continue
         first, last = leaf_range(node, n_leaves, n)
@@ -104,9 +110,11 @@ def overlapping(boxes, box, points, simplices, stack, candidates):
 def _simplex_meets(points, corners, box, dim):
     """Whether the bounding box of a simplex meets ``box``."""
     for c in range(dim):
-        low, high = np.inf, -np.inf
+        low = np.inf
+        high = -np.inf
         for v in corners:
-            low, high = min(low, points[v, c]), max(high, points[v, c])
+            low = min(low, points[v, c])
+            high = max(high, points[v, c])
         if high < box[c] or low > box[dim + c]:
             return False
     return True
@@ -128,10 +136,12 @@ def _nearest(queries, points, simplices, boxes, dim, found, weights, distances):
     closest point."""
     n, k = simplices.shape
     n_leaves = (len(boxes) + 1) // 2
-    trial, candidate = np.empty(k), np.empty(k)
+    trial = np.empty(k)
+    candidate = np.empty(k)
     stack = np.empty(STACK, dtype=np.int64)
     for q in range(len(queries)):
-        x, best = queries[q], np.inf
+        x = queries[q]
+        best = np.inf
         stack[0] = 0
         depth = 1
         while depth > 0:  # each node of the tree comes once
@@ -140,17 +150,20 @@ def _nearest(queries, points, simplices, boxes, dim, found, weights, distances):
             if not _box_distance(boxes, node, x, dim) < best:
                 continue
             if node < n_leaves - 1:
-                left, right = 2 * node + 1, 2 * node + 2
+                left = 2 * node + 1
+                right = 2 * node + 2
                 if _box_distance(boxes, left, x, dim) < _box_distance(boxes, right, x, dim):
                     left, right = right, left
-                stack[depth], stack[depth + 1] = left, right
+                stack[depth] = left
+                stack[depth + 1] = right
                 depth += 2
                 continue
             first, last = leaf_range(node, n_leaves, n)
             for s in range(first, last):
                 distance = closest_on_simplex(points, simplices[s], x, candidate, trial)
                 if distance < best:
-                    found[q], best = s, distance
+                    found[q] = s
+                    best = distance
                     for m in range(k):
                         weights[q, m] = candidate[m]
         distances[q] = np.sqrt(best)
@@ -160,7 +173,8 @@ def _nearest(queries, points, simplices, boxes, dim, found, weights, distances):
 def _box_meets_turned(boxes, node, frame, origin, low, high):
     dim = len(origin)
     for a in range(dim):
-        centre, radius = 0.0, 0.0
+        centre = 0.0
+        radius = 0.0
         for c in range(dim):
             centre += frame[a, c] * (0.5 * (boxes[node, c] + boxes[node, dim + c]) - origin[c])
             radius += abs(frame[a, c]) * 0.5 * (boxes[node, dim + c] - boxes[node, c])
@@ -173,12 +187,14 @@ def _box_meets_turned(boxes, node, frame, origin, low, high):
 def _simplex_meets_turned(points, corners, frame, origin, low, high):
     dim = len(origin)
     for a in range(dim):
-        lowest, highest = np.inf, -np.inf
+        lowest = np.inf
+        highest = -np.inf
         for v in corners:
             value = 0.0
             for c in range(dim):
                 value += frame[a, c] * (points[v, c] - origin[c])
-            lowest, highest = min(lowest, value), max(highest, value)
+            lowest = min(lowest, value)
+            highest = max(highest, value)
         if lowest > high[a] or highest < low[a]:
             return False
     return True
@@ -193,14 +209,16 @@ def meet_turned(frames, origins, low, high, boxes, points, simplices, start, fil
     stack = np.empty(STACK, dtype=np.int64)
     for s in range(len(frames)):
         count = 0
-        stack[0], depth = 0, 1
+        stack[0] = 0
+        depth = 1
         while depth > 0:  # each node of the tree comes once
             depth -= 1
             node = stack[depth]
             if not _box_meets_turned(boxes, node, frames[s], origins[s], low[s], high[s]):
                 continue
             if node < n_leaves - 1:
-                stack[depth], stack[depth + 1] = 2 * node + 1, 2 * node + 2
+                stack[depth] = 2 * node + 1
+                stack[depth + 1] = 2 * node + 2
                 depth += 2
                 continue
             first, last = leaf_range(node, n_leaves, len(simplices))
@@ -219,7 +237,8 @@ class BoxTree:
     """Bounding boxes over simplices."""
 
     def __init__(self, points: np.ndarray, simplices: np.ndarray) -> None:
-        n, self.dim = len(simplices), points.shape[1]
+        n = len(simplices)
+        self.dim = points.shape[1]
         self.order = morton_order(
             sum(points[corner] for corner in simplices.T) / simplices.shape[1]
         )
@@ -235,7 +254,8 @@ class BoxTree:
         """Return the nearest simplex of each point."""
         n = len(queries)
         found = np.empty(n, dtype=np.int64)
-        weights, distance = np.empty((n, self.simplices.shape[1])), np.empty(n)
+        weights = np.empty((n, self.simplices.shape[1]))
+        distance = np.empty(n)
         _nearest(
             padded(queries),
             self.points,
@@ -327,16 +347,19 @@ def _on_segment(points, a, b, x):
 @inner_kernel
 def _on_triangle(points, a, b, c, x):
     """Weights of b and c in the point of the triangle (a, b, c) closest to x."""
-    d1, d2 = _dot_from(points, a, b, x, a), _dot_from(points, a, c, x, a)
+    d1 = _dot_from(points, a, b, x, a)
+    d2 = _dot_from(points, a, c, x, a)
     if d1 <= 0.0 and d2 <= 0.0:
         return 0.0, 0.0
-    d3, d4 = _dot_from(points, a, b, x, b), _dot_from(points, a, c, x, b)
+    d3 = _dot_from(points, a, b, x, b)
+    d4 = _dot_from(points, a, c, x, b)
     if d3 >= 0.0 and d4 <= d3:
         return 1.0, 0.0
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         return _on_segment(points, a, b, x), 0.0
-    d5, d6 = _dot_from(points, a, b, x, c), _dot_from(points, a, c, x, c)
+    d5 = _dot_from(points, a, b, x, c)
+    d6 = _dot_from(points, a, c, x, c)
     if d6 >= 0.0 and d5 <= d6:
         return 0.0, 1.0
     vb = d5 * d2 - d1 * d6
@@ -376,10 +399,14 @@ def closest_on_simplex(points, corners, x, weights, trial):
         return _squared_distance(points, corners, weights, x)
     best = np.inf
     for opposite in range(4):
-        a, b, c = (opposite + 1) % 4, (opposite + 2) % 4, (opposite + 3) % 4
+        a = (opposite + 1) % 4
+        b = (opposite + 2) % 4
+        c = (opposite + 3) % 4
         wb, wc = _on_triangle(points, corners[a], corners[b], corners[c], x)
         trial[opposite] = 0.0
-        trial[a], trial[b], trial[c] = max(1.0 - wb - wc, 0.0), wb, wc
+        trial[a] = max(1.0 - wb - wc, 0.0)
+        trial[b] = wb
+        trial[c] = wc
         distance = _squared_distance(points, corners, trial, x)
         if distance < best:
             best = distance

@@ -311,7 +311,9 @@ class Surface:
     def node_normals(self) -> np.ndarray:
         """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where facets at
         a node cancel."""
-        total, measure, nodes = np.zeros(self.points.shape), np.zeros(len(self.points)), self.nodes
+        total = np.zeros(self.points.shape)
+        measure = np.zeros(len(self.points))
+        nodes = self.nodes
         for k, corner in enumerate(self.facets.T):
             np.add.at(total, corner, self.corner_vectors(k))
             np.add.at(measure, corner, self.measures)
@@ -382,7 +384,8 @@ def _check_labels(mesh: MeshArrays) -> None:
         ("facet_labels", len(mesh.facets), "boundaries"),
         ("element_body", len(mesh.elements), "bodies"),
     ):
-        index, names = getattr(mesh, name), getattr(mesh, what)
+        index = getattr(mesh, name)
+        names = getattr(mesh, what)
         if index.shape != (count,):
             raise ValueError(f"{name} must have shape ({count},), got {index.shape}")
         if count and not 0 <= index.min() <= index.max() < len(names):
@@ -406,7 +409,8 @@ def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 def positive(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Return the simplices with their last two corners exchanged where they are turned over."""
-    negative, elements = signed_measures(points, elements) < 0, np.array(elements)
+    negative = signed_measures(points, elements) < 0
+    elements = np.array(elements)
     elements[negative, -2:] = elements[negative, :-3:-1]
     return elements
 
@@ -473,7 +477,8 @@ def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
     import netgen.meshing
     import ngsolve
 
-    elements, dim = mesh.elements, mesh.dim
+    elements = mesh.elements
+    dim = mesh.dim
     result = netgen.meshing.Mesh(dim=dim)
     result.AddPoints(np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - dim)))))
     for i in range(len(mesh.bodies if dim == 2 else mesh.boundaries)):
@@ -549,7 +554,8 @@ def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:
     if n_nodes > MOST_NODES[dim]:
         raise ValueError(f"a {dim}D mesh may have at most {MOST_NODES[dim]} nodes, got {n_nodes}")
     nodes = np.ascontiguousarray(facets.T, dtype=np.int64)
-    lowest, highest = nodes.min(axis=0), nodes.max(axis=0)
+    lowest = nodes.min(axis=0)
+    highest = nodes.max(axis=0)
     if dim == 2:
         return pair_keys(lowest, highest, n_nodes)
     middle = nodes.sum(axis=0) - lowest - highest
@@ -586,7 +592,8 @@ def components(table: FacetTable, element_body: np.ndarray) -> np.ndarray:
     """Return the connected parts of a mesh: elements of one body that hang together through
     facets."""
     inner = table.second >= 0
-    a, b = table.first[inner], table.second[inner]
+    a = table.first[inner]
+    b = table.second[inner]
     same = element_body[a] == element_body[b]
     n = len(element_body)
     graph = sparse.coo_array((np.ones(same.sum(), dtype=np.int8), (a[same], b[same])), shape=(n, n))
@@ -610,7 +617,8 @@ def normalised(
     number = np.full(len(points), -1, dtype=np.int64)
     used = np.unique(elements)
     number[used] = np.arange(len(used))
-    points, elements = points[used], number[elements]
+    points = points[used]
+    elements = number[elements]
     facets = number[facets]
     facet_index = np.asarray(facet_index)[(facets >= 0).all(axis=1)]
     facets = facets[(facets >= 0).all(axis=1)]

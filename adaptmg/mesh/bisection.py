@@ -228,7 +228,9 @@ def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> 
 def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     """Bisect the marked elements once, or until all their edges are halved."""
     n, corners = mesh.elements.shape
-    rows, sizes, n_cells = _rows(mesh), np.array([n, mesh.n_nodes]), -1
+    rows = _rows(mesh)
+    sizes = np.array([n, mesh.n_nodes])
+    n_cells = -1
     # of uniform refinement in 2D: 4 times the elements, 4 times the nodes
     room = min(1.0, 2.0 * np.count_nonzero(marked) / n) * (2.0**mesh.dim if every_edge else 2.0)
     while n_cells < 0:
@@ -267,20 +269,20 @@ def _parents(mesh: MeshArrays) -> np.ndarray:
 def _rows(mesh: MeshArrays) -> np.ndarray:
     """The elements as rows, labelled if the mesh was never bisected."""
     n, corners = mesh.elements.shape
-    cells, sides = mesh.elements, _sides(mesh)
+    cells = mesh.elements
+    sides = _sides(mesh)
     if mesh.refinement is None:
         turn = _TURNS[corners][_longest(mesh.points, cells)]
-        cells, sides = (
-            np.take_along_axis(cells, turn, axis=1),
-            np.take_along_axis(sides, turn, axis=1),
-        )
+        cells = np.take_along_axis(cells, turn, axis=1)
+        sides = np.take_along_axis(sides, turn, axis=1)
         generation = marks = np.zeros(n, dtype=np.int32)
         if corners == 4:
             marks = 3 * _longest(mesh.points, cells[:, 1:]) + _longest(
                 mesh.points, cells[:, [0, 2, 3]]
             )
     else:
-        marks, generation = mesh.refinement.marks, mesh.refinement.generation
+        marks = mesh.refinement.marks
+        generation = mesh.refinement.generation
     return np.column_stack([cells, sides, marks, generation, np.arange(n)]).astype(np.int32)
 
 
@@ -300,9 +302,11 @@ def _sides(mesh: MeshArrays) -> np.ndarray:
 
 def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """The number of the pair of corners that is the longest edge of each cell."""
-    longest, best = np.zeros(len(cells), dtype=np.int64), None
+    longest = np.zeros(len(cells), dtype=np.int64)
+    best = None
     for k, (i, j) in enumerate(_PAIRS[cells.shape[1]]):
-        low, high = np.minimum(cells[:, i], cells[:, j]), np.maximum(cells[:, i], cells[:, j])
+        low = np.minimum(cells[:, i], cells[:, j])
+        high = np.maximum(cells[:, i], cells[:, j])
         # lengths are added up alike from both sides of a face
         edge = [sum(np.square(x[low] - x[high]) for x in points.T), high, low]
         if best is None:
@@ -327,7 +331,8 @@ def _mesh_of(
     row, side = np.nonzero(cells[:, corners:marks] >= 0)
     origin = cells[row, corners + side]
     order = np.argsort(origin, kind="stable")
-    facets, origin = cells[row[:, None], opposite[side]][order], origin[order]
+    facets = cells[row[:, None], opposite[side]][order]
+    origin = origin[order]
     mesh = MeshArrays(
         points,
         cells[:, :corners],
@@ -368,8 +373,10 @@ def _halve(nodes, n_nodes, a, b):
     if p < 0:
         p = n_nodes
         low, high = (a, b) if a < b else (b, a)
-        nodes[p, _LOW], nodes[p, _HIGH] = low, high
-        nodes[p, _NEXT], nodes[high, _HEAD] = nodes[high, _HEAD], p
+        nodes[p, _LOW] = low
+        nodes[p, _HIGH] = high
+        nodes[p, _NEXT] = nodes[high, _HEAD]
+        nodes[high, _HEAD] = p
         n_nodes += 1
     return p, n_nodes
 
@@ -418,7 +425,8 @@ def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, order
     # a round in which no edge is halved is the last: closures of these bisections are finite
     # (Maubach, 1995)
     while n_nodes > before:
-        before, e = n_nodes, 0
+        before = n_nodes
+        e = 0
         while e < n_cells:  # children come last, and their closure is finite
             while _has_halved_edge(cells, e, corners, nodes):  # each bisection takes up a row
                 if n_cells == len(cells) or n_nodes == len(nodes):
@@ -434,6 +442,7 @@ def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, order
 def _halfway(points, n_old, nodes):
     """Move the nodes from ``n_old`` on halfway between their parents, in ``points``."""
     for p in range(n_old, len(points)):
-        a, b = nodes[p, _LOW], nodes[p, _HIGH]
+        a = nodes[p, _LOW]
+        b = nodes[p, _HIGH]
         for k in range(points.shape[1]):
             points[p, k] = 0.5 * (points[a, k] + points[b, k])

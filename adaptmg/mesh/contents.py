@@ -94,10 +94,8 @@ def mesh_of(
             name: _completed(points, elements[parts == k], facets, label, [unnamed, *named], [name])
             for k, name in enumerate(names)
         }
-        mesh, rest = (
-            merged({name: one for name, (one, _) in made.items()}),
-            [rest for _, rest in made.values()],
-        )
+        mesh = merged({name: one for name, (one, _) in made.items()})
+        rest = [rest for _, rest in made.values()]
     else:
         mesh, *rest = _completed(points, elements, facets, label, [unnamed, *named], names, parts)
     object.__setattr__(mesh, "notes", tuple(notes + split_notes + contents.notes + overlaps))
@@ -128,7 +126,9 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
             "quadrilaterals nor tetrahedra and other solids (Gmsh saves only what is in a physical group: "
             "add a Physical Surface or Volume)"
         )
-    points, counts, parts = contents.points, {}, []
+    points = contents.points
+    counts = {}
+    parts = []
     for k, (kind, nodes) in enumerate(contents.cells):
         if len(nodes) and dimension(kind) == dim:
             cells, owner = simplices(kind, nodes, points)
@@ -137,10 +137,8 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
                 whole = ~np.isin(owner, bad)
                 again, whose = around_centres(kind, nodes[bad], len(points))
                 points = np.concatenate([points, points[nodes[bad]].mean(axis=1)])
-                cells, owner = (
-                    np.concatenate([cells[whole], again]),
-                    np.concatenate([owner[whole], bad[whose]]),
-                )
+                cells = np.concatenate([cells[whole], again])
+                owner = np.concatenate([owner[whole], bad[whose]])
             parts.append((cells, np.full(len(cells), k), owner))
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
     elements, block, cell = map(np.concatenate, zip(*parts, strict=True))
@@ -178,14 +176,17 @@ def _names(
 ) -> tuple[list[str], list[str]]:
     """The name of each piece, and what is to be said of them."""
     sizes = np.bincount(parts)
-    called, least = [unnamed] * len(sizes), np.full(len(sizes), len(parts) + 1)
+    called = [unnamed] * len(sizes)
+    least = np.full(len(sizes), len(parts) + 1)
     for name, inside in sets.items():
         count = np.count_nonzero(inside)
         for k in np.flatnonzero(
             (np.bincount(parts[inside], minlength=len(sizes)) == sizes) & (count < least)
         ):
-            called[k], least[k] = name.replace(".", "_") if split else name, count
-    names, count = [], Counter()
+            called[k] = name.replace(".", "_") if split else name
+            least[k] = count
+    names = []
+    count = Counter()
     for name in called:
         count[name] += 1
         names.append(f"{name}_{count[name]}" if count[name] > 1 else name)
@@ -218,7 +219,8 @@ def _labelled(
     from 1 on; names, notes, and what is to be said of facets that no element has."""
     dim = table.facets.shape[1]
     rim = (table.counts == 1) | (split & (parts[table.first] != parts[table.second]))
-    keys, facets = table.keys[rim], table.facets[rim]
+    keys = table.keys[rim]
+    facets = table.facets[rim]
     facets_of: dict[str, np.ndarray] = {}
     notes: list[str] = []
     strange: list[str] = []
@@ -269,7 +271,8 @@ def _labelled(
             f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds "
             f"{_some(list(facets_of))}"
         )
-    names, label = list(facets_of), np.zeros(len(keys), dtype=np.int64)
+    names = list(facets_of)
+    label = np.zeros(len(keys), dtype=np.int64)
     for name in order:
         free = label[facets_of[name]] == 0
         label[facets_of[name][free]] = names.index(name) + 1

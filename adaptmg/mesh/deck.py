@@ -99,7 +99,8 @@ class _Deck:
     """What was read of a deck so far. Names of sets are in capitals."""
 
     def __init__(self) -> None:
-        self.numbers, self.points = [np.empty(0, dtype=np.int64)], [np.empty((0, 3))]
+        self.numbers = [np.empty(0, dtype=np.int64)]
+        self.points = [np.empty((0, 3))]
         self.elements: list[
             tuple[str, np.ndarray, np.ndarray, str]
         ] = []  # type, numbers, nodes, set
@@ -112,7 +113,9 @@ class _Deck:
         self.notes: list[str] = []
         self.not_read: dict[str, None] = {}
         self.spelling: dict[str, str] = {}
-        self.material, self.interaction, self.files = "", "", 0
+        self.material = ""
+        self.interaction = ""
+        self.files = 0
         self.of_gmsh = False
 
     def read_file(self, path: Path, place: str = "") -> None:
@@ -146,7 +149,8 @@ class _Deck:
     def _parameters(self, block: _Block, words: list[str]) -> None:
         for word in filter(None, map(str.strip, words)):
             key, _, value = word.partition("=")
-            key, value = key.strip().upper(), value.strip().strip('"')
+            key = key.strip().upper()
+            value = value.strip().strip('"')
             block.parameters[key] = value if key == "INPUT" else value.upper()
             self.spelling.setdefault(value.upper(), value)
 
@@ -191,9 +195,11 @@ class _Deck:
             self.sets["NSET"].setdefault(name, []).append(self.numbers[-1])
 
     def _elements(self, block: _Block) -> None:
-        kind, name = block.parameters.get("TYPE", ""), block.parameters.get("ELSET", "")
+        kind = block.parameters.get("TYPE", "")
+        name = block.parameters.get("ELSET", "")
         # of unknown types it is not known how many numbers an element has
-        width, rows = 1 + KINDS[_kind(kind) or "vertex"][1], []
+        width = 1 + KINDS[_kind(kind) or "vertex"][1]
+        rows = []
         for line in block.data if _kind(kind) else ():
             words = [int(word) for word in line.split(",") if word.strip()]
             if rows and len(rows[-1]) < width:
@@ -227,10 +233,8 @@ class _Deck:
                 members += [self._members(block.keyword, word) for word in words]
 
     def _surface(self, block: _Block) -> None:
-        name, nodal = (
-            block.parameters.get("NAME", ""),
-            block.parameters.get("TYPE", "ELEMENT") == "NODE",
-        )
+        name = block.parameters.get("NAME", "")
+        nodal = block.parameters.get("TYPE", "ELEMENT") == "NODE"
         for word, *rest in block.rows():
             facet = re.fullmatch(r"[SE](\d)|SPOS|SNEG|", "" if nodal else "".join(rest[:1]).upper())
             if facet is None:

@@ -34,18 +34,20 @@ def of_boundary(
     edges are among theirs. If ``spread``, every second node comes last, and so on: one after the
     other around a thin ring each would swap all the edges across it."""
     n = len(places)
-    low, high = places.min(axis=0), places.max(axis=0)
+    low = places.min(axis=0)
+    high = places.max(axis=0)
     corners = 0.5 * (low + high) + 5 * (high - low).max() * np.array(
         [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
     )
-    elements, across = (
-        np.empty((2 * n + 2, 3), dtype=np.int32),
-        np.full((2 * n + 2, 3), -1, dtype=np.int32),
-    )
+    elements = np.empty((2 * n + 2, 3), dtype=np.int32)
+    across = np.full((2 * n + 2, 3), -1, dtype=np.int32)
     elements[:2] = [[n, n + 1, n + 2], [n, n + 2, n + 3]]
-    across[0, 1], across[1, 2] = 1, 0
+    across[0, 1] = 1
+    across[1, 2] = 0
     present = np.zeros(len(edges), dtype=bool)
-    points, count, e = np.concatenate([places, corners]), 2, 0
+    points = np.concatenate([places, corners])
+    count = 2
+    e = 0
     order = np.arange(n)
     if spread:
         order = order[np.argsort(-(order & -order), kind="stable")]
@@ -56,7 +58,8 @@ def of_boundary(
     rows = np.argsort(edges[:, 0], kind="stable")
     tails, heads = np.ascontiguousarray(edges[rows].T)
     start = np.searchsorted(tails, np.arange(n + 1))
-    at, missing = np.empty(n + 4, dtype=np.int64), np.zeros(len(edges), dtype=bool)
+    at = np.empty(n + 4, dtype=np.int64)
+    missing = np.zeros(len(edges), dtype=bool)
     at[elements[:count]] = np.arange(count)[:, None]
     for begin in range(0, len(edges), BATCH):
         _force(
@@ -87,10 +90,8 @@ def _inside(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The triangles inside the boundary, their neighbours, and which edges are there."""
     begins, ends = (np.roll(elements, -k, axis=1) for k in (1, 2))
-    keys, edges = (
-        np.stack([pair_keys(begins, ends, n_nodes), pair_keys(ends, begins, n_nodes)]),
-        pair_keys(tails, heads, n_nodes),
-    )
+    keys = np.stack([pair_keys(begins, ends, n_nodes), pair_keys(ends, begins, n_nodes)])
+    edges = pair_keys(tails, heads, n_nodes)
     order = np.argsort(edges)
     row = order[np.minimum(np.searchsorted(edges, keys, sorter=order), len(edges) - 1)]
     along, against = edges[row] == keys
@@ -135,7 +136,9 @@ def _swap_edge(points, elements, across, e, k):
     Delaunay; returns whether. An edge that is not Delaunay is the diagonal of a convex
     quadrilateral: no element is turned over. On fixed points swaps end (C. L. Lawson, 1977): the
     test is exact, and each swap lowers the surface of triangles with the heights x^2 + y^2."""
-    a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+    a = elements[e, k]
+    b = elements[e, (k + 1) % 3]
+    c = elements[e, (k + 2) % 3]
     d = elements[across[e, k], _opposite(elements, across[e, k], b, c)]
     if not in_circle(points, np.int64(a), np.int64(b), np.int64(c), np.int64(d)) > 0.0:
         return False
@@ -148,16 +151,28 @@ def _swap(elements, across, e, k):
     """Swap the edge opposite corner k of an element, the diagonal of a convex quadrilateral. The
     corner k then comes first in both elements."""
     f = np.int64(across[e, k])
-    a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
+    a = elements[e, k]
+    b = elements[e, (k + 1) % 3]
+    c = elements[e, (k + 2) % 3]
     m = _opposite(elements, f, b, c)
     d = elements[f, m]
-    beside_b, beside_c = across[e, (k + 2) % 3], across[e, (k + 1) % 3]
-    over_b, over_c = across[f, (m + 1) % 3], across[f, (m + 2) % 3]
+    beside_b = across[e, (k + 2) % 3]
+    beside_c = across[e, (k + 1) % 3]
+    over_b = across[f, (m + 1) % 3]
+    over_c = across[f, (m + 2) % 3]
     # f = d c b: opposite c lies the edge b d, opposite b the edge d c
-    elements[e, 0], elements[e, 1], elements[e, 2] = a, b, d
-    elements[f, 0], elements[f, 1], elements[f, 2] = a, d, c
-    across[e, 0], across[e, 1], across[e, 2] = over_b, f, beside_b
-    across[f, 0], across[f, 1], across[f, 2] = over_c, beside_c, e
+    elements[e, 0] = a
+    elements[e, 1] = b
+    elements[e, 2] = d
+    elements[f, 0] = a
+    elements[f, 1] = d
+    elements[f, 2] = c
+    across[e, 0] = over_b
+    across[e, 1] = f
+    across[e, 2] = beside_b
+    across[f, 0] = over_c
+    across[f, 1] = beside_c
+    across[f, 2] = e
     _replace_neighbour(across, over_b, f, e)
     _replace_neighbour(across, beside_c, e, f)
 
@@ -181,13 +196,15 @@ def walk(points, elements, across, e, p):
     the mesh. In a Delaunay triangulation no triangle comes twice: the power of p with respect to
     their circles falls."""
     for _ in range(len(elements)):
-        worst, side = 0.0, -1
+        worst = 0.0
+        side = -1
         for k in range(3):
             away = turn(
                 points, np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3]), p
             )
             if away < worst:
-                worst, side = away, k
+                worst = away
+                side = k
         if side < 0:
             return e
         if across[e, side] < 0:
@@ -199,8 +216,12 @@ def walk(points, elements, across, e, p):
 @inner_kernel
 def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
     """Write a triangle and its neighbours."""
-    elements[e, 0], elements[e, 1], elements[e, 2] = a, b, c
-    across[e, 0], across[e, 1], across[e, 2] = over_a, over_b, over_c
+    elements[e, 0] = a
+    elements[e, 1] = b
+    elements[e, 2] = c
+    across[e, 0] = over_a
+    across[e, 1] = over_b
+    across[e, 2] = over_c
 
 
 @inner_kernel
@@ -208,15 +229,21 @@ def insert(points, elements, across, n, e, p, settled):
     """Cut triangle e at the node p in it, or at an edge both triangles there, and swap edges;
     returns the number of triangles. Nothing happens at a node or an edge of the boundary. Triangles
     that change are no longer ``settled``."""
-    k, on = 0, 0
+    k = 0
+    on = 0
     for j in range(3):
         if (
             turn(points, np.int64(elements[e, (j + 1) % 3]), np.int64(elements[e, (j + 2) % 3]), p)
             == 0.0
         ):
-            k, on = j, on + 1
-    a, b, c = elements[e, k], elements[e, (k + 1) % 3], elements[e, (k + 2) % 3]
-    over_a, over_b, over_c = across[e, k], across[e, (k + 1) % 3], across[e, (k + 2) % 3]
+            k = j
+            on = on + 1
+    a = elements[e, k]
+    b = elements[e, (k + 1) % 3]
+    c = elements[e, (k + 2) % 3]
+    over_a = across[e, k]
+    over_b = across[e, (k + 1) % 3]
+    over_c = across[e, (k + 2) % 3]
     m = n + 1
     if on == 0:
         _place(elements, across, e, p, a, b, over_c, n, m)
@@ -229,7 +256,9 @@ def insert(points, elements, across, n, e, p, settled):
         if f < 0 or on > 1:
             return n
         j = _opposite(elements, f, b, c)
-        d, beyond_c, beyond_b = elements[f, j], across[f, (j + 1) % 3], across[f, (j + 2) % 3]
+        d = elements[f, j]
+        beyond_c = across[f, (j + 1) % 3]
+        beyond_b = across[f, (j + 2) % 3]
         _place(elements, across, e, p, a, b, over_c, m, n)
         _place(elements, across, n, p, c, a, over_b, e, f)
         _place(elements, across, f, p, d, c, beyond_b, n, m)
@@ -252,7 +281,8 @@ def _put(points, elements, across, nodes, count, e):
     triangles and the last one; -1 where a node lies on another one."""
     settled = np.empty(len(elements), dtype=np.bool_)
     for p in nodes:
-        e, before = walk(points, elements, across, e, p), count
+        e = walk(points, elements, across, e, p)
+        before = count
         if e >= 0:
             count = insert(points, elements, across, count, e, p, settled)
         if count == before:
@@ -277,10 +307,12 @@ def _towards(points, elements, across, e, a, b):
     first = e
     while True:  # once around a
         k = np.int64(0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2)
-        u, v = np.int64(elements[e, (k + 1) % 3]), np.int64(elements[e, (k + 2) % 3])
+        u = np.int64(elements[e, (k + 1) % 3])
+        v = np.int64(elements[e, (k + 2) % 3])
         if u == b or v == b:
             return np.int64(-1), b
-        right, left = turn(points, a, u, b), turn(points, a, v, b)
+        right = turn(points, a, u, b)
+        left = turn(points, a, v, b)
         ahead = (points[u, 0] - points[a, 0]) * (points[b, 0] - points[a, 0]) + (
             points[u, 1] - points[a, 1]
         ) * (points[b, 1] - points[a, 1])
@@ -299,13 +331,12 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
     ends to the left in node ``far`` and is the diagonal of a strictly convex quadrilateral. Returns
     whether, and the farthest node to the left before; -1 and the first node of what is in the way
     where that is an edge of the boundary, or a node."""
-    farthest, most = np.int64(-1), 0.0
+    farthest = np.int64(-1)
+    most = 0.0
     while True:  # no triangle comes twice
-        behind, u, v = (
-            np.int64(elements[e, k]),
-            np.int64(elements[e, (k + 1) % 3]),
-            np.int64(elements[e, (k + 2) % 3]),
-        )
+        behind = np.int64(elements[e, k])
+        u = np.int64(elements[e, (k + 1) % 3])
+        v = np.int64(elements[e, (k + 2) % 3])
         if max(_edge(start, heads, u, v), _edge(start, heads, v, u)) >= 0:
             return -1, u if _edge(start, heads, u, v) >= 0 else v
         f = np.int64(across[e, k])
@@ -317,12 +348,14 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
             return 1, farthest
         height = turn(points, a, b, v)
         if height > most:
-            farthest, most = v, height
+            farthest = v
+            most = height
         side = turn(points, a, b, w)
         if w == b or side == 0.0:
             return (0, farthest) if w == b else (-1, w)
         # the edge that is crossed next lies opposite the node that is left behind
-        e, k = f, np.int64(_opposite(elements, f, w, u if side > 0.0 else v))
+        e = f
+        k = np.int64(_opposite(elements, f, w, u if side > 0.0 else v))
 
 
 @kernel
@@ -332,7 +365,8 @@ def _force(points, elements, across, start, tails, heads, begin, end, at, missin
     left of an edge some edge that it crosses can be swapped, until none ends there: no more swaps
     than the square of the edges that are crossed."""
     for edge in range(begin, end):
-        a, b = tails[edge], heads[edge]
+        a = tails[edge]
+        b = heads[edge]
         for _ in range(len(elements)):
             e, node = _towards(points, elements, across, at[a], a, b)
             if e < 0:

@@ -42,7 +42,8 @@ def surfaces_of(domain: Domain | None) -> dict[str, list[Revolved]]:
             for surface in surfaces
         )
     if isinstance(domain, Moved):
-        rotation, offset = domain.rotation, np.array(domain.offset)
+        rotation = domain.rotation
+        offset = np.array(domain.offset)
         return {
             name: [surface.moved(rotation, offset) for surface in surfaces]
             for name, surfaces in surfaces_of(domain.solid).items()
@@ -100,7 +101,8 @@ def _normal(edge: Segment) -> np.ndarray:
 
 def _turned(domain: Revolution) -> Iterator[tuple[str, Revolved]]:
     """The edges of a profile, turned about z."""
-    origin, axis = np.zeros(3), np.array(_AXIS)
+    origin = np.zeros(3)
+    axis = np.array(_AXIS)
     for i, name in enumerate(domain.polygon.boundaries):
         edge = domain.polygon.edge(i)
         if isinstance(edge, Arc):

@@ -154,7 +154,8 @@ def graded(
                 }
             )
         )
-    size, ratio = checks.positive("size", size), _ratio(contact_ratio)
+    size = checks.positive("size", size)
+    ratio = _ratio(contact_ratio)
     if ratio > 1 and not names:
         raise ValueError(f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty")
     return _graded_body(
@@ -300,10 +301,8 @@ def sized(
                 }
             )
         )
-    max_size, mesher = (
-        checks.positive("max_size", max_size),
-        checks.choice("mesher", mesher, MESHERS),
-    )
+    max_size = checks.positive("max_size", max_size)
+    mesher = checks.choice("mesher", mesher, MESHERS)
     grading = growth(grading)
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
         return solid_mesh(

@@ -76,12 +76,15 @@ def drafted(
     on onto the boundary; this is called by the names that it has in the draft."""
     mesh = draft
     for _ in range(3 * MAX_BISECTIONS):
-        at, n_old = field(mesh), mesh.n_nodes
+        at = field(mesh)
+        n_old = mesh.n_nodes
         elements = equilateral_sizes(mesh.points, mesh.elements) / at[mesh.elements].mean(axis=1)
         facets = equilateral_sizes(mesh.points, mesh.facets) / at[mesh.facets].mean(axis=1)
-        large, long = elements > _LARGE, facets > _LONG
+        large = elements > _LARGE
+        long = facets > _LONG
         if max(large.mean(), long.mean()) <= _LEFT:
-            large, long = elements > _NEVER, facets > _NEVER
+            large = elements > _NEVER
+            long = facets > _NEVER
             if not (large.any() or long.any()):
                 mesh = improved(mesh, _ROUNDS)
                 # flat elements that go through a whole body are small by their volume
@@ -121,11 +124,13 @@ def _inside(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     element."""
     ends = points[nodes[:, _OCTAHEDRA[:, :2]]]
     lengths = np.square(ends[:, :, 0] - ends[:, :, 1]).sum(axis=2)
-    best, shortest = np.zeros(len(nodes), dtype=np.int64), lengths[:, 0]
+    best = np.zeros(len(nodes), dtype=np.int64)
+    shortest = lengths[:, 0]
     for d in (1, 2):
         # of equal ones the first
         shorter = lengths[:, d] < (1.0 - 1e-9) * shortest
-        best, shortest = np.where(shorter, d, best), np.where(shorter, lengths[:, d], shortest)
+        best = np.where(shorter, d, best)
+        shortest = np.where(shorter, lengths[:, d], shortest)
     return nodes[np.arange(len(nodes))[:, None, None], _AROUND[best]]
 
 
@@ -166,7 +171,8 @@ def mean_ratios(mesh: MeshArrays) -> np.ndarray:
 
 def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
     """Return the mesh of tetrahedra with its inner nodes moved."""
-    held, points = np.zeros(mesh.n_nodes, dtype=bool), np.array(mesh.points)
+    held = np.zeros(mesh.n_nodes, dtype=bool)
+    points = np.array(mesh.points)
     held[mesh.facets] = True
     around = _corners_at(mesh.elements, mesh.n_nodes)
     for _ in range(rounds):
@@ -224,7 +230,8 @@ def _spokes(zero, points, cells, item, x, spokes):
     dim! times the measure. With ``zero`` (dim numbers) kernels know the dimension when they are
     compiled."""
     k = len(zero) + 1
-    e, corner = item // k, item % k
+    e = item // k
+    corner = item % k
     for j in range(k - 1):
         # even permutations, so that the measure stays positive
         other = cells[e, (corner + 1 + j) % 3 if k == 3 else corner ^ (j + 1)]
@@ -243,7 +250,9 @@ def _spokes(zero, points, cells, item, x, spokes):
 def _shape(zero, spokes, measure, total):
     """Return the shape of an element; ``total`` (dim,) becomes the sum of its edges at one
     corner."""
-    dim, squares, both = len(zero), 0.0, 0.0
+    dim = len(zero)
+    squares = 0.0
+    both = 0.0
     for c in range(dim):
         total[c] = 0.0
         for j in range(dim):
@@ -264,7 +273,8 @@ def _add_derivatives(zero, spokes, measure, shape, total, normal, gradient, hess
         if dim == 2:
             normal[c] = (1 - 2 * c) * (spokes[1, 1 - c] - spokes[0, 1 - c]) / measure
         else:
-            a, b = (c + 1) % 3, (c + 2) % 3
+            a = (c + 1) % 3
+            b = (c + 2) % 3
             normal[c] = (
                 (spokes[1, a] - spokes[0, a]) * (spokes[2, b] - spokes[0, b])
                 - (spokes[1, b] - spokes[0, b]) * (spokes[2, a] - spokes[0, a])
@@ -305,20 +315,20 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end):
     """Move each node that is not ``held`` once, in place; ``start``, ``items`` as
     :func:`_corners_at` has them."""
     dim = len(zero)
-    x, y, step, total, normal = (
-        np.empty(dim),
-        np.empty(dim),
-        np.empty(dim),
-        np.empty(dim),
-        np.empty(dim),
-    )
-    hessian, spokes = np.empty((dim, dim)), np.empty((dim, dim))
+    x = np.empty(dim)
+    y = np.empty(dim)
+    step = np.empty(dim)
+    total = np.empty(dim)
+    normal = np.empty(dim)
+    hessian = np.empty((dim, dim))
+    spokes = np.empty((dim, dim))
     for i in range(begin, end):
         if held[i]:
             continue
         before = 0.0
         for c in range(dim):
-            x[c], step[c] = points[i, c], 0.0
+            x[c] = points[i, c]
+            step[c] = 0.0
             for d in range(dim):
                 hessian[c, d] = 0.0
         for s in range(start[i], start[i + 1]):

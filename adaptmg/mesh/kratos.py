@@ -66,15 +66,18 @@ def read_mdpa(path: Path) -> Contents:
 
 def _blocks(text: str) -> Iterator[tuple[list[list[str]], list[list[str]]]]:
     """The blocks that have rows: the words of its line and of those around it, and its rows."""
-    names, rows = [], []
+    names = []
+    rows = []
     for line in text.splitlines():
         words = line.partition("//")[0].split()
         if words[:1] == ["Begin"]:
-            names, rows = [*names, words[1:]], []
+            names = [*names, words[1:]]
+            rows = []
         elif words[:1] == ["End"]:
             if names and rows:
                 yield names, rows
-            names, rows = names[:-1], []
+            names = names[:-1]
+            rows = []
         elif words:
             rows.append(words)
 

@@ -75,7 +75,8 @@ class Netgen:
     def __call__(self, function: str, *arguments: Any, seconds: float) -> Any:
         """Call a function of the worker; NetgenFails with its message, NetgenUnfinished after
         ``seconds`` of the processor."""
-        late, done = threading.Event(), threading.Event()
+        late = threading.Event()
+        done = threading.Event()
         start = self._spent()
         end = time.monotonic() + _PATIENCE * seconds
 

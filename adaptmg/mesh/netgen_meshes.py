@@ -229,7 +229,8 @@ def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
                 + offset * (arc.radius / np.linalg.norm(offset, axis=1))[:, None]
             )
             continue
-        first, last = vertices[i], vertices[domain.following[i]]
+        first = vertices[i]
+        last = vertices[domain.following[i]]
         points[nodes[:, None], np.flatnonzero(first == last)] = first[first == last]
     for i, vertex in enumerate(vertices):
         nodes = mesh.boundary_nodes(str(i))
@@ -240,7 +241,8 @@ def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
 def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     """Return the mesh with the names of the domain's boundaries in place of edge numbers, checked,
     with source."""
-    mesh, names = swept(check_mesh(mesh)), tuple(dict.fromkeys(domain.boundaries))
+    mesh = swept(check_mesh(mesh))
+    names = tuple(dict.fromkeys(domain.boundaries))
     if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
         warnings.warn(
             f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "
@@ -337,7 +339,8 @@ class Shape:
 def built_shape(worker: Netgen, domain: SolidDomain | Box | StepSolid) -> Shape:
     """Build the OCC solid of a domain."""
     if isinstance(domain, StepSolid):
-        path, unit = domain.file.path, domain.file.unit
+        path = domain.file.path
+        unit = domain.file.unit
         try:
             (_, *tables), lower, scale = worker(
                 "step_shape", str(path.absolute()), domain.number, seconds=read_s(path)
@@ -660,7 +663,8 @@ def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndar
 
 def check_volume(mesh: MeshArrays, volume: float) -> None:
     """Raise NetgenFails unless the volume is right but for the chords of curved faces."""
-    bound, meshed = _left_by_chords(mesh) + 1e-5 * volume, float(mesh.volumes.sum())
+    bound = _left_by_chords(mesh) + 1e-5 * volume
+    meshed = float(mesh.volumes.sum())
     if not abs(meshed - volume) <= bound:
         raise NetgenFails(
             f"the mesh fills {meshed / volume:.6g} of the volume, chords explain a deviation of "
@@ -671,13 +675,12 @@ def check_volume(mesh: MeshArrays, volume: float) -> None:
 def _left_by_chords(mesh: MeshArrays) -> float:
     """Bound of the volume between curved faces and the mesh (module docstring)."""
     surface = Surface(mesh.points, mesh.facets)
-    normals, areas, longest = (
-        surface.normals,
-        surface.measures,
-        longest_edges(mesh.points[mesh.facets]),
-    )
+    normals = surface.normals
+    areas = surface.measures
+    longest = longest_edges(mesh.points[mesh.facets])
     edges = facet_table(mesh.facets, mesh.n_nodes)
-    first, second = edges.first, edges.second
+    first = edges.first
+    second = edges.second
     angles = np.arccos(np.clip(np.sum(normals[first] * normals[second], axis=1), -1.0, 1.0))
     angles[mesh.facet_labels[first] != mesh.facet_labels[second]] = 0.0
     turn = np.zeros(len(areas))

@@ -90,7 +90,8 @@ def tables(
             "the mesh has no elements or no boundary facets; generate the volume mesh first"
         )
     points = np.array(mesh.Coordinates(), dtype=np.float64)[:, :dim]
-    volume, surface = volume.NumPy(), surface.NumPy()
+    volume = volume.NumPy()
+    surface = surface.NumPy()
     elements, body = _cut(volume, points)
     facets = surface["nodes"][:, :2].astype(np.int64) - 1
     label = surface["index"].astype(np.int64) - 1
@@ -112,7 +113,8 @@ def _cut(table: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarra
     numbers alone, and their label."""
     from adaptmg.mesh.shapes import KINDS, simplices
 
-    cells, owner = [], []
+    cells = []
+    owner = []
     for number in np.unique(table["type"]).tolist():
         if number not in _KINDS:
             raise ValueError(f"the mesh has elements of Netgen's type {number}, which is not read")
@@ -207,7 +209,8 @@ def _spline_geometry(
             "bc": str(i),
             "maxh": sides.get(name, _NO_LIMIT),
         }
-        first, last = corners[i], corners[domain.following[i]]
+        first = corners[i]
+        last = corners[domain.following[i]]
         arc = domain.arc(i)
         if arc is None:
             geometry.Append(["line", first, last], **options)
@@ -253,7 +256,8 @@ def _step(path: str) -> tuple[OCCGeometry, Sequence[Solid]]:
     key = (path, os.stat(path).st_mtime_ns)
     if _Held.file != key:
         geometry = OCCGeometry(path)
-        _Held.step, _Held.file = (geometry, list(geometry.solids)), key
+        _Held.step = (geometry, list(geometry.solids))
+        _Held.file = key
     return _Held.step
 
 
@@ -349,7 +353,8 @@ def step_surface(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def face_sides() -> tuple[np.ndarray, np.ndarray]:
     """Return the bounding boxes (n, 2, 3) of the faces of the shape of the last request, and the
     outward normals (n, 3) of those that are plane."""
-    boxes, normals = [], []
+    boxes = []
+    normals = []
     for face in _Held.shape.faces:
         boxes.append([_place(p) for p in face.bounding_box])
         normal = _samples(face)[..., 3:].reshape(-1, 3)
@@ -459,10 +464,8 @@ def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoD
         face = _profile_face(
             domain.polygon, lambda p: place((p[0] if p[0] > r_min else 0.0, 0.0, p[1]))
         )
-        shape, start = (
-            face.Revolve(occ.Axis(place(np.zeros(3)), Z), domain.angle),
-            np.array(_place(face.center)),
-        )
+        shape = face.Revolve(occ.Axis(place(np.zeros(3)), Z), domain.angle)
+        start = np.array(_place(face.center))
         if domain.angle < 360:
             _name_ends(
                 shape,
@@ -495,7 +498,8 @@ def _name_ends(shape: TopoDS_Shape, names: tuple[str, str], key: Callable[[Face]
 def _profile_face(outline: Outline, place: Callable[[np.ndarray], Pnt]) -> Face:
     """A plane face whose edges are named; ``place`` puts points of the profile into space."""
     vertices = [np.array(v) for v in outline.vertices]
-    edges, middles = [], []
+    edges = []
+    middles = []
     for i, (a, b) in enumerate(zip(vertices, vertices[1:] + vertices[:1], strict=True)):
         arc = outline.arc(i)
         middle = 0.5 * (a + b) if arc is None else arc.at(np.array([0.5]))[0]
@@ -525,12 +529,15 @@ def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoD
             face.name = domain.renamed(part, face.name)
     common = a * b
     if isinstance(domain, Common):
-        shape, check = common, a.mass - (a - b).mass
+        shape = common
+        check = a.mass - (a - b).mass
     elif isinstance(domain, Cut):
-        shape, check = a - b, a.mass - common.mass
+        shape = a - b
+        check = a.mass - common.mass
     else:
         # not a + b, which also joins coplanar faces and so loses names
-        shape, check = occ.Fuse([a, b]), a.mass + b.mass - common.mass
+        shape = occ.Fuse([a, b])
+        check = a.mass + b.mass - common.mass
     if not (
         math.isfinite(shape.mass)
         and abs(shape.mass - check) <= _VOLUME_TOLERANCE * (a.mass + b.mass)

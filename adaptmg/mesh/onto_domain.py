@@ -116,13 +116,15 @@ def _moved(
 ) -> np.ndarray:
     """The points, each new node after its parents: on the surfaces of the one or two boundaries that
     it lies on."""
-    points, parents = mesh.points.copy(), mesh.refinement.parents
+    points = mesh.points.copy()
+    parents = mesh.refinement.parents
     surfaces = [one for own, *_ in sides for one in own]
     near = _ROUNDING * float(np.ptp(points, axis=0).max())
     for level in range(1, int(depth.max()) + 1):
         these = np.flatnonzero(depth[n_old:] == level) + n_old
         points[these] = 0.5 * (points[parents[these, 0]] + points[parents[these, 1]])
-        labels, first = np.full((len(points), 2), -1), 0
+        labels = np.full((len(points), 2), -1)
+        first = 0
         for own, nodes, normals in sides:
             mine = (depth[nodes] == level) & ~stays[nodes]
             number = nearest(own, points[parents[nodes[mine]]], normals[mine], CHORDAL)

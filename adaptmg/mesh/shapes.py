@@ -185,7 +185,8 @@ def _parts(kind: str) -> Parts:
             result += [(FACETS["tetra"], (5 + i, 13, 9 + i, 9 + (i + 1) % 4)) for i in range(4)]
         return result
     # a cell at each corner, and what is left between the middle nodes
-    result, faces = [], []
+    result = []
+    faces = []
     for a in corners:
         ring = _around(kind, a)
         if len(ring) > 2:
@@ -225,7 +226,8 @@ def simplices(
     cell that each comes from; those that collapsed cells leave flat are dropped. Of elements, whose
     ``points`` choose the shorter diagonals, or of boundary facets, which are cut by numbers
     alone."""
-    cells, owners = [], []
+    cells = []
+    owners = []
     for facets, local in _parts(kind):
         part = nodes[:, local]
         if len(local) == 4 and len(facets) == 4 and len(facets[0]) == 2:
@@ -233,14 +235,17 @@ def simplices(
                 part,
                 part.argmin(axis=1) if points is None else _shorter(part, points, ((0, 2), (1, 3))),
             )
-            found, rows = [turned[:, :3], turned[:, [0, 2, 3]]], [np.arange(len(part))] * 2
+            found = [turned[:, :3], turned[:, [0, 2, 3]]]
+            rows = [np.arange(len(part))] * 2
         elif len(local) <= 4:
-            found, rows = [part], [np.arange(len(part))]
+            found = [part]
+            rows = [np.arange(len(part))]
         else:
             found, rows = _cones(facets, part, _apex(kind, part, points))
         cells += found
         owners += rows
-    result, owner = np.concatenate(cells), np.concatenate(owners)
+    result = np.concatenate(cells)
+    owner = np.concatenate(owners)
     order = np.sort(result, axis=1)
     whole = (order[:, 1:] != order[:, :-1]).all(axis=1)
     return result[whole], owner[whole]
@@ -278,7 +283,8 @@ def _first(ring: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> tuple[list, list]:
     """Tetrahedra over the facets that do not hold the apex."""
-    cells, rows = [], []
+    cells = []
+    rows = []
     for top in np.unique(apex):
         mine = np.flatnonzero(apex == top)
         for facet in facets:
@@ -301,7 +307,8 @@ def cut_note(kind: str, counts: np.ndarray) -> str:
     shape, n = KINDS[kind]
     if kind in ("triangle", "tetra"):
         return ""
-    least, most = int(counts.min()), int(counts.max())
+    least = int(counts.min())
+    most = int(counts.max())
     into = "triangles" if DIMENSIONS[shape] == 2 else "tetrahedra"
     number = least if least == most else f"{least} to {most}"
     return f"{len(counts)} {n}-node {_WORDS[shape]}: each split into {number} {into}"

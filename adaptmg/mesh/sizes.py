@@ -79,7 +79,8 @@ def distance_to_boundaries(
 ) -> np.ndarray:
     """Return the distance of points to the nearest of some boundaries of a plane domain or a
     box."""
-    domain, distance = in_edges(domain), np.full(len(points), np.inf)
+    domain = in_edges(domain)
+    distance = np.full(len(points), np.inf)
     for i, name in enumerate(domain.boundaries):
         if name in boundaries and isinstance(domain, Box):
             axis, end = BOX_SIDES[name]

@@ -38,7 +38,8 @@ def opened(
     keys = facet_keys(facets, n_nodes)
     slit, counts = np.unique(keys, return_counts=True)
     slit = slit[counts > 1]
-    at_slit, k = np.zeros(n_nodes, dtype=bool), elements.shape[1]
+    at_slit = np.zeros(n_nodes, dtype=bool)
+    k = elements.shape[1]
     at_slit[facets[np.isin(keys, slit)]] = True
     near = np.flatnonzero(at_slit[elements].any(axis=1))
     cells = elements[near]
@@ -66,7 +67,8 @@ def opened(
     again = np.ones(len(pairs), dtype=bool)
     again[np.unique(origin, return_index=True)[1]] = False
     new = np.where(again, n_nodes + np.cumsum(again) - 1, origin)[number].reshape(cells.shape)
-    result, sides = np.array(elements), np.array(facets)
+    result = np.array(elements)
+    sides = np.array(facets)
     result[near] = new
     touched = np.flatnonzero(at_slit[facets].any(axis=1))
     row = table.find(keys[touched])
@@ -102,8 +104,10 @@ def opened_tables(
     along = np.einsum(
         "nd,nd->n", Surface(points, facets[at]).vectors, np.array([normals[k] for k in labels[at]])
     )
-    faces, left = np.where(along[:, None] > 0, facets[at], facets[at, ::-1]), labels[at]
-    facets, labels = facets[~crack], labels[~crack]
+    faces = np.where(along[:, None] > 0, facets[at], facets[at, ::-1])
+    left = labels[at]
+    facets = facets[~crack]
+    labels = labels[~crack]
     while True:
         every = np.concatenate([facets, faces, faces[:, ::-1]])
         opened_elements, sides, is_open, origin = opened(elements, every, len(points))
@@ -137,8 +141,10 @@ def _cut_middles(
         .reshape(cells.shape)
         .all(axis=1)
     )
-    closed, cells = closed[alone], cells[alone]
-    corners, middle = faces[closed], len(points) + np.arange(len(closed))[:, None]
+    closed = closed[alone]
+    cells = cells[alone]
+    corners = faces[closed]
+    middle = len(points) + np.arange(len(closed))[:, None]
     parts = [
         np.where(elements[cells] == corners[:, k, None, None], middle[:, None], elements[cells])
         for k in range(corners.shape[1])

@@ -114,7 +114,8 @@ def _renamed(
     domain: StepFile, bodies: list[str], faces: list[list[str]]
 ) -> dict[str, tuple[str, ...]]:
     """Names after the mapping of the domain; every key of it must be used."""
-    unused, result = set(domain.names), {}
+    unused = set(domain.names)
+    result = {}
 
     def new(keys: list[str], name: str) -> str:
         for key in keys:
@@ -319,16 +320,19 @@ def _faces_of(worker: Netgen, solids: Mapping[str, StepSolid]) -> Iterator[tuple
 
 
 def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -> _Face:
-    kind, radius = "other", np.nan
+    kind = "other"
+    radius = np.nan
     if surfaces := candidates(shape.samples[number : number + 1]):
         surface = surfaces[0][0]
         kind = "cone or torus"
         if surface.straight and not surface.profile[0]:
             kind = "plane"
         elif surface.straight and not surface.profile[1]:
-            kind, radius = "cylinder", surface.extent * shape.scale
+            kind = "cylinder"
+            radius = surface.extent * shape.scale
         elif not surface.straight and not surface.profile.any():
-            kind, radius = "sphere", surface.extent * shape.scale
+            kind = "sphere"
+            radius = surface.extent * shape.scale
     return _Face(
         number,
         name,
@@ -348,7 +352,8 @@ def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: floa
     # corners lie on round faces, centroids of their triangles do not; plane faces may have all
     # corners on their rims
     places = face.triangles.mean(axis=1)[:, None] if face.kind == "plane" else face.triangles
-    path, unit = solid.file.path, solid.file.unit
+    path = solid.file.path
+    unit = solid.file.unit
     try:
         near = worker(
             "face_distances",
@@ -366,7 +371,8 @@ def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: floa
     if not len(close):
         return False
     nearest = cKDTree(other.triangles.mean(axis=1)).query(face.triangles[close].mean(axis=1))[1]
-    own, its = face.normals[close], other.normals[nearest]
+    own = face.normals[close]
+    its = other.normals[nearest]
     cosine = (own * its).sum(axis=1) / (np.linalg.norm(own, axis=1) * np.linalg.norm(its, axis=1))
     return bool((cosine < _OPPOSITE).any())
 

@@ -150,12 +150,15 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
     places = np.concatenate(
         [np.indices(shape + 1).reshape(3, -1).T, np.indices(shape).reshape(3, -1).T + 0.5]
     )
-    elements, facets = [], {}
+    elements = []
+    facets = {}
     for axis in range(3):
         # the last axis runs across faces
-        corner, centre = np.moveaxis(corners, axis, -1), np.moveaxis(centres, axis, -1)
+        corner = np.moveaxis(corners, axis, -1)
+        centre = np.moveaxis(centres, axis, -1)
         around = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]])
-        below, above = centre[..., :-1], centre[..., 1:]
+        below = centre[..., :-1]
+        above = centre[..., 1:]
         elements += [
             np.stack(
                 [below, above, around[k, ..., 1:-1], around[k - 1, ..., 1:-1]], axis=-1
@@ -183,7 +186,8 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
 def _cells(counts: tuple[int, ...], last: np.ndarray, *, axis: int = -1) -> np.ndarray:
     """Lowest nodes of the cells whose place along ``axis`` is in ``last``, in ascending order."""
     axis %= len(counts)
-    result, stride = np.zeros(1, dtype=np.int32), 1
+    result = np.zeros(1, dtype=np.int32)
+    stride = 1
     for k, n in enumerate(counts):
         places = last if k == axis else np.arange(n)
         result = (places.astype(np.int32)[:, None] * np.int32(stride) + result).reshape(-1)
@@ -199,7 +203,9 @@ def _strides(counts: tuple[int, ...]) -> np.ndarray:
 def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Outward facets and their labels: side by side, along each in the order of the nodes. Those of
     one cell are moved along the side."""
-    dim, strides, facets = len(counts), _strides(counts), []
+    dim = len(counts)
+    strides = _strides(counts)
+    facets = []
     every = element_facets(_simplices(counts)).reshape(-1, dim)
     for name in names:
         axis, end = BOX_SIDES[name]
@@ -242,7 +248,9 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
 def _simplices(counts: tuple[int, ...]) -> np.ndarray:
     """The two triangles or six tetrahedra of the cell whose lowest node is 0, positively
     oriented."""
-    dim, strides, simplices = len(counts), _strides(counts), []
+    dim = len(counts)
+    strides = _strides(counts)
+    simplices = []
     for path in permutations(range(dim)):
         offsets = np.cumsum(np.r_[0, strides[list(path)]])
         odd = np.linalg.det(np.eye(dim)[list(path)]) < 0

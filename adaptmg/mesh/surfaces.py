@@ -76,7 +76,8 @@ class Revolved:
         else:
             spoke = np.column_stack([r, z]) - self.profile
             length = np.linalg.norm(spoke, axis=1)
-            normals, gaps = spoke / np.where(length > 0, length, 1.0)[:, None], length - self.extent
+            normals = spoke / np.where(length > 0, length, 1.0)[:, None]
+            gaps = length - self.extent
         return gaps, normals[:, :1] * outward + normals[:, 1:] * self.axis
 
     @property
@@ -169,8 +170,10 @@ def nearest(
     """Return the number (n,) of the surface that facets or edges with some corners (n, k, dim) are
     chords of: the nearest one that is about parallel to their normals (n, dim), -1 if none is within
     the part ``near`` of their extent."""
-    corners, normals = in_space(corners), in_space(normals)
-    middle, length = corners.mean(axis=1), np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+    corners = in_space(corners)
+    normals = in_space(normals)
+    middle = corners.mean(axis=1)
+    length = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
     number = np.full(len(corners), -1)
     if not len(corners):
         return number
@@ -242,11 +245,13 @@ def _cylinder(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
 
 def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     *_, complexes = np.linalg.svd(np.hstack([np.cross(points, normals), normals]))
-    axis, moment = complexes[-1, :3], complexes[-1, 3:]
+    axis = complexes[-1, :3]
+    moment = complexes[-1, 3:]
     length = np.linalg.norm(axis)
     if length < _EXACT:
         return None
-    axis, moment = axis / length, moment / length
+    axis = axis / length
+    moment = moment / length
     origin = np.cross(axis, moment)
     z = (points - origin) @ axis
     away = points - origin - np.outer(z, axis)
@@ -291,9 +296,11 @@ def settled(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return points (n, 3) put onto two surfaces (n, 2) each, within ``near``, and the numbers of
     those that do not reach them."""
-    places, rest = points.copy(), np.arange(len(points))
+    places = points.copy()
+    rest = np.arange(len(points))
     for _ in range(_STEPS):
-        gaps, gradients = np.empty((len(rest), 2)), np.empty((len(rest), 2, 3))
+        gaps = np.empty((len(rest), 2))
+        gradients = np.empty((len(rest), 2, 3))
         for label in np.unique(labels[rest]):
             at = labels[rest] == label
             gaps[at], gradients[at] = surfaces[label].gaps(places[rest[np.nonzero(at)[0]]])

@@ -61,10 +61,8 @@ def triangulated(
     nodes."""
     edges = [domain.edge(i) for i in range(len(domain.vertices))]
     field = _beside_short_edges(edges, domain.lengths, field)
-    middle, scale = (
-        0.5 * (domain.lower + domain.upper),
-        2.0 ** math.frexp((domain.upper - domain.lower).max())[1],
-    )
+    middle = 0.5 * (domain.lower + domain.upper)
+    scale = 2.0 ** math.frexp((domain.upper - domain.lower).max())[1]
     least = field
     for k in range(_PASSES):
         places, facets, labels, elements, across = _laid(
@@ -105,25 +103,22 @@ def _laid(
         laid = [edge.at(t) for edge, t in zip(edges, fractions, strict=True)]
         for right, left in domain.twins.items():
             laid[right] = np.roll(laid[left][::-1], 1, axis=0)
-        places, counts = np.concatenate(laid), np.array([len(nodes) for nodes in laid])
+        places = np.concatenate(laid)
+        counts = np.array([len(nodes) for nodes in laid])
         first = np.cumsum(counts) - counts
         places[first] = domain.vertices
         following = np.arange(1, len(places) + 1)
         following[first + counts - 1] = first[domain.following]
         refuse_too_many(len(places), domain)
-        shortest, step = (
-            np.linalg.norm(places[following] - places, axis=1).min(),
-            np.spacing(np.abs(places).max()),
-        )
+        shortest = np.linalg.norm(places[following] - places, axis=1).min()
+        step = np.spacing(np.abs(places).max())
         if not step < _RESOLVED * shortest:
             raise ValueError(
                 f"coordinates of {domain!r} differ by {step:.1g} m at least, edges of the mesh are "
                 f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes"
             )
-        facets, labels = (
-            np.column_stack([np.arange(len(places)), following]),
-            np.repeat(np.arange(len(edges)), counts),
-        )
+        facets = np.column_stack([np.arange(len(places)), following])
+        labels = np.repeat(np.arange(len(edges)), counts)
         if domain.twins:
             places, facets = _joined(places, facets)
         elements, across, found = of_boundary((places - middle) / scale, facets, spread)
@@ -155,7 +150,8 @@ def _thin_parts(
     and fitting sizes."""
     e, k = np.nonzero(across < 0)
     a, b, c = (places[elements[e, (k + i) % 3]] for i in (1, 2, 0))
-    along, up = b - a, c - a
+    along = b - a
+    up = c - a
     square = (along * along).sum(axis=1)
     part = (along * up).sum(axis=1) / square
     height = (along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0]) / np.sqrt(square)
@@ -212,7 +208,8 @@ def _spaced(
             field(np.concatenate([edge.at(t) for edge, t in zip(edges, at, strict=True)])),
             np.cumsum([len(t) for t in at])[:-1],
         )
-        finer, longs = [], []
+        finer = []
+        longs = []
         for i, (edge, t, length) in enumerate(zip(edges, at, lengths, strict=True)):
             if isinstance(edge, Arc):
                 sizes[i] = np.minimum(sizes[i], _MAX_EDGE * edge.radius)
@@ -248,8 +245,12 @@ def _filled(
     growth: float | None,
 ) -> tuple[np.ndarray, ...]:
     """Nodes put into the triangles of a boundary, and the neighbours of these."""
-    points, n, n_elements, n_read = places, len(places), len(elements), 0
-    sizes, settled = np.empty(0), np.empty(0, dtype=bool)
+    points = places
+    n = len(places)
+    n_elements = len(elements)
+    n_read = 0
+    sizes = np.empty(0)
+    settled = np.empty(0, dtype=bool)
     while True:
         # sizes are interpolated at new nodes, and read there before there are four times as many
         room = 4 * n
@@ -313,7 +314,8 @@ def _limit(points, elements, sizes, growth):
     falls = False
     for e in range(len(elements)):
         for k in range(3):
-            a, b = elements[e, k], elements[e, (k + 1) % 3]
+            a = elements[e, k]
+            b = elements[e, (k + 1) % 3]
             if sizes[a] > sizes[b]:
                 a, b = b, a
             length = np.sqrt(
@@ -328,7 +330,9 @@ def _limit(points, elements, sizes, growth):
 @inner_kernel
 def _next_place(points, elements, e, sizes, place):
     """Write where a triangle gets a node; returns its circumradius."""
-    a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+    a = elements[e, 0]
+    b = elements[e, 1]
+    c = elements[e, 2]
     ab = (points[b, 0] - points[a, 0]) ** 2 + (points[b, 1] - points[a, 1]) ** 2
     bc = (points[c, 0] - points[b, 0]) ** 2 + (points[c, 1] - points[b, 1]) ** 2
     ca = (points[a, 0] - points[c, 0]) ** 2 + (points[a, 1] - points[c, 1]) ** 2
@@ -336,8 +340,10 @@ def _next_place(points, elements, e, sizes, place):
         a, b, c, ab = b, c, a, bc
     elif ca < ab:
         a, b, c, ab = c, a, b, ca
-    x, y = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-    u, v = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+    x = points[b, 0] - points[a, 0]
+    y = points[b, 1] - points[a, 1]
+    u = points[c, 0] - points[a, 0]
+    v = points[c, 1] - points[a, 1]
     # distance of the circle's centre from the shortest side, over the length of this
     away = 0.5 * (u * (u - x) + v * (v - y)) / (x * v - y * u)
     radius = np.sqrt(ab * (0.25 + away * away))
@@ -352,9 +358,12 @@ def _next_place(points, elements, e, sizes, place):
 @inner_kernel
 def _is_free(points, elements, across, t, p, apart):
     """Whether node p in triangle t is so far from its corners, and not next to the boundary."""
-    x, y = points[p, 0], points[p, 1]
+    x = points[p, 0]
+    y = points[p, 1]
     for k in range(3):
-        a, b, c = elements[t, k], elements[t, (k + 1) % 3], elements[t, (k + 2) % 3]
+        a = elements[t, k]
+        b = elements[t, (k + 1) % 3]
+        c = elements[t, (k + 2) % 3]
         if (points[a, 0] - x) ** 2 + (points[a, 1] - y) ** 2 < apart * apart:
             return False
         if across[t, k] < 0:
@@ -367,9 +376,13 @@ def _is_free(points, elements, across, t, p, apart):
 @inner_kernel
 def _interpolated(points, elements, t, p, sizes):
     """The size at node p in triangle t."""
-    x, y, total, here = points[p, 0], points[p, 1], 0.0, 0.0
+    x = points[p, 0]
+    y = points[p, 1]
+    total = 0.0
+    here = 0.0
     for k in range(3):
-        a, b = elements[t, (k + 1) % 3], elements[t, (k + 2) % 3]
+        a = elements[t, (k + 1) % 3]
+        b = elements[t, (k + 2) % 3]
         weight = (points[a, 0] - x) * (points[b, 1] - y) - (points[a, 1] - y) * (points[b, 0] - x)
         total += weight
         here += weight * sizes[elements[t, k]]
@@ -382,7 +395,9 @@ def _look(points, sizes, elements, n_read, settled):
     the integral of the power -2 of the size."""
     cells = 0.0
     for e in range(len(elements)):
-        a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+        a = elements[e, 0]
+        b = elements[e, 1]
+        c = elements[e, 2]
         h = (sizes[a] + sizes[b] + sizes[c]) / 3.0
         cells += (
             0.5
@@ -402,10 +417,12 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
     """Put nodes into triangles that are not ``settled`` and too large until there are none, or
     ``most`` nodes. Sizes at nodes from ``n_read`` on are interpolated; ``dips`` are sizes at
     centroids. Returns the numbers of nodes and triangles."""
-    place, before = np.empty(2), np.int64(-1)
+    place = np.empty(2)
+    before = np.int64(-1)
     # each pass but the last adds nodes, and there are ``most``
     while before < n < most:
-        before, e = n, np.int64(0)
+        before = n
+        e = np.int64(0)
         # a step adds a node, settles a triangle, or goes on to the next one
         while e < count and n < most:
             # after a node the same triangle, or what came in its place, is next
@@ -413,7 +430,9 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
                 e += 1
                 continue
             settled[e] = True
-            a, b, c = elements[e, 0], elements[e, 1], elements[e, 2]
+            a = elements[e, 0]
+            b = elements[e, 1]
+            c = elements[e, 2]
             h = (sizes[a] + sizes[b] + sizes[c]) / 3.0
             dip = e < len(dips) and dips[e] < _DIP * h
             if dip:
@@ -440,6 +459,7 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
             if _is_free(points, elements, across, t, n, _APART * sizes[n]):
                 more = insert(points, elements, across, count, t, n, settled)
                 if more > count:
-                    n, count = n + 1, more
+                    n = n + 1
+                    count = more
                     settled[e] = False
     return n, count

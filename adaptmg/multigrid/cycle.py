@@ -129,7 +129,8 @@ def _transported(
     correction: Correction, coarse: LocalSystem, returned: object
 ) -> tuple[np.ndarray, ...]:
     """The coarse contact data of a correction, types and shapes checked: it may be user-defined."""
-    n, name = len(coarse.nodes), f"correction: transport of {checks.shown(correction)}"
+    n = len(coarse.nodes)
+    name = f"correction: transport of {checks.shown(correction)}"
     if not isinstance(returned, (tuple, list)) or len(returned) != 3:
         raise TypeError(f"{name} must return gap, slip and limit, got {checks.shown(returned)}")
     shapes = {"gap": (n,), "slip": (n, coarse.dim - 1), "limit": (n,)}
@@ -206,7 +207,8 @@ def correction_levels(
     """Return the level ``finest`` of a hierarchy and those below it, coarsest first."""
     levels = [CorrectionLevel(problems[finest].system)]
     for k in range(finest, 0, -1):
-        upper, lower = problems[k], problems[k - 1]
+        upper = problems[k]
+        lower = problems[k - 1]
         nodal = hierarchy[k].contact_prolongation
         levels[0].prolongation = local_prolongation(nodal, upper, lower)
         levels[0].restriction = sparse.bsr_array(levels[0].prolongation.T)
@@ -242,12 +244,14 @@ def local_prolongation(
     rows = np.repeat(np.arange(nodal.shape[0]), np.diff(nodal.indptr))
     columns = nodal.indices
     blocks = nodal.data[:, None, None] * np.eye(dim)
-    at_row, at_column = fine.system.contact_of[rows], coarse.system.contact_of[columns]
+    at_row = fine.system.contact_of[rows]
+    at_column = coarse.system.contact_of[columns]
     turned = np.flatnonzero((at_row >= 0) | (at_column >= 0))
     if turned.size:
         left = np.broadcast_to(np.eye(dim), (turned.size, dim, dim)).copy()
         right = left.copy()
-        i, j = at_row[turned], at_column[turned]
+        i = at_row[turned]
+        j = at_column[turned]
         left[i >= 0] = fine.frames[i[i >= 0]]
         right[j >= 0] = coarse.frames[j[j >= 0]]
         rotation = np.einsum("nij,nkj->nik", left, right)
@@ -280,12 +284,14 @@ def local_galerkin(
     diagonal. Dofs of ``level`` that ``finer``, the next level, does not see have such a diagonal,
     which is left out."""
     dim = coarse.dim
-    prolongation, restriction = level.prolongation, level.restriction
+    prolongation = level.prolongation
+    restriction = level.restriction
     if finer is not None:
         taken = sparse.diags_array(
             (np.asarray(abs(finer.prolongation).sum(axis=0)).ravel() > 0).astype(float)
         )
-        prolongation, restriction = taken @ prolongation, restriction @ taken
+        prolongation = taken @ prolongation
+        restriction = restriction @ taken
     product = sparse.csr_array(restriction @ level.system.matrix @ prolongation)
     diagonal = product.diagonal()
     empty = ~(diagonal > 0)
@@ -484,7 +490,8 @@ class MultigridCycle:
         shape: str | None = None,
     ) -> None:
         """Add the correction from the next coarser level; ``r`` is the residual at ``unknowns``."""
-        fine, coarse = self.levels[level], self.levels[level - 1]
+        fine = self.levels[level]
+        coarse = self.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None
         data = correction_contact(
             self.correction,
@@ -540,7 +547,8 @@ class MultigridCycle:
         for _ in range(self.COMPLETE_LIMIT):
             before = unknowns.copy()
             self.cycle(level, contact, load, unknowns, "complete")
-            previous, change = change, float(np.linalg.norm(unknowns - before))
+            previous = change
+            change = float(np.linalg.norm(unknowns - before))
             if self.coarse.met(change, previous, float(np.linalg.norm(unknowns))):
                 break
 
@@ -618,12 +626,17 @@ class CoarseSolve:
             v = vector.reshape(-1, system.dim)
             return float(np.sqrt(np.einsum("ni,nij,nj->", v, blocks, v)))
 
-        before, sweeps, change, size = unknowns.copy(), 0, np.inf, 0.0
+        before = unknowns.copy()
+        sweeps = 0
+        change = np.inf
+        size = 0.0
         while sweeps < self.max_sweeps and np.isfinite(size):
             passes = smoother.smooth(system, contact, load, unknowns, batch)
             recorder.count(passes, system.nonzeros)
             sweeps += batch
-            previous, change, size = change, norm(unknowns - before), norm(unknowns)
+            previous = change
+            change = norm(unknowns - before)
+            size = norm(unknowns)
             if self.met(change, previous, size):
                 break
             before[:] = unknowns

@@ -82,7 +82,9 @@ class LinearLevel:
 
     def presmooth(self, load: np.ndarray) -> float:
         """Smooth from zero and leave the residual; returns the passes over the matrix."""
-        matrix, u, rest = self.matrix, self.solution, self.rest
+        matrix = self.matrix
+        u = self.solution
+        rest = self.rest
         if self.smoother is not None:
             u[:] = 0.0
             passes = self.smoother.smooth(load, u)
@@ -92,7 +94,9 @@ class LinearLevel:
             u[:] = 0.0
             rest[:] = load
             return 0.0
-        lower, upper, none = matrix.lower_arrays, matrix.upper_arrays, matrix.no_half
+        lower = matrix.lower_arrays
+        upper = matrix.upper_arrays
+        none = matrix.no_half
         matrix.sweep(gauss_seidel, False, *lower, *none, matrix.inverse, load, u, rest)
         passes = 0.5  # L
         if self.pre % 2 == 1:
@@ -114,14 +118,17 @@ class LinearLevel:
     def postsmooth(self, load: np.ndarray, sweeps: int) -> float:
         """Smooth from the solution, in the order that makes the cycle symmetric; returns the passes
         over the matrix."""
-        matrix, u, rest = self.matrix, self.solution, self.rest
+        matrix = self.matrix
+        u = self.solution
+        rest = self.rest
         if self.smoother is not None:
             return self.smoother.smooth(load, u)
         for _ in range(sweeps // 2):
             self._forward(load)
             self._backward()
         if sweeps % 2 == 1:
-            lower, upper = matrix.lower_arrays, matrix.upper_arrays
+            lower = matrix.lower_arrays
+            upper = matrix.upper_arrays
             matrix.sweep(
                 gauss_seidel, True, *upper, *lower, matrix.inverse, load, u, rest, backward=True
             )
@@ -135,7 +142,8 @@ class LinearLevel:
 
     def _backward(self) -> None:
         """Sweep backward with the load - L u that a forward sweep left."""
-        matrix, rest = self.matrix, self.rest
+        matrix = self.matrix
+        rest = self.rest
         halves = (*matrix.no_half, *matrix.upper_arrays)
         matrix.sweep(
             gauss_seidel, True, *halves, matrix.inverse, rest, self.solution, rest, backward=True
@@ -217,7 +225,8 @@ class LinearCycle:
         return solution
 
     def _visit(self, number: int, load: np.ndarray, shape: str, smooth: bool = True) -> np.ndarray:
-        level, recorder = self.levels[number], self.recorder
+        level = self.levels[number]
+        recorder = self.recorder
         if number == 0:
             recorder.count(self.factors.solve(load, level.solution), level.matrix.nonzeros)
             recorder.visit(0, "solve")
@@ -297,7 +306,8 @@ class CoarseFactors:
     DENSE = 1500
 
     def __init__(self, level: SplitMatrix, custom: LinearSolve | None = None) -> None:
-        self.level, self.custom = level, custom
+        self.level = level
+        self.custom = custom
         scale = np.abs(
             level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
         ).reshape(-1)

@@ -90,7 +90,8 @@ def backward(
     """Sweep backward with projections; ``kept`` comes as f and becomes f - U u."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
-        row, i = np.uint64(place), np.uint64(order[place])
+        row = np.uint64(place)
+        i = np.uint64(order[place])
         at = dim * i
         # kept comes last: it is the one to wait for, as the node before has just written to it
         r = minus_row(row, -1, l_indptr, l_indices, lower, u, zero)
@@ -131,7 +132,8 @@ def forward(
     (n_contact * dim^2,) are the Cartesian diagonal blocks of the contact nodes."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
-        row, i = np.uint64(place), np.uint64(order[place])
+        row = np.uint64(place)
+        i = np.uint64(order[place])
         at = dim * i
         r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(kept, at, zero))
         if contact_of[i] < 0:
@@ -152,7 +154,8 @@ def energy_product(first, last, order, zero, l_indptr, l_indices, lower, inverse
     dim = np.uint64(len(zero))
     total = 0.0
     for place in range(first, last):
-        row, i = np.uint64(place), np.uint64(order[place])
+        row = np.uint64(place)
+        i = np.uint64(order[place])
         at = dim * i
         change = subtract(read(new, at, zero), read(old, at, zero))
         total += inverse_square(inverse, dim * at, change)
@@ -168,7 +171,8 @@ def _changed(p, i, d, indptr, indices, blocks, diagonal, residual):
     """Take a change d of node i, at position p, out of the residual: its own and that of its
     neighbours."""
     dim = np.uint64(len(d))
-    size, at = dim * dim, dim * i
+    size = dim * dim
+    at = dim * i
     write(residual, at, subtract(read(residual, at, d), times(diagonal, size * p, d)))
     for entry in range(np.uint64(indptr[p]), np.uint64(indptr[p + ONE])):
         j = dim * np.uint64(indices[entry])
@@ -202,7 +206,8 @@ def _alone(
     """Move a master without its followers, if all are open and stay so; whether it was done."""
     dim = np.uint64(len(zero))
     size = dim * dim
-    begin, end = np.uint64(follow_indptr[p]), np.uint64(follow_indptr[p + ONE])
+    begin = np.uint64(follow_indptr[p])
+    end = np.uint64(follow_indptr[p + ONE])
     r = read(residual, dim * i, zero)
     for s in range(begin, end):
         j = np.uint64(nodes[followers[s]])
@@ -316,7 +321,8 @@ class Interface:
     LAYERS = 2
 
     def __init__(self, level: SplitMatrix, coupling: Coupling, fixed: np.ndarray) -> None:
-        n, dim = level.n_nodes, level.dim
+        n = level.n_nodes
+        dim = level.dim
         self.dim = dim
         ones = np.ones(len(level.lower_indices))
         # row by row of the nodes
@@ -324,7 +330,8 @@ class Interface:
             (np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
             shape=(n, n),
         )[level.strips.rank]
-        entries, half = half, sparse.csr_array((ones, half.indices, half.indptr), shape=(n, n))
+        entries = half
+        half = sparse.csr_array((ones, half.indices, half.indptr), shape=(n, n))
         reached = (np.diff(coupling.weights.indptr) > 0).astype(float)
         for _ in range(self.LAYERS):
             reached = ((reached + half @ reached + half.T @ reached) > 0).astype(float)
@@ -334,7 +341,8 @@ class Interface:
         # the rows without diagonal: entries of L, and of L' (negative), whose blocks are transposed
         rows = sparse.csr_array(entries[self.nodes] - sparse.csr_array(entries[:, self.nodes].T))
         rows.sort_indices()
-        self.indptr, self.indices = rows.indptr.astype(np.int64), rows.indices.astype(np.uint32)
+        self.indptr = rows.indptr.astype(np.int64)
+        self.indices = rows.indices.astype(np.uint32)
         blocks = level.lower.reshape(-1, dim, dim)[np.abs(rows.data) - 1]
         self.blocks = np.where(
             (rows.data < 0)[:, None, None], blocks.transpose(0, 2, 1), blocks
@@ -366,7 +374,8 @@ class Interface:
     def _alone_blocks(self, place: np.ndarray) -> np.ndarray:
         """Blocks D'AD (n, dim, dim) of the motion D of each node that leaves its followers where
         they are."""
-        n, dim = len(self.nodes), self.dim
+        n = len(self.nodes)
+        dim = self.dim
         columns = place[self.indices]
         inside = columns >= 0
         indptr = np.append(0, np.cumsum(inside))[self.indptr]

@@ -54,7 +54,8 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
 def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k, m) of the motions that supports leave free, and those (n_contact, dim, m) of
     contact nodes."""
-    nodes, fixed = problem.contact.nodes, problem.fixed.reshape(-1, problem.dim)
+    nodes = problem.contact.nodes
+    fixed = problem.fixed.reshape(-1, problem.dim)
     held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
     if problem.near_nullspace is None or not len(nodes):
         return np.empty((0, 0)), np.empty((len(nodes), problem.dim, 0))
@@ -107,9 +108,11 @@ class RigidMotions:
         """Move to the least energy, in place, and the ``past`` iterates along; returns the number
         of steps."""
         descent = _Descent(self, residual)
-        total, steps = np.zeros(self.at_contact.shape[2]), 0
+        total = np.zeros(self.at_contact.shape[2])
+        steps = 0
         while steps < self.STEPS and (change := descent.step()) is not None:
-            total, steps = total + change, steps + 1
+            total = total + change
+            steps = steps + 1
         if steps:
             self._move(total, unknowns, past)
         return steps
@@ -165,12 +168,13 @@ class _Descent:
     REGULAR: ClassVar[float] = 1e-8
 
     def __init__(self, motions: RigidMotions, residual: np.ndarray) -> None:
-        contact, dim = motions.contact, motions.contact.dim
-        self.contact, self.motions, self.factor = contact, motions, 1.0
-        self.values, self.reference = (
-            contact.values.reshape(-1, dim),
-            contact.reference.reshape(-1, dim - 1),
-        )
+        contact = motions.contact
+        dim = motions.contact.dim
+        self.contact = contact
+        self.motions = motions
+        self.factor = 1.0
+        self.values = contact.values.reshape(-1, dim)
+        self.reference = contact.reference.reshape(-1, dim - 1)
         normals = contact.frames.reshape(-1, dim, dim)[:, 0]
         self.pressure = np.maximum(
             np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[contact.nodes]), 0.0
@@ -178,26 +182,31 @@ class _Descent:
 
     def step(self) -> np.ndarray | None:
         """Take a step; returns its combination of motions (m,), None at a minimum."""
-        o, slip = self.contact, self.values[:, 1:] - self.reference
+        o = self.contact
+        slip = self.values[:, 1:] - self.reference
         closed = self.values[:, 0] == o.gap
         resists = (o.limit > 0) | (closed & (o.friction > 0))
         held = resists & ~slip.any(axis=1)
-        free, values = self.motions.free(closed, held), self.motions.at_contact
+        free = self.motions.free(closed, held)
+        values = self.motions.at_contact
         if not free.shape[1] or self.motions.work is None:
             return None
         bound = np.where(resists, o.limit + np.where(closed, o.friction * self.pressure, 0.0), 0.0)
-        tangents, force = values[:, 1:] @ free, free.T @ self.motions.work
+        tangents = values[:, 1:] @ free
+        force = free.T @ self.motions.work
         direction = self._direction(self.factor * bound, slip, tangents, force)
         if direction is None:
             return None
-        along, across = tangents @ direction, values[:, 0] @ (free @ direction)
+        along = tangents @ direction
+        across = values[:, 0] @ (free @ direction)
         speed = np.linalg.norm(along, axis=1)
         small = _ZERO * max(speed.max(), np.abs(across).max())
         closing = ~closed & (across > small) & np.isfinite(o.gap)
         stops = np.divide(
             o.gap - self.values[:, 0], across, out=np.full(len(across), np.inf), where=closing
         )
-        work, bound = float(force @ direction), np.where(speed > small, self.factor * bound, 0.0)
+        work = float(force @ direction)
+        bound = np.where(speed > small, self.factor * bound, 0.0)
         resistance = float(bound @ speed)
         if not (np.isfinite(stops.min()) or resistance > work):
             if not resistance > 0.0:
@@ -205,7 +214,8 @@ class _Descent:
             self.factor *= self.ENOUGH * work / resistance
             return self.step()
         slope = friction_slope(slip, along, bound)
-        acts, size = bound > 0, np.linalg.norm(slip, axis=1)
+        acts = bound > 0
+        size = np.linalg.norm(slip, axis=1)
         longest = float((size[acts] / speed[acts]).max(initial=0.0)) or 1.0
         length = _least(lambda alpha: slope(alpha) - work, 2.0 * longest, float(stops.min()))
         change = length * direction
@@ -249,9 +259,11 @@ class _Descent:
 
 def _least(slope: Callable[[float], float], first: float, stop: float) -> float:
     """Where a rising slope vanishes, at most ``stop``, looked for up to ``first`` first."""
-    low, high = 0.0, min(first, stop)
+    low = 0.0
+    high = min(first, stop)
     while high < stop and slope(high) < 0.0:  # there is friction that holds
-        low, high = high, min(2.0 * high, stop)
+        low = high
+        high = min(2.0 * high, stop)
     if slope(high) <= 0.0:
         return high
     for _ in range(60):

@@ -95,23 +95,20 @@ class SplitMatrix:
         whether it is large."""
         if not self.symmetric or len(self.lower) < LARGE:
             return False
-        self.lower_indices, self.lower, self.inverse = (
-            np.empty(0, dtype=np.uint32),
-            np.empty(0),
-            np.empty(0),
-        )
+        self.lower_indices = np.empty(0, dtype=np.uint32)
+        self.lower = np.empty(0)
+        self.inverse = np.empty(0)
         self.aside = matrix, fixed
         return True
 
     def complete(self) -> None:
         """Make again what was set aside."""
         if self.aside is not None:
-            again, self.aside = split(*self.aside, symmetric=True), None
-            self.lower_indices, self.lower, self.inverse = (
-                again.lower_indices,
-                again.lower,
-                again.inverse,
-            )
+            again = split(*self.aside, symmetric=True)
+            self.aside = None
+            self.lower_indices = again.lower_indices
+            self.lower = again.lower
+            self.inverse = again.inverse
 
     def at_slots(self, slots: np.ndarray) -> np.ndarray:
         """Return the blocks at slots (L first, then the diagonal, then U), flat."""
@@ -124,11 +121,9 @@ class SplitMatrix:
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Block rows and columns of L, D and U."""
-        own, order, lower = (
-            np.arange(self.n_nodes),
-            self.strips.order,
-            self.lower_indices.astype(np.int64),
-        )
+        own = np.arange(self.n_nodes)
+        order = self.strips.order
+        lower = self.lower_indices.astype(np.int64)
         row = np.repeat(order, np.diff(self.lower_indptr))
         upper = (
             (lower, row)
@@ -176,27 +171,30 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     """Split a block matrix into its halves, with the rows and columns of fixed dofs zeroed."""
     dim = matrix.blocksize[0]
     n = matrix.shape[0] // dim
-    indptr, indices, data = (
-        read_only(matrix.indptr),
-        read_only(matrix.indices),
-        matrix.data.reshape(-1),
-    )
-    strips, size = Strips.of(indptr, indices, dim * dim), len(data)
-    lower_indptr, upper_indptr = np.zeros(n + 1, dtype=np.int32), np.zeros(n + 1, dtype=np.int32)
+    indptr = read_only(matrix.indptr)
+    indices = read_only(matrix.indices)
+    data = matrix.data.reshape(-1)
+    strips = Strips.of(indptr, indices, dim * dim)
+    size = len(data)
+    lower_indptr = np.zeros(n + 1, dtype=np.int32)
+    upper_indptr = np.zeros(n + 1, dtype=np.int32)
     in_parts(count, n, size, strips.order, indptr, indices, strips.rank, lower_indptr, upper_indptr)
     for counts in (lower_indptr, upper_indptr):
         np.cumsum(counts, out=counts)
-    below, above = int(lower_indptr[-1]), int(upper_indptr[-1])
+    below = int(lower_indptr[-1])
+    above = int(upper_indptr[-1])
     nonzeros = (below + above + n) * dim * dim
     if symmetric:
-        upper_indptr, above = upper_indptr[:0].copy(), 0
-    lower_indices, upper_indices = (
-        np.empty(below, dtype=np.uint32),
-        np.empty(above, dtype=np.uint32),
-    )
-    lower, upper = np.empty(below * dim * dim), np.empty(above * dim * dim)
-    diagonal, inverse = np.empty(n * dim * dim), np.empty(n * dim * dim)
-    dofs, held = np.flatnonzero(fixed), np.zeros(n, dtype=bool)
+        upper_indptr = upper_indptr[:0].copy()
+        above = 0
+    lower_indices = np.empty(below, dtype=np.uint32)
+    upper_indices = np.empty(above, dtype=np.uint32)
+    lower = np.empty(below * dim * dim)
+    upper = np.empty(above * dim * dim)
+    diagonal = np.empty(n * dim * dim)
+    inverse = np.empty(n * dim * dim)
+    dofs = np.flatnonzero(fixed)
+    held = np.zeros(n, dtype=bool)
     held[dofs // dim] = True
     in_parts(
         distribute,
@@ -251,8 +249,10 @@ def galerkin_levels(
     the Galerkin one (nested meshes) it is taken over; not with coupled bodies, whose truncated
     matrices need more entries near contact. The finest matrix, which no truncation changes, is
     symmetric."""
-    matrix, fine = hierarchy.finest.matrix, hierarchy.finest.discrete
-    result, finer = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)], None
+    matrix = hierarchy.finest.matrix
+    fine = hierarchy.finest.discrete
+    result = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)]
+    finer = None
     for above, level, nodal in zip(
         reversed(hierarchy.levels[1:]),
         reversed(hierarchy.levels[:-1]),
@@ -260,11 +260,14 @@ def galerkin_levels(
         strict=True,
     ):
         if level.discrete_or_none is None:
-            matrix, fixed = level.matrix, np.zeros(level.matrix.shape[0], dtype=bool)
+            matrix = level.matrix
+            fixed = np.zeros(level.matrix.shape[0], dtype=bool)
         elif not level.discrete.between_bodies and _nested(
             above, matrix, nodal, level.discrete.matrix
         ):
-            matrix, fixed, finer = level.discrete.matrix, level.discrete.fixed, None
+            matrix = level.discrete.matrix
+            fixed = level.discrete.fixed
+            finer = None
         else:
             finer = seen(nodal, finer)
             # below a coarse space there are only others
@@ -298,7 +301,8 @@ def is_galerkin(
     the sizes of what it sums: next to a stiff body a soft one would go unseen."""
     transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data
     probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
-    fine, image = np.zeros(matrix.shape[0]), np.zeros(len(probe))
+    fine = np.zeros(matrix.shape[0])
+    image = np.zeros(len(probe))
     in_parts(add_prolonged, nodal.shape[0], 2 * len(fine), *transfer, probe, fine)
     colours = scattering(nodal.indices, nodal.indptr, 2 * len(fine))
     in_colours(colours, restrict, *transfer, product(matrix, fine), image)
@@ -314,7 +318,8 @@ def _supported(
 ) -> sparse.bsr_array:
     """The matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
     dim = fine.dim
-    fixed, free = fine.fixed.reshape(-1, dim), ~coarse.fixed.reshape(-1, dim)
+    fixed = fine.fixed.reshape(-1, dim)
+    free = ~coarse.fixed.reshape(-1, dim)
     reached = any(
         (nodal[np.flatnonzero(fixed[:, c])] @ free[:, c].astype(float)).any() for c in range(dim)
     )
@@ -347,10 +352,12 @@ def gauss_seidel(
     """Sweep over places of ``order``, forward or backward: D u_i = (f - A u - B u)_i with halves A
     and B, kept = f - A
     u. ``load`` may be ``kept``, which then stays if A has no entries."""
-    dim, step = np.uint64(len(zero)), -1 if backward else 1
+    dim = np.uint64(len(zero))
+    step = -1 if backward else 1
     for k in range(last - first):
         place = last - 1 - k if backward else first + k
-        row, i = np.uint64(place), np.uint64(order[place])
+        row = np.uint64(place)
+        i = np.uint64(order[place])
         at = dim * i
         r = minus_row(row, step, a_indptr, a_indices, a, u, read(load, at, zero))
         write(kept, at, r)
@@ -363,7 +370,8 @@ def subtract_half(first, last, order, zero, indptr, indices, half, u, result):
     """Subtract a half times u from ``result``."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
-        row, at = np.uint64(place), dim * np.uint64(order[place])
+        row = np.uint64(place)
+        at = dim * np.uint64(order[place])
         write(result, at, minus_row(row, 1, indptr, indices, half, u, read(result, at, zero)))
 
 
@@ -464,18 +472,20 @@ def distribute(
     """Distribute blocks into L, U (unless it is empty), D and its inverse (see
     :func:`invert_block`), without the couplings of fixed dofs; blocks of a duplicate or missing
     diagonal are summed or zero. ``held`` tells the nodes with fixed dofs."""
-    dim, own = len(zero), np.int64(len(zero) ** 2)
-    size, both = np.uint64(own), len(upper_indptr) > 0
-    block, scale = np.empty(own), np.empty(dim)
+    dim = len(zero)
+    own = np.int64(len(zero) ** 2)
+    size = np.uint64(own)
+    both = len(upper_indptr) > 0
+    block = np.empty(own)
+    scale = np.empty(dim)
     for place in range(first, last):
         i = np.int64(order[place])
-        at, near = own * i, held[i]
+        at = own * i
+        near = held[i]
         for c in range(own):
             diagonal[at + c] = 0.0
-        below, above = (
-            np.uint64(lower_indptr[place]),
-            np.uint64(upper_indptr[place]) if both else np.uint64(0),
-        )
+        below = np.uint64(lower_indptr[place])
+        above = np.uint64(upper_indptr[place]) if both else np.uint64(0)
         for entry in range(indptr[i], indptr[i + 1]):
             k = np.uint64(entry)
             j = np.uint64(indices[k])

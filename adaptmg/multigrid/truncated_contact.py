@@ -95,11 +95,9 @@ class TruncatedContact:
         """Take over gaps and slips of another load step; its status is not yet known, so that the
         first linearisation truncates the matrices, which are restored between steps."""
         self.codes[:] = -1
-        self.gap, self.reference, self.driven = (
-            contact.gap,
-            contact.slip_reference.reshape(-1),
-            contact.driven,
-        )
+        self.gap = contact.gap
+        self.reference = contact.slip_reference.reshape(-1)
+        self.driven = contact.driven
 
     @property
     def node_data(self) -> tuple[np.ndarray, ...]:
@@ -116,15 +114,18 @@ class TruncatedContact:
     def start(self, unknowns: np.ndarray) -> None:
         """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible
         ones, in place."""
-        codes, self.codes = self.codes, np.zeros_like(self.codes)
+        codes = self.codes
+        self.codes = np.zeros_like(self.codes)
         self.project(unknowns)
         self.codes = codes
 
     def way(self, unknowns: np.ndarray) -> float:
         """Return the share of a change to unknowns (n_dofs,) at which its first open node closes,
         at most 1."""
-        n, dim = len(self.nodes), self.dim
-        normals, before = self.frames.reshape(n, dim, dim)[:, 0], self.values.reshape(n, dim)[:, 0]
+        n = len(self.nodes)
+        dim = self.dim
+        normals = self.frames.reshape(n, dim, dim)[:, 0]
+        before = self.values.reshape(n, dim)[:, 0]
         change = np.einsum("nd,nd->n", normals, unknowns.reshape(-1, dim)[self.nodes]) - before
         left = self.gap - before
         closing = (self.codes & CLOSED == 0) & (change > left)
@@ -141,11 +142,10 @@ class TruncatedContact:
         """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns;
         zero elsewhere."""
         slip = self.values.reshape(-1, self.dim)[:, 1:] - self.reference.reshape(-1, self.dim - 1)
-        direction, hessian = (
-            self.direction.reshape(slip.shape),
-            self.hessian.reshape(*slip.shape, self.dim - 1),
-        )
-        direction[:], hessian[:] = 0.0, 0.0
+        direction = self.direction.reshape(slip.shape)
+        hessian = self.hessian.reshape(*slip.shape, self.dim - 1)
+        direction[:] = 0.0
+        hessian[:] = 0.0
         at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         # scaled: the square of a slip that is all but zero may vanish
         largest = np.abs(slip[at]).max(axis=1, keepdims=True)
@@ -154,11 +154,9 @@ class TruncatedContact:
         if self.dim == 3:
             across = np.eye(2) - along[:, :, None] * along[:, None, :]
             hessian[at] = (self._bound[at, None] / size)[:, :, None] * across
-            direction[self.driven, 0], hessian[self.driven, 0], hessian[self.driven, :, 0] = (
-                0.0,
-                0.0,
-                0.0,
-            )
+            direction[self.driven, 0] = 0.0
+            hessian[self.driven, 0] = 0.0
+            hessian[self.driven, :, 0] = 0.0
 
     @property
     def _bound(self) -> np.ndarray:
@@ -188,7 +186,8 @@ class TruncatedContact:
         squares lost."""
         if not len(self.driven):
             return 0.0
-        at, tangents = vector.reshape(-1, 3), self.frames.reshape(-1, 3, 3)[self.driven, 1]
+        at = vector.reshape(-1, 3)
+        tangents = self.frames.reshape(-1, 3, 3)[self.driven, 1]
         along = np.einsum("nd,nd->n", tangents, at[self.nodes[self.driven]])
         at[self.nodes[self.driven]] -= along[:, None] * tangents
         return float(np.sum(along**2))
@@ -244,7 +243,8 @@ def friction_slope(
 
     def slope(alpha: float) -> float:
         moved = slip + alpha * change
-        size, product = np.linalg.norm(moved, axis=1), np.einsum("nt,nt->n", moved, change)
+        size = np.linalg.norm(moved, axis=1)
+        product = np.einsum("nt,nt->n", moved, change)
         return float(bound @ np.divide(product, size, out=np.zeros_like(size), where=size > 0))
 
     return slope
@@ -264,7 +264,8 @@ def classify(
     for node in range(len(nodes)):
         k = np.uint64(node)
         r = times(frames, dim * dim * k, read(residual, dim * np.uint64(nodes[k]), zero))
-        w, place = read(values, dim * k, zero), read_reference(reference, k, zero)
+        w = read(values, dim * k, zero)
+        place = read_reference(reference, k, zero)
         code = CLOSED if w[0] == gap[k] else 0
         if limit[k] > 0.0 or (code and friction[k] > 0.0):
             code += _tangential(w, place)
@@ -314,7 +315,8 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, values, r, l
             local[a] = 0.0
             for b in range(dim):
                 local[a] += frames[(dim * k + a) * dim + b] * r[at + b]
-        closed, tangential = codes[k] & CLOSED, codes[k] & TANGENTIAL
+        closed = codes[k] & CLOSED
+        tangential = codes[k] & TANGENTIAL
         bound = limit[k]
         if closed:
             bound += friction[k] * max(local[0], 0.0)

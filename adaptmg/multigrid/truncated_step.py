@@ -88,25 +88,30 @@ class TruncatedStep:
         search: bool = True,
     ) -> None:
         self.searches = search
-        self.cycle, self.number, self.contact, self.pressures = cycle, number, contact, pressures
+        self.cycle = cycle
+        self.number = number
+        self.contact = contact
+        self.pressures = pressures
         self.load = load
-        self.level, levels = cycle.levels[number], cycle.levels[: number + 1]
-        self.matrix, self.coarse = self.level.matrix, self.level.below.matrix
+        self.level = cycle.levels[number]
+        levels = cycle.levels[: number + 1]
+        self.matrix = self.level.matrix
+        self.coarse = self.level.below.matrix
         self.truncation = Truncation(
             [level.matrix for level in levels],
             [level.prolongation for level in levels[1:]],
             contact,
         )
-        self.motions, self.depth = motions, depth
-        self.unknowns, self.residual = unknowns, np.zeros_like(unknowns)
+        self.motions = motions
+        self.depth = depth
+        self.unknowns = unknowns
+        self.residual = np.zeros_like(unknowns)
         self._uniform: list[tuple[np.ndarray, np.ndarray]] = []
         self._frozen: bool | None = (
             None  # whether friction is frozen in the coarse matrices; None: they are to be made
         )
-        self.interface, self._interface_sweeps = (
-            interface,
-            0 if interface is None else interface_sweeps,
-        )
+        self.interface = interface
+        self._interface_sweeps = 0 if interface is None else interface_sweeps
 
     def measure(
         self,
@@ -178,10 +183,12 @@ class TruncatedStep:
         first open node closes."""
         start = self._iterate()
         combined, residual = self._recombined(start)
-        load, proposed = residual[: self.coarse.n_dofs], combined[: len(self._unknowns)].copy()
+        load = residual[: self.coarse.n_dofs]
+        proposed = combined[: len(self._unknowns)].copy()
         # past iterates make up for what a cheaper cycle leaves
         correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
-        energy, before = _product(load, correction), self.contact.values.copy()
+        energy = _product(load, correction)
+        before = self.contact.values.copy()
         self.level.prolong(correction, proposed)
         proposed[self.matrix.fixed] = 0.0
         if shorten:
@@ -192,7 +199,8 @@ class TruncatedStep:
             self._search(proposed, before)
         smoothed = [] if combined is start[0] else [start]
         self._past = [(combined, residual), *smoothed, *self._past][: self.depth]
-        self._unknowns, self._corrected = proposed, True
+        self._unknowns = proposed
+        self._corrected = True
         if self.pressures is not None:
             self.pressures.values = combined[len(proposed) :]
             energy += self.pressures.advance(proposed)
@@ -239,7 +247,8 @@ class TruncatedStep:
 
     @unknowns.setter
     def unknowns(self, values: np.ndarray) -> None:
-        self._unknowns, self._corrected = values, False
+        self._unknowns = values
+        self._corrected = False
         #: iterates and their restricted residuals, newest first, in turns a recombined one and the one it was made from
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
 
@@ -268,17 +277,16 @@ class TruncatedStep:
         self, volumes: Volumes, residual: np.ndarray, pressures: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """The pressures, and what they add to the restricted residual and to what volumes miss."""
-        changed, restricted = (
-            residual - volumes.forces(pressures),
-            np.empty(self.coarse.n_dofs),
-        )
+        changed = residual - volumes.forces(pressures)
+        restricted = np.empty(self.coarse.n_dofs)
         self.contact.truncate(changed)
         self.level.restrict(changed - self.residual, restricted)
         return pressures, np.append(restricted, -volumes.compliance * pressures)
 
     def _projected_sweeps(self) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
-        matrix, c = self.matrix, self.contact
+        matrix = self.matrix
+        c = self.contact
         self.residual[:] = self.load
         matrix.sweep(
             projected_sweeps.backward,
@@ -326,7 +334,8 @@ class TruncatedStep:
         unknowns, load = iterate
         uniform = self._uniform
         if self._past or uniform:
-            dim, n = self.coarse.dim, len(self._past)
+            dim = self.coarse.dim
+            n = len(self._past)
             d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
             d = d if self.pressures is None else np.append(d, self.pressures.weights)
             changes = np.array(
@@ -348,13 +357,15 @@ class TruncatedStep:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
         curvature = self._energy_product(proposed)
         change = proposed - self.unknowns
-        gain, of_friction = _product(self.residual, change), self.contact.friction_slope(before)
+        gain = _product(self.residual, change)
+        of_friction = self.contact.friction_slope(before)
 
         def slope(part: float) -> float:
             return part * curvature - gain + of_friction(part)
 
         if not slope(1.0) <= 0.0:
-            low, high = 0.0, 1.0
+            low = 0.0
+            high = 1.0
             for _ in range(self.HALVINGS):
                 middle = 0.5 * (low + high)
                 low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
@@ -367,7 +378,8 @@ class TruncatedStep:
 
     def _energy_product(self, other: np.ndarray) -> float:
         """Square of the A-norm of the difference to other unknowns; half a pass."""
-        matrix, arrays = self.matrix, self.matrix.lower_arrays
+        matrix = self.matrix
+        arrays = self.matrix.lower_arrays
         self.cycle.recorder.count(0.5, matrix.nonzeros)
         parts = sum_of_parts(
             projected_sweeps.energy_product,
@@ -422,7 +434,9 @@ class CoarseContact:
         if space is None:
             return
         self.number, rows, nodes = space
-        levels, contact, dim = step.cycle.levels, step.contact, step.contact.dim
+        levels = step.cycle.levels
+        contact = step.contact
+        dim = step.contact.dim
         matrix = step.base_matrix(self.number)
         fixed = np.zeros(matrix.shape[0], dtype=bool)
         fixed[levels[self.number].matrix.fixed] = True
@@ -435,8 +449,10 @@ class CoarseContact:
     def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:
         """The levels that may serve, finest first: with B, the prolongation from there at contact
         nodes, in their frames, and the nodes that reach these."""
-        step, dim = self.step, self.step.contact.dim
-        n, dofs = len(step.contact.nodes), dofs_of(step.contact.nodes, dim)
+        step = self.step
+        dim = self.step.contact.dim
+        n = len(step.contact.nodes)
+        dofs = dofs_of(step.contact.nodes, dim)
         frames = step.contact.frames.reshape(n, dim, dim)
         rows = sparse.csr_array(
             sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
@@ -445,7 +461,8 @@ class CoarseContact:
             (rows.data, dofs[rows.indices], rows.indptr), shape=(n * dim, len(step.unknowns))
         )
         for number in reversed(range(step.number)):
-            finer, coarse = step.cycle.levels[number + 1], step.cycle.levels[number].matrix
+            finer = step.cycle.levels[number + 1]
+            coarse = step.cycle.levels[number].matrix
             size = finer.matrix.n_dofs // finer.prolongation.shape[0]
             nodal = sparse.kron(finer.prolongation, sparse.eye_array(size), format="csr")
             rows = _without(rows, finer.matrix.fixed) @ nodal
@@ -462,7 +479,8 @@ class CoarseContact:
         step = self.step
         if not len(self.eliminated.contact):  # no coarse unknown moves a contact node
             return False
-        levels, rest = step.cycle.levels, step.residual
+        levels = step.cycle.levels
+        rest = step.residual
         for level in reversed(levels[self.number + 1 : step.number + 1]):
             coarse = np.zeros(level.below.matrix.n_dofs)
             level.restrict(rest, coarse)
@@ -522,7 +540,9 @@ class _CoarseSpan:
     """Coarse unknowns; see :class:`~adaptmg.smoother.interior_point.Span`."""
 
     def __init__(self, matrix: np.ndarray, rows: sparse.csr_array, dim: int) -> None:
-        self.matrix, self.rows, self.dim = matrix, rows, dim
+        self.matrix = matrix
+        self.rows = rows
+        self.dim = dim
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
         return self.matrix @ unknowns
@@ -534,7 +554,8 @@ class _CoarseSpan:
         return self.rows.T @ forces.reshape(-1)
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        whole, rows = self.matrix.copy(), self.rows
+        whole = self.matrix.copy()
+        rows = self.rows
         _add_nodal(self.dim, rows.indptr, rows.indices, rows.data, blocks, whole)
         return dense_factors(whole)
 

@@ -81,7 +81,8 @@ class _ChangedDofs(_Changed):
         the change (ones)."""
         order = sparse.coo_array(pattern)
         keys = np.sort(pair_keys(order.row, order.col, len(dofs)))
-        rows, columns = dofs[keys // len(dofs)], dofs[keys % len(dofs)]
+        rows = dofs[keys // len(dofs)]
+        columns = dofs[keys % len(dofs)]
         slots = np.empty(len(keys), dtype=np.int64)
         find_slots(
             rows,
@@ -207,7 +208,8 @@ class NodalUpdate(_Update[_ChangedBlocks]):
         self.below: list[_ChangedBlocks] = []
         for level, nodal in zip(reversed(levels), reversed(prolongations), strict=True):
             self.below.append(_products(level, nodal, rows, columns))
-            rows, columns = self.below[-1].rows, self.below[-1].columns
+            rows = self.below[-1].rows
+            columns = self.below[-1].columns
 
     def update(self, change: np.ndarray) -> None:
         for below in self.below:
@@ -220,14 +222,15 @@ def _products(
     """Where the blocks of a finer level go on this one."""
     entries = np.diff(nodal.indptr).astype(np.int64)
     room = int(entries[rows] @ entries[columns])
-    source, target, weight = (
-        np.empty(room, dtype=np.int32),
-        np.empty(room, dtype=np.int32),
-        np.empty(room),
-    )
+    source = np.empty(room, dtype=np.int32)
+    target = np.empty(room, dtype=np.int32)
+    weight = np.empty(room)
     slots = np.empty(room, dtype=np.int64)
-    coarse_rows, coarse_columns = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int32)
-    below, above, n = int(level.lower_indptr[-1]), int(level.upper_indptr[-1]), level.n_nodes
+    coarse_rows = np.empty(room, dtype=np.int32)
+    coarse_columns = np.empty(room, dtype=np.int32)
+    below = int(level.lower_indptr[-1])
+    above = int(level.upper_indptr[-1])
+    n = level.n_nodes
     number = np.full(below + n + above, -1, dtype=np.int32)
     met, count, lost = fill_contributions(
         rows,
@@ -275,7 +278,8 @@ class Truncation:
         prolongations: list[sparse.csr_array],
         contact: TruncatedContact,
     ) -> None:
-        self.contact, fine = contact, levels[-1]
+        self.contact = contact
+        fine = levels[-1]
         dim = fine.dim
         at = np.concatenate(
             in_parts(
@@ -289,7 +293,8 @@ class Truncation:
             )
         )
         i = fine.strips.order[np.searchsorted(fine.lower_indptr, at, side="right") - 1]
-        j, below = fine.lower_indices[at], fine.lower.reshape(-1, dim, dim)[at]
+        j = fine.lower_indices[at]
+        below = fine.lower.reshape(-1, dim, dim)[at]
         # blocks in rows and columns of contact nodes: on the diagonal, and of L for both sides
         rows, columns = (
             np.concatenate([contact.nodes, np.column_stack(pair).reshape(-1)]).astype(np.int32)
@@ -306,11 +311,9 @@ class Truncation:
             contact.contact_of[rows] < 0, contact.contact_of[columns], contact.contact_of[rows]
         )
         order = np.argsort(owner, kind="stable")
-        self.rows, self.columns, self.blocks = (
-            rows[order],
-            columns[order],
-            blocks[order].reshape(-1),
-        )
+        self.rows = rows[order]
+        self.columns = columns[order]
+        self.blocks = blocks[order].reshape(-1)
         self.change = np.zeros(len(self.blocks))
         if prolongations[-1].shape[0] == fine.n_nodes:
             self.products: NodalUpdate | DofUpdate = NodalUpdate(
@@ -347,7 +350,8 @@ class Truncation:
 @kernel
 def _at_contact(first, last, order, indptr, indices, contact_of):
     """The blocks of a half in rows and columns of contact nodes."""
-    found, count = np.empty(indptr[last] - indptr[first], dtype=np.int32), 0
+    found = np.empty(indptr[last] - indptr[first], dtype=np.int32)
+    count = 0
     for place in range(first, last):
         in_row = contact_of[order[place]] >= 0
         for k in range(indptr[place], indptr[place + 1]):
@@ -398,10 +402,14 @@ def changed_blocks(
 ):
     """Compute delta of every collected block, Cartesian; ``newton`` False leaves the slip rows
     symmetric (g frozen). ``block`` and ``other`` (dim, dim) are overwritten."""
-    size, m = dim * dim, dim - 1
-    no, yes = np.bool_(False), np.bool_(True)  # _turn would be compiled again for each constant
+    size = dim * dim
+    m = dim - 1
+    # _turn would be compiled again for each constant
+    no = np.bool_(False)
+    yes = np.bool_(True)
     for e in range(len(rows)):
-        k, l = contact_of[rows[e]], contact_of[columns[e]]
+        k = contact_of[rows[e]]
+        l = contact_of[columns[e]]
         for a in range(dim):
             for b in range(dim):
                 block[a, b] = blocks[e * size + a * dim + b]
@@ -439,10 +447,12 @@ def find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank):
         return below + row
     in_lower = rank[column] < rank[row]
     if in_lower:
-        low, high = np.int64(l_indptr[rank[row]]), np.int64(l_indptr[rank[row] + 1])
+        low = np.int64(l_indptr[rank[row]])
+        high = np.int64(l_indptr[rank[row] + 1])
         shift = np.int64(0)
     else:
-        low, high = np.int64(u_indptr[rank[row]]), np.int64(u_indptr[rank[row] + 1])
+        low = np.int64(u_indptr[rank[row]])
+        high = np.int64(u_indptr[rank[row] + 1])
         shift = below + n
     while low < high:  # the range halves
         middle = (low + high) // 2
@@ -491,17 +501,21 @@ def fill_contributions(
     met = 0
     lost = 0
     for e in range(len(rows)):
-        i, j = rows[e], columns[e]
+        i = rows[e]
+        j = columns[e]
         for p in range(indptr[i], indptr[i + 1]):
             for q in range(indptr[j], indptr[j + 1]):
-                row, column = np.int64(indices[p]), np.int64(indices[q])
+                row = np.int64(indices[p])
+                column = np.int64(indices[q])
                 slot = find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank)
                 if slot < 0:
                     lost += 1
                     continue
                 if number[slot] < 0:
                     number[slot] = met
-                    slots[met], coarse_rows[met], coarse_columns[met] = slot, row, column
+                    slots[met] = slot
+                    coarse_rows[met] = row
+                    coarse_columns[met] = column
                     met += 1
                 source[count], target[count], weight[count] = (
                     e,
@@ -517,7 +531,9 @@ def add_contributions(size, source, target, weight, fine, coarse):
     """Compute coarse = sum of weight * fine over the products."""
     coarse[:] = 0.0
     for c in range(len(source)):
-        at, to, factor = size * np.int64(source[c]), size * np.int64(target[c]), weight[c]
+        at = size * np.int64(source[c])
+        to = size * np.int64(target[c])
+        factor = weight[c]
         for e in range(size):
             coarse[to + e] += factor * fine[at + e]
 
@@ -545,7 +561,9 @@ def store(
     size = dim * dim
     n = len(inverse) // size
     for t in range(len(slots)):
-        i, j, slot = rows[t], columns[t], slots[t]
+        i = rows[t]
+        j = columns[t]
+        slot = slots[t]
         for a in range(dim):
             for b in range(dim):
                 at = t * size + a * dim + b

@@ -50,7 +50,8 @@ class VolumePressures:
     CAUTIOUS, STEPS = 0.5, 2
 
     def __init__(self, problem: DiscreteProblem, start: np.ndarray | None = None) -> None:
-        volumes, free = _volumes(problem), (~problem.fixed).astype(float)
+        volumes = _volumes(problem)
+        free = (~problem.fixed).astype(float)
         rows = sparse.csr_array(
             (
                 volumes.rows.data * free[volumes.rows.indices],
@@ -95,7 +96,8 @@ class VolumePressures:
 
     def advance(self, unknowns: np.ndarray) -> float:
         """Step towards the pressures of corrected unknowns; returns the energy of the step, N m."""
-        missed, volumes = self.missed(unknowns), self.volumes
+        missed = self.missed(unknowns)
+        volumes = self.volumes
         change = missed / (volumes.compliance + 1 / volumes.modulus)
         energy = float(np.einsum("i,i,i->", volumes.areas, missed, change))
         self.values = self.values + (self.CAUTIOUS if self._cautious else 1.0) * change
@@ -161,7 +163,8 @@ class Augmented:
     def __init__(self, problem: DiscreteProblem, pressures: np.ndarray | None) -> None:
         formed, self._kappa = _formed(problem)
         volumes = _volumes(problem)
-        self._volumes, rest = volumes, 1 - self._kappa * volumes.compliance
+        self._volumes = volumes
+        rest = 1 - self._kappa * volumes.compliance
         self._before = np.zeros(len(rest)) if pressures is None else pressures
         self._offset = rest * self._before
         #: whether the first solve ends it

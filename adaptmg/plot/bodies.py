@@ -307,7 +307,8 @@ def state_marks(mesh: MeshArrays, contact: ContactResult) -> Marks:
     """Return the states of facets whose corners are all contact nodes of their boundary."""
     codes = np.full(mesh.facets.shape, -1)
     for k, name in enumerate(contact.names):
-        state, mine = np.full(mesh.n_nodes, -1), contact.boundary == k
+        state = np.full(mesh.n_nodes, -1)
+        mine = contact.boundary == k
         state[contact.node[mine]] = contact.state[mine]
         facets = mesh.facet_labels == mesh.boundaries.index(name)
         codes[facets] = state[mesh.facets[facets]]
@@ -330,17 +331,20 @@ def draw_bodies(
     """Draw bodies, by default all, in one colour each or by values, with their outlines; return the
     codes of the marks. Nodes ``moved`` to other places (n_nodes, dim) are drawn there, over the
     outlines before."""
-    table, now = facet_table(mesh.elements, mesh.n_nodes), mesh.points if moved is None else moved
+    table = facet_table(mesh.elements, mesh.n_nodes)
+    now = mesh.points if moved is None else moved
     behind = table.first[table.find(facet_keys(mesh.facets, mesh.n_nodes))]
     shown = np.isin(mesh.element_body, [mesh.bodies.index(name) for name in names or mesh.bodies])
     mine = shown[behind]
-    facets, behind = mesh.facets[mine], behind[mine]
+    facets = mesh.facets[mine]
+    behind = behind[mine]
     codes = np.full(facets.shape, -1) if marks is None else marks.codes[mine]
     marked = codes[:, 0] >= 0
     inks = to_rgba_array([] if marks is None else marks.colors)
     corners = np.concatenate([mesh.points[facets], now[facets]]).reshape(-1, mesh.dim)
     scale, unit = style.scaled(style.bounds(corners)[2], "m")
-    before, now = None if moved is None else scale * mesh.points, scale * now
+    before = None if moved is None else scale * mesh.points
+    now = scale * now
     elements = np.flatnonzero(shown)
     lines = (
         len(elements if mesh.dim == 2 else facets) <= _LINES_UP_TO[mesh.dim]
@@ -400,7 +404,8 @@ def _fill(
     lines: bool,
 ) -> None:
     """Fill triangles, and draw their edges."""
-    valued, elements = isinstance(colors, Coloring), mesh.elements[shown]
+    valued = isinstance(colors, Coloring)
+    elements = mesh.elements[shown]
     # edges as wide as a pixel in the colour of their triangle close the seams between triangles
     edge, width = (
         ("white" if valued else style.INK, float(np.clip(14 / np.sqrt(len(shown)), 0.1, 0.6)))
@@ -417,7 +422,8 @@ def _fill(
             rasterized=True,
             zorder=2,
         )
-        fills, edge = "none", edge if lines else "none"
+        fills = "none"
+        edge = edge if lines else "none"
     else:
         fills = _rgba(colors, mesh, shown)
     ax.add_collection(

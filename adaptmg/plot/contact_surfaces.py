@@ -94,15 +94,19 @@ def contact(
 
 
 def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
-    c, lines = result.contact, lines_of(result, name)
+    c = result.contact
+    lines = lines_of(result, name)
     nodes = np.concatenate([line.index for line in lines])
     scale, unit = style.scaled(
         max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m"
     )
-    bound, largest = 1e-6 * c.limit / c.weights, 1e-6 * float(c.pressure.max())
+    bound = 1e-6 * c.limit / c.weights
+    largest = 1e-6 * float(c.pressure.max())
     friction = bound[nodes].any()
     for line in lines:
-        at, s, first = line.index, line.position, line is lines[0]
+        at = line.index
+        s = line.position
+        first = line is lines[0]
         for ax, values in zip(
             axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], scale * c.gap), strict=True
         ):
@@ -162,8 +166,10 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
 
 
 def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
-    c, flat = result.contact, flattened(result, name)
-    at, largest = flat.index, 1e-6 * float(c.pressure.max())
+    c = result.contact
+    flat = flattened(result, name)
+    at = flat.index
+    largest = 1e-6 * float(c.pressure.max())
     scale, unit = style.scaled(max(1e-6, np.abs(c.gap[at]).max()), "m")
     # closed everywhere: a gap of a nanometre is rounding
     for ax, values, label, reference in (
@@ -176,7 +182,8 @@ def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
         ),
         (axes[2], scale * c.gap[at], f"gap [{unit}]", scale),
     ):
-        low, high = min(float(values.min()), 0.0), float(values.max())
+        low = min(float(values.min()), 0.0)
+        high = float(values.max())
         if high - low > 1e-9 * reference:
             shown = draw_map(ax, flat, values, Normalize(low, high))
             ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label).outline.set_visible(False)
@@ -201,7 +208,8 @@ def flattened(result: Result, boundary: str) -> Flat:
     """Return the contact nodes of a boundary in the plane."""
     c = result.contact
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
-    x, normals = c.x[index], c.normal[index]
+    x = c.x[index]
+    normals = c.normal[index]
     if not np.isfinite(x).all():
         raise ValueError("this result has no coordinates: give the DiscreteProblem its coordinates")
     triangles = np.zeros((0, 3), dtype=int)
@@ -262,7 +270,8 @@ class Line:
 def lines_of(result: Result, boundary: str) -> list[Line]:
     """Return the connected parts of a contact boundary; parts without contact nodes separate
     them."""
-    c, mesh = result.contact, result.mesh_or_none
+    c = result.contact
+    mesh = result.mesh_or_none
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
     if not np.isfinite(c.x[index]).all():
         return [Line(index, np.arange(len(index), dtype=float), "contact node")]
@@ -281,13 +290,16 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
 
 def _parts(result: Result, boundary: str, index: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Contact nodes of each part, with arc lengths along the whole boundary."""
-    points, place = result.mesh.points, np.full(result.mesh.n_nodes, -1)
+    points = result.mesh.points
+    place = np.full(result.mesh.n_nodes, -1)
     place[result.contact.node[index]] = index
-    parts, begin = [], 0.0
+    parts = []
+    begin = 0.0
     for line in polylines(result.mesh.boundary_facets(boundary)):
         lengths = np.linalg.norm(np.diff(points[line], axis=0), axis=1)
         arc = begin + np.concatenate([[0.0], np.cumsum(lengths)])
-        begin, covered = arc[-1], np.flatnonzero(place[line] >= 0)
+        begin = arc[-1]
+        covered = np.flatnonzero(place[line] >= 0)
         parts += [
             (place[line[run]], arc[run])
             for run in np.split(covered, np.flatnonzero(np.diff(covered) > 1) + 1)
@@ -300,7 +312,8 @@ def polylines(edges: np.ndarray) -> list[np.ndarray]:
     """Join oriented edges (n, 2), one from each node, to polylines of nodes: open ones, then rings,
     which end at their first node."""
     following = dict(edges.tolist())
-    ends, lines = set(following.values()), []
+    ends = set(following.values())
+    lines = []
     for start in (*sorted(set(following) - ends), *sorted(ends)):
         line = [start]
         while line[-1] in following:
@@ -434,8 +447,10 @@ def load_history(
     if not rows and not names:
         raise ValueError("nothing to draw: give quantities, or steps > 0")
     shown = _shown(results, factors, steps) if names else ()
-    columns, curve_columns = min(_COLUMNS, max(len(shown), 1)), min(3, max(len(rows), 1))
-    curve_rows, map_rows = -(-len(rows) // curve_columns), -(-len(shown) // columns)
+    columns = min(_COLUMNS, max(len(shown), 1))
+    curve_columns = min(3, max(len(rows), 1))
+    curve_rows = -(-len(rows) // curve_columns)
+    map_rows = -(-len(shown) // columns)
     heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
     size = max(3.2 * curve_columns * bool(rows), 2.4 * columns, 5.0), sum(heights) + 0.4
     figure = style.new_figure(size, "constrained")
@@ -546,7 +561,8 @@ def _draw_steps(
         )
         bar.outline.set_visible(False)
     else:
-        lines, contacts = lines_of(results[0], name), [result.contact for result in results]
+        lines = lines_of(results[0], name)
+        contacts = [result.contact for result in results]
         for ax, c in zip(axes, contacts, strict=True):
             for line in lines:
                 style.stated_curve(

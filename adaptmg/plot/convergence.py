@@ -61,10 +61,8 @@ def history(
     ax = style.canvas(ax, (6.4, 4.2))
     for k, (label, result) in enumerate(runs.items()):
         for j, name in enumerate(quantities):
-            x, y = (
-                np.asarray(result.history[against], dtype=float),
-                np.asarray(result.history[name], dtype=float),
-            )
+            x = np.asarray(result.history[against], dtype=float)
+            y = np.asarray(result.history[name], dtype=float)
             shown = np.isfinite(x) & np.isfinite(y) & (y > 0)
             ax.semilogy(
                 x[shown],
@@ -150,7 +148,9 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
     ax = style.canvas(
         ax, (min(11.0, 3.4 + 0.1 * len(entries[:steps])), 1.1 + 0.62 * max(levels, 2))
     )
-    at, height, before = 0.0, entries[0][0], "restrict"
+    at = 0.0
+    height = entries[0][0]
+    before = "restrict"
     for level, action, times in entries[:steps]:
         # a restriction is recorded on the level it leaves, the others on the one they reach
         reached = level - 1 if action == "restrict" else level
@@ -191,7 +191,8 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
             )
         elif action == "solve":
             ax.scatter(at, level, marker="s", s=80, color=style.GREEN, zorder=3, label="solve")
-        height, before = reached, action
+        height = reached
+        before = action
     nodes = [f"\n{int(level['nodes'])} nodes" for level in result.levels] + [""] * levels
     ax.set_yticks(range(levels), [f"level {k}{nodes[k]}" for k in range(levels)])
     ax.set(xlim=(-0.8, at + 0.8), ylim=(-0.6, levels - 0.45), xticks=[])
@@ -234,15 +235,15 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     steps = checks.items("steps", steps, Step, "Steps of am.adapt")
     if not steps:
         raise ValueError("steps is empty: give the steps of am.adapt, as in list(am.adapt(...))")
-    last, present = steps[-1], set()
-    dim, goal = last.result.dim, last.estimate.signed is not None
+    last = steps[-1]
+    present = set()
+    dim = last.result.dim
+    goal = last.estimate.signed is not None
     figure = style.new_figure((10.5, 7.2))
     figure.get_layout_engine().set(w_pad=0.1)
     for k, number in enumerate(sorted({0, len(steps) // 2, len(steps) - 1})):
-        ax, result = (
-            _panel(figure, k, dim, f"step {number}: {steps[number].nodes} nodes"),
-            steps[number].result,
-        )
+        ax = _panel(figure, k, dim, f"step {number}: {steps[number].nodes} nodes")
+        result = steps[number].result
         marks = state_marks(result.mesh, result.contact)
         present |= draw_bodies(ax, result.mesh, style.body_fills(len(result.mesh.bodies)), marks)
     figure.legend(
@@ -260,7 +261,8 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     figure.colorbar(ScalarMappable(norm, "viridis"), ax=ax, shrink=0.8, label=label)
     nodes = np.array([step.nodes for step in steps], dtype=float)
     relative = np.array([step.estimate.relative for step in steps])
-    left, right = figure.add_subplot(2, 3, 5), figure.add_subplot(2, 3, 6)
+    left = figure.add_subplot(2, 3, 5)
+    right = figure.add_subplot(2, 3, 6)
     seconds = np.array([step.total_seconds for step in steps])
     for ax, x, name in ((left, nodes, "nodes"), (right, seconds, "time, meshes included [s]")):
         shown = (x > 0) & (relative > 0) & np.isfinite(relative)

@@ -96,8 +96,10 @@ def _coarse_mesh(posed: ContactProblem) -> MeshArrays:
 
 
 def _draw(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> None:
-    solid, names = posed.dim == 3, "rzθ" if posed.axisymmetric else "xyz"
-    fills, uses = style.body_fills(len(mesh.bodies)), _uses(posed)
+    solid = posed.dim == 3
+    names = "rzθ" if posed.axisymmetric else "xyz"
+    fills = style.body_fills(len(mesh.bodies))
+    uses = _uses(posed)
     extent = float(np.max(np.ptp(mesh.points, axis=0)))
     scale = style.scaled(style.bounds(mesh.points)[2], "m")[0]
     places: list[_Drawn] = []
@@ -213,12 +215,11 @@ def _draw_obstacle(
 ) -> int:
     """Hatch the obstacle in front of a boundary; return how many times the gap is enlarged."""
     surface = mesh.surface(contact.boundary)
-    points, normals = (
-        mesh.points[surface.facets].reshape(-1, 2),
-        np.repeat(surface.normals, 2, axis=0),
-    )
+    points = mesh.points[surface.facets].reshape(-1, 2)
+    normals = np.repeat(surface.normals, 2, axis=0)
     inward, gaps = contact.obstacle.contact(points, normals)
-    largest, visible = float(np.abs(gaps).max()), 0.06 * extent
+    largest = float(np.abs(gaps).max())
+    visible = 0.06 * extent
     times = (
         1
         if largest < 1e-9 * extent or largest > visible / 4
@@ -266,9 +267,11 @@ def _name_faces(
 
 def _strokes(tails: np.ndarray, arrows: np.ndarray) -> list[np.ndarray]:
     """Shafts and the four strokes of each head as segments (n, 2, 3)."""
-    tips, first = tails + arrows, np.zeros_like(arrows)
+    tips = tails + arrows
+    first = np.zeros_like(arrows)
     first[np.arange(len(arrows)), np.argmin(np.abs(arrows), axis=1)] = 1.0
-    second, size = np.cross(arrows, first), np.linalg.norm(arrows, axis=1)[:, None]
+    second = np.cross(arrows, first)
+    size = np.linalg.norm(arrows, axis=1)[:, None]
     across = size * second / np.maximum(np.linalg.norm(second, axis=1)[:, None], 1e-300)
     other = np.cross(arrows, across) / np.maximum(size, 1e-300)
     return [
@@ -434,10 +437,8 @@ def _surface_text(load: SurfaceLoad, traction: np.ndarray) -> str:
     """The size of a load with tractions (n, dim), Pa: 'p = 2 MPa', '|t| up to 3 kPa'."""
     sizes = np.linalg.norm(traction, axis=1)
     largest = float(sizes.max())
-    pressure, relation = (
-        isinstance(load, loads.Pressure),
-        "up to" if np.ptp(sizes) > 1e-9 * largest else "=",
-    )
+    pressure = isinstance(load, loads.Pressure)
+    relation = "up to" if np.ptp(sizes) > 1e-9 * largest else "="
     value = load.value if pressure and not callable(load.value) else largest
     return f"{'p' if pressure else '|t|'} {relation} {_value(value, 'Pa')}"
 

@@ -222,7 +222,8 @@ def label_plainly(axis: Axis) -> None:
 
 def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the lower and the upper corner of points (n, dim), and the length of the diagonal."""
-    lower, upper = points.min(axis=0), points.max(axis=0)
+    lower = points.min(axis=0)
+    upper = points.max(axis=0)
     return lower, upper, float(np.linalg.norm(upper - lower))
 
 
@@ -263,7 +264,8 @@ def stated_curve(
 ) -> None:
     """Draw values against position as a curve coloured by state half way between nodes, with marks
     up to 150 nodes."""
-    points, colors = np.stack([position, values], 1), [STATE_INKS[int(code)] for code in state]
+    points = np.stack([position, values], 1)
+    colors = [STATE_INKS[int(code)] for code in state]
     ax.add_collection(
         LineCollection(
             halves(np.stack([points[:-1], points[1:]], 1)),

@@ -53,11 +53,9 @@ class ShadedSurface(Artist):
         shading: float = 0.2,
     ) -> None:
         super().__init__()
-        self.corners, self.lines, self.shading = (
-            np.asarray(corners, dtype=np.float64),
-            lines,
-            shading,
-        )
+        self.corners = np.asarray(corners, dtype=np.float64)
+        self.lines = lines
+        self.shading = shading
         colors = np.asarray(colors, dtype=np.float64)[..., :3]
         self.colors = np.broadcast_to(
             colors[:, None] if colors.ndim == 2 else colors, (len(corners), 3, 3)
@@ -96,10 +94,8 @@ class ShadedSurface(Artist):
     def raster(self, point: float, magnification: float = 1.0) -> tuple[np.ndarray, float, float]:
         """Return the picture in the present view, and the pixel of its lower left corner."""
         finer = _FINER * magnification
-        corners, lines = (
-            self._project(self.corners),
-            [self._project(line.ends) for line in self.lines],
-        )
+        corners = self._project(self.corners)
+        lines = [self._project(line.ends) for line in self.lines]
         seen = np.concatenate([part.reshape(-1, 3) for part in (corners, *lines)])
         frame = self.axes.get_figure(root=True).bbox
         lower = np.floor(np.clip(seen[:, :2].min(axis=0) - 2, 0, (frame.width, frame.height)))
@@ -211,7 +207,9 @@ def raster_segments(ends, ink, width, bias, image, depth):
         steps = int(2.0 * (dx * dx + dy * dy) ** 0.5) + 1
         for m in range(steps + 1):
             t = m / steps
-            x, y, z = ends[s, 0, 0] + t * dx, ends[s, 0, 1] + t * dy, ends[s, 0, 2] + t * dz
+            x = ends[s, 0, 0] + t * dx
+            y = ends[s, 0, 1] + t * dy
+            z = ends[s, 0, 2] + t * dz
             for i in range(max(int(y) - reach, 0), min(int(y) + reach, rows - 1) + 1):
                 for j in range(max(int(x) - reach, 0), min(int(x) + reach, columns - 1) + 1):
                     if (i + 0.5 - y) ** 2 + (
@@ -244,11 +242,13 @@ def view_of(ax: Axes3D, corners: np.ndarray) -> None:
     areas = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    best, chosen = 0.0, _VIEWS[0]
+    best = 0.0
+    chosen = _VIEWS[0]
     for view in _VIEWS:
         shown = float(areas @ np.maximum(normals @ viewer(*view), 0.0)) / float(areas.sum())
         if shown > 1.2 * best + 0.05:
-            best, chosen = shown, view
+            best = shown
+            chosen = view
     ax.view_init(*chosen)
 
 
@@ -284,7 +284,8 @@ def normals_of(corners: np.ndarray) -> np.ndarray:
 
 def sharp_edges(points: np.ndarray, facets: np.ndarray) -> np.ndarray:
     """Return the edges (n, 2) of a surface where it bends by more than 30 degrees."""
-    normals, table = normals_of(points[facets]), facet_table(facets, len(points))
+    normals = normals_of(points[facets])
+    table = facet_table(facets, len(points))
     inside = table.second >= 0
     bend = np.einsum("ni,ni->n", normals[table.first[inside]], normals[table.second[inside]])
     return table.facets[inside][bend < np.cos(np.pi / 6)]

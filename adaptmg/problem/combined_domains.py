@@ -344,7 +344,8 @@ class Cracked(SolidDomain):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        body, paths = self.domain, {}
+        body = self.domain
+        paths = {}
         for name, points in checks.mapping("cracks", self.cracks, "names to paths").items():
             checks.boundary_name("the names of cracks", name)
             path = checks.array(f"cracks[{name!r}]", points, (None, body.dim))
@@ -395,14 +396,13 @@ class Cracked(SolidDomain):
         body, paths = self._anchored()
         _check_cracks(body, paths)
         vertices: list[tuple[float, ...]]
-        vertices, names, holes, twins = (
-            list(body.vertices),
-            list(body.boundaries),
-            list(body.holes),
-            {},
-        )
+        vertices = list(body.vertices)
+        names = list(body.boundaries)
+        holes = list(body.holes)
+        twins = {}
         for name, path in paths.items():
-            n, first = len(path) - 1, len(vertices)
+            n = len(path) - 1
+            first = len(vertices)
             holes.append(first)
             vertices += [*path, *path[-2:0:-1]]
             names += [f"{name}.left"] * n + [f"{name}.right"] * n
@@ -451,7 +451,8 @@ def normal_of(polygon: np.ndarray | Path) -> np.ndarray:
 
 def _check_plane(name: str, path: np.ndarray) -> None:
     """ValueError unless a path is a plane polygon that does not cross itself."""
-    normal, extent = normal_of(path), float(np.ptp(path, axis=0).max())
+    normal = normal_of(path)
+    extent = float(np.ptp(path, axis=0).max())
     length = float(np.linalg.norm(normal))
     if (
         not length > _NEAR * extent**2
@@ -475,7 +476,9 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
     number: dict[tuple[float, ...], int] = {
         p: i for i, p in reversed(list(enumerate(body.vertices)))
     }
-    starts, ends, names = list(range(n)), body.following.tolist(), list(body.boundaries)
+    starts = list(range(n))
+    ends = body.following.tolist()
+    names = list(body.boundaries)
     # a loop of the boundary is one part; each edge of a crack joins two parts, or encloses a piece
     part = np.searchsorted(body.holes, np.arange(n), side="right").tolist()
     for name, path in paths.items():
@@ -484,7 +487,8 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
                 if end not in number:
                     number[end] = len(part)
                     part.append(len(part) + n)
-            u, v = number[p], number[q]
+            u = number[p]
+            v = number[q]
             if u == v:
                 raise ValueError(f"cracks[{name!r}] has the point {p} twice in a row")
             if body.winding(0.5 * np.add(p, q)) != 1:

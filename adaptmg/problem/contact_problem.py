@@ -173,7 +173,8 @@ class ContactProblem(checks.Checked):
             reference: Mapping[str, Any] = ...,
         ) -> None: ...
 
-    __repr__, _repr_html_ = brief, html_fields
+    __repr__ = brief
+    _repr_html_ = html_fields
 
     def __post_init__(self) -> None:
         super().__post_init__()

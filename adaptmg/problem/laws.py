@@ -78,7 +78,9 @@ class Anisotropy:
             turn = np.radians(
                 checks.field("angle", self.angle, points if callable(self.angle) else points[:1])
             )
-            c, s, zero = np.cos(turn), np.sin(turn), np.zeros(len(turn))
+            c = np.cos(turn)
+            s = np.sin(turn)
+            zero = np.zeros(len(turn))
             return np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(
                 -1, 3, 3
             )
@@ -483,7 +485,8 @@ class Tresca(checks.Checked):
 
     limit: FieldLikeOrArray
 
-    __repr__, _repr_html_ = brief, html_fields
+    __repr__ = brief
+    _repr_html_ = html_fields
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Tresca:
         """Return the law with nodal forces: traction times lumped boundary mass."""
@@ -512,7 +515,8 @@ class Coulomb(checks.Checked):
 
     friction: FieldLikeOrArray
 
-    __repr__, _repr_html_ = brief, html_fields
+    __repr__ = brief
+    _repr_html_ = html_fields
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Coulomb:
         """Return the law with the coefficient at each contact node."""

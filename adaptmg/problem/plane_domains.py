@@ -202,7 +202,8 @@ class Outline(Domain):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        n, ends = len(self.vertices), self._loops()
+        n = len(self.vertices)
+        ends = self._loops()
         if len(self.boundaries) != n:
             raise ValueError(
                 f"boundaries must name each of the {n} edges, got {len(self.boundaries)} names"
@@ -252,7 +253,8 @@ class Outline(Domain):
 
     def _check_arc(self, i: int) -> None:
         a, b, c = (np.array(p) for p in (*self._ends(i), self.arcs[i]))
-        first, last = np.linalg.norm(a - c), np.linalg.norm(b - c)
+        first = np.linalg.norm(a - c)
+        last = np.linalg.norm(b - c)
         name = f"arcs[{i}] ({self.boundaries[i]!r})"
         if not abs(first - last) <= _ROUND * max(first, last) or not first > 0:
             raise ValueError(
@@ -427,7 +429,8 @@ def with_vertex(
 ) -> _Outlined | Outline:
     """Return a plane domain with a vertex at a point of a straight edge, or of any; itself if it
     lies elsewhere."""
-    outline, near = domain.outline, 1e-9 * float((domain.upper - domain.lower).max())
+    outline = domain.outline
+    near = 1e-9 * float((domain.upper - domain.lower).max())
     away = [
         np.inf if i in outline.arcs and not arcs else outline.edge(i).distance(np.array([point]))[0]
         for i in range(len(outline.vertices))

@@ -112,7 +112,9 @@ def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]
     elif isinstance(f, Arc):
         points += _line_and_circle(e, f, tol)
     else:
-        u, v, w = e.end - e.start, f.end - f.start, f.start - e.start
+        u = e.end - e.start
+        v = f.end - f.start
+        w = f.start - e.start
         cross = u[0] * v[1] - u[1] * v[0]
         if abs(cross) > _PARALLEL * np.linalg.norm(u) * np.linalg.norm(v):
             points.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
@@ -137,7 +139,8 @@ def on_both(
 
 
 def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
-    centre, apart = np.array(e.center), np.array(f.center) - np.array(e.center)
+    centre = np.array(e.center)
+    apart = np.array(f.center) - np.array(e.center)
     distance = float(np.linalg.norm(apart))
     if distance <= tol:
         return []
@@ -179,7 +182,9 @@ def check_simple(
             f"{lengths[k] / extent:.2g}"
         )
     grown = np.where(straight, 0.0, lengths)[:, None]
-    low, high, tiny = np.minimum(a, b) - grown, np.maximum(a, b) + grown, _ROUND * extent
+    low = np.minimum(a, b) - grown
+    high = np.maximum(a, b) + grown
+    tiny = _ROUND * extent
     pairs = np.stack(np.triu_indices(len(a), 1), axis=1)
     near = (low[pairs] <= high[pairs[:, ::-1]] + tiny).all(axis=(1, 2))
     close: list[list[int]] = pairs[near].tolist()
@@ -207,9 +212,11 @@ def _meet(e: Segment | Arc, f: Segment | Arc, shared: list[np.ndarray], tiny: fl
 def _again(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[np.ndarray]:
     """The other point where the lines or circles of two edges meet that meet at v."""
     if isinstance(e, Arc):
-        arc, other = e, f
+        arc = e
+        other = f
     elif isinstance(f, Arc):
-        arc, other = f, e
+        arc = f
+        other = e
     else:
         return []
     centre = np.array(arc.center)

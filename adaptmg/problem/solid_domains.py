@@ -263,7 +263,8 @@ class Moved(SolidDomain):
     @property
     def rotation(self) -> np.ndarray:
         """Return Rodrigues' matrix R (3, 3): the solid's x goes to R x + offset."""
-        turn, cross = math.radians(self.angle), np.cross(np.eye(3), self.axis)
+        turn = math.radians(self.angle)
+        cross = np.cross(np.eye(3), self.axis)
         return np.eye(3) + math.sin(turn) * cross + (1 - math.cos(turn)) * cross @ cross
 
     def _extremes(self) -> np.ndarray:

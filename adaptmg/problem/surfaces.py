@@ -210,7 +210,8 @@ class Moving(_MovingPart):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        turn, dim = self.rotation, self.dim
+        turn = self.rotation
+        dim = self.dim
         if np.ndim(turn) == 0:
             turn = (turn,) if dim == 2 or turn != 0 else np.zeros(3)
         object.__setattr__(self, "rotation", checks.vector("rotation", turn, 2 * dim - 3))
@@ -251,7 +252,8 @@ class Moving(_MovingPart):
         if not self.rotation.any():
             return np.eye(self.dim)
         if self.dim == 2:
-            c, s = np.cos(self.rotation[0]), np.sin(self.rotation[0])
+            c = np.cos(self.rotation[0])
+            s = np.sin(self.rotation[0])
             return np.array([[c, -s], [s, c]])
         from scipy.spatial.transform import Rotation
 

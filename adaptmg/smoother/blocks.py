@@ -233,16 +233,12 @@ def inverse_square(blocks, at, v):
         return (m[2] * v[0] * v[0] - 2.0 * m[1] * v[0] * v[1] + m[0] * v[1] * v[1]) / (
             m[0] * m[2] - m[1] * m[1]
         )
-    c_00, c_01, c_02 = (
-        m[3] * m[5] - m[4] * m[4],
-        m[2] * m[4] - m[1] * m[5],
-        m[1] * m[4] - m[2] * m[3],
-    )
-    c_11, c_12, c_22 = (
-        m[0] * m[5] - m[2] * m[2],
-        m[1] * m[2] - m[0] * m[4],
-        m[0] * m[3] - m[1] * m[1],
-    )
+    c_00 = m[3] * m[5] - m[4] * m[4]
+    c_01 = m[2] * m[4] - m[1] * m[5]
+    c_02 = m[1] * m[4] - m[2] * m[3]
+    c_11 = m[0] * m[5] - m[2] * m[2]
+    c_12 = m[1] * m[2] - m[0] * m[4]
+    c_22 = m[0] * m[3] - m[1] * m[1]
     determinant = m[0] * c_00 + m[1] * c_01 + m[2] * c_02
     return (
         c_00 * v[0] * v[0]
@@ -257,7 +253,8 @@ def minus_row(i, step, indptr, indices, data, w, r):
     """Return r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the
     direction in which the matrix is read."""
     dim = np.uint64(len(r))
-    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    begin = np.int64(indptr[i])
+    end = np.int64(indptr[i + ONE])
     first = begin if step > 0 else end - np.int64(1)
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)
@@ -269,7 +266,8 @@ def minus_row(i, step, indptr, indices, data, w, r):
 def minus_transposed_row(i, step, indptr, indices, data, d, w):
     """Subtract the transpose of row i of a half times d from w, in place."""
     dim = np.uint64(len(d))
-    begin, end = np.int64(indptr[i]), np.int64(indptr[i + ONE])
+    begin = np.int64(indptr[i])
+    end = np.int64(indptr[i + ONE])
     first = begin if step > 0 else end - np.int64(1)
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)

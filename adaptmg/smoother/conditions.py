@@ -47,11 +47,10 @@ from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, c
 
 def natural_residual(local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Return the natural residual (n_dofs,), N, of unknowns with the residual b - A w."""
-    dim, nodes = local.system.dim, local.system.nodes
-    result, blocks = (
-        residual.reshape(-1, dim).copy(),
-        local.system.diagonal.reshape(-1, dim, dim)[nodes],
-    )
+    dim = local.system.dim
+    nodes = local.system.nodes
+    result = residual.reshape(-1, dim).copy()
+    blocks = local.system.diagonal.reshape(-1, dim, dim)[nodes]
     result[nodes] = natural_at_nodes(
         local.contact, blocks, unknowns.reshape(-1, dim)[nodes], result[nodes]
     )
@@ -63,7 +62,8 @@ def natural_at_nodes(
 ) -> np.ndarray:
     """Return the natural residual (n_contact, dim), N, from diagonal blocks of contact nodes,
     unknowns and b - A w."""
-    result, dim = np.array(linear).reshape(-1), values.shape[1]
+    result = np.array(linear).reshape(-1)
+    dim = values.shape[1]
     _natural_residual(
         ZERO[dim],
         np.ascontiguousarray(blocks).reshape(-1),

@@ -41,7 +41,8 @@ _ENTRIES = {2: 15, 3: 45}
 def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
     """Return whether the work for factors is at most that of linear elements with these numbers of
     dofs."""
-    entries, n = problem.matrix.nnz, problem.n_dofs
+    entries = problem.matrix.nnz
+    n = problem.n_dofs
     if problem.volumes is not None:
         # every second entry that its rows bring to the formed matrix is one of the other rows, too
         entries += 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
@@ -151,7 +152,8 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
     edges = sparse.coo_array(graph)
     row, column = edges.coords
     once = row < column
-    row, column = row[once], column[once]
+    row = row[once]
+    column = column[once]
     active = path == 0
     part = np.zeros(len(path), dtype=np.int64)
     behind = np.zeros(len(path), dtype=bool)
@@ -162,7 +164,8 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
             return
         behind[nodes], is_leaf = _halves(coordinates[nodes], part[nodes])
         kept = (part[row] == part[column]) & active[row] & active[column]
-        row, column = row[kept], column[kept]
+        row = row[kept]
+        column = column[kept]
         cut = behind[row] != behind[column]
         separator[:] = False
         separator[np.where(behind[row], row, column)[cut]] = True
@@ -251,7 +254,8 @@ class Condensed(Eliminated):
     @property
     def by_nodes(self) -> bool:
         """Whether sweeps may solve node by node: all contact nodes but one hold every body."""
-        n, dim = len(self.full.system.nodes), self.full.system.dim
+        n = len(self.full.system.nodes)
+        dim = self.full.system.dim
         size = np.sqrt(self.shift).reshape(n, dim)
         blocks = self.matrix.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n)] / (
             size[:, :, None] * size[:, None]
@@ -266,7 +270,9 @@ class Condensed(Eliminated):
     @cached_property
     def problem(self) -> LocalProblem:
         """The condensed problem."""
-        full, n, dim = self.full, len(self.full.system.nodes), self.full.system.dim
+        full = self.full
+        n = len(self.full.system.nodes)
+        dim = self.full.system.dim
         fixed = full.system.fixed[self.contact]
         dense = LocalSystem.from_matrix(
             sparse.bsr_array(self.matrix, blocksize=(dim, dim)), fixed, np.arange(n)
@@ -368,7 +374,9 @@ def _eliminate(
     # SuperLU postorders the elimination tree: row and column k of the permuted matrix became
     # place[k]
     lu = factors.lu
-    place, rows, upper = lu.perm_c, lu.perm_r, lu.U
+    place = lu.perm_c
+    rows = lu.perm_r
+    upper = lu.U
     pivots = upper.diagonal()[place]
     if not (np.array_equal(place, rows) and (pivots > _PIVOT * factors.diagonal).all()):
         raise _Singular
@@ -383,7 +391,8 @@ def _eliminate_dense(
     system: LocalSystem, contact: np.ndarray, shift: np.ndarray, lenient: bool
 ) -> tuple[DenseFactors, np.ndarray]:
     """The same by dense factors with pivots, which find the rank of the interior."""
-    n, dim = system.n_nodes, system.dim
+    n = system.n_nodes
+    dim = system.dim
     matrix = np.zeros((n, dim, n, dim))
     matrix[np.repeat(np.arange(n), np.diff(system.indptr)), :, system.indices] = (
         system.data.reshape(-1, dim, dim)
@@ -391,7 +400,9 @@ def _eliminate_dense(
     matrix = matrix.reshape(n * dim, n * dim)
     inside = np.flatnonzero(np.repeat(system.contact_of < 0, dim))
     size = np.sqrt(matrix.diagonal()[inside])
-    lower, pivots, rank = np.empty((0, 0)), np.empty(0, dtype=np.int64), 0
+    lower = np.empty((0, 0))
+    pivots = np.empty(0, dtype=np.int64)
+    rank = 0
     if len(inside):
         scaled = matrix[np.ix_(inside, inside)] / (size[:, None] * size)
         lower, pivots, rank, _ = linalg.lapack.dpstrf(scaled, tol=_PIVOT, lower=1)

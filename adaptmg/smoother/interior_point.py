@@ -72,13 +72,16 @@ def interior_point(
     fewer. ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible
     displacement."""
     method = _Method(unknowns, load, contact, stiffness, offset)
-    best, steps, since = method.iterate(), 0, 0
+    best = method.iterate()
+    steps = 0
+    since = 0
     while (
         steps < most and best.slack > tolerance and not (since >= _IDLE and best.slack < _ROUNDING)
     ):
         if not method.advance():
             break
-        present, steps = method.iterate(), steps + 1
+        present = method.iterate()
+        steps = steps + 1
         best, since = (present, 0) if present.slack < best.slack else (best, since + 1)
     return replace(best, steps=steps)
 
@@ -95,18 +98,18 @@ class _Method:
         offset: np.ndarray | float,
     ) -> None:
         n, dim = stiffness.shape
-        self.dim, self.load, self.span = dim, load, unknowns
+        self.dim = dim
+        self.load = load
+        self.span = unknowns
         friction = np.where(np.isfinite(contact.gap), contact.friction, 0.0)
         self.nodes = contact.gap, np.zeros((n, 2)), contact.limit, friction
         self.nodes[1][:, : dim - 1] = contact.slip_reference
         self.pairs = max(
             int(np.isfinite(contact.gap).sum() + ((contact.limit > 0) | (friction > 0)).sum()), 1
         )
-        self.blocks, self.terms, self.change = (
-            np.zeros((n, 3, 3)),
-            np.zeros((n, 4)),
-            np.zeros((n, 8)),
-        )
+        self.blocks = np.zeros((n, 3, 3))
+        self.terms = np.zeros((n, 4))
+        self.change = np.zeros((n, 8))
         self.blocks[:, range(dim), range(dim)] = _SPRING * stiffness
         solve = self._factors()
         self.unknowns = np.zeros_like(load) if solve is None else solve(load)
@@ -120,8 +123,10 @@ class _Method:
         """Start from the pressures and gaps of springs, lifted to a mean size, and bounds of slips
         above these."""
         state, (gap, reference, limit, friction) = self.state, self.nodes
-        touches, rough = np.isfinite(gap), (limit > 0) | (friction > 0)
-        pressures, gaps = (spring * state[:, 0])[touches], (gap - state[:, 0])[touches]
+        touches = np.isfinite(gap)
+        rough = (limit > 0) | (friction > 0)
+        pressures = (spring * state[:, 0])[touches]
+        gaps = (gap - state[:, 0])[touches]
         slips = np.linalg.norm(state[rough, 1:3] - reference[rough], axis=1)
         mean_pressure, mean_gap, mean_slip = (
             np.abs(one).sum() / max(len(one), 1) for one in (pressures, gaps, slips)
@@ -138,7 +143,8 @@ class _Method:
 
     def iterate(self) -> Interior:
         """Return the present iterate, measured."""
-        product, forces = self.span.product(self.unknowns), self.state[:, [3, 6, 7][: self.dim]]
+        product = self.span.product(self.unknowns)
+        forces = self.state[:, [3, 6, 7][: self.dim]]
         self.rest = self.load - product - self.span.restricted(forces)
         self.total, apart, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
@@ -154,7 +160,8 @@ class _Method:
         """Take a step, or return False where there is none."""
         self.blocks[:] = 0.0
         _eliminate(self.state, *self.nodes, self.blocks)
-        solve, mean = self._factors(), self.total / self.pairs
+        solve = self._factors()
+        mean = self.total / self.pairs
         if solve is None or not self.total > 0:
             return False
         self.change[:] = 0.0
@@ -165,10 +172,14 @@ class _Method:
         )  # a product may round to zero
         more, length = self._direct(solve, aim * mean, 1.0 if length >= 0.5 else length * length)
         if _WAY * length < _SHORT:
-            corrected, shorter, direction = more, length, self.change.copy()
+            corrected = more
+            shorter = length
+            direction = self.change.copy()
             more, length = self._direct(solve, _CENTRED * mean, 0.0)
             if length < shorter:
-                more, length, self.change = corrected, shorter, direction
+                more = corrected
+                length = shorter
+                self.change = direction
         length = min(1.0, _WAY * length)
         self.state = self.state + length * self.change
         self.unknowns = self.unknowns + length * more
@@ -211,7 +222,8 @@ class ContactDofs:
     """Unknowns that are dofs of contact nodes, with a dense matrix."""
 
     def __init__(self, matrix: np.ndarray, free: np.ndarray) -> None:
-        self.free, self.shape = np.flatnonzero(free.reshape(-1)), free.shape
+        self.free = np.flatnonzero(free.reshape(-1))
+        self.shape = free.shape
         self.matrix = np.ascontiguousarray(matrix[np.ix_(self.free, self.free)])
         n, dim = free.shape
         place = (np.cumsum(free) - 1).reshape(n, dim)
@@ -267,7 +279,8 @@ def _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
 @inner_kernel
 def _way(b, q_1, q_2, db, dq_1, dq_2):
     """Longest step that keeps B >= |q|: the least positive root of a t^2 + 2 h t + c."""
-    a, h = db * db - dq_1 * dq_1 - dq_2 * dq_2, b * db - q_1 * dq_1 - q_2 * dq_2
+    a = db * db - dq_1 * dq_1 - dq_2 * dq_2
+    h = b * db - q_1 * dq_1 - q_2 * dq_2
     c = max(b * b - q_1 * q_1 - q_2 * q_2, 0.0)
     step = -b / db if db < 0 else np.inf
     inside = h * h - a * c
@@ -282,7 +295,9 @@ def _way(b, q_1, q_2, db, dq_1, dq_2):
 def _measure(state, gap, reference, limit, friction):
     """The sum of the products of all pairs, the largest error of a gap, and the largest
     displacement."""
-    total, apart, size = 0.0, 0.0, 0.0
+    total = 0.0
+    apart = 0.0
+    size = 0.0
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
         size = max(size, abs(w), abs(w_1), abs(w_2))
@@ -303,7 +318,9 @@ def _eliminate(state, gap, reference, limit, friction, blocks):
     """The blocks that the eliminated (v, q_t) and p add at each node."""
     for i in range(len(state)):
         _, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
-        t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
+        t_1 = w_1 - reference[i, 0]
+        t_2 = w_2 - reference[i, 1]
+        mu = friction[i]
         b = limit[i] + mu * p
         if np.isfinite(gap[i]):
             blocks[i, 0, 0] = p / y
@@ -320,8 +337,11 @@ def _sides(state, gap, reference, limit, friction, before, target, weight, terms
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
         _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = _node(before, i)
-        t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
-        b, shift = limit[i] + mu * p, 0.0
+        t_1 = w_1 - reference[i, 0]
+        t_2 = w_2 - reference[i, 1]
+        mu = friction[i]
+        b = limit[i] + mu * p
+        shift = 0.0
         if np.isfinite(gap[i]):
             shift = (target - p * y - weight * dp * dy - p * (gap[i] - w - y)) / y
         sides[i, 0] = terms[i, 0] = -shift
@@ -333,7 +353,9 @@ def _sides(state, gap, reference, limit, friction, before, target, weight, terms
             )
             e_1 = b * t_1 - v * q_1 - weight * (dv * dq_1 - mu * dp * d_1)
             e_2 = b * t_2 - v * q_2 - weight * (dv * dq_2 - mu * dp * d_2)
-            terms[i, 1], terms[i, 2], terms[i, 3] = e, e_1, e_2
+            terms[i, 1] = e
+            terms[i, 2] = e_1
+            terms[i, 3] = e_2
             _, k_1, k_2 = _cones(
                 b,
                 v,
@@ -345,7 +367,8 @@ def _sides(state, gap, reference, limit, friction, before, target, weight, terms
                 e_1 + t_1 * mu * shift,
                 e_2 + t_2 * mu * shift,
             )
-            sides[i, 1], sides[i, 2] = -k_1, -k_2
+            sides[i, 1] = -k_1
+            sides[i, 2] = -k_2
 
 
 @kernel
@@ -354,12 +377,19 @@ def _complete(state, gap, reference, limit, friction, terms, change):
     longest = 1e30
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
-        t_1, t_2, mu = w_1 - reference[i, 0], w_2 - reference[i, 1], friction[i]
-        d, d_1, d_2 = change[i, 0], change[i, 1], change[i, 2]
-        b, dp = limit[i] + mu * p, 0.0
+        t_1 = w_1 - reference[i, 0]
+        t_2 = w_2 - reference[i, 1]
+        mu = friction[i]
+        d = change[i, 0]
+        d_1 = change[i, 1]
+        d_2 = change[i, 2]
+        b = limit[i] + mu * p
+        dp = 0.0
         if np.isfinite(gap[i]):
-            dp, dy = p / y * d - terms[i, 0], gap[i] - w - y - d
-            change[i, 3], change[i, 4] = dp, dy
+            dp = p / y * d - terms[i, 0]
+            dy = gap[i] - w - y - d
+            change[i, 3] = dp
+            change[i, 4] = dy
             if dp < 0:
                 longest = min(longest, -p / dp)
             if dy < 0:
@@ -376,7 +406,9 @@ def _complete(state, gap, reference, limit, friction, terms, change):
                 terms[i, 2] + b * d_1 + t_1 * mu * dp,
                 terms[i, 3] + b * d_2 + t_2 * mu * dp,
             )
-            change[i, 5], change[i, 6], change[i, 7] = dv, dq_1, dq_2
+            change[i, 5] = dv
+            change[i, 6] = dq_1
+            change[i, 7] = dq_2
             longest = min(
                 longest, _way(b, q_1, q_2, mu * dp, dq_1, dq_2), _way(v, t_1, t_2, dv, d_1, d_2)
             )

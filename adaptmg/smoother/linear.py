@@ -231,7 +231,8 @@ class Preconditioned:
         :class:`Prepared`."""
         from pyamg import krylov
 
-        shape, cycle = self.matrix.shape, self.hierarchy.aspreconditioner(cycle="V")
+        shape = self.matrix.shape
+        cycle = self.hierarchy.aspreconditioner(cycle="V")
         passes = 0.0
 
         def product(x: np.ndarray) -> np.ndarray:
@@ -246,7 +247,9 @@ class Preconditioned:
 
         operator = LinearOperator(shape, matvec=product, dtype=np.float64)
         inverse = LinearOperator(shape, matvec=precondition, dtype=np.float64)
-        unknowns, iterations, tol = None, 0, rtol
+        unknowns = None
+        iterations = 0
+        tol = rtol
         size = _energy(rhs, precondition(rhs))
         while True:
             norms: list[float] = []

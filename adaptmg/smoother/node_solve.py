@@ -167,7 +167,8 @@ def solve_3d(
     c_n -= m_n1 * reference_1 + m_n2 * reference_2
     c_1 -= m_11 * reference_1 + m_12 * reference_2
     c_2 -= m_12 * reference_1 + m_22 * reference_2
-    ratio_1, ratio_2 = m_n1 / m_nn, m_n2 / m_nn
+    ratio_1 = m_n1 / m_nn
+    ratio_2 = m_n2 / m_nn
     slip_1, slip_2 = slip_3d(
         m_11 - ratio_1 * m_n1,
         m_12 - ratio_1 * m_n2,
@@ -229,7 +230,8 @@ def _slip_beside(
 ) -> float:
     """The root of c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held^2 + x^2): it
     lies from 0 to c / b. Newton's method inside a bracket."""
-    low, high = min(0.0, c / b), max(0.0, c / b)
+    low = min(0.0, c / b)
+    high = max(0.0, c / b)
     slip = 0.0
     for _ in range(MAX_STEPS):
         size = math.hypot(held, slip)
@@ -305,14 +307,20 @@ def _slip_in_eigenbasis(
     friction: float,
 ) -> tuple[float, float]:
     """:func:`slip_3d` of a node that slips, B = diag(b_1, b_2): safeguarded Newton for theta."""
-    free_1, free_2 = c_1 / b_1, c_2 / b_2
+    free_1 = c_1 / b_1
+    free_2 = c_2 / b_2
     if limit + friction * max(p_stick - a_1 * free_1 - a_2 * free_2, 0.0) == 0.0:
         return free_1, free_2
-    theta, low, high = 0.0, 0.0, math.inf
-    q_1, q_2 = c_1, c_2
+    theta = 0.0
+    low = 0.0
+    high = math.inf
+    q_1 = c_1
+    q_2 = c_2
     for _ in range(MAX_STEPS):
-        scale_1, scale_2 = 1.0 / (1.0 + theta * b_1), 1.0 / (1.0 + theta * b_2)
-        q_1, q_2 = c_1 * scale_1, c_2 * scale_2
+        scale_1 = 1.0 / (1.0 + theta * b_1)
+        scale_2 = 1.0 / (1.0 + theta * b_2)
+        q_1 = c_1 * scale_1
+        q_2 = c_2 * scale_2
         force = math.hypot(q_1, q_2)
         coupling = a_1 * q_1 + a_2 * q_2
         p = p_stick - theta * coupling
@@ -326,7 +334,8 @@ def _slip_in_eigenbasis(
             low = theta
         else:
             high = theta
-        dq_1, dq_2 = -b_1 * scale_1 * q_1, -b_2 * scale_2 * q_2
+        dq_1 = -b_1 * scale_1 * q_1
+        dq_2 = -b_2 * scale_2 * q_2
         d_force = (q_1 * dq_1 + q_2 * dq_2) / force
         d_bound = 0.0
         if p > 0.0:

@@ -27,7 +27,8 @@ FEWEST = 4
 def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
     """Return A v (n,), summed as scipy does."""
     arrays = map(read_only, (matrix.indptr, matrix.indices, matrix.data.reshape(-1)))
-    result, zero = np.empty(matrix.shape[0]), (0.0,) * matrix.blocksize[0]
+    result = np.empty(matrix.shape[0])
+    zero = (0.0,) * matrix.blocksize[0]
     threads.in_parts(
         _multiply, len(matrix.indptr) - 1, matrix.data.size, zero, *arrays, vector, result
     )
@@ -64,7 +65,8 @@ class Strips:
         own = np.arange(n, dtype=np.int32)
         if block * len(indices) < threads.LARGE:
             return cls(own, own, [[(0, n)]])
-        order, bounds = own, _bounds(indices[indptr[1:] - 1])
+        order = own
+        bounds = _bounds(indices[indptr[1:] - 1])
         if len(bounds) <= FEWEST and stored and threads.several():
             order = _by_distance(indptr, indices)
             place = np.empty_like(order)
@@ -78,8 +80,10 @@ class Strips:
             strips = list(map(np.sort, strips))
         parts = [*strips[::2], *strips[1::2]]
         ends = np.cumsum([0, *map(len, parts)]).tolist()
-        ranges, even = list(pairwise(ends)), len(strips[::2])
-        order, rank = np.concatenate(parts), np.empty_like(own)
+        ranges = list(pairwise(ends))
+        even = len(strips[::2])
+        order = np.concatenate(parts)
+        rank = np.empty_like(own)
         rank[order] = own
         return cls(order, rank, [ranges[:even], ranges[even:]])
 
@@ -112,7 +116,8 @@ def _by_distance(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
     falls apart."""
     n = len(indptr) - 1
     graph = sparse.csr_array((np.ones(len(indices), dtype=np.int8), indices, indptr), shape=(n, n))
-    new, layers = np.ones(n, dtype=bool), []
+    new = np.ones(n, dtype=bool)
+    layers = []
     while new.any():
         layers.append(breadth_first_order(graph, int(np.argmax(new)), return_predecessors=False))
         new[layers[-1]] = False

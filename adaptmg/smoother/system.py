@@ -81,7 +81,8 @@ class LocalSystem:
         n_nodes = matrix.shape[0] // dim
         if not matrix.has_sorted_indices:
             matrix = matrix.sorted_indices()
-        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        indptr = matrix.indptr.astype(np.int32)
+        indices = matrix.indices.astype(np.int32)
         diagonal = diagonal_blocks(matrix)
         contact_of = np.full(n_nodes, -1, dtype=np.int32)
         contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
@@ -261,7 +262,8 @@ def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) ->
     n = matrix.shape[0] // matrix.blocksize[0]
     frame_of = np.full(n, -1)
     frame_of[nodes] = np.arange(len(nodes))
-    in_row, in_column = np.repeat(frame_of, np.diff(matrix.indptr)), frame_of[matrix.indices]
+    in_row = np.repeat(frame_of, np.diff(matrix.indptr))
+    in_column = frame_of[matrix.indices]
     data = matrix.data.copy()
     at = np.flatnonzero(in_row >= 0)
     data[at] = np.einsum("nij,njk->nik", frames[in_row[at]], data[at])

@@ -99,7 +99,8 @@ class ActiveSet:
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         if hierarchy.finest.discrete.volumes is not None:
             return self._augmented(hierarchy, run, start)
-        first, last = len(hierarchy) - 1, len(hierarchy) - 1
+        first = len(hierarchy) - 1
+        last = len(hierarchy) - 1
         if self.nested_start and start is None:
             hierarchy.need_discretised("the nested start of ActiveSet")
             first = 0
@@ -124,12 +125,10 @@ class ActiveSet:
                 "nested_start=True: ActiveSet has no nested start for smoothed elements with poisson "
                 "above .4; use FullMultigrid"
             )
-        problem, number, pressures, cycles = (
-            hierarchy.finest.discrete,
-            len(hierarchy) - 1,
-            run.pressures,
-            0,
-        )
+        problem = hierarchy.finest.discrete
+        number = len(hierarchy) - 1
+        pressures = run.pressures
+        cycles = 0
         past: list[tuple[np.ndarray, np.ndarray]] = []
         with run.phase("setup"):
             first = local_system(Augmented(problem, pressures).problem)
@@ -155,7 +154,8 @@ class ActiveSet:
             )
             run.first_cycle += cycles
             status, stop = newton.solve(certified=last)
-            run.first_cycle, cycles = run.first_cycle - cycles, cycles + newton.cycles
+            run.first_cycle = run.first_cycle - cycles
+            cycles = cycles + newton.cycles
             start = local.to_cartesian(newton.unknowns)
             pressures = augmented.pressures(start)
             if last:
@@ -213,30 +213,29 @@ class _Newton:
         finest: bool = False,
         pressures: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> None:
-        self.options, self.local, self.run, self.level, self.finest = (
-            options,
-            local,
-            run,
-            level,
-            finest,
-        )
-        self._measure, self._pressures = Measure(local, run if finest else None), pressures
+        self.options = options
+        self.local = local
+        self.run = run
+        self.level = level
+        self.finest = finest
+        self._measure = Measure(local, run if finest else None)
+        self._pressures = pressures
         self.equations_of: SparseSteps | CondensedSteps = (
             SparseSteps(local, options.linear, run)
             if condensed is None
             else CondensedSteps(condensed, run)
         )
         self.unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
-        self.cycles, self._hold_first = 0, start is None and options.start == "held"
+        self.cycles = 0
+        self._hold_first = start is None and options.start == "held"
         self._from_inside = (
             start is None and options.start == "interior" and len(local.contact.gap) > 0
         )
         self._tolerances = list(self.TOLERANCES)
-        self._seen, self._last, self._since = (
-            set[bytes](),
-            b"",
-            0,
-        )  # states of the steps before, and their number
+        # states of the steps before, and their number
+        self._seen = set[bytes]()
+        self._last = b""
+        self._since = 0
         self._equations: Linearised | Any = None  # Any: None before the first step alone
 
     def solve(self, certified: bool) -> tuple[Status, StopTest]:
@@ -266,7 +265,8 @@ class _Newton:
         residual = self._residual()
         self._decide(residual, self._hold_first and self.cycles == 0)
         equations = cast("Linearised", self._equations)  # as just decided
-        active, slip = equations.active, equations.slip
+        active = equations.active
+        slip = equations.slip
         return self._measure(
             self.cycles,
             self.unknowns,
@@ -319,7 +319,8 @@ class _Newton:
         self.cycles += interior.steps
         self.run.visit(self.level, "solve", interior.steps)
         self._seen.clear()
-        self._last, self._since = b"", 0
+        self._last = b""
+        self._since = 0
         return None
 
     def _residual(self) -> np.ndarray:
@@ -327,11 +328,9 @@ class _Newton:
         return self.local.residual(self.unknowns)
 
     def _decide(self, residual: np.ndarray, hold: bool) -> None:
-        system, contact, forces = (
-            self.local.system,
-            self.local.contact,
-            self.equations_of.contact_residual(residual),
-        )
+        system = self.local.system
+        contact = self.local.contact
+        forces = self.equations_of.contact_residual(residual)
         at_contact = self.unknowns.reshape(-1, system.dim)[system.nodes]
         self._equations = (
             hold_all(contact, at_contact, forces)
@@ -346,7 +345,9 @@ class CondensedSteps:
     SINGULAR = 1e-13  # reciprocal condition number below which the equations count as singular
 
     def __init__(self, condensed: Condensed, run: Run) -> None:
-        self.local, self.run, self.condensed = condensed.full, run, condensed
+        self.local = condensed.full
+        self.run = run
+        self.condensed = condensed
 
     @property
     def stiffness(self) -> np.ndarray:
@@ -414,7 +415,9 @@ class SparseSteps:
     RTOL, INSIDE = 1e-2, 1e-4
 
     def __init__(self, local: LocalProblem, linear: LinearSolver, run: Run) -> None:
-        self.local, self.linear, self.run = local, linear, run
+        self.local = local
+        self.linear = linear
+        self.run = run
         self._matrix = local.system.matrix
         self._contact = local.system.contact_of[
             np.repeat(np.arange(local.system.n_nodes), np.diff(self._matrix.indptr))
@@ -445,7 +448,9 @@ class SparseSteps:
         change[system.nodes] = equations.change
         rhs = self._residual.reshape(-1, system.dim).copy()
         rhs[system.nodes] = equations.force
-        released, rhs, change = released.reshape(-1), rhs.reshape(-1), change.reshape(-1)
+        released = released.reshape(-1)
+        rhs = rhs.reshape(-1)
+        change = change.reshape(-1)
         with self.run.phase("setup"):
             matrix = self._contact_rows(equations)
             if change.any():
@@ -474,7 +479,8 @@ class SparseSteps:
         return np.where(system.fixed, 0.0, result.reshape(-1))
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        system, matrix = self.local.system, self._matrix.copy()
+        system = self.local.system
+        matrix = self._matrix.copy()
         free = ~system.fixed.reshape(-1, system.dim)[system.nodes]
         added = np.zeros((system.n_nodes, system.dim, system.dim))
         added[system.nodes] = blocks * free[:, :, None] * free[:, None, :]
@@ -517,7 +523,8 @@ class SparseSteps:
         if equations.same_matrix and key == self._prepared_for:
             return
         with self.run.phase("factorise" if isinstance(self.linear, Direct) else "setup"):
-            eliminated, basis = without_fixed(matrix, released, copy=False), None
+            eliminated = without_fixed(matrix, released, copy=False)
+            basis = None
             if not equations.symmetric:
                 basis = without_fixed(
                     self._contact_rows(equations, coupled=False), released, copy=False
@@ -535,7 +542,8 @@ class SparseSteps:
     def _contact_rows(self, equations: Linearised, coupled: bool = True) -> sparse.bsr_array:
         """The matrix with Coulomb coupling (if ``coupled``) and curvature in the rows of contact
         nodes."""
-        system, data = self.local.system, self._matrix.data.copy()
+        system = self.local.system
+        data = self._matrix.data.copy()
         rows = np.flatnonzero(self._contact >= 0)
         diagonal = rows[system.nodes[self._contact[rows]] == self._matrix.indices[rows]]
         node = self._contact[diagonal]

@@ -110,7 +110,8 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
                 "oscillate, and with friction solvers may not converge. A rubber roller on 3500 nodes has "
                 f"{_LOCKED}",
             )
-    span, young = max(float(np.ptp(x)) for x in mesh.points.T), max(one.young for one in materials)
+    span = max(float(np.ptp(x)) for x in mesh.points.T)
+    young = max(one.young for one in materials)
     if span > SPAN and (young >= METAL or IN_MPA[0] <= young <= IN_MPA[1]):
         advise(
             "units",
@@ -123,11 +124,13 @@ def advise_on_chords(
     problem: ContactProblem | None, level: Level, results: Sequence[Result]
 ) -> None:
     """Warn of pairs whose curved surfaces are not known, where chords are as high as gaps or press."""
-    discrete, mesh = level.discrete, level.mesh_or_none
+    discrete = level.discrete
+    mesh = level.mesh_or_none
     if problem is None or mesh is None or discrete.coupling is None:
         return
     peaks = np.max([result.contact.pressure for result in results], axis=0, initial=0.0)
-    contact, exact = discrete.contact, exact_of(problem)
+    contact = discrete.contact
+    exact = exact_of(problem)
     for k, pair in enumerate(problem.contact):
         own = (contact.boundary == k) & (peaks > 0)
         if not isinstance(pair, ContactPair) or pair.gap is not None or not own.any():
@@ -147,7 +150,8 @@ def advise_on_chords(
         if not round_ones.any() or np.median(facing.max(axis=1).toarray()) > PARTNER:
             continue
         highest = int(np.argmax(heights * round_ones))
-        height, length = heights[highest], lengths[highest]
+        height = heights[highest]
+        length = lengths[highest]
         gap = np.average(np.abs(contact.gaps[own]), weights=contact.weights[own])
         series = 1 / sum(1 / young_of(problem, mesh, name) for name in (pair.slave, pair.master))
         excess = PRESSED * series * height / length / max(EXCESS * peaks[own].max(), 1e-300)
@@ -202,7 +206,8 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
 
 
 def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
-    materials, volume = body_materials(mesh, problem.material), mesh.volumes
+    materials = body_materials(mesh, problem.material)
+    volume = mesh.volumes
     if problem.axisymmetric:
         volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
     bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
@@ -238,14 +243,13 @@ def _advise_on_slips(problem: ContactProblem, mesh: MeshArrays, result: Result) 
             continue  # it is the same everywhere
         at = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
         facets = mesh.boundary_facets(posed.boundary)
-        corners, element = mesh.points[facets], np.zeros(mesh.n_nodes)
+        corners = mesh.points[facets]
+        element = np.zeros(mesh.n_nodes)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
         np.maximum.at(element, facets, edges[:, None])
         extent = np.linalg.norm(np.ptp(corners.reshape(-1, mesh.dim), axis=0))
-        slip, most = (
-            np.linalg.norm(contact.u_t[at], axis=1),
-            np.maximum(element[contact.node[at]], SLID * extent),
-        )
+        slip = np.linalg.norm(contact.u_t[at], axis=1)
+        most = np.maximum(element[contact.node[at]], SLID * extent)
         if (slip > most).any():
             i = int(np.argmax(slip - most))
             advise(

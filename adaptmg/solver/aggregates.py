@@ -54,13 +54,17 @@ _ENOUGH = 1e-4
 def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
     """Number the aggregates in ``label`` by breadth-first search inside groups; returns their
     number. ``queue`` and ``depth`` (n_nodes,) are overwritten."""
-    n, count = len(group), 0
+    n = len(group)
+    count = 0
     for seed in range(n):
         if label[seed] >= 0 or group[seed] < 0:
             continue
         size = sizes[group[seed]]
-        queue[0], label[seed], depth[seed] = seed, count, 0
-        head, tail = 0, 1
+        queue[0] = seed
+        label[seed] = count
+        depth[seed] = 0
+        head = 0
+        tail = 1
         while head < tail:  # each node enters the queue once
             i = queue[head]
             head += 1
@@ -80,14 +84,17 @@ def _joined(
 ) -> np.ndarray:
     """The labels after small remnants have joined the smallest neighbour of their group."""
     inside = label >= 0
-    members, of = np.bincount(label[inside]), np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
+    members = np.bincount(label[inside])
+    of = np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
     of[label[inside]] = group[inside]
     remnant = _REMNANT * members < sizes[of]
     nodes = np.flatnonzero(inside & remnant[label])
     edges = graph[nodes].tocoo()
-    own, other = label[nodes[edges.row]], label[edges.col]
+    own = label[nodes[edges.row]]
+    other = label[edges.col]
     joins = (other >= 0) & ~remnant[other] & (of[own] == of[other])
-    own, other = own[joins], other[joins]
+    own = own[joins]
+    other = other[joins]
     order = np.argsort(-members[other], kind="stable")  # of several values the last one stays
     home = np.arange(len(members))
     home[own[order]] = other[order]
@@ -100,7 +107,9 @@ class Aggregates:
     status."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
-        matrix, dim, n = problem.matrix, problem.dim, problem.n_nodes
+        matrix = problem.matrix
+        dim = problem.dim
+        n = problem.n_nodes
         group = np.zeros(n, dtype=np.int32)
         for k, nodes in enumerate((problem.bodies or {}).values()):
             group[nodes] = k
@@ -128,13 +137,15 @@ class Aggregates:
         )
         label = _joined(graph, label, group, sizes)
         inside = label >= 0
-        self.label, self.count = label[inside], int(label.max(initial=-1)) + 1
+        self.label = label[inside]
+        self.count = int(label.max(initial=-1)) + 1
         self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
         self.motions = self._rigid(
             np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside
         )
         # a narrow band: the place of each aggregate, and how far it reaches
-        own, other = np.repeat(label, np.diff(matrix.indptr)), label.take(matrix.indices)
+        own = np.repeat(label, np.diff(matrix.indptr))
+        other = label.take(matrix.indices)
         met = np.flatnonzero((own != other) & inside.take(matrix.indices))
         met = met[own[met] >= 0]
         coarse = sparse.csr_array(
@@ -147,7 +158,8 @@ class Aggregates:
     def _rigid(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
         """Rigid motions (n, modes, dim): translations, and turns about the centre over the extent
         of an aggregate (root of the mean square)."""
-        dim, members = points.shape[1], np.bincount(self.label, minlength=self.count)
+        dim = points.shape[1]
+        members = np.bincount(self.label, minlength=self.count)
         offset = np.array([x[inside] for x in points.T])
         for x in offset:
             x -= (np.bincount(self.label, x, self.count) / members).take(self.label)
@@ -163,7 +175,8 @@ class Aggregates:
 
     def projected(self, nodes: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """Return the motions, at some nodes projected by ``kept`` (n, dim, dim)."""
-        motions, row = self.motions.copy(), self.starts[nodes]
+        motions = self.motions.copy()
+        row = self.starts[nodes]
         inside = self.starts[nodes + 1] > row
         motions[row[inside]] = motions[row[inside]] @ kept[inside].swapaxes(1, 2)
         return motions
@@ -177,7 +190,8 @@ def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, ba
     """Add the lower half of B'AB to ``band`` (n_coarse, width), column by column. ``forces`` (modes
     * dim,) comes as 0: what the matrix makes there of the motions of one aggregate, until the next
     one comes."""
-    dim, modes = np.uint64(len(zero)), np.uint64(3 * len(zero) - 3)
+    dim = np.uint64(len(zero))
+    modes = np.uint64(3 * len(zero) - 3)
     for i in range(len(indptr) - 1):
         if starts[i] == starts[i + 1]:
             continue
@@ -215,14 +229,13 @@ def _project(at, motions, own, other, zero, forces, band):
 def _transfer(down, starts, label, motions, place, zero, vector, values):
     """Add the work of a vector (n_dofs,) on the motions of the aggregates to ``values``
     (n_coarse,), or up the motions times ``values`` to the vector."""
-    dim, modes = np.uint64(len(zero)), 3 * len(zero) - 3
+    dim = np.uint64(len(zero))
+    modes = 3 * len(zero) - 3
     for i in range(len(starts) - 1):
         for at in range(starts[i], starts[i + 1]):
             for q in range(modes):
-                own, motion = (
-                    modes * place[label[at]] + q,
-                    read(motions, dim * np.uint64(modes * at + q), zero),
-                )
+                own = modes * place[label[at]] + q
+                motion = read(motions, dim * np.uint64(modes * at + q), zero)
                 if down:
                     values[own] += inner(motion, read(vector, dim * np.uint64(i), zero))
                 else:
@@ -286,7 +299,8 @@ class CoarseCorrection:
 def at_nodes(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:
     """Return a matrix (n_dofs, n_dofs) of blocks (n, dim, dim) at the diagonal places of some
     nodes."""
-    order, n = np.argsort(nodes), n_dofs // blocks.shape[1]
+    order = np.argsort(nodes)
+    n = n_dofs // blocks.shape[1]
     starts = np.append(0, np.cumsum(np.bincount(nodes, minlength=n)))
     return sparse.bsr_array((blocks[order], nodes[order], starts), shape=(n_dofs, n_dofs))
 
@@ -317,8 +331,10 @@ class _Smoothed:
     contact nodes."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
-        dim, free = problem.dim, ~problem.fixed
-        matrix, nodes = sparse.csr_array(problem.matrix), np.arange(problem.n_nodes)
+        dim = problem.dim
+        free = ~problem.fixed
+        matrix = sparse.csr_array(problem.matrix)
+        nodes = np.arange(problem.n_nodes)
         aggregates = aggregates_of(problem)
         motions = aggregates.projected(nodes, free.reshape(-1, dim)[:, :, None] * np.eye(dim))
         basis = sparse.bsr_array(
@@ -341,7 +357,8 @@ class _Smoothed:
         dofs = (dim * problem.contact.nodes[:, None] + np.arange(dim)).reshape(-1)
         at_contact = sparse.csr_array(_by_node(self.frames) @ self.span[dofs])
         touched = np.isin(np.arange(self.span.shape[1]), at_contact.indices)
-        self.near, self.far = np.flatnonzero(touched), np.flatnonzero(~touched)
+        self.near = np.flatnonzero(touched)
+        self.far = np.flatnonzero(~touched)
         self.rows = sparse.csr_array(at_contact[:, self.near])
         self._solve = (
             splu(sparse.csc_array(coarse[self.far][:, self.far])).solve
@@ -381,7 +398,8 @@ _smoothed_of = remembered_of_structure(_Smoothed)
 
 
 def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
-    n, dim = len(blocks), blocks.shape[1]
+    n = len(blocks)
+    dim = blocks.shape[1]
     return sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
 
 
@@ -396,7 +414,9 @@ def changed_status(
     (n_contact, dim) that it ends with; None if it is not found. ``stiffness`` and ``limit``
     (n_contact,): of the nodes, N/m, and of friction without pressure, N."""
     coarse = _smoothed_of(problem)
-    load, n, dim = coarse.span.T @ residual, len(problem.contact), problem.dim
+    load = coarse.span.T @ residual
+    n = len(problem.contact)
+    dim = problem.dim
     # where a support holds a tangent its reaction takes the place of friction
     free = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     slip = to_frames(coarse.frames, here.slip)[:, 1:]

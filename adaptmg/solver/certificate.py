@@ -238,7 +238,9 @@ class Evidence:
         pressures: np.ndarray | None = None,
         residual: np.ndarray | None = None,
     ) -> None:
-        self.problem, self.contact, self.pressures = problem, contact, pressures
+        self.problem = problem
+        self.contact = contact
+        self.pressures = pressures
         self.nodes = problem.contact.nodes
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
@@ -278,7 +280,8 @@ class Evidence:
         self.in_supports = self.unexplained[self.fixed]
         self.left = np.where(self.fixed, 0.0, self.unexplained)
         self.internal = _norm(problem.load - residual)
-        load, claimed = problem.physical_forces(problem.load), self.claimed
+        load = problem.physical_forces(problem.load)
+        claimed = self.claimed
         # ties too: in a periodic cell no other forces act, and these are no rounding
         present = (load, self.in_supports, claimed, tying)
         self.force = max(map(_norm, present))
@@ -319,7 +322,8 @@ class Evidence:
 
     def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""
-        problem, moved = self.problem, self.u[self.nodes]
+        problem = self.problem
+        moved = self.u[self.nodes]
         if problem.coupling is not None:
             moved = moved - problem.coupling.weights[self.nodes] @ self.u
             for at, weights, c in problem.held_together():
@@ -409,12 +413,11 @@ class Evidence:
 
     def tangential(self) -> tuple[Condition, Condition, Condition]:
         """Return friction beyond its bound, and not opposite to the slip."""
-        size, slip = np.linalg.norm(self.friction, axis=1), np.linalg.norm(self.slip, axis=1)
+        size = np.linalg.norm(self.friction, axis=1)
+        slip = np.linalg.norm(self.slip, axis=1)
         along = np.einsum("nd,nd->n", self.friction, self.slip)
-        excess, works = (
-            np.maximum(size - self.bound, 0.0),
-            np.maximum(self.bound * slip + along, 0.0),
-        )
+        excess = np.maximum(size - self.bound, 0.0)
+        works = np.maximum(self.bound * slip + along, 0.0)
         # weighted by the force: open nodes slip freely, under a force of rounding, which has no
         # direction
         same_way = np.maximum(along - self.rounding * slip * self.idle, 0.0) / (self.force or 1.0)
@@ -426,7 +429,8 @@ class Evidence:
 
     def states(self) -> tuple[Condition, Condition, Condition]:
         """Return what contradicts the claimed states."""
-        state, slip = np.asarray(self.contact.state), np.linalg.norm(self.slip, axis=1)
+        state = np.asarray(self.contact.state)
+        slip = np.linalg.norm(self.slip, axis=1)
         return (
             self._forces(
                 "open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)
@@ -473,7 +477,8 @@ class Evidence:
         """The energy error that rounding of the residual leaves, measured: the largest of what
         residuals of its size, of random signs, bring about with the contact status held. Slender
         bodies answer to them with their condition."""
-        matrix, status = self.problem.matrix, self._frozen(here, self.unknowns)[0]
+        matrix = self.problem.matrix
+        status = self._frozen(here, self.unknowns)[0]
         squares = sparse.bsr_array((matrix.data**2, matrix.indices, matrix.indptr))
         sizes = _EPSILON * np.sqrt(squares @ self.unknowns.reshape(-1) ** 2)
         missed = None if self.problem.volumes is None else np.zeros(len(self.problem.volumes))
@@ -502,10 +507,13 @@ class Evidence:
     ) -> tuple[float, bool]:
         """||u - u_h||_A with the contact status held, infinite where it leaves a loaded motion
         free, and whether the corrected displacement contradicts this status."""
-        contact, matrix, missed = self.problem.contact, self.problem.matrix, None
+        contact = self.problem.contact
+        matrix = self.problem.matrix
+        missed = None
         status, change, lawful, closed = self._frozen(here, unknowns)
         images = (matrix @ change.reshape(-1)).reshape(change.shape)
-        moved, forces = np.sqrt(max(_sum(change, images), 0.0)), forces + images
+        moved = np.sqrt(max(_sum(change, images), 0.0))
+        forces = forces + images
         forces[contact.nodes] += here.forces(contact.normals) - lawful
         exerted = forces[contact.nodes] + lawful
         if self.problem.volumes is not None:
@@ -527,16 +535,21 @@ class Evidence:
         """The energy error where the contact status may change: of the change in the span of the
         aggregates, and what is missing after it with the status held; ``held``: what is missing
         without it."""
-        problem, contact, matrix = self.problem, self.problem.contact, self.problem.matrix
+        problem = self.problem
+        contact = self.problem.contact
+        matrix = self.problem.matrix
         residual = problem.under(self.pressures).load - matrix @ self.unknowns.reshape(-1)
         solution = changed_status(problem, residual, here, self.stiffness, self.limit)
         if solution is None:
             return held
         change, exerted = solution
         images = matrix @ change
-        size, nodal = np.sqrt(max(_sum(change, images), 0.0)), change.reshape(self.u.shape)
-        moved, normals = nodal[contact.nodes], contact.normals
-        along, pressure = _along(moved, normals), -_along(exerted, normals)
+        size = np.sqrt(max(_sum(change, images), 0.0))
+        nodal = change.reshape(self.u.shape)
+        moved = nodal[contact.nodes]
+        normals = contact.normals
+        along = _along(moved, normals)
+        pressure = -_along(exerted, normals)
         there = AtNodes(
             here.gap - along,
             here.slip + moved - along[:, None] * normals,
@@ -557,10 +570,16 @@ class Evidence:
         contact forces, and which nodes touch. At each node the cheaper is taken, in the measure of
         its stiffness: to move onto the obstacle (to zero slip), or to give the force up (to turn it
         against the slip)."""
-        contact, dim = self.problem.contact, self.problem.dim
-        nodes, normals = contact.nodes, contact.normals
-        free, d = (~self.fixed[nodes]).astype(float), self.stiffness
-        gap, pressure, slip, friction = here.gap, here.pressure, here.slip, here.friction * free
+        contact = self.problem.contact
+        dim = self.problem.dim
+        nodes = contact.nodes
+        normals = contact.normals
+        free = (~self.fixed[nodes]).astype(float)
+        d = self.stiffness
+        gap = here.gap
+        pressure = here.pressure
+        slip = here.slip
+        friction = here.friction * free
         closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
         closed |= gap < 0
         size = np.linalg.norm(slip, axis=1)
@@ -578,7 +597,8 @@ class Evidence:
         change = np.zeros_like(unknowns)
         change[nodes] = np.where(closed, gap, 0.0)[:, None] * normals - stays[:, None] * slip * free
         change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
-        slides, along = ~stays | beyond, normals[:, :, None] * normals[:, None]
+        slides = ~stays | beyond
+        along = normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
         others = np.setdiff1d(self.fixed.nonzero()[0], nodes)
         kept = slides[:, None, None] * tangents + ~closed[:, None, None] * along

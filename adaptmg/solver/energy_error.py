@@ -116,7 +116,8 @@ def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, loa
     size = dim * dim
     for place in range(first, last):
         i = np.uint64(order[place])
-        own, r = rank[i], read(load, dim * i, zero)
+        own = rank[i]
+        r = read(load, dim * i, zero)
         for p in range(indptr[i], indptr[i + ONE]):
             if rank[indices[p]] < own:
                 r = subtract(
@@ -145,7 +146,9 @@ def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, lo
     size = dim * dim
     for place in range(last - 1, first - 1, -1):
         i = np.uint64(order[place])
-        own, on_diagonal, total = rank[i], indptr[i], zero
+        own = rank[i]
+        on_diagonal = indptr[i]
+        total = zero
         for p in range(indptr[i + ONE] - 1, indptr[i] - 1, -1):
             j = np.uint64(indices[p])
             if j == i:
@@ -172,7 +175,10 @@ class _Preconditioner:
     def __init__(
         self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates
     ) -> None:
-        matrix, dim, held, kept = problem.matrix, problem.dim, status.held, status.kept
+        matrix = problem.matrix
+        dim = problem.dim
+        held = status.held
+        kept = status.kept
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
@@ -193,7 +199,8 @@ class _Preconditioner:
     def __call__(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the preconditioned residual (n_dofs,), and the stored matrix times it."""
         # what the forward sweep leaves of the residual, then the product
-        result, image = np.empty_like(residual), np.zeros_like(residual)
+        result = np.empty_like(residual)
+        image = np.zeros_like(residual)
         arguments = self._zero, *self._matrix, self._inverse, residual, result, image
         self._strips.sweep(_forward, *arguments)
         self._coarse.add(image, result)
@@ -264,7 +271,9 @@ class _Equations:
     def __init__(
         self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates
     ) -> None:
-        self.n, self.status, self.volumes = problem.n_dofs, status, problem.volumes
+        self.n = problem.n_dofs
+        self.status = status
+        self.volumes = problem.volumes
         self.precondition = _Preconditioner(problem, status, aggregates)
         self.symmetric = self.volumes is None and not status.dragged.any()
         self.most = (
@@ -275,16 +284,20 @@ class _Equations:
         """Return the preconditioned residual as a direction, and its products with others in the
         energy (n,)."""
         status, (nodal, forces) = self.status, self.precondition(left[: self.n])
-        values, energetic = nodal, forces
+        values = nodal
+        energetic = forces
         image = forces.copy()
         if self.volumes is not None:
-            soft, areas = self.volumes.areas * self.volumes.compliance, self.volumes.areas
+            soft = self.volumes.areas * self.volumes.compliance
+            areas = self.volumes.areas
             volumes = self.volumes.rows @ nodal
             pressures = (left[self.n :] + volumes) / (soft + areas / self.volumes.modulus)
-            values, energetic = np.append(nodal, pressures), np.append(forces, soft * pressures)
+            values = np.append(nodal, pressures)
+            energetic = np.append(forces, soft * pressures)
             image += self.volumes.forces(pressures)
         by_node = image.reshape(-1, status.kept.shape[1])
-        moved, exerted = nodal.reshape(by_node.shape)[status.nodes], by_node[status.nodes]
+        moved = nodal.reshape(by_node.shape)[status.nodes]
+        exerted = by_node[status.nodes]
         turned = np.einsum("nij,nj->ni", status.stiffening, moved)
         energetic[: self.n].reshape(by_node.shape)[status.nodes] += turned
         by_node[status.nodes] += turned + np.einsum("nij,nj->ni", status.dragged, exerted)
@@ -298,9 +311,16 @@ def _estimated(
     equations: _Equations, load: np.ndarray, negligible: float
 ) -> tuple[HeldCorrection, bool]:
     """A Galerkin solution, and whether further steps would change it little."""
-    n, most, symmetric, left = equations.n, equations.most, equations.symmetric, load.copy()
-    span, shares, energies, ritz = list[_Direction](), np.empty(0), [0.0], np.inf
-    matrix, loads = np.empty((most, most)), np.empty(most)
+    n = equations.n
+    most = equations.most
+    symmetric = equations.symmetric
+    left = load.copy()
+    span = list[_Direction]()
+    shares = np.empty(0)
+    energies = [0.0]
+    ritz = np.inf
+    matrix = np.empty((most, most))
+    loads = np.empty(most)
     # preconditioned residuals, of unit length in the norm of the preconditioner, by the directions
     basis = np.zeros((most, most))
     total = np.zeros((2, len(equations.status.nodes), equations.status.kept.shape[1]))
@@ -317,7 +337,8 @@ def _estimated(
             new.add(-overlap, one)
         new.scale(1 / np.sqrt(square))
         if symmetric:
-            span, changes = [new], [float(new.values @ left)]
+            span = [new]
+            changes = [float(new.values @ left)]
             energy = energies[-1] + changes[0] ** 2
         else:
             span.append(new)
@@ -346,7 +367,8 @@ def _estimated(
         basis[step - 1 - len(overlaps) : step, step - 1] = np.append(
             overlaps, np.sqrt(square)
         ) / np.sqrt(product)
-        last, ritz = ritz, np.linalg.svd(basis[:step, :step], compute_uv=False)[-1] ** 2
+        last = ritz
+        ritz = np.linalg.svd(basis[:step, :step], compute_uv=False)[-1] ** 2
         whole = max(energies[-2] + product / ritz, energy)
         missing = whole - energy if symmetric else max(whole - energy, abs(energy - energies[-2]))
         settled = step >= _LEAST and missing <= _MISSING * energy and ritz >= _SETTLED * last
@@ -360,7 +382,10 @@ def _factorised(
 ) -> HeldCorrection:
     """The correction by factors of the matrix of a status, with what makes it regular where motions
     are free."""
-    matrix, volumes, n, dim = problem.matrix, problem.volumes, problem.n_dofs, problem.dim
+    matrix = problem.matrix
+    volumes = problem.volumes
+    n = problem.n_dofs
+    dim = problem.dim
     every = sparse.eye_array(n, format="csr")
     keep = every + at_nodes(status.held, status.kept - np.eye(dim), n)
     taken = keep + keep @ at_nodes(status.nodes, status.dragged, n)
@@ -379,12 +404,11 @@ def _factorised(
             ]
         )
     whole = sparse.csc_array(whole)
-    factors, solution, rest = (
-        splu(whole + sparse.diags_array(shift, format="csc")),
-        np.zeros(len(load)),
-        load,
-    )
-    most_left, balanced = max(_BALANCED * np.linalg.norm(load[:n]), rounding), False
+    factors = splu(whole + sparse.diags_array(shift, format="csc"))
+    solution = np.zeros(len(load))
+    rest = load
+    most_left = max(_BALANCED * np.linalg.norm(load[:n]), rounding)
+    balanced = False
     for _ in range(_REFINEMENTS):
         solution += factors.solve(rest)
         rest = load - whole @ solution

@@ -256,7 +256,8 @@ class Examiner:
         self.discrete = discrete
         self.posed = posed
         self.contact, self.frames = local_contact(discrete)
-        self.held, self.blocks = held_tangents(discrete), contact_blocks(discrete)
+        self.held = held_tangents(discrete)
+        self.blocks = contact_blocks(discrete)
         self.sizes = Sizes(discrete)
         self._last: tuple[np.ndarray, np.ndarray | None, Examined] | None = None
 
@@ -289,7 +290,8 @@ class Examiner:
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
         exerted = euclidean_norm(at_contact.reshape(-1))
-        scale, size = self.sizes.forces(unknowns, exerted), euclidean_norm(free)
+        scale = self.sizes.forces(unknowns, exerted)
+        size = euclidean_norm(free)
         if discrete.volumes is not None:
             size = float(
                 np.hypot(
@@ -319,7 +321,8 @@ class Examiner:
             and (pressures is None or np.array_equal(cast("np.ndarray", self._last[1]), pressures))
         ):
             return self._last[2]
-        discrete, self._last = self.discrete, None
+        discrete = self.discrete
+        self._last = None
         residual = discrete.under(pressures).load - discrete.matrix @ solved
         displacement = discrete.physical(solved.reshape(discrete.n_nodes, discrete.dim))
         contact = self._contact_result(solved, residual)
@@ -346,17 +349,16 @@ class Examiner:
         """Contact quantities at a solution (n_dofs,). Where a support holds a tangential component,
         the equations do not tell friction from the reaction of the support: there it is what the
         law says for the slip, and nothing if nothing slips."""
-        discrete, frames, held, contact = (
-            self.discrete,
-            self.frames,
-            self.held,
-            self.discrete.contact,
-        )
+        discrete = self.discrete
+        frames = self.frames
+        held = self.held
+        contact = self.discrete.contact
         small = 1e-12 * np.abs(solved).max(initial=0.0)
         u = to_frames(frames, discrete.at_contact(solved.reshape(discrete.n_nodes, discrete.dim)))
         slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
         force = self._at_contact(residual)
-        force_n, force_t = np.maximum(force[:, 0], 0.0), np.where(held, 0.0, -force[:, 1:])
+        force_n = np.maximum(force[:, 0], 0.0)
+        force_t = np.where(held, 0.0, -force[:, 1:])
         limit = self.contact.limit + self.contact.friction * force_n
         state = states(self.contact, self._values(solved), force_n, small)
         size = np.linalg.norm(slip, axis=1)
@@ -401,13 +403,15 @@ def _elsewhere(
     boundaries, and whether they lie on these or on masters. Next to where a boundary ends forces act
     in part at the end; on the other body they exert -W' times them, or where both bodies are held
     all on its held nodes."""
-    contact, dim = discrete.contact, discrete.dim
+    contact = discrete.contact
+    dim = discrete.dim
     parts = [
         (np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, np.int64), np.empty(0, bool))
     ]
     if discrete.coupling is None:
         return parts[0]
-    taken, weights = contact.taken_over, discrete.coupling.weights[contact.nodes]
+    taken = contact.taken_over
+    weights = discrete.coupling.weights[contact.nodes]
     if taken.shape[1]:
         weights = sparse.csr_array(weights + taken)
         weights.data[np.abs(weights.data) < _NO_WEIGHT] = 0.0
@@ -469,11 +473,9 @@ class Sizes:
 
     def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:
         self.load = euclidean_norm(problem.load)
-        self.prescribed, self._problem, self._frames = (
-            bool(problem.fixed_values.any()),
-            problem,
-            frames,
-        )
+        self.prescribed = bool(problem.fixed_values.any())
+        self._problem = problem
+        self._frames = frames
         if not self.prescribed:
             return
         lift = problem.matrix @ problem.fixed_values

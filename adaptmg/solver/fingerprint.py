@@ -260,7 +260,9 @@ class _Parts:
         return hashlib.sha256(_pickled(value, self, files)).hexdigest()[:16]
 
     def _function(self, name: str, function: FunctionType) -> None:
-        code, namespace, values = function.__code__, function.__globals__, {}
+        code = function.__code__
+        namespace = function.__globals__
+        values = {}
         home = self._home(namespace.get("__name__", "__main__"))
         self._parts[f"function {name}"] = self._hash(code)
         for key in ("__defaults__", "__kwdefaults__", *vars(function)):
@@ -308,7 +310,8 @@ class _Parts:
             ):
                 break
             self._parts[f"value of {where}"] = self._hash(value.__name__)
-            where, value = f"{self._home(value.__name__)}.{attribute}", vars(value)[attribute]
+            where = f"{self._home(value.__name__)}.{attribute}"
+            value = vars(value)[attribute]
         self.value(where, value)
 
 
@@ -321,7 +324,8 @@ class _Pickler(pickle.Pickler):
     held: dict[int, tuple[int, object]]  # instances by id, kept alive
 
     def persistent_id(self, value: typing.Any) -> object:
-        kind, found = type(value), self.found
+        kind = type(value)
+        found = self.found
         if kind in _BASES[:3] or kind in (str, int, float, bool, type(None), bytes):
             return None
         if isinstance(value, _NAMED):
@@ -398,7 +402,10 @@ def _pickled(value: object, found: _Parts, files: bool = False) -> bytes:
     pickler = _Pickler(buffer, 5)
     # without references to what was pickled before, which depend on whether equal strings are one
     # object; lists and dictionaries that contain themselves are refused
-    pickler.fast, pickler.found, pickler.files, pickler.held = True, found, files, {}
+    pickler.fast = True
+    pickler.found = found
+    pickler.files = files
+    pickler.held = {}
     pickler.dump(value)
     return buffer.getvalue()
 
@@ -430,7 +437,9 @@ def _reads(
 ) -> tuple[list[tuple[str, ...]], list[tuple[int, str, tuple[str, ...] | None]]]:
     """Return globals and variables of closures that are read, with attributes taken from them, and
     imports as level, module and names in it."""
-    chains, imports, parts = [], [], [code]
+    chains = []
+    imports = []
+    parts = [code]
     for part in parts:
         parts += [constant for constant in part.co_consts if isinstance(constant, CodeType)]
         steps = [step for step in dis.get_instructions(part) if step.opname != "EXTENDED_ARG"]
@@ -505,7 +514,8 @@ def _content(path: Path) -> str:
 def _sources() -> str:
     """Return one hash of adaptmg's numerical sources; RuntimeError for those that were edited after
     their import."""
-    here, content = Path(__file__), hashlib.sha256()
+    here = Path(__file__)
+    content = hashlib.sha256()
     root = here.parents[1]
     for name, loaded in sorted(sys.modules["adaptmg"]._LOADED.items()):
         file = Path(name)

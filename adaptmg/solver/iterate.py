@@ -86,11 +86,21 @@ class StopTest:
         shortfall: Callable[[float], float] | None = None,
         stalled: Status | None = Status.STALLED,
     ) -> None:
-        self.rtol, self.limit, self._ask, self._stalled = rtol, limit, shortfall, stalled
-        self._caution, self._asked, self._rounding, self.cycles = 1.0, -1, False, 0
+        self.rtol = rtol
+        self.limit = limit
+        self._ask = shortfall
+        self._stalled = stalled
+        self._caution = 1.0
+        self._asked = -1
+        self._rounding = False
+        self.cycles = 0
         self.changes: list[float] = []
-        self.size, self.residual, self.error_estimate, self.met = 0.0, np.inf, np.inf, False
-        self._last, self._kept = np.nan, 0
+        self.size = 0.0
+        self.residual = np.inf
+        self.error_estimate = np.inf
+        self.met = False
+        self._last = np.nan
+        self._kept = 0
 
     def take(self, state: State, run: Run | None = None) -> Status | None:
         """Take a state and record it; how the iteration ends, None if it goes on."""
@@ -102,7 +112,8 @@ class StopTest:
     def judge(self, state: State) -> None:
         """Estimate the error from the norms of a state. A residual at the rounding of the floor is
         the least; ``idle``: so are the forces."""
-        self.cycles, self.size = state.cycles, state.size
+        self.cycles = state.cycles
+        self.size = state.size
         if state.change is not None:
             self.changes.append(state.change)
         residual = (
@@ -194,7 +205,8 @@ class StopTest:
         window = min(window, len(self.changes) - 1)
         if window < 1:
             return np.nan
-        first, last = self.changes[-1 - window], self.changes[-1]
+        first = self.changes[-1 - window]
+        last = self.changes[-1]
         if last == 0.0:
             return 0.0
         return float((last / first) ** (1 / window)) if first > 0 else np.inf
@@ -243,7 +255,8 @@ class ChangeTest(StopTest):
     relative_change = np.inf
 
     def take(self, state: State, run: Run | None = None) -> Status | None:
-        self.cycles, self.relative_change = state.cycles, state.relative_change
+        self.cycles = state.cycles
+        self.relative_change = state.relative_change
         if not self.relative_change < np.inf:
             return Status.DIVERGED
         if state.residual is not None:
@@ -280,7 +293,9 @@ class Measure:
         self.sizes = Sizes(local.discrete, local.frames) if sizes is None else sizes
         if reference is None and run is not None and run.reference is not None:
             reference = local.to_local(run.reference)
-        self.local, self.run, self.reference = local, run, reference
+        self.local = local
+        self.run = run
+        self.reference = reference
         blocks = local.system.diagonal.reshape(-1, local.system.dim, local.system.dim)
         self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
         self._last: tuple[np.ndarray, np.ndarray] | None = None
@@ -294,7 +309,8 @@ class Measure:
         **columns: float,
     ) -> State:
         """The state of an iterate and its residual r = b - A w (n_dofs,)."""
-        system, sizes = self.local.system, self.sizes
+        system = self.local.system
+        sizes = self.sizes
         natural = euclidean_norm(natural_residual(self.local, unknowns, r))
         contact = euclidean_norm(r.reshape(-1, system.dim)[system.nodes].reshape(-1))
         forces = sizes.forces(unknowns, contact)
@@ -377,7 +393,8 @@ class WholeSteps:
     smoothing: Smoothing
 
     def step(self) -> State:
-        one, state = self.smoothing, State(0)
+        one = self.smoothing
+        state = State(0)
         before = one.unknowns.copy()
         one.cycles += one.smooth(one.cycles)
         if one.correct is not None:

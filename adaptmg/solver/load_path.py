@@ -142,7 +142,8 @@ class PathResult(Sequence[Result]):
         :meth:`slip_path`."""
         import pandas
 
-        rows, paths = [], self.slip_path()
+        rows = []
+        paths = self.slip_path()
         for k, result in enumerate(self.results):
             force = result.resultant("contact").force
             c = result.contact
@@ -257,7 +258,9 @@ class StepNotConverged(NotConverged):
 
     def __init__(self, result: Result, step: int, described: str, partial: PathResult) -> None:
         super().__init__(result)
-        self.step, self.described, self.partial = step, described, partial
+        self.step = step
+        self.described = described
+        self.partial = partial
         self.args = (
             f"step {step} of {partial.n_steps} ({described}): {self.args[0]} Smaller load steps help where "
             "the contact status changes much; the steps before it are in .partial.",
@@ -408,7 +411,9 @@ class PathLoop:
     """The steps of a path."""
 
     def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver) -> None:
-        self.grids, self.path, self.solver = grids, path, solver
+        self.grids = grids
+        self.path = path
+        self.solver = solver
         self.factors = path.resolved(_problem_with_names(grids))
         self.loads = _loads(grids)
         for k in range(len(path)):
@@ -445,7 +450,8 @@ class PathLoop:
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
         factors = self._factors_at(k)
-        parts, motions = self.controls.unknowns(factors), self.controls.motions
+        parts = self.controls.unknowns(factors)
+        motions = self.controls.motions
         if parts:
             self._check_statics(k, self._posed(k, motions))
             result, (grids, forces, coarse), motions = self.controls.find(
@@ -555,10 +561,8 @@ class PathLoop:
     def _at_rest(self, forces: np.ndarray) -> bool:
         """Whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b - A
         u_fixed."""
-        contact, quiet = (
-            self.examiner.contact,
-            not (forces.any() or self.examiner.discrete.fixed_values.any()),
-        )
+        contact = self.examiner.contact
+        quiet = not (forces.any() or self.examiner.discrete.fixed_values.any())
         slid = np.abs(contact.slip_reference).any(axis=1)
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
 
@@ -593,12 +597,14 @@ class PathLoop:
     def _posed(self, k: int, motions: Mapping[str, np.ndarray]) -> Hierarchy:
         """The hierarchy with loads, prescribed values, places of obstacles and slip references of a
         step."""
-        factors, levels = self._loading(k, motions), []
+        factors = self._loading(k, motions)
+        levels = []
         places = self.controls.placed(factors, motions)
         offset = len(self.grids) - len(self.levels)
         for number, (level, loads) in enumerate(zip(self.grids.levels, self.loads, strict=True)):
             if loads is not None and number >= offset:
-                problem, reference = level.discrete, level.discrete.contact.slip_reference
+                problem = level.discrete
+                reference = level.discrete.contact.slip_reference
                 if len(self.recent) > 1:
                     reference = problem.at_contact(self.levels[number - offset])
                 step = loads.step(problem, factors, reference)
@@ -615,7 +621,8 @@ class PathLoop:
     def _remember(
         self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None
     ) -> None:
-        discrete, self.coarse = grids.finest.discrete, coarse
+        discrete = grids.finest.discrete
+        self.coarse = coarse
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
         self.recent = [*self.recent[-1:], ((displacement, result.pressures), forces)]

@@ -143,7 +143,9 @@ class KeptMultigrid(TruncatedRun):
         """Go on to the next step: ``hierarchy`` differs in loads, prescribed values and slip
         references only. What the steps before leave in coarse factors is forgotten: a path that is
         resumed has the same bits."""
-        self.hierarchy, self.run, self.cycle.recorder = hierarchy, run, run
+        self.hierarchy = hierarchy
+        self.run = run
+        self.cycle.recorder = run
         self.problems = [level.discrete_or_none for level in hierarchy.levels]
         self.pressures = run.pressures
         self.cycle.factors.forget()
@@ -182,10 +184,12 @@ class KeptMultigrid(TruncatedRun):
         if number not in self._steps:
             self._steps[number] = super()._step(number, unknowns)
             return self._steps[number]
-        step, problem = self._steps[number], self.problems[number]
+        step = self._steps[number]
+        problem = self.problems[number]
         with self.run.phase("setup"):
             data, _ = local_contact(problem)
-            contact, load = step.contact, problem.load_from_prescribed()
+            contact = step.contact
+            load = problem.load_from_prescribed()
             contact.renew(data)
             contact.start(unknowns)
             if step.pressures is not None:
@@ -203,14 +207,17 @@ class TruncatedSteps:
 
     def __init__(self, solver: Multigrid) -> None:
         self.parts = cast("Truncated", solver.correction)
-        self.rtol, self.max_cycles = solver.rtol, solver.max_cycles
+        self.rtol = solver.rtol
+        self.max_cycles = solver.max_cycles
         self.start = solver.start if isinstance(solver, FullMultigrid) else None
         self.multigrid: KeptMultigrid | None = None
 
     def run(
         self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
     ) -> tuple[Outcome, list[np.ndarray] | None]:
-        multigrid, coarse, kind = self.multigrid, None, "given" if past.given else "zero"
+        multigrid = self.multigrid
+        coarse = None
+        kind = "given" if past.given else "zero"
         if multigrid is None or not hierarchy.finest.discrete.alike(multigrid.problems[-1]):
             multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
         else:
@@ -230,7 +237,8 @@ class TruncatedSteps:
                     and examiner.relative_residual(extrapolated, pressures)
                     <= self.EXTRAPOLATE * examiner.relative_residual(start, multigrid.pressures)
                 ):
-                    start, multigrid.pressures = extrapolated, pressures
+                    start = extrapolated
+                    multigrid.pressures = pressures
         else:
             start = (
                 better_start(examiner, past, run)
@@ -314,13 +322,15 @@ class Controls:
         result: list[_Unknowns] = []
         if not self.rigid and not self.bolts:
             return result
-        mesh, discrete = self.level.mesh, self.level.discrete
+        mesh = self.level.mesh
+        discrete = self.level.discrete
         stiffness = float(
             np.abs(discrete.matrix.data[:, range(discrete.dim), range(discrete.dim)]).max()
         )
         first = 0
         for number, obstacle in self.rigid.items():
-            name, dim = obstacle.name, obstacle.dim
+            name = obstacle.name
+            dim = obstacle.dim
             only, *others = obstacle.forces
             if not (others or factors[only] > 0):
                 raise ValueError(
@@ -418,7 +428,8 @@ class Controls:
         """Return the result, what is kept of it, and the motions with which the forces are as
         prescribed. Cycles are those of all contact problems on the finest level, work and seconds
         those of guides, too."""
-        search, guide = Search(self, parts, solve), Guide(self, parts, posed)
+        search = Search(self, parts, solve)
+        guide = Guide(self, parts, posed)
         values = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
         values = guide.pressed(values / search.sizes)
         if len(guide.parts) < len(parts):
@@ -450,7 +461,8 @@ class Controls:
 
     def take(self, factors: Mapping[str, float], motions: Mapping[str, np.ndarray]) -> None:
         """Go past a step."""
-        self.factors, self.motions = dict(factors), dict(motions)
+        self.factors = dict(factors)
+        self.motions = dict(motions)
         self.places = self.placed(factors, motions)
 
 
@@ -464,7 +476,9 @@ class Guide:
         parts: Sequence[_Unknowns],
         posed: Callable[[dict[str, np.ndarray]], Hierarchy],
     ) -> None:
-        self.controls, self.posed, self.all_parts = controls, posed, parts
+        self.controls = controls
+        self.posed = posed
+        self.all_parts = parts
         self.parts = [part for part in parts if part.number >= 0]
         self.size = sum(len(part.targets) for part in self.parts)
         self.sizes = np.concatenate([part.sizes for part in parts])
@@ -532,9 +546,12 @@ class Guide:
         motions = self.controls.taken(self.all_parts, values * self.sizes)
         posed = self.posed(motions)
         discrete = posed[self.number].discrete
-        n, dim, contact = self.size, discrete.dim, discrete.contact
+        n = self.size
+        dim = discrete.dim
+        contact = discrete.contact
         moves = np.zeros((discrete.n_nodes, dim, n))
-        scales, forces = np.zeros(n), np.zeros(n)
+        scales = np.zeros(n)
+        forces = np.zeros(n)
         for part in self.parts:
             nodes = contact.nodes[contact.boundary == part.number]
             arms = (
@@ -594,7 +611,9 @@ class Search(Generic[Kept]):
     the tolerance that suffices."""
 
     def __init__(self, controls: Controls, parts: Sequence[_Unknowns], solve: Solve[Kept]) -> None:
-        self.controls, self.parts, self.solve = controls, parts, solve
+        self.controls = controls
+        self.parts = parts
+        self.solve = solve
         self.sizes = np.concatenate([part.sizes for part in parts])
         self.spent: list[Result] = []
 
@@ -617,7 +636,8 @@ class Search(Generic[Kept]):
     def run(self, trial: _Trial[Kept], guide: Guide | None) -> _Trial[Kept]:
         """Return the last trial; a guide, if there is one, makes the first Jacobian, and better
         values where that does not lead to the solution."""
-        reach, jacobian = 1.0, None
+        reach = 1.0
+        jacobian = None
         while trial.result.status.ok and not self.reached(trial) and len(self.spent) < _MOST:
             fresh = jacobian is None and guide is None
             if fresh:

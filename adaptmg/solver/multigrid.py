@@ -248,17 +248,17 @@ def _continued(
         before.cycles,
         method,
     )
-    run.first_cycle, run.fallback = before.cycles, f"{method} from cycle {before.cycles}"
-    start_work_units, run.pressures = (
-        run.start_work_units,
-        None if start is None else before.pressures,
-    )
+    run.first_cycle = before.cycles
+    run.fallback = f"{method} from cycle {before.cycles}"
+    start_work_units = run.start_work_units
+    run.pressures = None if start is None else before.pressures
     try:
         outcome = solver.run(hierarchy, run, start)
     except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
         # a coarsest problem of few contact nodes may be singular where the finest one is not
         _LOG.info("cycle %d: %s gives up: %s", before.cycles, method, error)
-        run.first_cycle, run.fallback = 0, ""
+        run.first_cycle = 0
+        run.fallback = ""
         return before
     finally:
         run.start_work_units = start_work_units

@@ -71,7 +71,8 @@ def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy
         return grids, cast("Solver", checks.offers("solver", solver, "run", words)), ""
     if len(grids) > 1:
         return _levels_that_pay(grids) if grids.discretised else (grids, Multigrid(), "")
-    level, n_dofs = grids.finest, grids.finest.discrete.n_dofs
+    level = grids.finest
+    n_dofs = grids.finest.discrete.n_dofs
     why = f"for one mesh of {n_dofs} unknowns the quickest is "
     if not factorisable(level.discrete, FACTORISED):
         with suppress(ValueError):  # nothing to coarsen
@@ -86,11 +87,9 @@ def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
     """The default on several discretised levels. Those that are too close to each other have
     Galerkin matrices with as many entries as the finest one, down to the coarsest, whose factors
     then cost more than all the rest."""
-    finest, nodes, wide = (
-        grids.finest,
-        [level.n_nodes for level in grids.levels],
-        WIDE[grids.finest.discrete.dim],
-    )
+    finest = grids.finest
+    nodes = [level.n_nodes for level in grids.levels]
+    wide = WIDE[grids.finest.discrete.dim]
     if finest.discrete.dim * nodes[0] <= LARGE_COARSEST:
         return grids, FullMultigrid(), ""
     if (
@@ -105,7 +104,8 @@ def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
                 "active set method"
             ),
         )
-    last, out = 0, []
+    last = 0
+    out = []
     for level in range(1, len(grids) - 1):
         if wide * nodes[last] <= nodes[level] <= nodes[-1] / wide:
             last = level
@@ -158,10 +158,8 @@ def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
 def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem) -> Outcome:
     """Return what a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers
     are not finite."""
-    name, shape = (
-        f"solver: of the Outcome of {type(solver).__name__}",
-        (discrete.n_nodes, discrete.dim),
-    )
+    name = f"solver: of the Outcome of {type(solver).__name__}"
+    shape = (discrete.n_nodes, discrete.dim)
     checks.instance(f"solver: what {type(solver).__name__} returns", outcome, Outcome)
     displacement = checks.real_array(outcome.displacement)
     if displacement is None or displacement.size != discrete.n_dofs:
@@ -169,10 +167,8 @@ def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem)
             f"{name} displacement must be a real array {shape}, got {checks.shown(outcome.displacement)}"
         )
     checks.instance(f"{name} status", outcome.status, Status, "one of am.Status")
-    cycles, rtol = (
-        checks.integer(f"{name} cycles", outcome.cycles),
-        checks.nonnegative(f"{name} rtol", outcome.rtol),
-    )
+    cycles = checks.integer(f"{name} cycles", outcome.cycles)
+    rtol = checks.nonnegative(f"{name} rtol", outcome.rtol)
     for what in ("error_estimate", "rate"):
         number = checks.real_array(getattr(outcome, what))
         if number is None or number.ndim or number < 0:
@@ -215,7 +211,10 @@ def result_of(
             pressure=volumes.of_elements(outcome.pressures),
             volume_energy=0.5 * volumes.energy(outcome.pressures),
         )
-    mesh, problem, supports, springs = cast("Any", grids.finest.mesh_or_none), grids.problem, {}, {}
+    mesh = cast("Any", grids.finest.mesh_or_none)
+    problem = grids.problem
+    supports = {}
+    springs = {}
     if problem is not None and grids.finest.mesh_or_none is not None:
         supports = {
             name: rows.tolist() for name, rows in held_directions(mesh, problem.supports).items()
@@ -226,7 +225,8 @@ def result_of(
     status = _confirmed(
         outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")
     )
-    least, rtol = examined.checked.energy_rounding, outcome.rtol
+    least = examined.checked.energy_rounding
+    rtol = outcome.rtol
     if status.ok and 0 < rtol < examined.checked.energy_error <= least:
         advise(
             "rounding",

@@ -99,7 +99,8 @@ class ProjectedRun:
         """Solve level by level from the coarsest (steps a and b of the paper)."""
         unknowns = np.empty(0)
         for level in range(len(self.hierarchy) - 1):
-            multigrid, local = self.multigrid(level), self.problems[level]
+            multigrid = self.multigrid(level)
+            local = self.problems[level]
             with self.run.phase("start"):
                 if level == 0:
                     unknowns = np.zeros(local.system.n_dofs)
@@ -227,7 +228,10 @@ class SingleGrid:
         hierarchy.finest.discrete.need_no_volumes("SingleGrid")
         with run.phase("setup"):
             local = local_system(hierarchy.finest.discrete)
-        problem, sizes, restrict, recover = local, None, np.asarray, np.asarray
+        problem = local
+        sizes = None
+        restrict = np.asarray
+        recover = np.asarray
         if self.condensed:
             with run.phase("factorise"):
                 condensed = condense(local)
@@ -236,8 +240,10 @@ class SingleGrid:
                         "condensed=True needs more contact nodes: with all but one fixed, a body that "
                         "only contact holds can still move; use condensed=False"
                     )
-                problem, sizes = condensed.problem, _CondensedSizes(condensed)
-                restrict, recover = condensed.restrict, condensed.recover
+                problem = condensed.problem
+                sizes = _CondensedSizes(condensed)
+                restrict = condensed.restrict
+                recover = condensed.recover
         unknowns = restrict(
             np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
         )

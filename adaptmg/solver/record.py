@@ -126,12 +126,15 @@ class Run:
     def phase(self, name: str) -> Iterator[None]:
         """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...;
         inner ones apart."""
-        begin, untimed, outside = clock(), self.untimed_seconds, self._nested_seconds
+        begin = clock()
+        untimed = self.untimed_seconds
+        outside = self._nested_seconds
         self._nested_seconds = 0.0
         try:
             yield
         finally:
-            compiled, self._compiled = compiling_seconds() - self._compiled, compiling_seconds()
+            compiled = compiling_seconds() - self._compiled
+            self._compiled = compiling_seconds()
             if compiled:
                 self.timings["compiling"] = self.timings.get("compiling", 0.0) + compiled
             seconds = clock() - begin - (self.untimed_seconds - untimed)

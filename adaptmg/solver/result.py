@@ -195,7 +195,8 @@ class Result:
         )
 
     def __str__(self) -> str:
-        states, certified = self.contact.counts(), ""
+        states = self.contact.counts()
+        certified = ""
         if self.checked is not None:
             worst = self.checked.worst
             certified = (
@@ -314,10 +315,8 @@ class Result:
         """Return the principal stresses (n, 3), largest first, Pa, of :meth:`stress`, whose
         arguments it takes."""
         tensors = as_tensors(self.stress(at, recovered=recovered))
-        principal, finite = (
-            np.full((len(tensors), 3), np.nan),
-            np.isfinite(tensors).all(axis=(1, 2)),
-        )
+        principal = np.full((len(tensors), 3), np.nan)
+        finite = np.isfinite(tensors).all(axis=(1, 2))
         principal[finite] = np.linalg.eigvalsh(tensors[finite])[:, ::-1]
         return principal
 
@@ -400,7 +399,8 @@ class Result:
 
     def _extent(self, own: np.ndarray) -> np.ndarray:
         """Of the contact nodes that the mask ``own`` chooses."""
-        c, mesh = self.contact, self.mesh
+        c = self.contact
+        mesh = self.mesh
         closed = np.isin(np.arange(mesh.n_nodes), c.node[own & c.closed])
         points = [mesh.points[closed]]
         for k in np.unique(c.boundary[own]):
@@ -411,7 +411,8 @@ class Result:
         every = np.concatenate(points)
         if not len(every):
             return np.zeros(self.dim)
-        low, high = every.min(axis=0), every.max(axis=0)
+        low = every.min(axis=0)
+        high = every.max(axis=0)
         # up to rounding, as in meshes that are turned profiles
         if c.axisymmetric and low[0] <= 1e-12 * high[0]:
             low[0] = -high[0]
@@ -425,11 +426,15 @@ class Result:
         the origin; area, half-widths as of :attr:`contact_extent`, largest pressure."""
         import pandas
 
-        c, axes, rows = self.contact, "xyz"[: self.dim], []
+        c = self.contact
+        axes = "xyz"[: self.dim]
+        rows = []
         force, area = c.units
         moment, about = ("N m", axes) if self.dim == 3 else ("N", "" if c.axisymmetric else "z")
         for k, (name, pair) in enumerate(zip(c.names, c.pair_names, strict=True)):
-            own, on_it, row = c.boundary == k, self.resultant(name), {"pair": pair}
+            own = c.boundary == k
+            on_it = self.resultant(name)
+            row = {"pair": pair}
             row |= c.counts(own) | {f"area [{area}]": c.measures[own & c.closed].sum()}
             for what, unit, letters, values in (
                 ("force", force, axes, on_it.force),
@@ -457,7 +462,8 @@ class Result:
                 f"of must be one of {', '.join(map(repr, names)) or 'none'}, got {checks.shown(of)}"
             )
         recorded = ~np.isnan(self.history[of])
-        values, work = self.history[of][recorded], self.history["work_units"][recorded]
+        values = self.history[of][recorded]
+        work = self.history["work_units"][recorded]
         above = np.flatnonzero(~(values <= error))
         first = above[-1] + 1 if len(above) else 0
         return float(work[first]) if first < len(work) else float("inf")
@@ -513,7 +519,8 @@ class Result:
         of_springs = np.array(
             self.springs.get("" if touches else boundary, np.zeros(3 * self.dim - 3))
         )
-        force, turning = of_springs[: self.dim], of_springs[self.dim :]
+        force = of_springs[: self.dim]
+        turning = of_springs[self.dim :]
         turning = (
             turning - moment(about[None], force[None]) + moment(mesh.points[nodes] - about, forces)
         )
@@ -550,7 +557,8 @@ class Result:
             )
         if self.mesh_or_none is None:
             raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {c.names}")
-        nodes, of_contact = self.mesh.boundary_nodes(boundary), np.zeros_like(self.reaction)
+        nodes = self.mesh.boundary_nodes(boundary)
+        of_contact = np.zeros_like(self.reaction)
         of_contact[c.node] = c.force
         np.add.at(of_contact, c.master_node, c.master_force)
         if self.ties is not None:
@@ -564,7 +572,8 @@ class Result:
         carries: of several supports that hold one direction the measures at the node decide."""
         n, (own, total) = len(self.reaction), np.zeros((2, len(nodes), self.dim, self.dim))
         for name, directions in self.supports.items():
-            surface, span = self.mesh.surface(name), np.array(directions).T @ np.array(directions)
+            surface = self.mesh.surface(name)
+            span = np.array(directions).T @ np.array(directions)
             at = np.bincount(
                 surface.facets.ravel(), np.repeat(surface.measures, self.dim), minlength=n
             )

@@ -159,7 +159,8 @@ def solve(
         checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run
     )
     with run.phase("result"):
-        problem, mesh = grids.problem, grids.finest.mesh_or_none
+        problem = grids.problem
+        mesh = grids.finest.mesh_or_none
         stress_data = (
             None
             if problem is None or mesh is None

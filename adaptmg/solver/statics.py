@@ -108,7 +108,8 @@ def check_statics_of(grids: Hierarchy) -> None:
 def _too_soft(grids: Hierarchy) -> str:
     """Say which springs are too soft to count on the finest grid, and from which stiffness on they
     surely count."""
-    level, problem = grids.finest, grids.problem
+    level = grids.finest
+    problem = grids.problem
     if problem is None or level.mesh_or_none is None:
         return ""
     least = _SOFTEST * np.abs(level.discrete.matrix.data).max()
@@ -179,10 +180,12 @@ class _Body:
         """A motion (n, dim) of some nodes as text."""
         motions, centre, size = _axis_motions(self.problem, nodes)
         twist = np.linalg.lstsq(motions, field.reshape(-1), rcond=None)[0]
-        most, dim = 1e-6 * np.abs(field).max(), self.problem.dim
+        most = 1e-6 * np.abs(field).max()
+        dim = self.problem.dim
         if np.abs(motions @ twist - field.reshape(-1)).max() > most:
             return "motion (a combination of near_nullspace)"
-        shift, turn = twist[:dim], twist[dim:] / size
+        shift = twist[:dim]
+        turn = twist[dim:] / size
         if size * np.abs(turn).max(initial=0.0) <= most:
             return f"translation along {_axis(shift)}"
         if dim == 2:
@@ -199,7 +202,8 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     force."""
     dim = problem.dim
     dofs = (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
-    modes, forces = problem.near_nullspace[dofs], stiff[dofs] / np.abs(problem.matrix.data).max()
+    modes = problem.near_nullspace[dofs]
+    forces = stiff[dofs] / np.abs(problem.matrix.data).max()
     # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram
     # matrix
     values, vectors = np.linalg.eigh(modes.T @ modes)
@@ -207,7 +211,8 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     if not independent.any():
         return modes[:, :0]
     basis = vectors[:, independent] * np.sqrt(len(nodes) / values[independent])
-    modes, forces = modes @ basis, forces @ basis
+    modes = modes @ basis
+    forces = forces @ basis
     strained = np.linalg.norm(forces, axis=1) > _SOFTEST
     # springs far softer than the body hold it too
     scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
@@ -255,10 +260,8 @@ def _check_body(body: _Body) -> None:
     if np.abs(work).max() <= _UNBALANCED:
         # no load on the free motions: only bodies that contact encloses are held, whose pressures
         # balance each other
-        away, forces = (
-            forces.edges.mean(axis=1),
-            replace(forces, limits=np.zeros_like(forces.limits)),
-        )
+        away = forces.edges.mean(axis=1)
+        forces = replace(forces, limits=np.zeros_like(forces.limits))
         unbalanced, motion = forces.least_unbalanced(away)
         if unbalanced > _UNBALANCED:
             motion = _plainest(body, forces, away, motion)
@@ -320,16 +323,20 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     """The forces that nodal Tresca limits (units of the load) and friction coefficients
     (n_contact,) admit."""
     problem = body.problem
-    dim, contact = problem.dim, problem.contact
+    dim = problem.dim
+    contact = problem.contact
     position = np.searchsorted(body.nodes, contact.nodes)
     mine = position < len(body.nodes)
     mine[mine] = body.nodes[position[mine]] == contact.nodes[mine]
     frames = frames_of(contact, problem.fixed.reshape(-1, dim))[mine]
     at_contact = body.motions.reshape(len(body.nodes), dim, -1)[position[mine]]
     local = np.einsum("nij,njk->nik", frames, at_contact)
-    normal, tangential = local[:, 0], local[:, 1:]
-    limit, friction = np.minimum(limit[mine], _LIMIT), friction[mine]
-    rubbing, limited = friction > 0, limit > 0
+    normal = local[:, 0]
+    tangential = local[:, 1:]
+    limit = np.minimum(limit[mine], _LIMIT)
+    friction = friction[mine]
+    rubbing = friction > 0
+    limited = limit > 0
     corners, directions, half_length = _friction_polygon(dim)
     edges = friction[rubbing, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubbing])
     k = body.motions.shape[1]
@@ -371,7 +378,8 @@ def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
 def _plain_motions(body: _Body) -> np.ndarray:
     """Coefficients (n, k) of those plain motions, both ways, that are free: along and about the
     coordinate axes."""
-    problem, columns = body.problem, []
+    problem = body.problem
+    columns = []
     for _, nodes in body.pieces:
         for motion in _axis_motions(problem, nodes)[0].T:
             field = np.zeros((problem.n_nodes, problem.dim))
@@ -388,11 +396,14 @@ def _axis_motions(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Motions (n * dim, m) of some nodes along, and where there are coordinates about, axes through
     their centre; this centre and the size over which turns are."""
-    dim, centre, size = problem.dim, np.zeros(problem.dim), 1.0
+    dim = problem.dim
+    centre = np.zeros(problem.dim)
+    size = 1.0
     columns = [np.tile(axis, (len(nodes), 1)) for axis in np.eye(dim)]
     if problem.coordinates is not None:
         x = problem.coordinates[nodes]
-        centre, size = x.mean(axis=0), float(np.ptp(x, axis=0).max())
+        centre = x.mean(axis=0)
+        size = float(np.ptp(x, axis=0).max())
         for a, b in [(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)]:
             turn = np.zeros((len(nodes), dim))
             turn[:, a], turn[:, b] = (centre - x)[:, b] / size, (x - centre)[:, a] / size
@@ -427,7 +438,8 @@ _SMALL, _SMALL_CONTACT = 1500, 200
 def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     """Return the critical coefficient of each contact node if it touches alone; NaN for bodies that
     contact holds."""
-    dim, n = problem.dim, len(problem.contact)
+    dim = problem.dim
+    n = len(problem.contact)
     condensed = condense_problem(problem, lenient=True)
     values, vectors = np.linalg.eigh(condensed.matrix)
     if not condensed.regular or not values[0] > 1e-10 * values[-1]:
@@ -446,10 +458,8 @@ def _critical(stiffness: np.ndarray) -> np.ndarray:
     frames."""
     tangential = stiffness[:, 1:, 1:].copy()
     tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
-    along, across = (
-        np.linalg.eigvalsh(tangential)[:, 0],
-        np.linalg.norm(stiffness[:, 0, 1:], axis=1),
-    )
+    along = np.linalg.eigvalsh(tangential)[:, 0]
+    across = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
     return np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
 
 
@@ -457,7 +467,8 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
     """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is
     not cheap, or bodies are held by contact, the one with all other nodes of the finest held, which
     is larger."""
-    problem, critical = grids[0].discrete_or_none, np.array([np.nan])
+    problem = grids[0].discrete_or_none
+    critical = np.array([np.nan])
     if (
         problem is not None
         and problem.law.bounds(len(problem.contact))[1].any()

@@ -57,7 +57,8 @@ class _Writer:
     name is its kind."""
 
     def __init__(self, kinds: Kinds) -> None:
-        self.kinds, self.arrays = kinds, {}
+        self.kinds = kinds
+        self.arrays = {}
         self.seen: dict[int, tuple[int, object]] = {}
 
     def plain(self, name: str, value: object) -> Any:
@@ -118,7 +119,9 @@ class _Reader:
     """The inverse of :class:`_Writer`."""
 
     def __init__(self, kinds: Kinds, arrays: Mapping[str, np.ndarray]) -> None:
-        self.kinds, self.arrays, self.seen = {kind.__name__: kind for kind in kinds}, arrays, []
+        self.kinds = {kind.__name__: kind for kind in kinds}
+        self.arrays = arrays
+        self.seen = []
 
     def value(self, plain: Any) -> Any:
         if isinstance(plain, list):
@@ -222,7 +225,8 @@ def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
     """The arrays of an archive by name; numbers only."""
     with zipfile.ZipFile(file) as archive:
         listed = archive.infolist()
-    size, unpacked = os.fstat(file.fileno()).st_size, sum(entry.file_size for entry in listed)
+    size = os.fstat(file.fileno()).st_size
+    unpacked = sum(entry.file_size for entry in listed)
     if len(listed) > _MOST_ARRAYS or len({entry.filename for entry in listed}) < len(listed):
         raise ValueError(
             f"it lists {len(listed)} arrays, some of them twice or more than {_MOST_ARRAYS}"
@@ -244,7 +248,9 @@ class StepStore:
     """A folder of steps under a head."""
 
     def __init__(self, folder: Path, name: str, head: Mapping[str, object], kinds: Kinds) -> None:
-        self.folder, self.file, self.kinds = folder, folder / name, kinds
+        self.folder = folder
+        self.file = folder / name
+        self.kinds = kinds
         self.head: dict[str, Any] = dict(head)
         self.key = _hash(self.head)
 
@@ -286,7 +292,8 @@ class StepStore:
             raise ValueError(f"{folder} holds no steps: there is no {name}") from error
         with damage(folder / name):
             head = checks.instance("its text", json.loads(content), dict, "an object")
-            version, key = head.pop("format"), head.pop("key")
+            version = head.pop("format")
+            key = head.pop("key")
             store = cls(folder, name, head, kinds)
             if version == _FORMAT and key != store.key:
                 raise ValueError("its key does not fit its content")
@@ -365,7 +372,8 @@ def fingerprint(
     depends = checks.instance(
         "depends", {} if depends is None else depends, Mapping, "a mapping of names to values"
     )
-    finest, contact = grids.finest.discrete, grids.finest.discrete.contact
+    finest = grids.finest.discrete
+    contact = grids.finest.discrete.contact
     coordinates = [] if finest.coordinates is None else [_sums(finest.coordinates)]
     return {
         "problem": grids.problem.name if grids.problem is not None else "",

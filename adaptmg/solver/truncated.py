@@ -337,13 +337,11 @@ class TruncatedRun:
         self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int
     ) -> None:
         need_levels(hierarchy)
-        self.parts, self.hierarchy, self.run, self.rtol, self.max_cycles = (
-            parts,
-            hierarchy,
-            run,
-            rtol,
-            max_cycles,
-        )
+        self.parts = parts
+        self.hierarchy = hierarchy
+        self.run = run
+        self.rtol = rtol
+        self.max_cycles = max_cycles
         with run.phase("setup"):
             prolongations = nodal_prolongations(hierarchy)
             levels = galerkin_levels(hierarchy, prolongations)
@@ -378,7 +376,8 @@ class TruncatedRun:
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,),
         Cartesian."""
-        unknowns, before = self._solve_coarsest(start), None
+        unknowns = self._solve_coarsest(start)
+        before = None
         for number in range(len(self.hierarchy) - 1):
             if number > 0:
                 unknowns = self._start_cycles(number, unknowns, start)
@@ -387,13 +386,15 @@ class TruncatedRun:
                     *self.problems[number : number + 2],
                     self.cycle.levels[number + 1],
                 )
-                solution, displacement = coarse.with_prescribed(unknowns), np.zeros(fine.n_dofs)
+                solution = coarse.with_prescribed(unknowns)
+                displacement = np.zeros(fine.n_dofs)
                 finer.prolong(solution, displacement)
                 prolonged = displacement.copy() if self._extrapolation(number + 1) > 0 else None
                 if before is not None:
                     change = self._extrapolation(number) * (solution - before)
                     finer.prolong(change, displacement)
-                unknowns, before = fine.from_prescribed(displacement), prolonged
+                unknowns = fine.from_prescribed(displacement)
+                before = prolonged
                 self.pressures = prolonged_pressures(
                     coarse, fine, finer.prolongation, self.pressures
                 )
@@ -451,12 +452,11 @@ class TruncatedRun:
     def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
         """Steps on level ``number`` from ``unknowns`` (n_dofs,), which become admissible."""
         with self.run.phase("setup"):
-            problem, parts = self.problems[number], self.parts
+            problem = self.problems[number]
+            parts = self.parts
             levels = [level.matrix for level in self.cycle.levels]
-            contact, load = (
-                TruncatedContact.of(problem, levels[number]),
-                problem.load_from_prescribed(),
-            )
+            contact = TruncatedContact.of(problem, levels[number])
+            load = problem.load_from_prescribed()
             contact.start(unknowns)
             interface = None
             if problem.between_bodies and parts.interface_sweeps:
@@ -514,14 +514,17 @@ class TruncatedRun:
             return problem.from_prescribed(solution)
 
     def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
-        given, first = unknowns.copy(), np.inf
-        step, problem = self._step(number, unknowns), self.problems[number]
+        given = unknowns.copy()
+        first = np.inf
+        step = self._step(number, unknowns)
+        problem = self.problems[number]
         with self.run.phase("start"):
             if start.cycles == "complete":
                 cycles = TruncatedIteration(step, problem, start.rtol, self.COMPLETE_LIMIT)
                 iterate(cycles, cycles)
             else:
-                sizes, enough = Sizes(problem), start.cycles_on(problem, self.problems[number + 1])
+                sizes = Sizes(problem)
+                enough = start.cycles_on(problem, self.problems[number + 1])
                 for cycle in range(max(enough, TruncatedIteration.START_CYCLES)):
                     # the next level takes over no iterate with a large residual
                     state = step.measure(

@@ -367,13 +367,13 @@ class _Runs:
     def __init__(
         self, client: Client, order: Order, points: Iterator[Point | None], limit_s: float | None
     ) -> None:
-        self._client, self._order, self._limit_s = (
-            client,
-            pickle.dumps(order),
-            math.inf if limit_s is None else limit_s,
-        )
-        self._name, self._numbers = f"adaptmg-{uuid.uuid4().hex[:12]}", itertools.count()
-        self._points, self._open = points, True
+        self._client = client
+        self._order = pickle.dumps(order)
+        self._limit_s = math.inf if limit_s is None else limit_s
+        self._name = f"adaptmg-{uuid.uuid4().hex[:12]}"
+        self._numbers = itertools.count()
+        self._points = points
+        self._open = True
         self._out: dict[str, _Run] = {}
         self._back: queue.SimpleQueue[tuple[str, Finished | BaseException]] = queue.SimpleQueue()
         self._large: set[str] = set()  # workers that held too much memory
@@ -454,7 +454,8 @@ class _Runs:
         """A worker reports that a run begins, perhaps again, as dask started it on another
         worker."""
         if (run := self._out.get(event[1]["run"])) is not None:
-            run.worker, run.began = event[1]["worker"], time.monotonic()
+            run.worker = event[1]["worker"]
+            run.began = time.monotonic()
 
     def _stop_late(self) -> None:
         """Stop the runs that are over their time."""

@@ -63,7 +63,8 @@ class Design:
     """Points of a study, all with the same names."""
 
     def __init__(self, points: list[Point]) -> None:
-        self.names, self._points = tuple(points[0]), points
+        self.names = tuple(points[0])
+        self._points = points
 
     def __len__(self) -> int:
         return len(self._points)

@@ -81,7 +81,10 @@ def compute(function: RunFunction, point: Point, interruptible: bool = True) -> 
     started = now()
     reset_peak_memory()
     begin = _clock()
-    end, results, packed, exception = None, {}, {}, None
+    end = None
+    results = {}
+    packed = {}
+    exception = None
     try:
         returned = function(**point)
         end = _clock()
@@ -133,7 +136,8 @@ def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict
             f"the run function must return a dict of numbers, strings and bools, got "
             f"{checks.shown(returned)}"
         )
-    results, packed = {}, {}
+    results = {}
+    packed = {}
     for name, value in returned.items():
         if not isinstance(name, str):
             raise WrongResults(f"the names of results must be strings, got {checks.shown(name)}")
@@ -143,7 +147,8 @@ def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict
             )
         value = plain(value)
         if (kept := pack(value)) is not None:
-            packed[name], value = kept, kept.kind
+            packed[name] = kept
+            value = kept.kind
         if value is not None and type(value) not in (bool, int, float, str):
             raise WrongResults(
                 f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "

@@ -254,7 +254,8 @@ class Study:
         for name, flag in (("rerun", rerun), ("retry_failed", retry_failed), ("throw", throw)):
             checks.flag(name, flag)
         code = self._fingerprint()
-        rows, valid = self._rows(code), ("done",) if retry_failed else ("done", "failed")
+        rows = self._rows(code)
+        valid = ("done",) if retry_failed else ("done", "failed")
         todo = in_order(
             {
                 canonical(point): (point, record)
@@ -271,7 +272,8 @@ class Study:
                 from adaptmg.study.cluster import opened
 
                 executor = opened(workers, scheduler, len(todo), memory)
-            task, owner = Task(self._function, code, tuple(self._depends), limit_s), new_owner()
+            task = Task(self._function, code, tuple(self._depends), limit_s)
+            owner = new_owner()
             with self._store.claims_of(owner), executor as execute:
                 runs = execute(task, self._claimed(todo, owner))
                 self._compute(runs, code, len(todo), progress, throw)
@@ -291,12 +293,10 @@ class Study:
 
     def status(self) -> StudyStatus:
         """Return how many runs are done, failed, stale and missing, and why runs are stale."""
-        code, reasons, errors, origins = (
-            self._fingerprint(),
-            Counter(),
-            Counter(),
-            self._store.origins(),
-        )
+        code = self._fingerprint()
+        reasons = Counter()
+        errors = Counter()
+        origins = self._store.origins()
         rows = self._rows(code)
         for _, record, state in rows:
             if state == "stale" and record is not None:
@@ -392,11 +392,15 @@ class Study:
     def _claimed(self, todo: Mapping[str, Stored], owner: str) -> Iterator[Point | None]:
         """Yield the points that this process claims, None while others compute the rest. What
         another has stored meanwhile is left out."""
-        left, count = list(todo.items()), 1
+        left = list(todo.items())
+        count = 1
         while left:
-            held, at = [], 0
+            held = []
+            at = 0
             while at < len(left):
-                batch, at, begin = left[at : at + count], at + count, time.perf_counter()
+                batch = left[at : at + count]
+                at = at + count
+                begin = time.perf_counter()
                 claims = self._store.claim(self.name, [key for key, _ in batch], owner)
                 for item, ours in zip(batch, claims, strict=True):
                     key, (point, stored) = item
@@ -509,12 +513,17 @@ class Watch:
     """Counts of a running study."""
 
     def __init__(self, name: str, total: int, done: int) -> None:
-        self.name, self.total, self.done, self.failed = name, total, done, 0
-        self._before, self._begin = done, time.monotonic()
+        self.name = name
+        self.total = total
+        self.done = done
+        self.failed = 0
+        self._before = done
+        self._begin = time.monotonic()
 
     def words(self) -> str:
         """Return failures, runs that are left, and how long these take at the pace so far."""
-        left, here = self.total - self.done, self.done - self._before
+        left = self.total - self.done
+        here = self.done - self._before
         seconds = (time.monotonic() - self._begin) / max(here, 1) * left
         more = f", about {timedelta(seconds=round(seconds))} more" if here and left else ""
         return f"{self.failed or 'none'} failed, {left} left{more}"

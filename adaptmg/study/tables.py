@@ -48,7 +48,8 @@ def frame(
 
     records = [record for _, record, _ in rows if record is not None]
     given = dict.fromkeys((*names, *(name for record in records for name in record.results)))
-    own, lines = own_columns(given), []
+    own = own_columns(given)
+    lines = []
     shown = [own[name] for name in (*RESERVED, *(DETAILS if details else ()))]
     for point, record, status in rows:
         line = {name: point.get(name) for name in names} | {own["error"]: ""}

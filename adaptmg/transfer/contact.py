@@ -123,7 +123,8 @@ def between_levels(
 ) -> LevelTransfer:
     """Return prolongations between the discretisations of one problem on two meshes."""
     nodal = _built(transfer, coarse, fine)
-    contact, coupling = fine_problem.contact, fine_problem.coupling
+    contact = fine_problem.contact
+    coupling = fine_problem.coupling
     if coupling is not None:
         _check_bodies(nodal, coarse, fine, transfer)
     slave_rows = [
@@ -143,10 +144,8 @@ def between_levels(
         for nodes, rows in (*master_rows, *slave_rows):
             if (abs(nodal[nodes] - rows) > CLIP).nnz:  # not on nested meshes
                 nodal = with_contact_rows(nodal, nodes, rows)
-    relative, above = (
-        relative_prolongation(nodal, coupling, coarse_problem.coupling),
-        coarse_problem.contact,
-    )
+    relative = relative_prolongation(nodal, coupling, coarse_problem.coupling)
+    above = coarse_problem.contact
     surface = relative
     # others are held: no coarse bound limits what they would pass to fine contact nodes
     passes = np.isin(np.arange(coarse.n_nodes), above.nodes) | coarse_problem.fixed.reshape(
@@ -209,7 +208,8 @@ def _on_side(
 
 
 def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
-    returned, wanted = transfer.build(coarse, fine), (fine.n_nodes, coarse.n_nodes)
+    returned = transfer.build(coarse, fine)
+    wanted = (fine.n_nodes, coarse.n_nodes)
     if sparse.issparse(returned) and returned.shape != wanted:
         raise ValueError(
             f"transfer.build must return a matrix of shape {wanted} (fine, coarse nodes), "
@@ -241,14 +241,13 @@ def _check_bodies(
     )
     _, part = connected_components(incidence.T @ incidence, directed=False)
     rows = np.repeat(np.arange(fine.n_nodes), np.diff(nodal.indptr))
-    below, above = nodes_of_bodies(fine)[rows], nodes_of_bodies(coarse, "coarse")[nodal.indices]
+    below = nodes_of_bodies(fine)[rows]
+    above = nodes_of_bodies(coarse, "coarse")[nodal.indices]
     wrong = np.flatnonzero((part[below] != part[above]) & (nodal.data != 0.0))
     if wrong.size:
-        node, own, other = (
-            rows[wrong[0]],
-            fine.bodies[below[wrong[0]]],
-            coarse.bodies[above[wrong[0]]],
-        )
+        node = rows[wrong[0]]
+        own = fine.bodies[below[wrong[0]]]
+        other = coarse.bodies[above[wrong[0]]]
         raise ValueError(
             f"transfer.build of {transfer!r} lets node {node} of body {own!r} follow body {other!r}: "
             "build the rows of each body from its own nodes (mesh.element_body tells which they are)"
@@ -302,7 +301,8 @@ class Supports:
 
     def reduced(self, ufunc: np.ufunc, values: np.ndarray, empty: float) -> np.ndarray:
         """Return fine values (n_fine, ...) reduced over each S_k, ``empty`` where it is."""
-        values, filled = self._over_fine(values), self.main >= 0
+        values = self._over_fine(values)
+        filled = self.main >= 0
         result = np.full((len(self.main), *values.shape[1:]), empty, dtype=values.dtype)
         if filled.any():
             result[filled] = ufunc.reduceat(values[self.nodes], self.indptr[:-1][filled])
@@ -379,7 +379,8 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     slip = slip if stick is None else np.where(stick[:, None], 0.0, slip)
     if slip.shape[1] == 1:
         # one of the two is 0 unless all have one sign
-        low, high = sets.reduced(np.minimum, slip, 0.0), sets.reduced(np.maximum, slip, 0.0)
+        low = sets.reduced(np.minimum, slip, 0.0)
+        high = sets.reduced(np.maximum, slip, 0.0)
         return np.maximum(low, 0.0) + np.minimum(high, 0.0)
     size = np.hypot(slip[:, 0], slip[:, 1])
     coarse = np.repeat(np.arange(len(sets.main)), np.diff(sets.indptr))
@@ -388,7 +389,8 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     shortest = np.zeros(len(sets.main), dtype=np.int64)
     filled = sets.main >= 0
     shortest[filled] = sets.nodes[order[sets.indptr[:-1][filled]]]
-    this, best = slip[sets.nodes], slip[shortest[coarse]]
+    this = slip[sets.nodes]
+    best = slip[shortest[coarse]]
     dot = this[:, 0] * best[:, 0] + this[:, 1] * best[:, 1]
     cross = this[:, 0] * best[:, 1] - this[:, 1] * best[:, 0]
     other = ~(dot > 0.0) | (

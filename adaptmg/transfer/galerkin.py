@@ -30,7 +30,8 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
 
 def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
     """Return what :func:`galerkin_product` does, of matrices of the package's own."""
-    dim, coarse = matrix.blocksize[0], nodal.shape[1]
+    dim = matrix.blocksize[0]
+    coarse = nodal.shape[1]
     # products of scalars would drop entries that vanish, and truncation needs the whole pattern: a
     # column of zeros more
     wide = max(dim, 2)
@@ -111,7 +112,8 @@ def coarse_spaces(
     checked = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
     if not checked:
         raise ValueError("prolongations is empty: give at least one, or use Hierarchy.single")
-    dim, n = matrix.blocksize[0], matrix.shape[0]
+    dim = matrix.blocksize[0]
+    n = matrix.shape[0]
     if checked[-1].shape[0] not in (n, n // dim):
         raise ValueError(
             f"prolongations[{len(checked) - 1}] must have {n // dim} rows (nodes) or {n} (dofs), got "
@@ -122,7 +124,8 @@ def coarse_spaces(
     if of_dofs:
         current = sparse.bsr_array(sparse.csr_array(current), blocksize=(1, 1))
     matrices: list[sparse.bsr_array] = []
-    rows, finer = checked[-1].shape[0], None
+    rows = checked[-1].shape[0]
+    finer = None
     for k in range(len(checked) - 1, -1, -1):
         P = checked[k]
         if P.shape[0] != rows or not 0 < P.shape[1] < rows:
@@ -152,7 +155,9 @@ def without_fixed(
     rows = np.repeat(np.arange(len(free)), np.diff(matrix.indptr))
     # few blocks are touched
     at = np.flatnonzero(held[rows] | held[matrix.indices])
-    row, column, blocks = rows[at], matrix.indices[at], matrix.data[at]
+    row = rows[at]
+    column = matrix.indices[at]
+    blocks = matrix.data[at]
     diagonal = (row == column)[:, None, None] * blocks * (np.eye(dim) * (1 - free[row])[:, :, None])
     matrix.data[at] = blocks * free[row][:, :, None] * free[column][:, None, :] + diagonal
     return matrix

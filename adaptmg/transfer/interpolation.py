@@ -143,17 +143,17 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
     """Locate every fine node in the coarse elements of its body."""
     locators = body_locators(coarse, fine)
     element = np.empty(fine.n_nodes, dtype=np.int32)
-    weights, distance = np.empty((fine.n_nodes, fine.dim + 1)), np.empty(fine.n_nodes)
+    weights = np.empty((fine.n_nodes, fine.dim + 1))
+    distance = np.empty(fine.n_nodes)
     body_of = None if locators[0][0] is None else nodes_of_bodies(fine)
     for body, locator in locators:
         nodes = slice(None) if body is None else np.flatnonzero(body_of == body)
         found = locator.locate(fine.points[nodes])
-        element[nodes], weights[nodes], distance[nodes] = (
-            found.element,
-            found.weights,
-            found.distance,
-        )
-    relative, outside = np.zeros(fine.n_nodes), np.flatnonzero(distance)
+        element[nodes] = found.element
+        weights[nodes] = found.weights
+        distance[nodes] = found.distance
+    relative = np.zeros(fine.n_nodes)
+    outside = np.flatnonzero(distance)
     relative[outside] = distance[outside] / longest_edges(
         coarse.points[coarse.elements[element[outside]]]
     )
@@ -173,14 +173,19 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
     other meshes."""
     if not (coarse.bodies == fine.bodies and len(coarse.lattices) == len(fine.lattices) > 0):
         return None
-    node, column, weights = 0, 0, np.empty((fine.n_nodes, fine.dim + 1))
+    node = 0
+    column = 0
+    weights = np.empty((fine.n_nodes, fine.dim + 1))
     columns = np.empty(weights.shape, dtype=np.int32)
     for below, above in zip(coarse.lattices, fine.lattices, strict=True):
         strides = np.cumprod([1, *(m + 1 for m in below)], dtype=np.int32)
-        end, last = node + math.prod(n + 1 for n in above), column + int(strides[-1])
+        end = node + math.prod(n + 1 for n in above)
+        last = column + int(strides[-1])
         if (coarse.points[[column, last - 1]] != fine.points[[node, end - 1]]).any():
             return None
-        at, shares, steps = np.int32(column), [], list(strides[:-1])
+        at = np.int32(column)
+        shares = []
+        steps = list(strides[:-1])
         for k, (m, n) in enumerate(zip(below, above, strict=True)):
             # of nodes along an axis the coarse cell, and how far in it they lie
             cell, rest = np.divmod(np.arange(n + 1) * m, n)
@@ -202,7 +207,8 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
                 at.reshape(-1),
             )
             at = at + steps[k] if k < fine.dim else at
-        node, column = end, last
+        node = end
+        column = last
     return _rows(columns, weights, weights >= CLIP, coarse.n_nodes)
 
 
@@ -249,7 +255,8 @@ def _with_moments(
 ) -> tuple[sparse.csr_array, np.ndarray]:
     """The matrix with other sums and moments of its rows, and whether each row has reached them; no
     row is empty."""
-    row, starts = np.repeat(np.arange(fine.n_nodes), np.diff(matrix.indptr)), matrix.indptr[:-1]
+    row = np.repeat(np.arange(fine.n_nodes), np.diff(matrix.indptr))
+    starts = matrix.indptr[:-1]
     apart = coarse.points[matrix.indices] - fine.points[row]
     scale = np.empty(fine.n_nodes)
     scale[fine.elements] = fine.element_sizes[:, None]  # that of one of its elements will do
@@ -257,7 +264,8 @@ def _with_moments(
     q = np.column_stack([np.ones(len(row)), apart / scale[row]])
     residual = np.column_stack([moments[:, 0], moments[:, 1:] / scale])
     residual -= np.add.reduceat(matrix.data[:, None] * q, starts)
-    multiplier, reached = np.zeros(residual.shape), np.ones(fine.n_nodes, dtype=bool)
+    multiplier = np.zeros(residual.shape)
+    reached = np.ones(fine.n_nodes, dtype=bool)
     wrong = np.flatnonzero(np.abs(residual).max(axis=1) > 4 * np.finfo(float).eps)
     gram = np.array([[np.add.reduceat(a * b, starts)[wrong] for a in q.T] for b in q.T]).T
     inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)

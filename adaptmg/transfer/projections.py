@@ -128,7 +128,8 @@ class QuasiInterpolation(_Projection):
 
 def _patch_coefficients(fine: MeshArrays, node: np.ndarray, element: np.ndarray) -> np.ndarray:
     """c_i . q(x_k) at the corners k of every element of the patch of i (n_incidences, dim + 1)."""
-    k, first = fine.dim + 1, np.searchsorted(node, np.arange(fine.n_nodes))
+    k = fine.dim + 1
+    first = np.searchsorted(node, np.arange(fine.n_nodes))
     relative = fine.points[fine.elements[element]] - fine.points[node][:, None, :]
     size = np.maximum.reduceat(np.abs(relative).max(axis=(1, 2)), first)
     q = np.concatenate([np.ones((len(node), k, 1)), relative / size[node][:, None, None]], axis=2)
@@ -167,7 +168,8 @@ class L2(_Projection):
     """
 
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
-        coarse, fine = integrals.coarse, integrals.fine
+        coarse = integrals.coarse
+        fine = integrals.fine
         rhs = integrals.assemble(integrals.shape_coefficients())
         mass = mass_matrix(fine)
         centre = coarse.points.mean(axis=0)
@@ -194,10 +196,8 @@ def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
     """Return the P1 mass matrix (n_nodes, n_nodes), m^2 or m^3."""
     k = mesh.elements.shape[1]
     blocks = (np.eye(k) + 1.0) * (mesh.volumes / (k * (k + 1)))[:, None, None]
-    rows, columns = (
-        np.repeat(mesh.elements, k, axis=1).ravel(),
-        np.tile(mesh.elements, (1, k)).ravel(),
-    )
+    rows = np.repeat(mesh.elements, k, axis=1).ravel()
+    columns = np.tile(mesh.elements, (1, k)).ravel()
     return sparse.csr_array((blocks.ravel(), (rows, columns)), shape=(mesh.n_nodes, mesh.n_nodes))
 
 
@@ -205,8 +205,10 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
     """Solve M X = B to ``tolerance`` relative in the norm of M; sparse iterates lose entries below
     ``drop``."""
     inverse = sparse.diags_array(1.0 / mass.diagonal()).tocsr()
-    low, high = 0.5, (dim + 2) / 2
-    middle, half = (high + low) / 2, (high - low) / 2
+    low = 0.5
+    high = (dim + 2) / 2
+    middle = (high + low) / 2
+    half = (high - low) / 2
     sigma = middle / half
     scaled_mass = inverse @ mass
     scaled_rhs = cast("Any", inverse @ rhs)  # scipy-stubs: sparse or dense as rhs is
@@ -220,10 +222,8 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
         step = rho * previous * step + 2 * rho / half * residual
         solution = solution + step
         if drop > 0:
-            step, solution = (
-                interpolation.dropped(step, drop),
-                interpolation.dropped(solution, drop),
-            )
+            step = interpolation.dropped(step, drop)
+            solution = interpolation.dropped(solution, drop)
     return cast("Any", solution)
 
 
@@ -255,7 +255,8 @@ class MixedMass:
         """Sum over patches: the product of the coefficients and the integrals, whose rows are
         corners of elements."""
         k, (nodes, elements, _) = self.fine.dim + 1, self.patches
-        rows, corners = k * len(self.fine.elements), k * self.elements[:, None] + np.arange(k)
+        rows = k * len(self.fine.elements)
+        corners = k * self.elements[:, None] + np.arange(k)
         integrals = sparse.csr_array(
             (self.values.ravel(), (corners.ravel(), np.repeat(self.columns, k))),
             shape=(rows, self.coarse.n_nodes),
@@ -304,15 +305,15 @@ def _body_entries(
     """Entries (element, coarse node, values) of clipped elements, then of those that need
     quadrature."""
     k = fine.dim + 1
-    covered, fine_points, tree = np.empty(len(elements)), padded(fine.points), locator.tree
+    covered = np.empty(len(elements))
+    fine_points = padded(fine.points)
+    tree = locator.tree
     fine_maps = affine_maps(fine_points, fine.elements)
     marker = np.full(locator.mesh.n_nodes, -1, dtype=np.int64)
     capacity = 8 * k * len(elements) + 64
-    element, columns, values = (
-        np.empty(capacity, np.int64),
-        np.empty(capacity, np.int32),
-        np.empty((capacity, k)),
-    )
+    element = np.empty(capacity, np.int64)
+    columns = np.empty(capacity, np.int32)
+    values = np.empty((capacity, k))
     done = count = 0
     while True:
         done, count = clip_elements(
@@ -388,13 +389,13 @@ def clip_elements(
     element that the coarse mesh covers; ``marker`` (n_coarse,) is -1 throughout on entry and
     exit."""
     k = elements.shape[1]
-    mu, moments = np.empty((k, k)), np.empty((k, k))
-    pieces, levels = np.empty((PIECES, 1 + 2 * k * k)), np.empty(PIECES, dtype=np.int64)
-    stack, box, candidates = (
-        np.empty(STACK, dtype=np.int64),
-        np.empty(2 * (k - 1)),
-        np.empty(len(coarse), np.int64),
-    )
+    mu = np.empty((k, k))
+    moments = np.empty((k, k))
+    pieces = np.empty((PIECES, 1 + 2 * k * k))
+    levels = np.empty(PIECES, dtype=np.int64)
+    stack = np.empty(STACK, dtype=np.int64)
+    box = np.empty(2 * (k - 1))
+    candidates = np.empty(len(coarse), np.int64)
     for c in range(done, len(chosen)):
         e = chosen[c]
         start = count
