@@ -78,13 +78,11 @@ def adapt(
         mesh. Default: an eighth of the square root of the mean area of the bodies (3D: a quarter of
         the cube root of the mean volume), in the plane with at least three elements along each
         contact boundary.
-    indicator : Residual, Recovery, Goal or an object with ``indicate(hierarchy, result) ->
-    Estimate``, optional
+    indicator : Residual, Recovery, Goal or an object with ``indicate(hierarchy, result)``, optional
         Default ``Residual()``.
     mark : Doerfler, Maximum or an object with ``mark(estimate) -> mask of elements``, optional
         Default ``Doerfler()``.
-    engine : Remesh, Bisect or an object with ``refine(problem, mesh, estimate, marked,
-    max_nodes=None)``, optional
+    engine : Remesh, Bisect or an object with ``refine``, optional
         See :class:`adaptmg.estimate.engines.Engine`. Default ``Bisect()``.
     tolerance : float, optional
         Stop when the estimate is so small relative to ||u||_A (of a goal: to the quantity; and

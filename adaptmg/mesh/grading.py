@@ -79,8 +79,7 @@ def graded(
 
     Parameters
     ----------
-    domain : Rectangle, Polygon, Outline, Circle, Box, Cylinder, Cut, ..., Assembly of these, or
-    StepFile
+    domain : Rectangle, Polygon, Outline, Circle, Box, Cylinder, ..., Assembly of these, or StepFile
         What to mesh. A StepFile is treated like an assembly of its solids.
     size : float; of an assembly also a mapping of str to float
         Edge length far from contact, m; a mapping names each body.

@@ -198,7 +198,7 @@ class PointForce(Acting):
     ----------
     point : sequence of float
         m. Every mesh must have a node there: graded meshes of plane domains do at points of
-           straight edges.
+        straight edges.
     components : sequence of float
         Cartesian components, N (plane: per metre of thickness; axisymmetric: of the full
         circumference).
@@ -433,7 +433,7 @@ class PointSupport(_Holds):
     ----------
     point : sequence of float
         m. Every mesh must have a node there: graded meshes of plane domains do at points of
-           straight edges.
+        straight edges.
     x, y, z : float, callable or None
         Prescribed displacement, m.
     body : str, optional
@@ -490,7 +490,7 @@ class PointSpring(_Holds):
     ----------
     point : sequence of float
         m. Every mesh must have a node there: graded meshes of plane domains do at points of
-           straight edges.
+        straight edges.
     x, y, z : float
         Stiffness, N/m (plane: per metre of thickness; axisymmetric: of the full circumference), >=
         0.

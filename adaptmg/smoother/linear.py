@@ -167,9 +167,8 @@ class AMG:
 
     Notes
     -----
-    P. Vanek, J. Mandel, M. Brezina, Computing 56, 1996, doi:10.1007/BF02238511; N. Bell, L. Olson,
-       J. Schroder,
-    B. Southworth, PyAMG, JOSS 8 (87), 2023, doi:10.21105/joss.05495.
+    P. Vanek, J. Mandel, M. Brezina, Computing 56, 1996, doi:10.1007/BF02238511. N. Bell, L. Olson,
+    J. Schroder, B. Southworth, PyAMG, JOSS 8 (87), 2023, doi:10.21105/joss.05495.
 
     Examples
     --------
