@@ -34,7 +34,7 @@ def process_name(process: int) -> str:
     there is none of this number. It has nothing of a clock that is set, as psutil's times do."""
     place = platform.node()
     start = None
-    with suppress(OSError):  # containers number their processes anew
+    with suppress(OSError):  # containers number their processes from 1
         place += os.readlink("/proc/self/ns/pid")
     with suppress(OSError, ValueError):
         status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")

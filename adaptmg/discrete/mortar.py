@@ -48,11 +48,9 @@ Where the meshes match, node j may face the one master node k(j) nearest to it
 over the slave surface (in axisymmetry with :math:`2\pi r`).
 
 Sources: B. Wohlmuth, SIAM J. Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929 (dual
-multipliers); A. Popp,
-M. Gitterle, M. Gee, W. Wall, Int. J. Numer. Meth. Engng 83, 2010, doi:10.1002/nme.2866 (in 3D); T.
-Cichosz,
-M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011, doi:10.1016/j.cma.2010.11.004 (over the
-covered part).
+multipliers); A. Popp, M. Gitterle, M. Gee, W. Wall, Int. J. Numer. Meth. Engng 83, 2010,
+doi:10.1002/nme.2866 (in 3D); T. Cichosz, M. Bischoff, Comput. Methods Appl. Mech. Engrg 200, 2011,
+doi:10.1016/j.cma.2010.11.004 (over the covered part).
 """
 
 from __future__ import annotations

@@ -14,10 +14,9 @@ counts as open. The signed sum is quoted; its parts with the diagonal in place o
 by absolute value where to refine, and overestimate the error several times.
 
 R. Becker, R. Rannacher, Acta Numerica 10, 2001, doi:10.1017/S0962492901000010; with contact and
-friction linearised at
-the solution as in the semismooth Newton method. The sum does not contain that the contact zones end
-elsewhere than in the discrete solution; both fields are singular at the ends of the zones, so that
-the marks refine there all the same."""
+friction linearised at the solution as in the semismooth Newton method. The sum does not contain
+that the contact zones end elsewhere than in the discrete solution; both fields are singular at the
+ends of the zones, so that the marks refine there all the same."""
 
 from __future__ import annotations
 

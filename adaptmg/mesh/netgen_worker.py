@@ -361,7 +361,7 @@ def face_sides() -> tuple[np.ndarray, np.ndarray]:
         if not np.ptp(normal, axis=0).max() < _FLAT:
             normals.append([math.nan] * 3)
             continue
-        # the surface does not know which side is outside: the face and its turned copy beside it
+        # the surface does not know which side is outside: the face and its turned copy next to it
         # enclose a volume, which is negative where the copy lies outside
         volume = occ.Compound([face, face.Move(Vec(*normal[0])).Reversed()]).mass
         normals.append(-math.copysign(1, volume) * normal[0])

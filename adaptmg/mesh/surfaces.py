@@ -43,7 +43,7 @@ _GRAZING, _PARALLEL = 0.1, 0.5
 _MOVED = 1e-5
 #: the same after bisection, which may leave nodes on chords: those of 90 degrees are .1 high
 CHORDAL = 0.1
-# the middle of a facet lies over the edge behind it, or beside it by this part of its length: rounding
+# the middle of a facet lies over the edge behind it, or next to it by this part of its length: rounding
 _BESIDE = 1e-3
 
 

@@ -446,8 +446,7 @@ class PyAMG:
     -----
     Matrices and prolongations are those of the hierarchy; pyamg brings cycles and sweeps
     (``pyamg.MultilevelSolver``). Its sweeps are pointwise. The coarsest problem is solved by a
-    pseudo-inverse up to 800 dofs (one takes 0.1 s there, with the third power of the dofs), above
-    by LU factors.
+    pseudo-inverse up to 400 dofs, above by LU factors.
 
     Examples
     --------
@@ -489,8 +488,9 @@ class PyAMG:
         return _PyAMGCycles(self, multilevel)
 
 
-#: dofs up to which pyamg solves the coarsest problem by a pseudo-inverse: 0.1 s at 800, 0.8 s at 1600
-_PSEUDO_INVERSE = 800
+#: dofs up to which pyamg solves the coarsest problem by a pseudo-inverse, which a singular matrix has, too: 0.03 s at
+#: 400, 0.2 s at 800, 1.6 s at 1600, for each contact status
+_PSEUDO_INVERSE = 400
 
 
 class _PyAMGCycles:

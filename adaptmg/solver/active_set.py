@@ -25,7 +25,7 @@ from adaptmg.smoother.factorisation import Condensed, condense, condense_problem
 from adaptmg.smoother.interior_point import ContactDofs, Interior, Span, interior_point
 from adaptmg.smoother.linear import Direct, LinearSolution, LinearSolver, Prepared, solution_of
 from adaptmg.smoother.system import LocalProblem, local_system
-from adaptmg.solver.iterate import Measure, State, StopTest, iterate
+from adaptmg.solver.iterate import Measure, Measured, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.transfer.galerkin import without_fixed
 
@@ -177,7 +177,7 @@ class _NewtonTest(StopTest):
 
     UNSETTLED = 10.0  # factor on the last step while the status changes
 
-    def judge(self, state: State) -> None:
+    def judge(self, state: Measured) -> None:
         super().judge(state)
         if self.met and self.error_estimate == 0.0:
             return  # nothing strains
@@ -257,7 +257,7 @@ class _Newton:
             solved, rtol, None if self._pressures is None else self._pressures(solved)
         )
 
-    def step(self) -> State | Status:
+    def step(self) -> Measured | Status:
         if self._equations is not None or self._from_inside:
             status = self._interior() if self._equations is None else self._advance()
             if status is not None:

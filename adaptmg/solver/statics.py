@@ -125,7 +125,7 @@ def _too_soft(grids: Hierarchy) -> str:
             limit = 1.01 * least / largest_nodal_stiffness(level.mesh, unit, problem.axisymmetric)
             words += (
                 f". The spring on {one.place!r} counts as none: double precision needs at least "
-                f"{limit:.3g} {'N/m^3' if isinstance(one, Spring) else 'N/m'} beside these bodies; "
+                f"{limit:.3g} {'N/m^3' if isinstance(one, Spring) else 'N/m'} next to these bodies; "
                 "make it stiffer, or replace it by a support with the displacement load / stiffness"
             )
     return words

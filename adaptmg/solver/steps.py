@@ -22,8 +22,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import project, prolonged_start
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.active_set import coarsest_solution
-from adaptmg.solver.iterate import Measure, StopTest, iterate
-from adaptmg.solver.iterate import State as Measured
+from adaptmg.solver.iterate import Measure, Measured, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run
 
 

@@ -46,7 +46,7 @@ from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedStep
 from adaptmg.multigrid.volume_pressures import VolumePressures, prolonged_pressures
 from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import ROUNDING, Sizes
-from adaptmg.solver.iterate import State, StopTest, iterate, true_error
+from adaptmg.solver.iterate import Measured, StopTest, iterate, true_error
 from adaptmg.solver.projected import need_levels
 from adaptmg.solver.record import Outcome, Run, Status
 
@@ -57,17 +57,17 @@ class TruncatedIteration(StopTest):
     start (n_dofs,) from which ``rtol="discretisation"`` is measured."""
 
     #: the energy of the coarse correction misses what the smoothing removes: the certificate is asked when SAFETY
-    #: times the estimate is below rtol. Measured on 198 solves of random problems to 1e-6: 2185 cycles; at 1, 2178
-    #: cycles and 10 % more seconds, as more asks are refused
+    #: times the estimate is below rtol. 198 solves of random problems to 1e-6 take 2185 cycles; at 1, 2178
+    #: cycles and 5 % more seconds, as more asks are refused
     SAFETY = 3.0
     #: cycles over which the speed is measured, once there are twice as many: where it does not lead to the tolerance
-    #: within the cycles left, another method takes over. 140 solves of random problems and 96 of hard ones to 1e-6
-    #: take 1590 and 1088 cycles; at 12, 1625 and 1149; at 4, 1539 and 1032, but one more is handed over, which costs
-    #: factors on large meshes
+    #: within the cycles left, another method takes over. 140 solves of random problems to 1e-6 and 96 of hard ones to
+    #: 1e-3, 1e-6 and 1e-8 take 1590 and 1088 cycles; at 12, 1625 and 1149; at 4, 1539 and 1032, but
+    #: one more is handed over, which costs factors on large meshes
     WINDOW = 8
     #: cycles at most after which a level of the nested start is trusted
     START_CYCLES = 20
-    #: natural residual, relative, above which a start is not believed: at twice that one of 116 results was at 1.2
+    #: natural residual, relative, above which a start is not believed: at 0.02 one of 116 results was at 1.2
     #: times its tolerance
     TRUSTED = 0.1
     #: share of the discretisation error that may remain with rtol="discretisation"
@@ -103,7 +103,7 @@ class TruncatedIteration(StopTest):
         self._moves = 0
         self._shorten = False
 
-    def step(self) -> State:
+    def step(self) -> Measured:
         """Correct, unless it is the first step, and measure what the smoothing leaves."""
         if self.residuals:
             self._correct()
@@ -133,7 +133,7 @@ class TruncatedIteration(StopTest):
         if self.run is not None and self.run.reference is not None:
             error = multigrid.unknowns - self.problem.from_prescribed(self.run.reference)
             columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
-        return State(
+        return Measured(
             cycles,
             state.residual,
             forces,
@@ -143,7 +143,7 @@ class TruncatedIteration(StopTest):
             columns=columns,
         )
 
-    def judge(self, state: State) -> None:
+    def judge(self, state: Measured) -> None:
         super().judge(state)
         self.residuals.append(self.residual)
         self._first = self._last if len(self.residuals) == 1 else self._first

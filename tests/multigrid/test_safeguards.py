@@ -96,6 +96,19 @@ class Nothing:
         return np.zeros_like(rhs)
 
 
+class Noise(Nothing):
+    """A linear correction that undoes what the smoothing gains."""
+
+    def setup(self, matrices, prolongations):
+        self.diagonal = matrices[-1].diagonal()
+        self.rng = np.random.default_rng(0)
+        return self
+
+    def solve(self, rhs):
+        size = np.abs(rhs / self.diagonal).max()
+        return 10 * size * self.rng.standard_normal(len(rhs))
+
+
 #: cycles that only smooth
 SMOOTHING = am.Multigrid(correction=am.Truncated(correct=Nothing(), recombine=0))
 
@@ -119,6 +132,14 @@ def test_the_active_set_method_takes_over(failing):
         assert np.abs(result.displacement - exact).max() < 1e-8 * np.abs(exact).max()
         early = am.solve(grids, replace(SMOOTHING, max_cycles=2), throw=False)
         assert early.status is am.Status.LIMIT and not early.fallback
+
+
+def test_residuals_that_do_not_fall_are_handed_over(failing):
+    exact = am.solve(failing[0], am.ActiveSet(rtol=1e-12)).displacement
+    noisy = am.Multigrid(correction=am.Truncated(correct=Noise(), recombine=0))
+    result = am.solve(failing[0], noisy)
+    assert "ActiveSet from cycle" in result.fallback
+    assert np.abs(result.displacement - exact).max() < 1e-8 * np.abs(exact).max()
 
 
 @pytest.mark.parametrize("reason", ["too large", "gives up"])

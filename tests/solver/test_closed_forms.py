@@ -27,7 +27,11 @@ def problem(seed, elements="linear"):
         law=am.Coulomb(0.3),
         contact=am.Contact("right", am.GapFunction(lambda x: np.full(len(x), 1e-5 * scale))),
         supports=[am.Spring("foot", normal=1e9 / scale, tangential=3e8 / scale)],
-        loads=[am.Pressure("top", 1e5), am.BodyForce((1e3, -2e4))],
+        loads=[
+            am.Pressure("top", 1e5),
+            am.BodyForce((1e3, -2e4)),
+            am.PointForce(vertices[2], (30.0, -50.0)),
+        ],
     )
 
 

@@ -13,7 +13,7 @@ from made import result_on
 import adaptmg as am
 from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.solver.aggregates import aggregates_of
-from adaptmg.solver.iterate import State, StopTest, iterate
+from adaptmg.solver.iterate import Measured, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.statics import critical_friction
 
@@ -160,7 +160,9 @@ class Halving:
         if self.cycles == self.gives_up:
             return am.Status.CYCLING
         size = self.factor**self.cycles
-        return State(self.cycles, size, forces=1.0, size=1.0, change=size if self.cycles else None)
+        return Measured(
+            self.cycles, size, forces=1.0, size=1.0, change=size if self.cycles else None
+        )
 
 
 def test_error_and_residual_end_it():
