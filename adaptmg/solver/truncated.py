@@ -185,12 +185,10 @@ class TruncatedIteration(StopTest):
         """Return whether, as fast as the last cycles went, the tolerance is not reached in the
         cycles that are left. (The last ratio alone says nothing: recombined corrections fall
         unevenly.)"""
-        window = self.residuals[-1 - self.WINDOW :]
         if len(self.residuals) <= 2 * self.WINDOW or not (self.rtol > 0 and self.size > 0):
             return False
-        if not window[-1] < window[0]:
-            return True
-        rate = (window[-1] / window[0]) ** (1 / self.WINDOW)
+        before = max(self.residuals[-1 - self.WINDOW], np.finfo(float).tiny)
+        rate = (max(self.residual, np.finfo(float).tiny) / before) ** (1 / self.WINDOW)
         excess = self.residual / (self.RESIDUAL_FACTOR * self.rtol)
         excess = max(excess, self._remaining(rate) / self.rtol, 1.0)
         return bool(np.log(excess) > (self.limit - self.cycles) * -np.log(rate))
