@@ -17,10 +17,9 @@ from scipy import sparse
 import adaptmg as am
 from adaptmg import level as meshed_levels
 from adaptmg._on_demand import OnDemand
-from adaptmg.mesh import check_mesh, refine_near, structured
 
 BAR, JOINT = am.cases.greco_bar(), am.cases.dovetail()
-COARSE = structured(BAR.domain, 4)
+COARSE = am.mesh.structured(BAR.domain, 4)
 
 
 @cache
@@ -50,7 +49,7 @@ def affine(points):
         lambda p: am.Hierarchy.uniform(p, divisions=(3, 5, 8)),
         lambda p: am.Hierarchy.graded(p, sizes=(20e-3, 10e-3), contact_ratio=3),
         lambda p: am.Hierarchy.from_meshes(
-            p, refine_near(structured(p.domain, 4), "bottom", levels=2)
+            p, am.mesh.refine_near(am.mesh.structured(p.domain, 4), "bottom", levels=2)
         ),
         lambda p: am.Hierarchy.from_meshes(
             p, [am.mesh.graded(p.domain, s, "bottom").source for s in (20e-3, 9e-3)]
@@ -172,7 +171,7 @@ def test_contact_rows_stay_on_the_contact_boundary():
 
 
 RENAMED = replace(COARSE, boundaries=("south", "east", "north", "west"), source=None)
-BLOCKS = [structured(am.Box(width=1, depth=1, height=1), n) for n in (2, 4)]
+BLOCKS = [am.mesh.structured(am.Box(width=1, depth=1, height=1), n) for n in (2, 4)]
 
 
 def _with_a_wrong_prolongation():
@@ -272,7 +271,7 @@ def test_what_is_assembled_passes_the_checks_of_a_users_problem(make):
         given, again = level.discrete, replace(level.discrete)
         np.testing.assert_array_equal(again.matrix.data, given.matrix.data)
         np.testing.assert_array_equal(again.near_nullspace, given.near_nullspace)
-        check_mesh(replace(level.mesh, source=None))
+        am.mesh.check_mesh(replace(level.mesh, source=None))
 
 
 def test_indices_that_kernels_follow_cannot_be_written():
@@ -399,7 +398,7 @@ SIZES = (3, 4, 6, 9, 14)
 @cache
 def meshes_of(problem):
     if problem is BAR:
-        return [structured(BAR.domain, n) for n in SIZES]
+        return [am.mesh.structured(BAR.domain, n) for n in SIZES]
     return [am.mesh.graded(problem.domain, size) for size in (10e-3, 6e-3, 4e-3)]
 
 

@@ -13,10 +13,8 @@ from smoother_problems import network
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg.mesh import bisect, graded, sized
 from adaptmg.mesh.improve import halved, improved
 from adaptmg.smoother.conditions import natural_residual
-from adaptmg.transfer import surface_interpolation
 
 HOLED = am.Cut(am.Circle((0, 0), 1, "outer"), am.Circle((0.45, 0), 0.54, "inner"))
 TRANSFERS = (am.Interpolation(), am.L2(), am.PseudoL2(), am.LumpedL2(), am.QuasiInterpolation())
@@ -76,15 +74,17 @@ def smoothed(dim, law):
 
 def bisected(mesh):
     for k, passes in enumerate((None, 1, 2)):
-        mesh, _ = bisect(mesh, random_mask(mesh, 0.2, k), passes)
+        mesh, _ = am.mesh.bisect(mesh, random_mask(mesh, 0.2, k), passes)
     return mesh.points, mesh.elements, mesh.facets, mesh.facet_labels, mesh.element_body
 
 
 def meshed():
     square = am.Rectangle(width=1, height=1)
-    yield from (graded(domain, 0.4, domain.boundaries[0], 4).points for domain in (square, HOLED))
-    yield sized(square, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3).points
-    mesh = graded(am.Box(width=0.3, depth=0.2, height=0.1), 0.07)
+    yield from (
+        am.mesh.graded(domain, 0.4, domain.boundaries[0], 4).points for domain in (square, HOLED)
+    )
+    yield am.mesh.sized(square, am.mesh.SizeNear([(0.4, 0.4)], size=0.05), 0.3).points
+    mesh = am.mesh.graded(am.Box(width=0.3, depth=0.2, height=0.1), 0.07)
     yield from (improved(mesh, 2).points, halved(mesh).elements, improved(halved(mesh), 1).points)
 
 
@@ -92,7 +92,9 @@ def transferred():
     for dim in (2, 3):
         coarse, fine = structured(1, dim), structured(2, dim, 1.3)
         yield from (kind.build(coarse, fine).toarray() for kind in TRANSFERS)
-        yield surface_interpolation(coarse, fine, coarse.facets, np.unique(fine.facets)).toarray()
+        yield am.transfer.surface_interpolation(
+            coarse, fine, coarse.facets, np.unique(fine.facets)
+        ).toarray()
     yield am.PseudoL2().build(disk(1), disk(2)).toarray()
 
 

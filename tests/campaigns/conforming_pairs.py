@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 
 import adaptmg as am
-from adaptmg.mesh import graded
 
 #: of the peak on the fine mesh
 _TOLERANCE = 0.05
@@ -80,7 +79,7 @@ def _posed(rng: np.random.Generator) -> tuple[am.ContactProblem, float, str]:
 
 
 def _peak(problem: am.ContactProblem, sizes: dict[str, float]) -> tuple[float, list[int]]:
-    mesh = graded(problem.domain, sizes, ("inner.rim", "outer.hole"))
+    mesh = am.mesh.graded(problem.domain, sizes, ("inner.rim", "outer.hole"))
     result = am.solve(am.Hierarchy.from_meshes(problem, [mesh]), am.ActiveSet(rtol=1e-6))
     edges = [len(mesh.boundary_nodes(name)) for name in ("inner.rim", "outer.hole")]
     pressure, away = result.contact.pressure, result.contact.x[:, 0]

@@ -24,8 +24,6 @@ from campaign import main
 from random_problems import random_problem
 
 import adaptmg as am
-from adaptmg.estimate import Reference, energy_error
-from adaptmg.mesh import MeshArrays
 
 MM = 1e-3
 #: algebraic error over estimate; estimate in the loop over the exact one, less 1
@@ -211,7 +209,7 @@ def random_loop(seed: int) -> tuple[am.ContactProblem, dict[str, Any]]:
     }
 
 
-def mesh_faults(mesh: MeshArrays, first: MeshArrays, curved: bool) -> list[str]:
+def mesh_faults(mesh: am.MeshArrays, first: am.MeshArrays, curved: bool) -> list[str]:
     """What is wrong with a mesh: soundness, names, size of bodies without arcs."""
     faults = []
     try:
@@ -227,7 +225,7 @@ def mesh_faults(mesh: MeshArrays, first: MeshArrays, curved: bool) -> list[str]:
 
 
 def step_faults(
-    step: am.Step, first: MeshArrays, indicator: Any, curved: bool, row: dict[str, Any]
+    step: am.Step, first: am.MeshArrays, indicator: Any, curved: bool, row: dict[str, Any]
 ) -> list[str]:
     """What is wrong with a step, and its largest figures."""
     faults = mesh_faults(step.hierarchy.finest.mesh, first, curved)
@@ -319,7 +317,9 @@ def measure(seed: int) -> dict[str, Any]:
             )
             row["effectivity"] = (
                 last.estimate.total
-                / energy_error(Reference.of(fine.hierarchy, exact), last.result).absolute
+                / am.estimate.energy_error(
+                    am.estimate.Reference.of(fine.hierarchy, exact), last.result
+                ).absolute
             )
     return row | {"steps": len(steps), "nodes": last.nodes, "faults": "; ".join(faults)}
 

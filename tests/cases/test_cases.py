@@ -14,8 +14,6 @@ from saddle import Parts
 
 import adaptmg as am
 from adaptmg import cases
-from adaptmg.discrete import discretise, full_stress
-from adaptmg.mesh import graded, structured
 
 PAPER = Path(__file__).parents[2] / "data" / "paper"
 # below 1e-11 the small weights of nodes at an axis of revolution leave rounding
@@ -39,7 +37,7 @@ def test_the_frictionless_bar_is_a_patch_test(divisions):
     assert result.probe(list(points.values()))[:, 0] == pytest.approx(
         [values[name] for name in points], rel=1e-10
     )
-    stress = full_stress(result.mesh, problem.material, result.displacement)[:, :2, :2]
+    stress = am.discrete.full_stress(result.mesh, problem.material, result.displacement)[:, :2, :2]
     np.testing.assert_allclose(
         stress, np.broadcast_to(np.diag([-15e7, -5e7]), stress.shape), atol=1e-3
     )
@@ -78,14 +76,16 @@ def test_17_of_33_nodes_touch_the_curved_obstacle():
     touching = contact.state != am.OPEN
     assert len(contact) == 33 and touching.sum() == problem.reference["touching"][32] == 17
     assert contact.x[touching, 0].min() == pytest.approx(20e-3)  # the right half
-    gaps = discretise(cases.curved_obstacle(radius=2.0), structured(problem.domain, 4)).contact.gaps
+    gaps = am.discretise(
+        cases.curved_obstacle(radius=2.0), am.mesh.structured(problem.domain, 4)
+    ).contact.gaps
     np.testing.assert_allclose(gaps, (40e-3 - np.linspace(0, 40e-3, 5)) ** 2 / 4, atol=1e-18)
 
 
 def test_the_plane_strain_block_has_the_plane_solution():
     problem = cases.greco_block(law=am.Frictionless(), depth=10e-3)
-    mesh = structured(problem.domain, 3)
-    result = am.solve(discretise(problem, mesh), EXACT)
+    mesh = am.mesh.structured(problem.domain, 3)
+    result = am.solve(am.discretise(problem, mesh), EXACT)
     corner = np.all(mesh.points[:, [0, 2]] == 0, axis=1)
     np.testing.assert_allclose(
         result.displacement[corner, 0], problem.reference["values"]["exact"]["A"], rtol=1e-9
@@ -158,9 +158,9 @@ def test_patch_uniform(options, cells, matching):
     problem = cases.two_block_patch(**options)
     other = cells if matching else cells + 1 + cells // 3
     if "slope" in options:
-        mesh = graded(problem.domain, {"upper": 0.1 / cells, "lower": 0.1 / other})
+        mesh = am.mesh.graded(problem.domain, {"upper": 0.1 / cells, "lower": 0.1 / other})
     else:
-        mesh = structured(problem.domain, {"upper": cells, "lower": other})
+        mesh = am.mesh.structured(problem.domain, {"upper": cells, "lower": other})
     result = am.solve(am.Hierarchy.from_meshes(problem, [mesh]), EXACT)
     pressure, traction = problem.reference["pressure"], problem.reference["traction"]
     np.testing.assert_allclose(result.contact.pressure, pressure, rtol=1e-10)
@@ -287,7 +287,7 @@ def test_incline_holds(angle):
         and cases.incline(angle=np.degrees(np.arctan(0.5)) - 1e-9).reference["holds"]
     )
     assert not cases.incline(angle=26.6).reference["holds"]
-    result = solved(problem, [graded(problem.domain, 10e-3, problem.pair_boundaries, 2)])
+    result = solved(problem, [am.mesh.graded(problem.domain, 10e-3, problem.pair_boundaries, 2)])
     force = result.resultant("block.bottom").force
     np.testing.assert_allclose(force, [0, problem.reference["weight"]], atol=1e-9 * force[1])
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))

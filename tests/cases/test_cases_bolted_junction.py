@@ -9,7 +9,6 @@ import pytest
 from refused import refused
 
 import adaptmg as am
-from adaptmg.cases import Flanges, bolted_junction
 
 MM = 1e-3
 SIZES = (12 * MM, 7 * MM, 4 * MM)
@@ -49,7 +48,7 @@ def filled(pressures) -> am.LoadPath:
 
 @cache
 def grids() -> am.Hierarchy:
-    return am.Hierarchy.graded(bolted_junction(), SIZES, contact_ratio=2)
+    return am.Hierarchy.graded(am.cases.bolted_junction(), SIZES, contact_ratio=2)
 
 
 @cache
@@ -69,7 +68,7 @@ def test_forces_of_the_joint_of_pairs_and_of_the_bolt_balance():
     )
     # the end of the upper pipe pulls, the support at the end of the lower one holds
     assert result.resultant("lower.pipe").force[1] == pytest.approx(
-        -Flanges().thrust(4e6), rel=1e-9
+        -am.cases.Flanges().thrust(4e6), rel=1e-9
     )
     for pair in (
         ("upper.joint", "lower.joint"),
@@ -91,21 +90,21 @@ def test_bolts_hardly_feel_pressure_until_the_joint_opens():
         results[0]
     ) == pytest.approx(0.2)
     force = np.array([bolt_force(r) for r in results])
-    thrust = np.array([0.0, *(Flanges().thrust(p) for p in PRESSURES)])
+    thrust = np.array([0.0, *(am.cases.Flanges().thrust(p) for p in PRESSURES)])
     assert (np.diff([joint(r)[1][0] for r in results]) > 0).all()
     assert (np.diff([open_to(r) for r in results]) > 0).all()
     share = np.diff(force) / np.diff(thrust)
     # closed on the bolt circle the flanges take the thrust from the joint; open, the bolts take it
     assert (np.abs(share[:2]) < 0.06).all() and share[-1] > 0.3 and (np.diff(share) > 0).all()
     seal = [
-        pressure[radii <= Flanges().inside_bolts].max()
+        pressure[radii <= am.cases.Flanges().inside_bolts].max()
         for radii, _, pressure, _ in map(joint, results)
     ]
     assert seal[2] > 4e6 and seal[3] < 6e6
 
 
 def test_values_by_mesh_convergence():
-    values, result = bolted_junction().reference["values"], solved()
+    values, result = am.cases.bolted_junction().reference["values"], solved()
     radii, gap, pressure, state = joint(result)
     assert open_to(result) == pytest.approx(values["open_to"], abs=2 * MM)
     # between the last node that slips and the next one
@@ -116,17 +115,17 @@ def test_values_by_mesh_convergence():
     assert result.resultant("upper.joint").force[1] == pytest.approx(
         values["joint_force"], rel=0.07
     )
-    assert "values" not in bolted_junction(pressure=3e6).reference
+    assert "values" not in am.cases.bolted_junction(pressure=3e6).reference
 
 
 def test_a_sector_in_three_dimensions_agrees_with_the_ring():
-    hierarchy = am.Hierarchy.graded(bolted_junction(dim=3), (28 * MM,))
+    hierarchy = am.Hierarchy.graded(am.cases.bolted_junction(dim=3), (28 * MM,))
     tightened, loaded = am.solve_path(hierarchy, filled([4e6]), am.ActiveSet())
     force = [bolt_force(r) for r in (tightened, loaded)]
     # coarse meshes are too stiff, and the force of shortened bolts is too large
     assert 1.0 < force[0] / bolt_force(path()[0]) < 1.1
     thrust = 4 * loaded.resultant("lower.pipe").force[2]
-    assert -thrust == pytest.approx(Flanges().thrust(4e6), rel=0.01)
+    assert -thrust == pytest.approx(am.cases.Flanges().thrust(4e6), rel=0.01)
     # the pressure on a bore of chords has a small axial force too
     assert 4 * loaded.resultant("upper.joint").force[2] == pytest.approx(
         force[1] + thrust, rel=1e-3
@@ -151,24 +150,26 @@ def test_a_sector_in_three_dimensions_agrees_with_the_ring():
 
 
 def test_friction_is_that_of_the_joint_or_the_heads():
-    assert isinstance(bolted_junction(friction=0.0).law, am.Frictionless)
-    assert bolted_junction().law.friction(np.array([[0.24, 0.0], [0.24, 0.04]])).tolist() == [
+    assert isinstance(am.cases.bolted_junction(friction=0.0).law, am.Frictionless)
+    assert am.cases.bolted_junction().law.friction(
+        np.array([[0.24, 0.0], [0.24, 0.04]])
+    ).tolist() == [
         0.2,
         0.0,
     ]
-    assert bolted_junction(dim=3).law.friction == 0.2
+    assert am.cases.bolted_junction(dim=3).law.friction == 0.2
 
 
 test_refused = refused(
     *(
-        (lambda options=options: bolted_junction(**options), message)
+        (lambda options=options: am.cases.bolted_junction(**options), message)
         for options, message in (
             ({"preload": 0.0}, "preload must be > 0"),
-            ({"dim": 3, "flanges": Flanges(n_bolts=6)}, "multiple of 4"),
+            ({"dim": 3, "flanges": am.cases.Flanges(n_bolts=6)}, "multiple of 4"),
         )
     ),
     *(
-        (lambda options=options: Flanges(**options), message)
+        (lambda options=options: am.cases.Flanges(**options), message)
         for options, message in (
             ({"bore": -1.0}, "bore must be > 0"),
             ({"bolt_circle": 0.22}, "bolt_circle must leave room"),
@@ -177,5 +178,5 @@ test_refused = refused(
             ({"seat": 0.005}, "seat must be wider"),
         )
     ),
-    (lambda: bolted_junction(flanges={"bore": 0.2}), TypeError, "Flanges"),
+    (lambda: am.cases.bolted_junction(flanges={"bore": 0.2}), TypeError, "Flanges"),
 )

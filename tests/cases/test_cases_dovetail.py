@@ -8,7 +8,6 @@ import pytest
 from refused import refused
 
 import adaptmg as am
-from adaptmg.cases import dovetail
 
 SIZES = (6e-3, 3.6e-3, 2.2e-3, 1.3e-3)
 PULL = 100e6 * 12e-3  # N/m on the modelled half
@@ -25,7 +24,7 @@ def lift(result: am.Result) -> float:
 
 @cache
 def grids():
-    return grids_of(dovetail())
+    return grids_of(am.cases.dovetail())
 
 
 @cache
@@ -35,12 +34,12 @@ def solved():
 
 @pytest.mark.parametrize("angle", [42.0, 50.0, 89.0])
 def test_flank_and_floor_touch(angle):
-    contact = grids_of(dovetail(angle=angle), SIZES[:1]).finest.discrete.contact
+    contact = grids_of(am.cases.dovetail(angle=angle), SIZES[:1]).finest.discrete.contact
     assert contact.gaps == pytest.approx(0.0, abs=1e-15) and len(np.unique(contact.boundary)) == 2
 
 
 def test_only_the_default_case_has_reference_values():
-    reference = dovetail().reference
+    reference = am.cases.dovetail().reference
     assert reference["values"]
     for other in (
         {"law": am.Coulomb(0.3)},
@@ -49,7 +48,7 @@ def test_only_the_default_case_has_reference_values():
         {"pull": 1e6},
         {"law": am.Coulomb(lambda x: np.full(len(x), 0.2))},
     ):
-        assert set(dovetail(**other).reference) == {"remark"}
+        assert set(am.cases.dovetail(**other).reference) == {"remark"}
     ends = np.array(
         sorted(limits for ranges in reference["zones"].values() for limits in ranges)
     ).ravel()
@@ -75,7 +74,7 @@ def test_contact_carries_the_pull_and_supports_the_clamp():
 
 
 def test_lift_and_zones_converge_to_the_reference():
-    reference, result = dovetail().reference, solved()
+    reference, result = am.cases.dovetail().reference, solved()
     exact = reference["values"]["converged"]["axis"]
     errors = [
         exact - lift(am.solve(grids().truncated(finest=2), am.FullMultigrid())),
@@ -98,7 +97,7 @@ def test_lift_and_zones_converge_to_the_reference():
 
 test_refused = refused(
     *(
-        (lambda options=options: dovetail(**options), message)
+        (lambda options=options: am.cases.dovetail(**options), message)
         for options, message in (
             ({"angle": 90.0}, "angle must be at least 41.6 degrees .* below 90, got 90.0"),
             ({"angle": 30}, "angle must be at least 41.6 degrees .* got 30"),

@@ -15,7 +15,6 @@ import pytest
 import adaptmg as am
 from adaptmg.cli import build
 from adaptmg.cli.build import sections
-from adaptmg.study import Study
 from adaptmg.study.store import Record, Store
 
 SCRIPT = """
@@ -83,9 +82,9 @@ def test_scripts_run_on_workers_with_their_neighbours(command):
 
 
 def test_options_reach_the_study(command, monkeypatch):
-    given, run = {}, Study.run
+    given, run = {}, am.Study.run
     monkeypatch.setattr(
-        Study, "run", lambda self, **options: given.update(options) or run(self, progress=False)
+        am.Study, "run", lambda self, **options: given.update(options) or run(self, progress=False)
     )
     assert (
         command(
@@ -381,7 +380,7 @@ def failed_run(name: str = "first") -> None:
             raise ValueError("three <b>&</b> more")
         return {"m": n * 0.5, "w": 2.0 * n}
 
-    Study(run, {"n": [1, 2, 3], "law": ["<i>"]}, "s.sqlite", name=name).run(progress=False)
+    am.Study(run, {"n": [1, 2, 3], "law": ["<i>"]}, "s.sqlite", name=name).run(progress=False)
 
 
 def test_a_page_and_its_table_stand_beside_the_store(report):

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from two_materials import BOTH_ELEMENTS, EACH_KIND, MESHES
 
 import adaptmg as am
-from adaptmg.discrete import load_vector
 from adaptmg.discrete.loads import supported_stiffness
 from adaptmg.discrete.stress import StressData
 
@@ -98,7 +97,7 @@ def test_what_expands_freely_bears_no_stress(kind, elements):
     mesh, material = MESHES[kind.dim], turned(kind, WOOD, 25.0)
     heat = [am.InitialStrain.thermal(1.2e-5, 40.0, body=body) for body in mesh.bodies]
     u = 1.2e-5 * 40.0 * mesh.points
-    load = load_vector(mesh, heat, material, elements)
+    load = am.discrete.load_vector(mesh, heat, material, elements)
     forces = supported_stiffness(mesh, material, (), elements) @ u.ravel()
     assert np.abs(forces - load).max() < 1e-12 * np.abs(load).max()
     stress = StressData.of(mesh, material, heat, elements).tensors(mesh, u)

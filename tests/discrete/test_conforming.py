@@ -9,7 +9,6 @@ import pytest
 from netgen import occ
 
 import adaptmg as am
-from adaptmg.mesh import graded
 
 RADIUS, CLEARANCE = 0.1, 1e-5
 #: of edges that are a third of the radius long, 140 clearances high
@@ -92,7 +91,7 @@ def test_gaps_are_between_the_exact_surfaces(shape):
         }
         inner, outer = am.Moved(inner, **motion), am.Moved(outer, **motion)
     domain = am.Assembly(parts={"inner": inner, "outer": outer})
-    mesh = graded(domain, {body: scale * size for body, size in SIZES.items()})
+    mesh = am.mesh.graded(domain, {body: scale * size for body, size in SIZES.items()})
     for sides in ((f"inner.{side}", f"outer.{hole}"), (f"outer.{hole}", f"inner.{side}")):
         contact = am.discretise(posed(domain, am.ContactPair(*sides)), mesh).contact
         # along mean normals of facets, which lean where a boundary ends
@@ -116,7 +115,7 @@ def middle_gap(domain, pair, mesh):
 def test_gaps_stay_exact_where_bisection_leaves_nodes_on_chords(shape):
     inner, outer, side, hole = shape(RADIUS, RADIUS + CLEARANCE, (0, 0, 0))
     domain = am.Assembly(parts={"inner": inner, "outer": outer})
-    mesh = twice_bisected(graded(domain, SIZES))
+    mesh = twice_bisected(am.mesh.graded(domain, SIZES))
     gap = middle_gap(domain, (f"outer.{hole}", f"inner.{side}"), mesh)
     assert gap == pytest.approx(CLEARANCE, rel=0.03)
 
@@ -124,7 +123,7 @@ def test_gaps_stay_exact_where_bisection_leaves_nodes_on_chords(shape):
 def test_a_mesh_that_was_moved_keeps_its_own_gaps():
     inner, outer, side, hole = disc_in_plate(RADIUS, RADIUS + CLEARANCE, (0, 0, 0))
     domain = am.Assembly(parts={"inner": inner, "outer": outer})
-    mesh = graded(domain, SIZES)
+    mesh = am.mesh.graded(domain, SIZES)
     points = mesh.points.copy()
     points[mesh.elements[mesh.element_body == 0]] += [0.02, 0.0]
     pair = am.ContactPair(f"inner.{side}", f"outer.{hole}", allow_interference=True)
@@ -146,7 +145,7 @@ def test_gaps_between_faces_of_a_step_file_are_exact(tmp_path):
     round_ones = faces[faces.kind == "cylinder"]
     pair = [f"{row.solid}.{row.face}" for row in round_ones.itertuples()]
     domain = am.StepFile(path)
-    mesh = graded(domain, {"pin": 0.035, "block": 0.045})
+    mesh = am.mesh.graded(domain, {"pin": 0.035, "block": 0.045})
     assert middle_gap(domain, pair, mesh) == pytest.approx(CLEARANCE, rel=0.02)
     # a mesh outlives its file: chords again
     path.unlink()
@@ -184,7 +183,7 @@ def on_mesh(problem, mesh):
 @pytest.mark.parametrize("clearance", [1e-3, 0.0], ids=["clearance", "equal arcs"])
 def test_adapted_meshes_have_the_peak_of_a_matching_mesh(engine, clearance):
     problem = pin_in_bush(clearance, 2e-3)
-    fine = graded(problem.domain, 0.01, ("pin.rim", "bush.hole"), 4)
+    fine = am.mesh.graded(problem.domain, 0.01, ("pin.rim", "bush.hole"), 4)
     sides = [len(fine.boundary_nodes(name)) for name in ("pin.rim", "bush.hole")]
     assert abs(sides[0] - sides[1]) <= 2
     right = on_mesh(problem, fine).contact.pressure.max()
@@ -195,7 +194,7 @@ def test_adapted_meshes_have_the_peak_of_a_matching_mesh(engine, clearance):
 
 def test_chords_of_unknown_arcs_are_warned_of():
     problem = pin_in_bush(2e-4, 3e-4)
-    mesh = graded(problem.domain, {"pin": 0.0098, "bush": 0.013})
+    mesh = am.mesh.graded(problem.domain, {"pin": 0.0098, "bush": 0.013})
     right = on_mesh(problem, mesh).contact.pressure.max()
     unknown = replace(problem, domain=None)
     with pytest.warns(UserWarning, match="chords that lie up to .* m behind.*at most") as caught:
@@ -252,7 +251,7 @@ def test_press_fits_with_edges_that_do_not_match_have_lame_s_pressure(solid, swa
         am.Axisymmetric if solid else None,
         supports=supports,
     )
-    mesh = graded(domain, {"inner": 0.0098, "outer": 0.013})
+    mesh = am.mesh.graded(domain, {"inner": 0.0098, "outer": 0.013})
     result = am.solve(am.Hierarchy.from_meshes(problem, [mesh]), am.ActiveSet(rtol=1e-6))
     pressure, exact = result.contact.pressure, lame(r, 0.5 * r, 2 * r, interference, solid)
     assert np.median(pressure) == pytest.approx(exact, rel=0.02)

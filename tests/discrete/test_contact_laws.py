@@ -8,7 +8,6 @@ from bodies import EXACT
 from refused import refused
 
 import adaptmg as am
-from adaptmg.mesh import structured
 
 PRESSURE = 1e6
 SMOOTH, ROUGH = am.Coulomb(0.1), am.Coulomb(0.4)
@@ -79,7 +78,7 @@ def cornered(law, *own):
 
 
 def test_laws_of_different_types_meet_at_common_nodes():
-    mesh = structured(am.Rectangle(width=1.0, height=1.0), 4)
+    mesh = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), 4)
     mixed = am.discretise(cornered(am.Coulomb(7.0), *LAWS), mesh)
     alone = [am.discretise(cornered(law, None, None, None), mesh) for law in LAWS]
     for k, one in enumerate(alone):

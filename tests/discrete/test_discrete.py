@@ -12,24 +12,22 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg.discrete.coordinates import Coupling
-from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
-from adaptmg.problem import Coulomb, Frictionless, Tresca
 
 
-def contact(**changes: object) -> ContactNodes:
+def contact(**changes: object) -> am.ContactNodes:
     arguments = {"nodes": [0, 2], "normals": [[0.0, -1.0], [0.6, -0.8]], "gaps": [0.0, 0.1]}
-    return ContactNodes(**(arguments | changes))
+    return am.ContactNodes(**(arguments | changes))
 
 
-def discrete(**changes: object) -> DiscreteProblem:
+def discrete(**changes: object) -> am.DiscreteProblem:
     arguments = {
         "matrix": sparse.eye_array(6).tocsr(),
         "load": np.zeros(6),
         "fixed": np.zeros(6, dtype=bool),
-        "law": Frictionless(),
+        "law": am.Frictionless(),
         "contact": contact(),
     }
-    return DiscreteProblem(**(arguments | changes))
+    return am.DiscreteProblem(**(arguments | changes))
 
 
 class TestContactNodes:
@@ -71,7 +69,7 @@ class TestContactNodes:
             contact(**changes)
 
 
-class Negative(Frictionless):
+class Negative(am.Frictionless):
     def bounds(self, n_contact):
         return np.zeros(n_contact), np.full(n_contact, -1.0)
 
@@ -106,8 +104,8 @@ class TestDiscreteProblem:
                 ValueError,
                 "must be symmetric",
             ),
-            ({"law": Coulomb(np.ones(3))}, ValueError, "array over the 2 contact nodes"),
-            ({"law": Tresca(lambda x: x[:, 0])}, TypeError, "evaluated at the nodes first"),
+            ({"law": am.Coulomb(np.ones(3))}, ValueError, "array over the 2 contact nodes"),
+            ({"law": am.Tresca(lambda x: x[:, 0])}, TypeError, "evaluated at the nodes first"),
             ({"law": Negative()}, ValueError, "nodal friction must be finite and >= 0"),
             (
                 {"contact": contact(nodes=[0, 3])},

@@ -10,11 +10,10 @@ from refused import refused
 from simplex_meshes import disk
 
 import adaptmg as am
-from adaptmg.discrete.discretise import contact_data, discretise
-from adaptmg.mesh import MeshArrays, graded, merged, structured
+from adaptmg.discrete.discretise import contact_data
 
 SQUARE, CUBE = am.Rectangle(width=2.0, height=1.0), am.Box(width=2.0, depth=1.0, height=1.0)
-PLATE, BLOCK = structured(SQUARE, 4), structured(CUBE, (4, 3, 2))
+PLATE, BLOCK = am.mesh.structured(SQUARE, 4), am.mesh.structured(CUBE, (4, 3, 2))
 FLOOR = am.Plane(point=(0.0, 0.0), normal=(0.0, 1.0))
 TOUCHING = am.GapFunction(lambda x: np.zeros(len(x)))
 
@@ -113,7 +112,7 @@ class TestContactNodes:
 
     def test_symmetry_planes_take_the_tilt_out_of_the_normal(self):
         """A quarter of a ring with radii 1 (bottom) and 1/2, from x = 0 (left) on."""
-        flat = structured(am.Rectangle(width=1.0, height=1.0), (8, 3))
+        flat = am.mesh.structured(am.Rectangle(width=1.0, height=1.0), (8, 3))
         angle, radius = flat.points[:, 0] * np.pi / 2, 1 - flat.points[:, 1] / 2
         points = np.column_stack([radius * np.sin(angle), -radius * np.cos(angle)])
         points[flat.boundary_nodes("left"), 0] = 0.0
@@ -130,7 +129,7 @@ class Wrong:
 
 
 # the same two nodes seen from both sides
-CRACKED = MeshArrays(
+CRACKED = am.MeshArrays(
     PLATE.points,
     PLATE.elements,
     np.vstack([PLATE.facets, [[0, 1], [1, 0]]]),
@@ -179,35 +178,38 @@ def test_refusals(changes, message):
 
 class TestDiscretise:
     def test_what_the_problem_becomes(self):
-        problem = discretise(plane_problem(), PLATE)
+        problem = am.discretise(plane_problem(), PLATE)
         assert problem.name == "plate, 25 nodes" and problem.n_dofs == 50
         np.testing.assert_array_equal(problem.coordinates, PLATE.points)
         assert problem.near_nullspace.shape == (50, 3) and problem.fixed.sum() == 5
         assert problem.load.reshape(-1, 2).sum(axis=0) == pytest.approx([0.0, -2e5])
         displacement = np.arange(PLATE.points.size, dtype=float).reshape(-1, 2)
-        contact = discretise(plane_problem(), PLATE, slip_reference=displacement).contact
+        contact = am.discretise(plane_problem(), PLATE, slip_reference=displacement).contact
         np.testing.assert_array_equal(contact.slip_reference, displacement[contact.nodes])
         with pytest.raises(ValueError, match=r"slip_reference must have shape \(\d+, 2\)"):
             contact_data(plane_problem(), PLATE, slip_reference=displacement[:3])
         # laws become nodal
-        tresca = discretise(plane_problem(law=am.Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)
+        tresca = am.discretise(plane_problem(law=am.Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)
         np.testing.assert_allclose(
             tresca.law.bounds(5)[0], 1e3 * tresca.contact.weights * [1.0, 1.5, 2.0, 2.5, 3.0]
         )
-        coulomb = discretise(plane_problem(law=am.Coulomb(lambda x: x[:, 0] / 4)), PLATE)
+        coulomb = am.discretise(plane_problem(law=am.Coulomb(lambda x: x[:, 0] / 4)), PLATE)
         np.testing.assert_allclose(coulomb.law.bounds(5)[1], [0.0, 0.125, 0.25, 0.375, 0.5])
 
     test_refuses = staticmethod(
         refused(
-            (lambda: discretise(plane_problem(), BLOCK), "the mesh is 3D, the problem 'plate' 2D"),
-            (lambda: discretise(PLATE, PLATE), TypeError, "problem must be a ContactProblem"),
             (
-                lambda: discretise(plane_problem(), PLATE.source),
+                lambda: am.discretise(plane_problem(), BLOCK),
+                "the mesh is 3D, the problem 'plate' 2D",
+            ),
+            (lambda: am.discretise(PLATE, PLATE), TypeError, "problem must be a ContactProblem"),
+            (
+                lambda: am.discretise(plane_problem(), PLATE.source),
                 TypeError,
                 "mesh must be MeshArrays",
             ),
             (
-                lambda: discretise(plane_problem(loads=(am.Pressure("roof", 1.0),)), PLATE),
+                lambda: am.discretise(plane_problem(loads=(am.Pressure("roof", 1.0),)), PLATE),
                 "'roof', used for a load, does",
             ),
         )
@@ -244,11 +246,11 @@ def posed(**changes):
 
 def mesh_of(lift=0.0, bodies=("upper", "lower")):
     """The bar ``lift`` above the block."""
-    parts = {name: structured(posed().domain.parts[name], 4) for name in ("upper", "lower")}
+    parts = {name: am.mesh.structured(posed().domain.parts[name], 4) for name in ("upper", "lower")}
     upper = parts["upper"]
     parts["upper"] = replace(upper, points=upper.points + np.array([0.0, lift]), source=None)
     parts["other"] = parts["upper"]
-    return merged({name: parts[name] for name in bodies})
+    return am.mesh.merged({name: parts[name] for name in bodies})
 
 
 BOXES = {
@@ -265,11 +267,11 @@ def in_3d(*pair, **options):
         domain=am.Assembly(parts=BOXES),
         supports=(am.Support("lower.bottom", x=0.0, y=0.0, z=0.0),),
     )
-    return discretise(problem, structured(problem.domain, {"upper": 2, "lower": 3}))
+    return am.discretise(problem, am.mesh.structured(problem.domain, {"upper": 2, "lower": 3}))
 
 
 def faced(*pair, **options):
-    return discretise(
+    return am.discretise(
         posed(
             contact=am.ContactPair(*pair, **options), supports=(am.Support("lower.left", x=0.0),)
         ),
@@ -285,24 +287,24 @@ def circle():
         am.ContactPair("seat.wall", "block.left"),
         am.ContactPair("cap.bottom", "block.top"),
     )
-    return discretise(
+    return am.discretise(
         replace(problem, contact=pairs, supports=(am.Support("seat.bottom", x=0.0, y=0.0),)), mesh
     )
 
 
 def nodes_that_do_not_match():
     problem = posed(contact=am.ContactPair(*PAIR, coupling="nodes"))
-    return discretise(problem, structured(problem.domain, {"upper": 4, "lower": 5}))
+    return am.discretise(problem, am.mesh.structured(problem.domain, {"upper": 4, "lower": 5}))
 
 
 def held(*supports, mesh=None, **changes):
     return am.solve(
-        discretise(posed(supports=supports, **changes), mesh_of() if mesh is None else mesh)
+        am.discretise(posed(supports=supports, **changes), mesh_of() if mesh is None else mesh)
     )
 
 
 def with_gap(gap):
-    return discretise(posed(contact=am.ContactPair(*PAIR, gap=gap)), mesh_of())
+    return am.discretise(posed(contact=am.ContactPair(*PAIR, gap=gap)), mesh_of())
 
 
 THREE = ("upper", "lower", "other")
@@ -313,7 +315,7 @@ NAMED = r"'upper.bottom' on 'lower.top'"
 test_refusals_of_bodies = refused(
     # places
     (
-        lambda: discretise(posed(domain=None), mesh_of(-1e-3)),
+        lambda: am.discretise(posed(domain=None), mesh_of(-1e-3)),
         NAMED + r".*overlap by up to 0.001 m.*at \(.*apart",
     ),
     (
@@ -340,12 +342,12 @@ test_refusals_of_bodies = refused(
     (lambda: with_gap(lambda x: np.nan * x[:, 0]), NAMED + ".*must be finite, got nan"),
     # what holds bodies
     (
-        lambda: discretise(posed(material=BAR, domain=None), mesh_of(bodies=THREE)),
+        lambda: am.discretise(posed(material=BAR, domain=None), mesh_of(bodies=THREE)),
         r"nothing holds body 'other': no support and no contact",
     ),
     (
         lambda: am.solve(
-            discretise(posed(loads=(am.Traction("upper.top", (0.0, 1e6)),)), mesh_of())
+            am.discretise(posed(loads=(am.Traction("upper.top", (0.0, 1e6)),)), mesh_of())
         ),
         r"nothing holds.*translation along y of body 'upper'",
     ),
@@ -364,7 +366,7 @@ test_refusals_of_bodies = refused(
     (circle, r"follow each other in a circle.*exchange slave and master"),
     # names
     (
-        lambda: discretise(
+        lambda: am.discretise(
             posed(domain=None, contact=am.ContactPair("uper.bottom", "lower.top")), mesh_of()
         ),
         r"'uper.bottom', used for contact.*did you mean 'upper.bottom'\?",
@@ -374,7 +376,7 @@ test_refusals_of_bodies = refused(
         r"divisions must name each body once.*'upper', 'lowr'",
     ),
     (
-        lambda: discretise(posed(domain=None), mesh_of(bodies=THREE)),
+        lambda: am.discretise(posed(domain=None), mesh_of(bodies=THREE)),
         r"bodies are 'upper', 'lower', 'other', material names 'upper', 'lower'",
     ),
     (lambda: posed(material=AXIAL), r"x = -0.02 m, but x is the radius"),
@@ -382,10 +384,10 @@ test_refusals_of_bodies = refused(
 
 
 def test_gaps_and_interference():
-    assert discretise(posed(domain=None), mesh_of(1e-3)).contact.gaps == pytest.approx(1e-3)
+    assert am.discretise(posed(domain=None), mesh_of(1e-3)).contact.gaps == pytest.approx(1e-3)
     # with the flag what overlaps is pressed apart
     problem = posed(domain=None, contact=am.ContactPair(*PAIR, allow_interference=True))
-    result = am.solve(discretise(problem, mesh_of(-1e-5)), EXACT)
+    result = am.solve(am.discretise(problem, mesh_of(-1e-5)), EXACT)
     assert result.contact.gap.min() >= 0
     for name in ("nothing", ""):
         with pytest.raises(ValueError, match=f"'{name}' is not known; known are 'contact'"):
@@ -428,7 +430,7 @@ def test_a_cylinder_that_touches_a_block_does_not_overlap_it(at_the_end, pair):
                 am.Support("block.bottom", x=0.0, y=0.0),
             ),
         )
-        mesh = graded(domain, {"round": size, "block": 1.7 * size}, pair)
+        mesh = am.mesh.graded(domain, {"round": size, "block": 1.7 * size}, pair)
         if not sunk:
             assert contact_data(problem, mesh)[0].gaps.min() >= 0
             continue

@@ -12,51 +12,31 @@ from made_bodies import joined
 from refused import refused
 from two_materials import BOTH_ELEMENTS, EACH_KIND, KINDS, MESHES
 
-from adaptmg.discrete import (
-    element_strain,
-    fixed_dofs,
-    full_stress,
-    load_vector,
-    stiffness,
-    von_mises,
-)
-from adaptmg.discrete.elasticity import rigid_motions
+import adaptmg as am
 from adaptmg.discrete.loads import supported_stiffness
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule, simplex_rule
-from adaptmg.mesh import MeshArrays, structured
-from adaptmg.problem import (
-    BodyForce,
-    Box,
-    PlaneStrain,
-    PlaneStress,
-    Pressure,
-    Rectangle,
-    Solid,
-    Support,
-    Traction,
-)
-from adaptmg.problem.laws import Axisymmetric
-from adaptmg.problem.loads import InitialStrain
 
-STEEL = Axisymmetric(young=2.1e11, poisson=0.3)
+STEEL = am.Axisymmetric(young=2.1e11, poisson=0.3)
 INNER, OUTER, HEIGHT = 0.1, 0.25, 0.12
 
 
-def part(dim: int, divisions: int, lift: float) -> MeshArrays:
+def part(dim: int, divisions: int, lift: float) -> am.MeshArrays:
     """A block; in the plane 0.5 <= x <= 2.5."""
     shape = (
-        Rectangle(width=2.0, height=1.0, origin=(0.5, lift))
+        am.Rectangle(width=2.0, height=1.0, origin=(0.5, lift))
         if dim == 2
-        else Box(width=2.0, depth=1.5, height=1.0, origin=(0.0, 0.0, lift))
+        else am.Box(width=2.0, depth=1.5, height=1.0, origin=(0.0, 0.0, lift))
     )
-    return shaken(structured(shape, divisions), 0.05, divisions)
+    return shaken(am.mesh.structured(shape, divisions), 0.05, divisions)
 
 
-def meridian(inner: float, divisions: int | tuple[int, int] = (4, 3)) -> MeshArrays:
+def meridian(inner: float, divisions: int | tuple[int, int] = (4, 3)) -> am.MeshArrays:
     """A rectangle inner <= r <= OUTER, 0 <= z <= HEIGHT."""
-    return structured(Rectangle(width=OUTER - inner, height=HEIGHT, origin=(inner, 0.0)), divisions)
+    return am.mesh.structured(
+        am.Rectangle(width=OUTER - inner, height=HEIGHT, origin=(inner, 0.0)), divisions
+    )
 
 
 PARTS = {dim: {"lower": part(dim, 3, 0.0), "upper": part(dim, 2, 1.0)} for dim in (2, 3)}
@@ -75,11 +55,11 @@ CASES = {
 EACH_CASE = pytest.mark.parametrize(("mesh", "material"), CASES.values(), ids=CASES)
 
 
-def solved(mesh: MeshArrays, material, loads, supports, elements: str) -> np.ndarray:
+def solved(mesh: am.MeshArrays, material, loads, supports, elements: str) -> np.ndarray:
     """Nodal displacements (n_nodes, dim)."""
-    fixed, u = fixed_dofs(mesh, supports)
+    fixed, u = am.discrete.fixed_dofs(mesh, supports)
     matrix, free = supported_stiffness(mesh, material, (), elements).toarray(), ~fixed
-    load = load_vector(mesh, loads, material, elements) - matrix @ u
+    load = am.discrete.load_vector(mesh, loads, material, elements) - matrix @ u
     u[free] = np.linalg.solve(matrix[np.ix_(free, free)], load[free])
     return u.reshape(-1, mesh.dim)
 
@@ -93,11 +73,13 @@ def measures(mesh, axisymmetric):
 
 def is_axisymmetric(material):
     return isinstance(
-        next(iter(material.values())) if isinstance(material, dict) else material, Axisymmetric
+        next(iter(material.values())) if isinstance(material, dict) else material, am.Axisymmetric
     )
 
 
-def strains(mesh: MeshArrays, around: bool, rule, weights) -> list[tuple[int, float, np.ndarray]]:
+def strains(
+    mesh: am.MeshArrays, around: bool, rule, weights
+) -> list[tuple[int, float, np.ndarray]]:
     """Elements, volumes and strains (3, 3, n_dofs) at quadrature points."""
     result, dim = [], mesh.dim
     for e, corners in enumerate(mesh.elements):
@@ -115,7 +97,7 @@ def strains(mesh: MeshArrays, around: bool, rule, weights) -> list[tuple[int, fl
     return result
 
 
-def dense(mesh: MeshArrays, material, elements: str, rule=None) -> np.ndarray:
+def dense(mesh: am.MeshArrays, material, elements: str, rule=None) -> np.ndarray:
     """The stiffness from its definition, by the rule of the package or another one."""
     around, k, parts = is_axisymmetric(material), mesh.dim + 1, {}
     if rule is None:
@@ -148,13 +130,13 @@ GLUED = {
     "glued": (
         MESHES[2],
         {
-            "left": PlaneStrain(young=2.1e11, poisson=0.36),
-            "right": PlaneStress(young=7e10, poisson=-0.2),
+            "left": am.PlaneStrain(young=2.1e11, poisson=0.36),
+            "right": am.PlaneStress(young=7e10, poisson=-0.2),
         },
     ),
     "glued solids": (
         MESHES[3],
-        {"left": Solid(young=2.1e11, poisson=0.36), "right": Solid(young=7e10, poisson=-0.2)},
+        {"left": am.Solid(young=2.1e11, poisson=0.36), "right": am.Solid(young=7e10, poisson=-0.2)},
     ),
 }
 
@@ -164,7 +146,7 @@ GLUED = {
     ("mesh", "material"), [*CASES.values(), *GLUED.values()], ids=[*CASES, *GLUED]
 )
 def test_stiffness_is_that_of_its_definition_in_sorted_symmetric_blocks(mesh, material, elements):
-    matrix = stiffness(mesh, material, elements)
+    matrix = am.discrete.stiffness(mesh, material, elements)
     ours, theirs = matrix.toarray(), dense(mesh, material, elements)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(ours).max())
     assert (
@@ -176,19 +158,19 @@ def test_stiffness_is_that_of_its_definition_in_sorted_symmetric_blocks(mesh, ma
 
 
 def test_glued_bodies_move_together():
-    mesh = structured(Rectangle(width=2.0, height=1.0), 4)
+    mesh = am.mesh.structured(am.Rectangle(width=2.0, height=1.0), 4)
     glued = replace(
         mesh,
         bodies=("left", "right"),
         source=None,
         element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0,
     )
-    np.testing.assert_array_equal(rigid_motions(glued), rigid_motions(mesh))
+    np.testing.assert_array_equal(am.discrete.rigid_motions(glued), am.discrete.rigid_motions(mesh))
 
 
 def test_the_axisymmetric_rule_is_accurate_off_the_axis():
     ours, exact = (
-        stiffness(RING, STEEL).toarray(),
+        am.discrete.stiffness(RING, STEEL).toarray(),
         dense(RING, STEEL, "linear", simplex_rule(2, 11)),
     )
     # the error of degree 5 in 1/r is of the order (h/r)^6, here h/r < .4
@@ -199,7 +181,7 @@ def test_the_axisymmetric_rule_is_accurate_off_the_axis():
 @EACH_CASE
 def test_rigid_motions_cost_no_energy_and_nothing_else_does(mesh, material, elements):
     axisymmetric, n_bodies = is_axisymmetric(material), len(mesh.bodies)
-    modes = rigid_motions(mesh, axisymmetric)
+    modes = am.discrete.rigid_motions(mesh, axisymmetric)
     each = 1 if axisymmetric else {2: 3, 3: 6}[mesh.dim]
     assert modes.shape == (mesh.points.size, n_bodies * each)
     np.testing.assert_allclose(modes.T @ modes, np.eye(n_bodies * each), atol=1e-14)
@@ -235,14 +217,14 @@ def test_patch_test(mesh, material, elements):
     strain = np.zeros((3, 3))
     strain[:dim, :dim] = 0.5 * (gradient + gradient.T)
     expected = np.broadcast_to(strain[:dim, :dim], (len(mesh.elements), dim, dim))
-    np.testing.assert_allclose(element_strain(mesh, u), expected, atol=1e-14)
+    np.testing.assert_allclose(am.discrete.element_strain(mesh, u), expected, atol=1e-14)
     if axisymmetric:
         strain[2, 2] = 3e-4
         np.testing.assert_allclose(hoop_strain(mesh, u), 3e-4, rtol=1e-11)
     data = StressData.of(mesh, material, elements=elements)
     stress = data.tensors(mesh, u)
     assert 2 * data.energy(mesh, u) == pytest.approx(u @ matrix @ u, rel=1e-12)
-    if isinstance(material, dict) and isinstance(material["lower"], PlaneStress):
+    if isinstance(material, dict) and isinstance(material["lower"], am.PlaneStress):
         through = [-one.poisson / (1 - one.poisson) for one in map(material.get, mesh.bodies)]
         thickened = np.array(through)[mesh.element_body] * np.trace(strain)
         np.testing.assert_allclose(data.strains(mesh, u)[:, 2, 2], thickened, rtol=1e-10)
@@ -262,30 +244,33 @@ class TestInitialStrain:
         # compatible with the kind: nothing through the thickness in plane strain, anything in plane
         # stress, hoop = rr
         mesh, materials = BOTH[kind.dim], two(kind)
-        third = {PlaneStrain: (0.0,), PlaneStress: (5e-3,), Axisymmetric: (1e-3,), Solid: (3e-3,)}[
-            kind
-        ]
+        third = {
+            am.PlaneStrain: (0.0,),
+            am.PlaneStress: (5e-3,),
+            am.Axisymmetric: (1e-3,),
+            am.Solid: (3e-3,),
+        }[kind]
         strains = [
-            InitialStrain("upper", (1e-3, 0.0, *third)),
-            InitialStrain("upper", (0.0, -2e-3, 0.0)),
+            am.InitialStrain("upper", (1e-3, 0.0, *third)),
+            am.InitialStrain("upper", (0.0, -2e-3, 0.0)),
         ]
-        sides = {"bottom": "y"} if kind is Axisymmetric else {"bottom": "y", "left": "x"}
-        sides = {"bottom": "z", "left": "x", "front": "y"} if kind is Solid else sides
+        sides = {"bottom": "y"} if kind is am.Axisymmetric else {"bottom": "y", "left": "x"}
+        sides = {"bottom": "z", "left": "x", "front": "y"} if kind is am.Solid else sides
         supports = [
-            Support(f"{body}.{side}", **{c: 0.0})
+            am.Support(f"{body}.{side}", **{c: 0.0})
             for body in mesh.bodies
             for side, c in sides.items()
         ]
         u = solved(mesh, materials, strains, supports, elements)
         lower, points = PARTS[kind.dim]["lower"].n_nodes, PARTS[kind.dim]["upper"].points
-        origin = points.min(axis=0) * (np.arange(kind.dim) > 0 if kind is Axisymmetric else 1)
+        origin = points.min(axis=0) * (np.arange(kind.dim) > 0 if kind is am.Axisymmetric else 1)
         np.testing.assert_allclose(
             u[lower:], (points - origin) * [1e-3, -2e-3, *third][: kind.dim], atol=1e-15
         )
         np.testing.assert_allclose(u[:lower], 0.0, atol=1e-30)
         stress = StressData.of(mesh, materials, strains, elements).tensors(mesh, u)
         assert np.abs(stress).max() < 1e-10 * 7e10 * 2e-3
-        assert np.abs(full_stress(mesh, materials, u)).max() > 1e-2 * 7e10 * 2e-3
+        assert np.abs(am.discrete.full_stress(mesh, materials, u)).max() > 1e-2 * 7e10 * 2e-3
 
 
 @pytest.mark.parametrize(
@@ -297,18 +282,21 @@ class TestInitialStrain:
     ],
 )
 def test_von_mises(stress, expected):
-    assert von_mises(np.array([stress])) == pytest.approx(expected)
+    assert am.discrete.von_mises(np.array([stress])) == pytest.approx(expected)
 
 
 def test_rounding_on_the_axis_is_let_pass():
     points = SOLID.points.copy()
     points[SOLID.boundary_nodes("left"), 0] = -1e-17
-    near, here = stiffness(replace(SOLID, points=points), STEEL), stiffness(SOLID, STEEL)
+    near, here = (
+        am.discrete.stiffness(replace(SOLID, points=points), STEEL),
+        am.discrete.stiffness(SOLID, STEEL),
+    )
     np.testing.assert_allclose(near.data, here.data, rtol=0, atol=1e-12 * np.abs(near.data).max())
 
 
-FLAT = structured(Rectangle(width=2.0, height=1.0), (5, 3))
-DEEP = structured(Box(width=2.0, depth=3.0, height=1.0), (3, 2, 2))
+FLAT = am.mesh.structured(am.Rectangle(width=2.0, height=1.0), (5, 3))
+DEEP = am.mesh.structured(am.Box(width=2.0, depth=3.0, height=1.0), (3, 2, 2))
 
 
 def resultants(mesh, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -320,21 +308,21 @@ def resultants(mesh, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     ("load", "force", "moment"),
     [
-        (Pressure("top", 3.0), [0.0, -6.0], [[0, 0], [-6.0, -6.0]]),
+        (am.Pressure("top", 3.0), [0.0, -6.0], [[0, 0], [-6.0, -6.0]]),
         # p = 1 + y on the left: force 3/2 in +x, moment of y: int (1 + y) y = 1/2 + 1/3
-        (Pressure("left", lambda x: 1 + x[:, 1]), [1.5, 0.0], [[0.0, 5 / 6], [0.0, 0.0]]),
-        (Traction("right", (lambda x: x[:, 1], 2.0)), [0.5, 2.0], [[1.0, 1 / 3], [4.0, 1.0]]),
+        (am.Pressure("left", lambda x: 1 + x[:, 1]), [1.5, 0.0], [[0.0, 5 / 6], [0.0, 0.0]]),
+        (am.Traction("right", (lambda x: x[:, 1], 2.0)), [0.5, 2.0], [[1.0, 1 / 3], [4.0, 1.0]]),
         # int x = 2, int x^2 = 8/3, int x y = 1; over 2 x 1
-        (BodyForce((lambda x: x[:, 0], -2.0)), [2.0, -4.0], [[8 / 3, 1.0], [-4.0, -2.0]]),
+        (am.BodyForce((lambda x: x[:, 0], -2.0)), [2.0, -4.0], [[8 / 3, 1.0], [-4.0, -2.0]]),
         # p = x + y on the top, 2 x 3: int p = 6 + 9; int p x = 3*8/3 + 2*4.5; int p y = 2*4.5 + 2*9
         (
-            Pressure("top", lambda x: x[:, 0] + x[:, 1]),
+            am.Pressure("top", lambda x: x[:, 0] + x[:, 1]),
             [0, 0, -15.0],
             [[0, 0, 0], [0, 0, 0], [-17.0, -27.0, -15.0]],
         ),
         # volume 6: int z = 3, int z x = 3, int z y = 4.5, int z^2 = 2
         (
-            BodyForce((0.0, lambda x: x[:, 2], 1.0)),
+            am.BodyForce((0.0, lambda x: x[:, 2], 1.0)),
             [0.0, 3.0, 6.0],
             [[0, 0, 0], [3.0, 4.5, 2.0], [6.0, 9.0, 3.0]],
         ),
@@ -343,7 +331,7 @@ def resultants(mesh, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 )
 def test_resultants(load, force, moment):
     mesh = FLAT if len(force) == 2 else DEEP
-    found = resultants(mesh, load_vector(mesh, [load]))
+    found = resultants(mesh, am.discrete.load_vector(mesh, [load]))
     np.testing.assert_allclose(found[0], force, atol=1e-13)
     np.testing.assert_allclose(found[1], moment, atol=1e-13)
 
@@ -352,11 +340,11 @@ def test_resultants(load, force, moment):
 @pytest.mark.parametrize(
     ("load", "force", "work"),
     [
-        (Pressure("top", 3e6), [0.0, -3e6 * np.pi * (OUTER**2 - INNER**2)], None),
-        (Pressure("left", 3e6), [3e6 * 2 * np.pi * INNER * HEIGHT, 0.0], None),
-        (BodyForce((0.0, -7e4)), [0.0, -7e4 * measures(RING, True).sum()], None),
+        (am.Pressure("top", 3e6), [0.0, -3e6 * np.pi * (OUTER**2 - INNER**2)], None),
+        (am.Pressure("left", 3e6), [3e6 * 2 * np.pi * INNER * HEIGHT, 0.0], None),
+        (am.BodyForce((0.0, -7e4)), [0.0, -7e4 * measures(RING, True).sum()], None),
         (
-            InitialStrain("body", (0.0, lambda x: 2e5 * x[:, 0], 0.0)),
+            am.InitialStrain("body", (0.0, lambda x: 2e5 * x[:, 0], 0.0)),
             None,
             4e5
             * np.pi
@@ -366,19 +354,19 @@ def test_resultants(load, force, moment):
             / 3,
         ),
         (
-            BodyForce((lambda x: 2e5 * x[:, 0], 0.0)),
+            am.BodyForce((lambda x: 2e5 * x[:, 0], 0.0)),
             None,
             4e5 * np.pi * HEIGHT * (OUTER**4 - INNER**4) / 4,
         ),
         (
-            Traction("top", (0.0, lambda x: 2e5 * x[:, 0])),
+            am.Traction("top", (0.0, lambda x: 2e5 * x[:, 0])),
             None,
             4e5 * np.pi * HEIGHT * (OUTER**3 - INNER**3) / 3,
         ),
     ],
 )
 def test_axisymmetric_forces_and_work_of_linear_data_are_exact(load, force, work):
-    found = load_vector(RING, [load], STEEL)
+    found = am.discrete.load_vector(RING, [load], STEEL)
     if force is not None:
         np.testing.assert_allclose(found.reshape(-1, 2).sum(axis=0), force, rtol=1e-12, atol=1e-8)
     else:
@@ -391,51 +379,60 @@ def _turned(mesh):
     return replace(mesh, elements=elements)
 
 
-PLATE, BLOCK, ONE = PARTS[2]["lower"], PARTS[3]["lower"], PlaneStrain(young=1.0, poisson=0.2)
-ROCK = Solid(young=1.0, poisson=0.2)
+PLATE, BLOCK, ONE = PARTS[2]["lower"], PARTS[3]["lower"], am.PlaneStrain(young=1.0, poisson=0.2)
+ROCK = am.Solid(young=1.0, poisson=0.2)
 
 
 EMPTY = replace(FLAT, boundaries=(*FLAT.boundaries, "hole"))
 test_refusals = refused(
     (
-        lambda: load_vector(FLAT, [Pressure("roof", 1.0)]),
+        lambda: am.discrete.load_vector(FLAT, [am.Pressure("roof", 1.0)]),
         "'roof' does not exist; the boundaries are bottom",
     ),
     (
-        lambda: load_vector(EMPTY, [Pressure("hole", 1.0)]),
+        lambda: am.discrete.load_vector(EMPTY, [am.Pressure("hole", 1.0)]),
         "'hole' has a name in the mesh but no facets",
     ),
     (
-        lambda: fixed_dofs(FLAT, [Support("left", x=0.0), Support("bottom", x=1e-3)]),
+        lambda: am.discrete.fixed_dofs(
+            FLAT, [am.Support("left", x=0.0), am.Support("bottom", x=1e-3)]
+        ),
         r"'left' and 'bottom' prescribe different x displacements, 0 and 0\.001 m, at their common node 0",
     ),
-    (lambda: fixed_dofs(FLAT, [Support("wall", x=0.0)]), "'wall' does not exist"),
-    (lambda: stiffness(PLATE, ROCK), "the material is 3D, the mesh 2D"),
-    (lambda: stiffness(_turned(PLATE), ONE), r"element 5 with nodes .* is inverted or degenerate"),
+    (lambda: am.discrete.fixed_dofs(FLAT, [am.Support("wall", x=0.0)]), "'wall' does not exist"),
+    (lambda: am.discrete.stiffness(PLATE, ROCK), "the material is 3D, the mesh 2D"),
     (
-        lambda: stiffness(replace(RING, points=RING.points - [0.15, 0.0]), STEEL),
+        lambda: am.discrete.stiffness(_turned(PLATE), ONE),
+        r"element 5 with nodes .* is inverted or degenerate",
+    ),
+    (
+        lambda: am.discrete.stiffness(replace(RING, points=RING.points - [0.15, 0.0]), STEEL),
         r"lie at radii x >= 0, got x = -0\.05 m",
     ),
     (
-        lambda: stiffness(BOTH[2], {"lower": ONE}),
+        lambda: am.discrete.stiffness(BOTH[2], {"lower": ONE}),
         r"no material for body 'upper'; .*lower, upper, .*lower",
     ),
     (
-        lambda: stiffness(BOTH[2], {"lower": ONE, "upper": STEEL}),
+        lambda: am.discrete.stiffness(BOTH[2], {"lower": ONE, "upper": STEEL}),
         "either all bodies are Axisymmetric or none, got PlaneStrain, Axisym",
     ),
     (
-        lambda: full_stress(BOTH[2], {"lower": ONE, "upper": 1.0}, np.zeros(BOTH[2].points.shape)),
+        lambda: am.discrete.full_stress(
+            BOTH[2], {"lower": ONE, "upper": 1.0}, np.zeros(BOTH[2].points.shape)
+        ),
         TypeError,
         r"mapping body name -> one of them, got 1\.0",
     ),
-    (lambda: von_mises(np.zeros((3, 2, 2))), r"stress must have shape \(n, 3, 3\)"),
+    (lambda: am.discrete.von_mises(np.zeros((3, 2, 2))), r"stress must have shape \(n, 3, 3\)"),
     (
-        lambda: load_vector(BOTH[3], [BodyForce((0.0, 0.0, 1.0), body="roof")], ROCK),
+        lambda: am.discrete.load_vector(
+            BOTH[3], [am.BodyForce((0.0, 0.0, 1.0), body="roof")], ROCK
+        ),
         "body 'roof' does not exist; the bodies are lower, upper",
     ),
     (
-        lambda: load_vector(BOTH[3], [InitialStrain("upper", (1.0, 1.0, 1.0))]),
+        lambda: am.discrete.load_vector(BOTH[3], [am.InitialStrain("upper", (1.0, 1.0, 1.0))]),
         "depends on the elastic constants: give material",
     ),
 )

@@ -8,7 +8,6 @@ import pytest
 from behind import mesh_behind, problem_behind
 
 import adaptmg as am
-from adaptmg.mesh import structured
 
 SOLVER = am.ActiveSet(rtol=1e-10)
 CUBE = am.Box(width=1, depth=1, height=1)
@@ -25,11 +24,11 @@ def pressed(dim, seed, elements="linear"):
         name: kind(width=1.0, height=0.5, origin=(*[0.0] * (dim - 1), low), **depth)
         for name, low in (("upper", 1.0), ("middle", 0.5), ("lower", 0.0))
     }
-    mesh = structured(am.Assembly(parts=parts), {"upper": 3, "middle": 4, "lower": 6})
+    mesh = am.mesh.structured(am.Assembly(parts=parts), {"upper": 3, "middle": 4, "lower": 6})
     contact = [am.ContactPair("upper.bottom", "middle.top")]
     if dim == 2:
         at = [[0.25, 0.25], [0.5, 0.25], [0.75, 0.25]]
-        mesh = structured(am.Assembly(parts=parts), {"upper": 3, "middle": 4, "lower": 4})
+        mesh = am.mesh.structured(am.Assembly(parts=parts), {"upper": 3, "middle": 4, "lower": 4})
         row = [int(np.argmin(np.linalg.norm(mesh.points - x, axis=1))) for x in at]
         mesh = am.mesh.split(mesh, np.column_stack([row[:-1], row[1:]]))
         contact.append(am.ContactPair("crack.left", "crack.right"))
@@ -51,7 +50,7 @@ def pressed(dim, seed, elements="linear"):
 
 def periodic():
     """A cell whose mean shear is prescribed, on springs."""
-    mesh = structured(am.Rectangle(width=1, height=1), 6)
+    mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 6)
     return am.ContactProblem(
         material=am.PlaneStrain(young=2e11, poisson=0.3),
         ties=am.Periodic("left", "right", jump=(0, 1e-3)),
@@ -87,7 +86,7 @@ def test_a_problem_behind_many_nodes_is_the_problem_alone(posed):
 @pytest.mark.parametrize(("dim", "n"), [(2, 60), (3, 10)])
 def test_slits_behind_many_nodes_open_as_alone(dim, n):
     """Every second layer is cut: the corners of elements at slits times the nodes leave 32 bits."""
-    mesh = structured(am.Rectangle(width=1, height=1) if dim == 2 else CUBE, n)
+    mesh = am.mesh.structured(am.Rectangle(width=1, height=1) if dim == 2 else CUBE, n)
     layer = n * mesh.points[:, -1]
     inside = (np.abs(mesh.points - 0.5) < 0.49).all(axis=1) & (np.round(layer) % 2 == 0)
     ends = mesh.elements[:, [np.delete(np.arange(dim + 1), k) for k in range(dim + 1)]]

@@ -5,7 +5,6 @@ import pytest
 from refused import refused
 
 import adaptmg as am
-from adaptmg.mesh import structured
 
 LENGTH, HEIGHT, E, NU, FORCE = 8.0, 1.0, 1e9, 0.25, 1e4
 STEEL = am.PlaneStress(young=E, poisson=NU)
@@ -105,7 +104,7 @@ def test_whole_forces_arrive_in_space_and_in_axisymmetry(material, domain):
         loads=loads,
         supports=am.Support("bottom", **dict.fromkeys("xyz"[:dim], 0.0)),
     )
-    grids = am.Hierarchy.from_meshes(problem, [structured(domain, 3)])
+    grids = am.Hierarchy.from_meshes(problem, [am.mesh.structured(domain, 3)])
     result = am.solve(grids, am.ActiveSet(rtol=1e-10))
     assert result.resultant("bottom").force[-1] == pytest.approx(-7.0, abs=1e-7)
 
@@ -120,7 +119,7 @@ def test_the_force_is_drawn_with_its_tail_where_it_pulls():
     np.testing.assert_allclose([arrow.X[0], arrow.Y[0]], [4.0, 1.0])
 
 
-FLAT = structured(am.Rectangle(width=1, height=1), 2)
+FLAT = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
 test_refused = refused(
     (lambda: am.PointForce((0, 0), (1, 2, 3)), "as many entries as point, 2, got 3"),
     (lambda: am.PointForce((0, 0), (np.nan, 1)), "components must"),

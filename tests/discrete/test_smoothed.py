@@ -10,11 +10,8 @@ from two_materials import BOTH_ELEMENTS, EACH_KIND, MESHES
 from uncompiled import uncompile
 
 import adaptmg as am
-from adaptmg._threads import set_threads
-from adaptmg.discrete import elasticity, load_vector, stiffness
+from adaptmg.discrete import elasticity
 from adaptmg.discrete.stress import StressData
-from adaptmg.estimate.reference_error import Reference
-from adaptmg.problem.loads import InitialStrain
 
 
 def two(kind) -> dict:
@@ -24,17 +21,20 @@ def two(kind) -> dict:
 @EACH_KIND
 def test_the_kernels_compute_the_same_uncompiled_and_in_parts(kind, monkeypatch):
     mesh, materials = MESHES[kind.dim], two(kind)
-    compiled = stiffness(mesh, materials, "smoothed")
+    compiled = am.discrete.stiffness(mesh, materials, "smoothed")
     monkeypatch.setattr("adaptmg._threads.LARGE", 1)
-    set_threads(2)
+    am.set_threads(2)
     try:
-        parts = stiffness(mesh, materials, "smoothed")
+        parts = am.discrete.stiffness(mesh, materials, "smoothed")
     finally:
-        set_threads(1)
+        am.set_threads(1)
     np.testing.assert_array_equal(parts.data, compiled.data)
     uncompile(monkeypatch, elasticity)
     np.testing.assert_allclose(
-        stiffness(mesh, materials, "smoothed").data, compiled.data, rtol=1e-13, atol=1e-3
+        am.discrete.stiffness(mesh, materials, "smoothed").data,
+        compiled.data,
+        rtol=1e-13,
+        atol=1e-3,
     )
 
 
@@ -45,13 +45,15 @@ def test_energy_matrix_and_loads_of_initial_strains_belong_together(kind, elemen
     vary."""
     mesh, materials, rng = MESHES[kind.dim], two(kind), np.random.default_rng(3)
     strains = [
-        InitialStrain(body, (lambda x: 1e-3 * np.sin(3 * x[:, 0]), 2e-3, lambda x: 1e-3 * x[:, 1]))
+        am.InitialStrain(
+            body, (lambda x: 1e-3 * np.sin(3 * x[:, 0]), 2e-3, lambda x: 1e-3 * x[:, 1])
+        )
         for body in mesh.bodies
     ]
     u, still = 1e-3 * rng.normal(size=mesh.points.size), np.zeros(mesh.points.size)
     matrix, load = (
-        stiffness(mesh, materials, elements),
-        load_vector(mesh, strains, materials, elements),
+        am.discrete.stiffness(mesh, materials, elements),
+        am.discrete.load_vector(mesh, strains, materials, elements),
     )
     data = StressData.of(mesh, materials, strains, elements)
     # linear elements integrate 1/r by more points than energies have
@@ -68,7 +70,7 @@ def test_energy_matrix_and_loads_of_initial_strains_belong_together(kind, elemen
 @EACH_KIND
 def test_the_stress_of_elements_is_in_equilibrium_and_smoother_than_that_of_their_strains(kind):
     mesh, materials, rng = MESHES[kind.dim], two(kind), np.random.default_rng(5)
-    strains = [InitialStrain("left", (lambda x: 1e-3 * x[:, 0], 2e-3, 1e-3))]
+    strains = [am.InitialStrain("left", (lambda x: 1e-3 * x[:, 0], 2e-3, 1e-3))]
     u, v = 1e-3 * rng.normal(size=(2, mesh.points.size))
     data = StressData.of(mesh, materials, strains, "smoothed")
     volumes = elasticity.element_measures(mesh, data.axisymmetric)
@@ -76,8 +78,10 @@ def test_the_stress_of_elements_is_in_equilibrium_and_smoother_than_that_of_thei
     if kind is am.PlaneStress:  # no work
         virtual[:, 2, 2] = 0.0
     work = np.einsum("n,nij,nij", volumes, data.tensors(mesh, u), virtual)
-    load = load_vector(mesh, strains, materials, "smoothed")
-    assert work == pytest.approx(v @ (stiffness(mesh, materials, "smoothed") @ u - load), rel=1e-10)
+    load = am.discrete.load_vector(mesh, strains, materials, "smoothed")
+    assert work == pytest.approx(
+        v @ (am.discrete.stiffness(mesh, materials, "smoothed") @ u - load), rel=1e-10
+    )
     # pressures of groups add theirs
     more = replace(data, pressure=rng.normal(size=len(volumes))).tensors(mesh, u) - data.tensors(
         mesh, u
@@ -90,13 +94,13 @@ def test_a_problem_has_its_elements_on_all_levels_and_in_all_that_follows_from_i
     grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
     for level in grids.levels:
         np.testing.assert_array_equal(
-            level.matrix.data, stiffness(level.mesh, problem.material, "smoothed").data
+            level.matrix.data, am.discrete.stiffness(level.mesh, problem.material, "smoothed").data
         )
     result = am.solve(grids)
     assert result.energy == pytest.approx(result.checked.energy_norm**2 / 2, rel=1e-6)
     linear = grids.with_problem(replace(problem, elements="linear"))
     np.testing.assert_array_equal(
-        linear.finest.matrix.data, stiffness(linear.finest.mesh, problem.material).data
+        linear.finest.matrix.data, am.discrete.stiffness(linear.finest.mesh, problem.material).data
     )
 
 
@@ -151,7 +155,7 @@ test_refusals = refused(
         ),
         "am.Goal estimates errors of linear elements",
     ),
-    (lambda: Reference.of(*solved_bar()), "a reference must have linear elements"),
+    (lambda: am.estimate.Reference.of(*solved_bar()), "a reference must have linear elements"),
     (
         lambda: replace(am.cases.greco_bar(), elements="quadratic"),
         r"elements must be one of 'linear', 'smoothed'",

@@ -11,9 +11,7 @@ from refused import refused
 from saddle import Parts
 
 import adaptmg as am
-from adaptmg.discrete import fixed_dofs
 from adaptmg.discrete.supports import inclined_supports
-from adaptmg.mesh import structured
 from adaptmg.solver.statics import check_statics
 
 PRESSURE, STIFF, E = 5e5, 1e9, 1e8
@@ -77,12 +75,12 @@ def test_springs_across_and_at_points_hold_a_body():
     # far softer than the body, and the statics see them
     soft = (am.PointSpring((0, 0), x=10.0, y=10.0), am.PointSpring((1, 0), y=10.0))
     posed = replace(problem, supports=soft, loads=[am.Traction("top", (0.0, -1.0))])
-    check_statics(am.discretise(posed, structured(posed.domain, 4)))
+    check_statics(am.discretise(posed, am.mesh.structured(posed.domain, 4)))
     with pytest.raises(ValueError, match=r"rotation about \(0, 1\)"):
         check_statics(
             am.discretise(
                 replace(posed, law=am.Frictionless(), supports=[am.PointSpring((0, 1), y=10.0)]),
-                structured(posed.domain, 4),
+                am.mesh.structured(posed.domain, 4),
             )
         )
     hung = am.solve(am.Hierarchy.uniform(posed, (4, 8)), am.Multigrid())
@@ -114,11 +112,14 @@ def test_soft_springs_hold_or_are_named_with_the_least_stiffness():
 
 def test_point_supports_hold_one_node_symmetry_one_component():
     problem = on_springs(am.PlaneStress)
-    mesh = structured(problem.domain, 4)
+    mesh = am.mesh.structured(problem.domain, 4)
     np.testing.assert_array_equal(
-        *(fixed_dofs(mesh, [one]) for one in (am.Symmetry("left"), am.Support("left", x=0)))
+        *(
+            am.discrete.fixed_dofs(mesh, [one])
+            for one in (am.Symmetry("left"), am.Support("left", x=0))
+        )
     )
-    held, values = fixed_dofs(mesh, [am.PointSupport((0.25, 1.0), y=1e-3)])
+    held, values = am.discrete.fixed_dofs(mesh, [am.PointSupport((0.25, 1.0), y=1e-3)])
     node = int(np.flatnonzero(held)[0]) // 2
     assert (
         held.sum() == 1
@@ -185,8 +186,9 @@ test_refused = refused(
         "'foot', used for a support",
     ),
     (
-        lambda: fixed_dofs(
-            structured(am.Rectangle(width=1, height=1), 4), [am.PointSupport((0.3, 0), x=0.0)]
+        lambda: am.discrete.fixed_dofs(
+            am.mesh.structured(am.Rectangle(width=1, height=1), 4),
+            [am.PointSupport((0.3, 0), x=0.0)],
         ),
         "nearest one 0.05 m away",
     ),
@@ -202,8 +204,9 @@ test_refused = refused(
         "support on 'circle' holds its normal, and the boundary is not plane",
     ),
     (
-        lambda: fixed_dofs(
-            structured(am.Rectangle(width=1, height=1), 4), [am.Support("left", x=0, normal=0)]
+        lambda: am.discrete.fixed_dofs(
+            am.mesh.structured(am.Rectangle(width=1, height=1), 4),
+            [am.Support("left", x=0, normal=0)],
         ),
         "prescribes x, which is its normal displacement, twice",
     ),
@@ -227,7 +230,7 @@ def sheared(dim, seed):
         @ (np.eye(dim) + np.triu(rng.uniform(-0.7, 0.7, (dim, dim)), 1))
     )
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
-    meshes = [structured(unit, n) for n in ((2, 4) if dim == 3 else (2, 4, 8))]
+    meshes = [am.mesh.structured(unit, n) for n in ((2, 4) if dim == 3 else (2, 4, 8))]
     return [replace(one, points=one.points @ matrix.T, source=None) for one in meshes]
 
 
@@ -297,7 +300,7 @@ def test_supports_along_normals_turn_with_the_body(dim, seed):
     turn, shift = np.linalg.qr(rng.standard_normal((dim, dim)))[0], rng.uniform(-5, 5, dim)
     turn[0] *= np.linalg.det(turn)
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
-    meshes = [structured(unit, n) for n in (2, 4)]
+    meshes = [am.mesh.structured(unit, n) for n in (2, 4)]
     straight = am.Hierarchy.from_meshes(pressed(dim), meshes)
     turned = am.Hierarchy.from_meshes(
         pressed(dim, contact=am.Contact("bottom", am.Plane(shift, turn[:, -1]))),
@@ -368,7 +371,9 @@ def test_pairs_between_planes_of_symmetry_turn_with_the_bodies(dim):
         ),
         loads=(am.Pressure("upper.top", 1e4), am.Pressure("upper.right", -3e3)),
     )
-    meshes = [structured(am.Assembly(parts=parts), {"upper": n, "lower": n + 1}) for n in (2, 4)]
+    meshes = [
+        am.mesh.structured(am.Assembly(parts=parts), {"upper": n, "lower": n + 1}) for n in (2, 4)
+    ]
     turn = np.linalg.qr(np.random.default_rng(dim).standard_normal((dim, dim)))[0]
     turn[0] *= np.linalg.det(turn)
     one, grids = (
@@ -405,7 +410,7 @@ def clamped_beam(gap, seed, sinks=0.0):
     )
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     meshes = [
-        structured(am.Rectangle(width=1.0, height=0.2), n)
+        am.mesh.structured(am.Rectangle(width=1.0, height=0.2), n)
         for n in ((1, 1), (2, 1), (2, 2), (4, 2), (6, 3))
     ]
     meshes = [replace(one, points=size * one.points @ turn + shift, source=None) for one in meshes]
@@ -544,7 +549,7 @@ def test_a_support_may_move_up_to_the_obstacle_and_not_beyond(seed):
         ):
             am.discretise(
                 replace(oblique, supports=(am.Support("left", x=moved),)),
-                structured(am.Rectangle(width=1.0, height=0.2), 2),
+                am.mesh.structured(am.Rectangle(width=1.0, height=0.2), 2),
             )
 
 
@@ -718,7 +723,7 @@ def test_a_roller_closes_its_gap_along_the_way_it_is_free_to_go(angle):
         loads=am.Pressure("top", PRESSURE),
         supports=am.Support("left", x=0.0),
     )
-    mesh = structured(problem.domain, 2)
+    mesh = am.mesh.structured(problem.domain, 2)
     contact = am.discretise(problem, mesh).contact
     corner = (mesh.points[contact.nodes] == 0.0).all(axis=1)
     np.testing.assert_allclose(contact.gaps[corner], 0.1, rtol=1e-12)

@@ -10,7 +10,6 @@ from bodies import EXACT
 from refused import refused
 
 import adaptmg as am
-from adaptmg.mesh import structured
 
 E, NU = 1e7, 0.3
 PLANE = am.PlaneStrain(young=E, poisson=NU)
@@ -29,7 +28,8 @@ def stacked(dim, seed):
         for name, low in (("upper", 0.5), ("lower", 0.0))
     }
     meshes = [
-        structured(am.Assembly(parts=parts), {"upper": 3 * n // 2, "lower": n}) for n in (2, 4)
+        am.mesh.structured(am.Assembly(parts=parts), {"upper": 3 * n // 2, "lower": n})
+        for n in (2, 4)
     ]
     meshes = [
         replace(one, points=size * one.points @ turn.T + shift, source=None) for one in meshes
@@ -316,7 +316,7 @@ def test_a_cell_does_not_depend_on_where_it_begins(shift):
     and Mandel)."""
 
     def with_inclusion(shift):
-        mesh = structured(am.Rectangle(width=1, height=1), 8)
+        mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 8)
         centre = np.abs(mesh.points[mesh.elements].mean(axis=1) - 0.5 - np.array(shift) / 8)
         inside = (centre < 0.25).all(axis=1).astype(np.int32)
         two = replace(mesh, bodies=("soft", "stiff"), element_body=inside, source=None)
@@ -342,7 +342,7 @@ test_refused = refused(
     (
         lambda: am.Hierarchy.from_meshes(
             cell(2, ties=am.Periodic("left", "top"))[0],
-            [structured(am.Rectangle(width=1, height=1), (2, 3))],
+            [am.mesh.structured(am.Rectangle(width=1, height=1), (2, 3))],
         ),
         "sides 'left' and 'top' do not match: 4 and 3 nodes",
     ),

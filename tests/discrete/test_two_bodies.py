@@ -10,8 +10,6 @@ from bodies import DIMS, EXACT, LOWER_ON_UPPER, MATERIALS, PAIRS, UPPER_ON_LOWER
 from saddle import Parts
 
 import adaptmg as am
-from adaptmg.discrete.discretise import discretise
-from adaptmg.mesh import refine_near, structured
 
 
 class TestPatch:
@@ -97,11 +95,11 @@ class TestHierarchies:
     def test_bisected_given_and_algebraic_levels_and_one_level(self):
         """The same solution of all, and less to ask where there is no mesh."""
         problem = bodies.bar_on_block(am.Coulomb(0.5))
-        meshes = [structured(problem.domain, {"upper": k, "lower": k + 1}) for k in (3, 6)]
+        meshes = [am.mesh.structured(problem.domain, {"upper": k, "lower": k + 1}) for k in (3, 6)]
         given = am.Hierarchy.from_meshes(replace(problem, domain=None), meshes, transfer=am.L2())
-        coarsest = structured(problem.domain, {"upper": 3, "lower": (5, 4)})
+        coarsest = am.mesh.structured(problem.domain, {"upper": 3, "lower": (5, 4)})
         bisected = am.Hierarchy.from_meshes(
-            problem, refine_near(coarsest, problem.pair_boundaries, 3)
+            problem, am.mesh.refine_near(coarsest, problem.pair_boundaries, 3)
         )
         algebraic = am.Hierarchy.algebraic(given.finest.discrete, max_coarse=60)
         for grids, solver in (
@@ -276,7 +274,7 @@ def test_an_interference_fit(dim, pair):
         assert again.cycles <= cycles
     deep = rf"{pair[0]}.*{pair[1]}.*overlap by up to {overlap:.4f} m.*allow_interference"
     with pytest.raises(ValueError, match=deep):
-        discretise(replace(problem, contact=am.ContactPair(*pair)), grids.finest.mesh)
+        am.discretise(replace(problem, contact=am.ContactPair(*pair)), grids.finest.mesh)
 
 
 @DIMS
@@ -285,10 +283,10 @@ def test_a_given_gap_closes_everywhere_at_once(dim):
     master."""
     gap, make = 1e-3, bodies.bar_on_block if dim == 2 else block_on_slab
     problem = make(am.Frictionless(), LOWER_ON_UPPER, gap=gap)
-    mesh = structured(
+    mesh = am.mesh.structured(
         problem.domain, {"upper": 8, "lower": 11} if dim == 2 else {"upper": 5, "lower": 8}
     )
-    discrete, upper = discretise(problem, mesh), np.unique(mesh.elements[mesh.element_body == 0])
+    discrete, upper = am.discretise(problem, mesh), np.unique(mesh.elements[mesh.element_body == 0])
     moved = np.zeros(mesh.points.shape)
     moved[upper, dim - 1] = -gap
     relative = discrete.at_contact(discrete.relative(moved).reshape(-1))

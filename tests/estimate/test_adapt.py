@@ -10,9 +10,7 @@ import pytest
 import adaptmg as am
 from adaptmg.estimate import loop as solving
 from adaptmg.estimate.loop import RATIO, RTOL, Limits, appended, carried, posed_at, thinned
-from adaptmg.mesh import structured
 from adaptmg.multigrid import split_matrix
-from adaptmg.transfer import size_ratio
 from adaptmg.transfer.interpolation import _size_ratios
 
 upset = am.cases.upset_block
@@ -188,7 +186,7 @@ def test_small_shares_of_a_quantity_are_not_rounding():
 @pytest.mark.parametrize("engine", [BISECT, am.Remesh()])
 def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
     problem = upset()
-    mesh = structured(problem.domain, 9)
+    mesh = am.mesh.structured(problem.domain, 9)
     for start, most, message in (
         (mesh, 99, "100, .* got 99; or take a coarser start"),
         (COARSE, 30, ""),
@@ -274,7 +272,7 @@ def test_nothing_to_refine_ends_the_loop_but_not_a_large_mesh():
 
 def test_it_starts_from_a_mesh_or_hierarchy_with_any_solver():
     problem = upset()
-    mesh = structured(problem.domain, 5)
+    mesh = am.mesh.structured(problem.domain, 5)
     assert loop(problem, mesh, max_nodes=120)[0].hierarchy.finest.mesh is mesh
     grids = am.Hierarchy.uniform(problem, (4, 8))
     for solver in (am.Multigrid(rtol=1e-9), am.FullMultigrid(rtol=1e-6)):
@@ -395,7 +393,7 @@ class Between:
 
     def intermediate(self, problem, coarse, fine):
         self.asked += 1
-        return structured(problem.domain, self.counts.pop(0)) if self.counts else None
+        return am.mesh.structured(problem.domain, self.counts.pop(0)) if self.counts else None
 
 
 def grids(*counts: int) -> am.Hierarchy:
@@ -420,10 +418,10 @@ def nodes(hierarchy: am.Hierarchy) -> list[int]:
 )
 def test_a_mesh_is_put_between_where_sizes_fall_too_much(offered, fine, kept, asked):
     start, engine = grids(3), object() if offered is None else Between(offered)
-    found = appended(start, structured(start.problem.domain, fine), engine)
+    found = appended(start, am.mesh.structured(start.problem.domain, fine), engine)
     assert nodes(found) == kept and getattr(engine, "asked", 0) == asked
     assert len(kept) == 2 or all(
-        size_ratio(a.mesh, b.mesh) <= RATIO for a, b in itertools.pairwise(found.levels)
+        am.transfer.size_ratio(a.mesh, b.mesh) <= RATIO for a, b in itertools.pairwise(found.levels)
     )
 
 
@@ -457,9 +455,9 @@ def test_whether_levels_are_nested_is_asked_once(monkeypatch):
 
 
 def test_the_ratio_of_a_sample_is_that_of_all():
-    coarse, fine = (structured(am.Rectangle(width=1.0, height=1.0), n) for n in (7, 150))
+    coarse, fine = (am.mesh.structured(am.Rectangle(width=1.0, height=1.0), n) for n in (7, 150))
     assert len(fine.elements) > 40_000
-    assert size_ratio(coarse, fine) == pytest.approx(
+    assert am.transfer.size_ratio(coarse, fine) == pytest.approx(
         np.quantile(_size_ratios(coarse, fine, 1), 0.99), rel=1e-12
     )
 

@@ -10,13 +10,11 @@ from bisected_meshes import SQUARE, as_sets, cube, random_mask, verified
 
 import adaptmg as am
 from adaptmg.estimate.engines import divisible
-from adaptmg.mesh import graded, structured
 from adaptmg.mesh.bisection import refined
-from adaptmg.problem import Outline
 
 PROBLEM = am.cases.greco_bar()
-MESH = structured(PROBLEM.domain, 8)
-RING = Outline(
+MESH = am.mesh.structured(PROBLEM.domain, 8)
+RING = am.Outline(
     vertices=((1, 0), (2, 0), (0, 2), (0, 1)),
     boundaries=("a", "out", "b", "in"),
     arcs={1: (0, 0), 3: (0, 0)},
@@ -87,7 +85,7 @@ def test_nodes_go_onto_the_arcs_of_the_domain():
         domain=RING,
         contact=am.Contact("in", am.Plane((0, 0), (0, 1))),
     )
-    bare, mesh = replace(problem, domain=None), graded(RING, 0.5)
+    bare, mesh = replace(problem, domain=None), am.mesh.graded(RING, 0.5)
     for _ in range(3):
         estimate = estimate_of(mesh, (1.0, 0.0))
         mesh = verified(am.Bisect().refine(problem, mesh, estimate, largest(estimate, 0.3)))
@@ -110,7 +108,7 @@ def test_rectangles_and_boxes_begin_with_a_regular_mesh():
 
 
 def test_a_marked_element_stays_above_what_coordinates_resolve():
-    mesh = structured(PROBLEM.domain, 2)
+    mesh = am.mesh.structured(PROBLEM.domain, 2)
     for _ in range(60):
         before, marked = mesh, np.arange(len(mesh.elements)) == 0
         mesh = am.Bisect().refine(

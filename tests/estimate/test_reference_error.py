@@ -6,7 +6,6 @@ import dataclasses
 import pytest
 
 import adaptmg as am
-from adaptmg.estimate import Reference, energy_error
 
 SOLVER = am.FullMultigrid(rtol=1e-9)
 
@@ -20,7 +19,7 @@ def on(problem, meshes):
 def transition():
     problem = am.cases.coulomb_transition(kind="stick", sign="-")
     grids = am.Hierarchy.uniform(problem, divisions=[(8 * 2**k, 4 * 2**k) for k in range(5)])
-    return grids, Reference.of(grids, am.solve(grids, SOLVER))
+    return grids, am.estimate.Reference.of(grids, am.solve(grids, SOLVER))
 
 
 def test_errors_are_the_exact_ones(transition):
@@ -33,7 +32,7 @@ def test_errors_are_the_exact_ones(transition):
         on(grids.problem, [am.mesh.graded(domain, 0.1, ("bottom",), 2.0)])[1],
     ]
     for result in solved:
-        exact, found = field.energy_error(result), energy_error(reference, result)
+        exact, found = field.energy_error(result), am.estimate.energy_error(reference, result)
         # of second order in the quotient of the two errors: measured .35 times its square, nested
         # 1e-3
         known = 0.5 * (found.allowance / found.absolute) ** 2
@@ -41,7 +40,7 @@ def test_errors_are_the_exact_ones(transition):
         assert found.relative == pytest.approx(exact.relative, rel=known)
         assert found.norm == pytest.approx(exact.norm, rel=1e-4)
         assert 0.2 < found.allowance / exact.absolute < 0.27
-    nested = energy_error(reference, solved[0]).absolute
+    nested = am.estimate.energy_error(reference, solved[0]).absolute
     assert nested == pytest.approx(field.energy_error(solved[0]).absolute, rel=1e-3)
 
 
@@ -49,14 +48,19 @@ def test_the_own_error_counts_and_a_reference_must_be_finer(transition):
     grids, reference = transition
     result = am.solve(grids.truncated(finest=2), SOLVER)
     bare = dataclasses.replace(reference, own_error=0.0)
-    with_own, without = energy_error(reference, result), energy_error(bare, result)
+    with_own, without = (
+        am.estimate.energy_error(reference, result),
+        am.estimate.energy_error(bare, result),
+    )
     assert with_own.absolute**2 - without.absolute**2 == pytest.approx(
         reference.own_error**2, rel=1e-6
     )
     small = grids.truncated(finest=1)
-    worse = dataclasses.replace(Reference.of(small, am.solve(small, SOLVER)), own_error=0.0)
+    worse = dataclasses.replace(
+        am.estimate.Reference.of(small, am.solve(small, SOLVER)), own_error=0.0
+    )
     with pytest.raises(ValueError, match="several times finer than the result"):
-        energy_error(worse, am.solve(grids.truncated(finest=3), SOLVER))
+        am.estimate.energy_error(worse, am.solve(grids.truncated(finest=3), SOLVER))
 
 
 SOLVED = {
@@ -71,9 +75,11 @@ SOLVED = {
 def test_a_solution_has_no_error_against_itself(case):
     grids = SOLVED[case]()
     result = am.solve(grids, SOLVER)
-    own = energy_error(dataclasses.replace(Reference.of(grids, result), own_error=0.0), result)
+    own = am.estimate.energy_error(
+        dataclasses.replace(am.estimate.Reference.of(grids, result), own_error=0.0), result
+    )
     assert own.relative < 1e-4
-    assert energy_error((grids, result), result).absolute == pytest.approx(
+    assert am.estimate.energy_error((grids, result), result).absolute == pytest.approx(
         am.Recovery().indicate(grids, result).total, rel=1e-2, abs=1e-4 * own.norm
     )
 
@@ -84,7 +90,9 @@ def test_two_bodies_on_meshes_that_do_not_match():
         am.mesh.graded(problem.domain, size, problem.pair_boundaries, 2.0)
         for size in (8e-3, 4e-3, 1.2e-3)
     ]
-    reference = Reference.of(*on(problem, meshes))
-    errors = [energy_error(reference, on(problem, meshes[:k])[1]).relative for k in (1, 2)]
+    reference = am.estimate.Reference.of(*on(problem, meshes))
+    errors = [
+        am.estimate.energy_error(reference, on(problem, meshes[:k])[1]).relative for k in (1, 2)
+    ]
     # rate lambda = .54 at the corners of notch and tongue
     assert errors[0] < 0.4 and 1.2 < errors[0] / errors[1] < 1.8

@@ -21,8 +21,6 @@ from adaptmg.estimate.engines import (
     nodal_sizes,
     simplex_sizes,
 )
-from adaptmg.mesh import as_mesh, check_mesh, graded, quality
-from adaptmg.transfer import size_ratio
 
 
 def singular(mesh, place, exponent=0.6):
@@ -44,7 +42,7 @@ PLANE = {
 def test_plane_problems(case):
     problem = PLANE[case]()
     domain = problem.domain
-    mesh = graded(
+    mesh = am.mesh.graded(
         domain, float((domain.upper - domain.lower).max()) / 12, problem.pair_boundaries, 4
     )
     place = mesh.points[mesh.boundary_nodes(problem.pair_boundaries[0])[0]]
@@ -52,7 +50,7 @@ def test_plane_problems(case):
     for _ in range(3):
         estimate = singular(mesh, place)
         sizes = equilibrated_sizes(mesh, estimate.squares, 2.5 * mesh.n_nodes)
-        fine = check_mesh(engine.refine(problem, mesh, estimate, None), domain.boundaries)
+        fine = am.mesh.check_mesh(engine.refine(problem, mesh, estimate, None), domain.boundaries)
         assert fine.bodies == mesh.bodies and fine.boundaries == mesh.boundaries
         mesh_before, mesh = mesh, fine
     assert mesh.n_nodes == pytest.approx(2.5 * mesh_before.n_nodes, rel=0.15)
@@ -64,7 +62,7 @@ def test_plane_problems(case):
         )
         assert 0.9 < np.median(relative) < 1.15
         assert np.quantile(relative, 0.02) > 0.6 and np.quantile(relative, 0.98) < 1.5
-    assert quality(mesh).min_angle > 20
+    assert am.mesh.quality(mesh).min_angle > 20
     # not nested: most old nodes are gone
     old, new = ({tuple(x) for x in m.points.round(12)} for m in (mesh_before, mesh))
     assert len(old & new) < 0.3 * len(old)
@@ -72,14 +70,14 @@ def test_plane_problems(case):
 
 def test_it_coarsens_small_errors_but_contact_keeps_nodes():
     problem = am.cases.upset_block()
-    mesh = graded(problem.domain, 1e-3)
+    mesh = am.mesh.graded(problem.domain, 1e-3)
     far = mesh.points[mesh.elements].mean(axis=1)[:, 0] > 20e-3
     fine = am.Remesh(growth=1.5).refine(
         problem, mesh, am.Estimate(squares=np.where(far, 1e-12, 1.0), norm=1.0)
     )
     in_far_half = [np.count_nonzero(m.points[:, 0] > 30e-3) for m in (mesh, fine)]
     assert in_far_half[1] < 0.7 * in_far_half[0]
-    mesh = graded(problem.domain, 4e-3)
+    mesh = am.mesh.graded(problem.domain, 4e-3)
     for _ in range(6):
         at_top = mesh.points[mesh.elements].mean(axis=1)[:, 1] > 39e-3
         estimate = am.Estimate(squares=np.where(at_top, 1.0, 1e-20), norm=1.0)
@@ -89,7 +87,7 @@ def test_it_coarsens_small_errors_but_contact_keeps_nodes():
 
 def test_number_of_nodes():
     problem = am.cases.upset_block()
-    mesh = graded(problem.domain, 2.5e-3)
+    mesh = am.mesh.graded(problem.domain, 2.5e-3)
 
     def refined(mesh, exponent, most=None, **options):
         return am.Remesh(**options).refine(
@@ -125,16 +123,16 @@ def test_solids(domain):
         contact=am.Contact(last, am.Plane((0, 0, 0), (0, 0, 1))),
         supports=(am.Support(first, x=0.0),),
     )
-    mesh, engine = graded(domain, 6e-3), am.Remesh()
+    mesh, engine = am.mesh.graded(domain, 6e-3), am.Remesh()
     for _ in range(2):
         before, mesh = (
             mesh,
-            check_mesh(
+            am.mesh.check_mesh(
                 engine.refine(problem, mesh, singular(mesh, domain.lower)), domain.boundaries
             ),
         )
     assert mesh.n_nodes == pytest.approx(engine.growth * before.n_nodes, rel=0.25)
-    assert quality(mesh).min_angle > 8
+    assert am.mesh.quality(mesh).min_angle > 8
     if isinstance(domain, am.Cut):
         hole = [name for name in mesh.boundaries if "side" in name]
         nodes = np.unique(np.concatenate([mesh.boundary_nodes(name) for name in hole]))
@@ -144,11 +142,14 @@ def test_solids(domain):
 
 def test_intermediate_meshes_halve_the_jump():
     problem = am.cases.dovetail()
-    coarse, fine = graded(problem.domain, 6e-3), graded(problem.domain, 0.5e-3)
-    between = check_mesh(am.Remesh().intermediate(problem, coarse, fine), problem.domain.boundaries)
+    coarse, fine = am.mesh.graded(problem.domain, 6e-3), am.mesh.graded(problem.domain, 0.5e-3)
+    between = am.mesh.check_mesh(
+        am.Remesh().intermediate(problem, coarse, fine), problem.domain.boundaries
+    )
     assert coarse.n_nodes < between.n_nodes < fine.n_nodes
     whole, lower, upper = (
-        size_ratio(*pair) for pair in ((coarse, fine), (coarse, between), (between, fine))
+        am.transfer.size_ratio(*pair)
+        for pair in ((coarse, fine), (coarse, between), (between, fine))
     )
     assert whole > 8
     assert max(lower, upper) < 1.7 * np.sqrt(whole)
@@ -157,7 +158,7 @@ def test_intermediate_meshes_halve_the_jump():
 def test_a_problem_without_a_domain_is_refused():
     mesh, alone = structured(4, 2), replace(am.cases.upset_block(), domain=None)
     for run in (
-        lambda: am.Remesh().refine(alone, as_mesh(mesh), singular(mesh, (0.0, 0.0))),
+        lambda: am.Remesh().refine(alone, am.mesh.as_mesh(mesh), singular(mesh, (0.0, 0.0))),
         lambda: am.Remesh().intermediate(alone, mesh, mesh),
     ):
         with pytest.raises(ValueError, match=r"problem\.domain is None.*engine=am\.Bisect"):

@@ -13,12 +13,11 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.estimate import stress_fields
 from adaptmg.estimate.estimate import condition_squares
 from adaptmg.estimate.stress_fields import Posed, neighbours
-from adaptmg.mesh.arrays import MeshArrays
 
 EXACT = am.FullMultigrid(rtol=1e-10)
 
 
-def made(mesh: MeshArrays) -> Posed:
+def made(mesh: am.MeshArrays) -> Posed:
     """Made-up contact on 'bottom' of a square or cube."""
     dim, kind = mesh.dim, am.PlaneStrain if mesh.dim == 2 else am.Solid
     problem = am.ContactProblem(

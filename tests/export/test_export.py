@@ -11,7 +11,7 @@ from made_bodies import two_bodies
 
 import adaptmg as am
 from adaptmg.discrete.stress import StressData
-from adaptmg.export import mesh_files, vtk, vtk_series
+from adaptmg.export import mesh_files
 
 meshio = pytest.importorskip("meshio")
 
@@ -29,7 +29,7 @@ meshio = pytest.importorskip("meshio")
 def test_vtk_holds_the_result_and_is_zero_off_the_contact_nodes(tmp_path, make):
     result = make()
     path = tmp_path / "r.vtu"
-    vtk(result, path)
+    am.export.vtk(result, path)
     read = meshio.read(path)
     mesh, contact, data = result.mesh, result.contact, read.point_data
     dim, kind = mesh.dim, "triangle" if mesh.dim == 2 else "tetra"
@@ -78,7 +78,7 @@ def test_vtk_stress_is_that_of_each_body(tmp_path, dim):
         across[result.mesh.elements[result.mesh.element_body == k]] = -materials[body].poisson
     u = strain * np.column_stack([x[:, 0], *(across * x[:, d] for d in range(1, dim))])
     data = StressData.of(result.mesh, materials)
-    vtk(dataclasses.replace(result, displacement=u, stress_data=data), tmp_path / "r.vtu")
+    am.export.vtk(dataclasses.replace(result, displacement=u, stress_data=data), tmp_path / "r.vtu")
     kind = "triangle" if dim == 2 else "tetra"
     cells = {
         name: values[kind]
@@ -89,7 +89,7 @@ def test_vtk_stress_is_that_of_each_body(tmp_path, dim):
     np.testing.assert_allclose(
         cells["stress"], expected[:, None] * np.eye(6)[0], atol=1e-6 * expected.max()
     )
-    vtk(dataclasses.replace(result, stress_data=None), tmp_path / "r.vtu")
+    am.export.vtk(dataclasses.replace(result, stress_data=None), tmp_path / "r.vtu")
     assert list(meshio.read(tmp_path / "r.vtu").cell_data_dict) == ["body"]
 
 
@@ -104,7 +104,7 @@ def test_a_series_lists_every_step_and_replaces_an_older_one(tmp_path):
         (_steps(4)[2:], None),
         (_steps(3), (1.0, 2.0, 3.0)),
     ):
-        pvd = vtk_series(steps, tmp_path / "deep" / "down" / "a&b.pvd", times)
+        pvd = am.export.vtk_series(steps, tmp_path / "deep" / "down" / "a&b.pvd", times)
         listed = [
             (float(entry.get("timestep")), entry.get("file"))
             for entry in ElementTree.parse(pvd).iter("DataSet")
@@ -117,16 +117,16 @@ def test_a_series_lists_every_step_and_replaces_an_older_one(tmp_path):
 
 
 def test_a_series_replaces_no_file_that_is_not_of_an_older_one(tmp_path):
-    vtk_series(_steps(2), tmp_path / "run.pvd")
+    am.export.vtk_series(_steps(2), tmp_path / "run.pvd")
     step = tmp_path / "run_0002.vtu"
     step.write_bytes(b"mine")
     with pytest.raises(FileExistsError, match=r"run_0002\.vtu"):
-        vtk_series(_steps(3), tmp_path / "run.pvd")
+        am.export.vtk_series(_steps(3), tmp_path / "run.pvd")
     assert step.read_bytes() == b"mine"
 
 
 def test_a_series_is_written_whole_or_not_at_all(tmp_path):
-    vtk_series(_steps(1), tmp_path / "old.pvd")
+    am.export.vtk_series(_steps(1), tmp_path / "old.pvd")
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     for bad, error in (
         ([*_steps(2), result_on(None)], ValueError),
@@ -134,7 +134,7 @@ def test_a_series_is_written_whole_or_not_at_all(tmp_path):
     ):
         for target in ("run.pvd", "old.pvd"):
             with pytest.raises(error):
-                vtk_series(bad, tmp_path / target)
+                am.export.vtk_series(bad, tmp_path / target)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
@@ -148,5 +148,5 @@ def test_the_list_of_a_series_is_written_last(tmp_path, monkeypatch):
 
     monkeypatch.setattr(mesh_files.os, "replace", failing)
     with pytest.raises(OSError, match="disk full"):
-        vtk_series(_steps(2), tmp_path / "run.pvd")
+        am.export.vtk_series(_steps(2), tmp_path / "run.pvd")
     assert not (tmp_path / "run.pvd").exists()

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from pages import Page
 
-from adaptmg.export import Report
+import adaptmg as am
 from adaptmg.export.report import DENSE, LONGEST, columns_of, one_line, worded
 
 #: names that end an attribute, open a tag, or are not allowed in XML or UTF-8 at all
@@ -42,13 +42,13 @@ def made(tmp_path, fill, **options) -> tuple[Page, str]:
     """The page that ``fill`` makes, parsed, and its text; figures of other tests are closed
     before."""
     plt.close("all")
-    report = Report("Smoothing & <co>", "One.\n\nTwo <b>.", **options)
+    report = am.export.Report("Smoothing & <co>", "One.\n\nTwo <b>.", **options)
     fill(report)
     text = report.write(tmp_path / "report.html").read_text(encoding="utf-8")
     return Page(text), text
 
 
-def example(report: Report) -> None:
+def example(report: am.export.Report) -> None:
     """All kinds of parts."""
     report.card("Best <sweeps>", "Two & no more.", to="first", table=FRAME, units={"n<": "m<"})
     report.card("A picture", to="nowhere", figure=drawing())
@@ -128,7 +128,7 @@ def test_a_report_escapes_everything(tmp_path):
 @pytest.mark.filterwarnings("ignore:Glyph")
 @pytest.mark.parametrize("name", (*NASTY, "r\u202ex"), ids=ascii)
 def test_any_text_gives_a_sound_report(tmp_path, name):
-    report = Report(f"t{name}", name)
+    report = am.export.Report(f"t{name}", name)
     # pandas' own texts hold nothing else than UTF-8 where pyarrow is installed
     frame = pd.DataFrame([[name]], columns=pd.Index([f"c{name}"], dtype=object), dtype=object)
     report.card(f"k{name}", name, table=frame)
@@ -187,7 +187,7 @@ def test_drawings_stay_letters_and_dense_ones_become_pictures(tmp_path):
 
 
 def test_bad_arguments_are_refused(tmp_path):
-    page = Report("x")
+    page = am.export.Report("x")
     page.section("s", key="a")
     for call, error, message in (
         (lambda: page.table([[1]], "caption"), TypeError, "DataFrame"),
@@ -202,7 +202,7 @@ def test_bad_arguments_are_refused(tmp_path):
         (lambda: page.section("s", key="a b"), ValueError, "key must begin"),
         (lambda: page.section("s", key="a"), ValueError, "another section"),
         (lambda: page.section("s", key="made"), ValueError, "another section"),
-        (lambda: Report(""), ValueError, "title"),
+        (lambda: am.export.Report(""), ValueError, "title"),
         (lambda: page.write(tmp_path / "nowhere" / "x.html"), FileNotFoundError, "nowhere"),
     ):
         with pytest.raises(error, match=message):

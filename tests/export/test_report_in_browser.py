@@ -9,7 +9,7 @@ import pytest
 from browser import dom, measure, needs_browser
 from matplotlib.figure import Figure
 
-from adaptmg.export import Report
+import adaptmg as am
 
 pytestmark = [needs_browser, pytest.mark.slow]
 
@@ -17,7 +17,9 @@ pytestmark = [needs_browser, pytest.mark.slow]
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """A report with wide tables, long words and large pictures; its file."""
-    report = Report("A title of some length " * 5 + "averylongword" * 20, "Summary. " * 40)
+    report = am.export.Report(
+        "A title of some length " * 5 + "averylongword" * 20, "Summary. " * 40
+    )
     many = pd.DataFrame(
         {f"a column of number {k}": np.arange(90) * 10.0 ** (k - 8) for k in range(18)}
     )

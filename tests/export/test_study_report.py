@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from pages import Page
 
-from adaptmg.export import study_report
+import adaptmg as am
 from adaptmg.export.report import Axis, axes_of_study, curves
 
 
@@ -35,7 +35,7 @@ def table(repeats: int = 2) -> pd.DataFrame:
 
 
 def written(tmp_path, frame, **options) -> Page:
-    path = study_report(
+    path = am.export.study_report(
         frame, tmp_path / "r.html", **({"parameters": ["sweeps", "friction", "seed"]} | options)
     )
     return Page(path.read_text(encoding="utf-8"))

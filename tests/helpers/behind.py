@@ -6,28 +6,29 @@ from functools import cache
 import numpy as np
 
 import adaptmg as am
-from adaptmg.mesh import MeshArrays, structured
 
 #: name of the other body, and of its boundary
 FAR = "far"
 
 
 @cache
-def strip(dim: int, n_nodes: int) -> MeshArrays:
+def strip(dim: int, n_nodes: int) -> am.MeshArrays:
     """A strip of cells one cell thick, all of its nodes on its boundary."""
     kind = am.Rectangle if dim == 2 else am.Box
     depth = {} if dim == 2 else {"depth": 1}
     long = n_nodes // 2 ** (dim - 1)
-    return structured(kind(width=long, height=1, **depth), (long, 1) if dim == 2 else (long, 1, 1))
+    return am.mesh.structured(
+        kind(width=long, height=1, **depth), (long, 1) if dim == 2 else (long, 1, 1)
+    )
 
 
-def mesh_behind(mesh: MeshArrays, n_nodes: int = 63_000) -> tuple[MeshArrays, int]:
+def mesh_behind(mesh: am.MeshArrays, n_nodes: int = 63_000) -> tuple[am.MeshArrays, int]:
     """The mesh after at least ``n_nodes`` nodes of another body, and how many these are."""
     far = strip(mesh.dim, n_nodes)
     n, size = far.n_nodes, np.ptp(mesh.points, axis=0).max()
     away = mesh.points.min(axis=0) - size * np.array([0.0] * (mesh.dim - 1) + [3.0])
     return (
-        MeshArrays(
+        am.MeshArrays(
             points=np.concatenate([away + 0.5 * size * far.points, mesh.points]),
             elements=np.concatenate([far.elements, mesh.elements + n]),
             facets=np.concatenate([far.facets, mesh.facets + n]),
@@ -40,7 +41,7 @@ def mesh_behind(mesh: MeshArrays, n_nodes: int = 63_000) -> tuple[MeshArrays, in
     )
 
 
-def problem_behind(problem: am.ContactProblem, mesh: MeshArrays) -> am.ContactProblem:
+def problem_behind(problem: am.ContactProblem, mesh: am.MeshArrays) -> am.ContactProblem:
     """The problem of such a mesh, whose other body is held."""
     materials = problem.material
     if not isinstance(materials, dict):

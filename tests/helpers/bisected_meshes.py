@@ -4,36 +4,35 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.mesh import MeshArrays, check_mesh, structured
-from adaptmg.problem import Box, Rectangle
+import adaptmg as am
 
-SQUARE = structured(Rectangle(width=1, height=1), 3)
-
-
-def cube(divisions: int = 1) -> MeshArrays:
-    return structured(Box(width=1, depth=1, height=1), divisions)
+SQUARE = am.mesh.structured(am.Rectangle(width=1, height=1), 3)
 
 
-def shaken(mesh: MeshArrays, size: float, seed: int = 3) -> MeshArrays:
+def cube(divisions: int = 1) -> am.MeshArrays:
+    return am.mesh.structured(am.Box(width=1, depth=1, height=1), divisions)
+
+
+def shaken(mesh: am.MeshArrays, size: float, seed: int = 3) -> am.MeshArrays:
     """A mesh with its inner nodes moved at random."""
     points, inner = mesh.points.copy(), np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
     points[inner] += size * np.random.default_rng(seed).uniform(-1, 1, (len(inner), mesh.dim))
-    return check_mesh(replace(mesh, points=points, source=None))
+    return am.mesh.check_mesh(replace(mesh, points=points, source=None))
 
 
-def crooked(mesh: MeshArrays) -> MeshArrays:
+def crooked(mesh: am.MeshArrays) -> am.MeshArrays:
     """A mesh of a unit square or cube, its longest edges anyhow."""
     return shaken(mesh, 0.2 * np.diff(np.unique(mesh.points[:, 0])).min())
 
 
-def edge_lengths(mesh: MeshArrays, boundary: str) -> np.ndarray:
+def edge_lengths(mesh: am.MeshArrays, boundary: str) -> np.ndarray:
     """Lengths of the edges on a boundary."""
     corners = mesh.points[mesh.boundary_facets(boundary)]
     pairs = [(0, 1)] if mesh.dim == 2 else [(0, 1), (1, 2), (2, 0)]
     return np.concatenate([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs])
 
 
-def single(points: np.ndarray) -> MeshArrays:
+def single(points: np.ndarray) -> am.MeshArrays:
     """One triangle or tetrahedron."""
     points = np.array(points, dtype=float)
     corners = np.arange(len(points))
@@ -43,23 +42,25 @@ def single(points: np.ndarray) -> MeshArrays:
         len(points)
     ]
     names = tuple(f"side{k}" for k in corners)
-    return check_mesh(MeshArrays(points, corners[None], np.array(facets), corners, names))
+    return am.mesh.check_mesh(
+        am.MeshArrays(points, corners[None], np.array(facets), corners, names)
+    )
 
 
-def random_mask(mesh: MeshArrays, part: float, seed: int) -> np.ndarray:
+def random_mask(mesh: am.MeshArrays, part: float, seed: int) -> np.ndarray:
     marked = np.random.default_rng(seed).random(len(mesh.elements)) < part
     marked[0] = True
     return marked
 
 
-def verified(mesh: MeshArrays) -> MeshArrays:
+def verified(mesh: am.MeshArrays) -> am.MeshArrays:
     """The mesh, which claims to be sound, checked as if it did not."""
     assert mesh.sound
-    check_mesh(replace(mesh, source=None), mesh.boundaries)
+    am.mesh.check_mesh(replace(mesh, source=None), mesh.boundaries)
     return mesh
 
 
-def as_sets(mesh: MeshArrays) -> tuple[set, set, set]:
+def as_sets(mesh: am.MeshArrays) -> tuple[set, set, set]:
     """Nodes, elements and labelled facets by places, whatever their numbers and order."""
     places = [tuple(x) for x in mesh.points.tolist()]
     elements = [
@@ -75,7 +76,7 @@ def as_sets(mesh: MeshArrays) -> tuple[set, set, set]:
     return found
 
 
-def shape_classes(mesh: MeshArrays) -> int:
+def shape_classes(mesh: am.MeshArrays) -> int:
     """How many elements there are that are not similar to each other."""
     corners = mesh.points[mesh.elements]
     k = corners.shape[1]
@@ -86,7 +87,7 @@ def shape_classes(mesh: MeshArrays) -> int:
     return len(np.unique(np.round(lengths / lengths[-1], 6).T, axis=0))
 
 
-def containing_elements(coarse: MeshArrays, fine: MeshArrays) -> np.ndarray:
+def containing_elements(coarse: am.MeshArrays, fine: am.MeshArrays) -> np.ndarray:
     """The coarse element that holds each fine one, -1 where there is none."""
     found = np.full(len(fine.elements), -1)
     for e, corners in enumerate(coarse.points[coarse.elements]):

@@ -8,9 +8,6 @@ from saddle import Parts, held_alike
 from scipy.spatial.transform import Rotation
 
 import adaptmg as am
-from adaptmg.discrete.elasticity import rigid_motions
-from adaptmg.mesh import graded, merged, structured
-from adaptmg.mesh.arrays import MeshArrays
 
 EXACT = am.ActiveSet(rtol=1e-12)
 SOFT, STIFF = am.PlaneStrain(young=7e10, poisson=0.34), am.PlaneStrain(young=2.1e11, poisson=0.28)
@@ -29,7 +26,7 @@ def rotation(turn):
 
 def turned(mesh, turn):
     """A mesh turned about the origin."""
-    return MeshArrays(
+    return am.MeshArrays(
         mesh.points @ rotation(turn).T,
         mesh.elements,
         mesh.facets,
@@ -56,7 +53,7 @@ def held_at_points(problem, mesh, exact, points, load=0.0):
         law=parts.law,
         contact=parts.contact,
         coordinates=mesh.points,
-        near_nullspace=rigid_motions(mesh),
+        near_nullspace=am.discrete.rigid_motions(mesh),
     ).coupled(parts.weights)
 
 
@@ -84,8 +81,8 @@ def stacked(divisions, width=1.0):
         else am.Box(width=1.0, depth=1.0, height=0.6, origin=(0.0, 0.0, 0.6 * k))
         for k, name in enumerate(names)
     }
-    return merged(
-        {name: structured(parts[name], n) for name, n in zip(names, divisions, strict=True)}
+    return am.mesh.merged(
+        {name: am.mesh.structured(parts[name], n) for name, n in zip(names, divisions, strict=True)}
     )
 
 
@@ -137,11 +134,11 @@ CORNER = {
 def in_the_corner(order, law):
     """A block in the corner of a seat, a cap on the block, equal pressure all around: mesh,
     problem, exact state."""
-    mesh = merged(
+    mesh = am.mesh.merged(
         {
-            "seat": graded(CORNER["seat"], 0.3, ()),
-            "block": structured(CORNER["block"], (4, 5)),
-            "cap": structured(CORNER["cap"], (3, 2)),
+            "seat": am.mesh.graded(CORNER["seat"], 0.3, ()),
+            "block": am.mesh.structured(CORNER["block"], (4, 5)),
+            "cap": am.mesh.structured(CORNER["cap"], (3, 2)),
         }
     )
     pairs = {

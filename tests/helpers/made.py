@@ -4,22 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.mesh import MeshArrays, structured
-from adaptmg.problem import Box, Rectangle
-from adaptmg.smoother.system import OPEN, SLIP, STICK
+import adaptmg as am
 from adaptmg.solver.examine import ContactResult
-from adaptmg.solver.record import Status
-from adaptmg.solver.result import Result
 
 
-def square(n: int, size: float = 0.04) -> MeshArrays:
+def square(n: int, size: float = 0.04) -> am.MeshArrays:
     """n x n squares cut in two; boundaries bottom, right, top, left."""
-    return replace(structured(Rectangle(width=size, height=size), n), source=None)
+    return replace(am.mesh.structured(am.Rectangle(width=size, height=size), n), source=None)
 
 
-def cube(n: int, size: float = 0.04) -> MeshArrays:
+def cube(n: int, size: float = 0.04) -> am.MeshArrays:
     """n x n x n cubes cut in six tetrahedra; boundaries bottom (z = 0) and rest."""
-    mesh = structured(Box(width=size, depth=size, height=size), n)
+    mesh = am.mesh.structured(am.Box(width=size, depth=size, height=size), n)
     return replace(
         mesh,
         facet_labels=np.where(mesh.facet_labels == mesh.boundaries.index("bottom"), 0, 1),
@@ -28,7 +24,7 @@ def cube(n: int, size: float = 0.04) -> MeshArrays:
     )
 
 
-def result_on(mesh: MeshArrays | None, **changes: object) -> Result:
+def result_on(mesh: am.MeshArrays | None, **changes: object) -> am.Result:
     """A result with smooth made-up fields: open, slip and stick zones along the first axis of
     'bottom'."""
     drawn = square(4) if mesh is None else mesh
@@ -48,7 +44,7 @@ def result_on(mesh: MeshArrays | None, **changes: object) -> Result:
     slip[:, 0] = 3e-5 * np.clip(0.7 - s, 0, None)
     force_t = np.zeros_like(slip)
     force_t[:, 0] = -traction * weights
-    state = np.where(s <= 0.1, OPEN, np.where(s < 0.7, SLIP, STICK)).astype(np.int8)
+    state = np.where(s <= 0.1, am.OPEN, np.where(s < 0.7, am.SLIP, am.STICK)).astype(np.int8)
     contact = ContactResult(
         node=nodes,
         x=x if mesh is not None else np.full_like(x, np.nan),
@@ -100,7 +96,7 @@ def result_on(mesh: MeshArrays | None, **changes: object) -> Result:
         "displacement": displacement,
         "contact": contact,
         "reaction": np.zeros_like(displacement),
-        "status": Status.CONVERGED,
+        "status": am.Status.CONVERGED,
         "cycles": 11,
         "work_units": 47.0,
         "residual": 1e-9,
@@ -118,7 +114,7 @@ def result_on(mesh: MeshArrays | None, **changes: object) -> Result:
         "solver_name": "none",
         "mesh": mesh,
     }
-    return Result(**(fields | changes))
+    return am.Result(**(fields | changes))
 
 
 def same(a: object, b: object) -> bool:

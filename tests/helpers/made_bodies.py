@@ -7,13 +7,11 @@ from made import cube, result_on, square
 
 import adaptmg as am
 from adaptmg.discrete.stress import StressData
-from adaptmg.mesh import MeshArrays, merged
-from adaptmg.solver.result import Result
 
 
-def joined(parts: dict[str, MeshArrays], shifts: dict[str, tuple[float, ...]]) -> MeshArrays:
+def joined(parts: dict[str, am.MeshArrays], shifts: dict[str, tuple[float, ...]]) -> am.MeshArrays:
     """Meshes moved and put together body by body; boundaries are named 'body.edge'."""
-    return merged(
+    return am.mesh.merged(
         {
             body: dataclasses.replace(
                 mesh, points=mesh.points + np.asarray(shifts[body]), source=None
@@ -28,7 +26,7 @@ MATERIALS = {"upper": am.PlaneStrain(**STEEL), "lower": am.PlaneStrain(**RUBBER)
 SOLIDS = {"upper": am.Solid(**STEEL), "lower": am.Solid(**RUBBER)}
 
 
-def two_bodies(dim: int = 2, n: int = 8, m: int = 5, size: float = 0.04) -> Result:
+def two_bodies(dim: int = 2, n: int = 8, m: int = 5, size: float = 0.04) -> am.Result:
     """A block on a larger one: open, slip and stick on 'upper.bottom', whose master is a boundary
     of 'lower'."""
     make, wide = (square, 1.5) if dim == 2 else (cube, 1.5)
@@ -66,7 +64,7 @@ QUANTITIES = {
 }
 
 
-def steps_of(result: Result) -> list[Result]:
+def steps_of(result: am.Result) -> list[am.Result]:
     """Load steps whose normal forces are those of a result times FACTORS."""
     c = result.contact
     return [

@@ -7,9 +7,6 @@ import numpy as np
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.discrete.elasticity import stiffness
-from adaptmg.discrete.loads import load_vector
-from adaptmg.discrete.supports import fixed_dofs
 
 
 @dataclass
@@ -36,9 +33,9 @@ class Parts:
             )
             weights = sparse.csr_array(place @ rows)
         return cls(
-            sparse.csr_array(stiffness(mesh, problem.material)),
-            load_vector(mesh, problem.loads, problem.material),
-            *fixed_dofs(mesh, problem.supports),
+            sparse.csr_array(am.discrete.stiffness(mesh, problem.material)),
+            am.discrete.load_vector(mesh, problem.loads, problem.material),
+            *am.discrete.fixed_dofs(mesh, problem.supports),
             contact,
             weights,
             problem.law.at_nodes(mesh.points[contact.nodes], contact.weights),

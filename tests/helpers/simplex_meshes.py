@@ -5,10 +5,8 @@ import itertools
 import numpy as np
 from scipy.spatial import Delaunay
 
-from adaptmg.mesh import MeshArrays
-from adaptmg.mesh import structured as mesh_of_domain
+import adaptmg as am
 from adaptmg.mesh.arrays import facet_table
-from adaptmg.problem import Box, Rectangle
 
 
 def mesh_of(points, elements, **options):
@@ -19,7 +17,7 @@ def mesh_of(points, elements, **options):
     elements[np.ix_(negative, [0, 1])] = elements[np.ix_(negative, [1, 0])]
     table = facet_table(elements, len(points))
     facets = table.facets[table.counts == 1]
-    return MeshArrays(
+    return am.MeshArrays(
         points=points,
         elements=elements,
         facets=facets,
@@ -58,8 +56,8 @@ def random_box(n, dim, seed):
 def structured(n, dim, grading=1.0):
     """Unit square or cube, n cells a side, each cut along its diagonal; n and 2 n are nested;
     graded by t^grading."""
-    mesh = mesh_of_domain(
-        Rectangle(width=1, height=1) if dim == 2 else Box(width=1, depth=1, height=1), n
+    mesh = am.mesh.structured(
+        am.Rectangle(width=1, height=1) if dim == 2 else am.Box(width=1, depth=1, height=1), n
     )
     return mesh_of(mesh.points**grading, mesh.elements)
 

@@ -4,11 +4,9 @@ with it."""
 import numpy as np
 from scipy import sparse
 
-from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
-from adaptmg.problem import Coulomb, Frictionless, Tresca
-from adaptmg.smoother.system import LocalProblem, local_system
+import adaptmg as am
 
-LAWS = {"frictionless": Frictionless(), "tresca": Tresca(0.5), "coulomb": Coulomb(0.5)}
+LAWS = {"frictionless": am.Frictionless(), "tresca": am.Tresca(0.5), "coulomb": am.Coulomb(0.5)}
 
 
 def spd(rng: np.random.Generator, n: int, condition: float = 30.0) -> np.ndarray:
@@ -17,7 +15,9 @@ def spd(rng: np.random.Generator, n: int, condition: float = 30.0) -> np.ndarray
     return (q * np.exp(rng.uniform(0, np.log(condition), n))) @ q.T
 
 
-def network(dim: int, law: str, seed: int = 0, *, fixed_tangent: bool = False) -> LocalProblem:
+def network(
+    dim: int, law: str, seed: int = 0, *, fixed_tangent: bool = False
+) -> am.smoother.LocalProblem:
     """A 4 x 4 grid of nodes joined by random elastic links; row 0 may touch, row 3 is fixed."""
     rng = np.random.default_rng(seed)
     n = 4
@@ -49,14 +49,14 @@ def network(dim: int, law: str, seed: int = 0, *, fixed_tangent: bool = False) -
     load = 0.3 * rng.normal(size=(n * n, dim))
     load[number[0]] += 1.2 * normals
     load[number[0, 3]] -= 4.0 * normals[3]
-    contact = ContactNodes(
+    contact = am.ContactNodes(
         nodes=number[0],
         normals=normals,
         gaps=rng.uniform(0, 0.1, n),
         slip_reference=0.05 * rng.normal(size=(n, dim)),
     )
-    return local_system(
-        DiscreteProblem(
+    return am.smoother.local_system(
+        am.DiscreteProblem(
             matrix=sparse.csr_array(matrix.reshape(n * n * dim, -1)),
             load=load.ravel(),
             fixed=fixed.ravel(),
@@ -66,7 +66,7 @@ def network(dim: int, law: str, seed: int = 0, *, fixed_tangent: bool = False) -
     )
 
 
-def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
+def dual_solution(problem: am.smoother.LocalProblem, steps: int = 20000) -> np.ndarray:
     """The solution (n_dofs,) by projected steps on the contact forces, with the dense inverse of
     the matrix."""
     system, contact, dim = problem.system, problem.contact, problem.system.dim
@@ -95,7 +95,7 @@ def dual_solution(problem: LocalProblem, steps: int = 20000) -> np.ndarray:
     return flexibility @ load
 
 
-def tresca_energy(problem: LocalProblem, w: np.ndarray) -> float:
+def tresca_energy(problem: am.smoother.LocalProblem, w: np.ndarray) -> float:
     """1/2 w'Aw - b'w + sum of limit * |slip|, N m."""
     system, contact = problem.system, problem.contact
     slip = w.reshape(-1, system.dim)[system.nodes, 1:] - contact.slip_reference

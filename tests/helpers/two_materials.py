@@ -7,7 +7,6 @@ import pytest
 from bisected_meshes import shaken
 
 import adaptmg as am
-from adaptmg.mesh import MeshArrays, structured
 
 KINDS = {
     "plane strain": am.PlaneStrain,
@@ -19,9 +18,9 @@ EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 BOTH_ELEMENTS = pytest.mark.parametrize("elements", ["linear", "smoothed"])
 
 
-def _glued(dim: int) -> MeshArrays:
+def _glued(dim: int) -> am.MeshArrays:
     """Two bodies that share the nodes of the plane x = 1, shaken elsewhere."""
-    mesh = structured(
+    mesh = am.mesh.structured(
         am.Rectangle(width=2.0, height=1.0)
         if dim == 2
         else am.Box(width=2.0, depth=1.0, height=1.0),

@@ -9,8 +9,6 @@ import numpy as np
 from hostile_table import Hostile, each, labelled
 
 import adaptmg as am
-from adaptmg.estimate import Remesh, energy_error
-from adaptmg.mesh import merged, structured
 
 NAN = float("nan")
 _problem = cache(am.cases.greco_bar)
@@ -65,8 +63,10 @@ MESHES = {
         _finer(m), elements=_finer(m).elements[:-1], element_body=None
     ),
     "without names": lambda m: _changed(_finer(m), boundaries=tuple("abcd")),
-    "other bodies": lambda m: merged({"a": _finer(m), "b": _changed(m, points=m.points + 1.0)}),
-    "3D": lambda m: structured(am.cases.greco_block().domain, 3),
+    "other bodies": lambda m: am.mesh.merged(
+        {"a": _finer(m), "b": _changed(m, points=m.points + 1.0)}
+    ),
+    "3D": lambda m: am.mesh.structured(am.cases.greco_block().domain, 3),
 }
 FEW = ("folded", "without names")
 #: a sound one that lies elsewhere, which the transfer refuses
@@ -137,7 +137,7 @@ def _refined(engine, **wrong):
 
 
 def _marking():
-    for engine in (am.Bisect(), Remesh()):
+    for engine in (am.Bisect(), am.Remesh()):
         yield Hostile(
             f"{type(engine).__name__} of another estimate",
             lambda e=engine: _refined(e, estimate=am.Estimate(squares=[1.0], norm=1.0)),
@@ -212,12 +212,14 @@ def _errors():
     for says, run in wrong.items():
         yield Hostile(f"Goal: {says}", lambda r=run: r(am.Goal(am.ContactForce())), says)
     yield from each(
-        "reference", lambda v: energy_error(v, _result()), labelled(((1,), "reference"))
+        "reference", lambda v: am.estimate.energy_error(v, _result()), labelled(((1,), "reference"))
     )
-    yield Hostile("reference of texts", lambda: energy_error(("r", "h"), _result()), "hierarchy")
+    yield Hostile(
+        "reference of texts", lambda: am.estimate.energy_error(("r", "h"), _result()), "hierarchy"
+    )
     yield from each(
         "error of result",
-        lambda v: energy_error((_grids(), _result()), v()),
+        lambda v: am.estimate.energy_error((_grids(), _result()), v()),
         {
             "text": lambda: "r",
             "bare": _bare,

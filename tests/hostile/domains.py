@@ -5,7 +5,7 @@ from unittest import mock
 from hostile_table import Hostile
 
 import adaptmg as am
-from adaptmg.mesh import graded, netgen_guard
+from adaptmg.mesh import netgen_guard
 
 CUBE = am.Box(width=1, depth=1, height=1)
 RECTANGLE = am.Polygon(
@@ -15,7 +15,7 @@ RECTANGLE = am.Polygon(
 
 @mock.patch.dict(netgen_guard.LIMIT_S, {3: 3.0})
 def _meshed(domain):
-    graded(domain, 0.2)
+    am.mesh.graded(domain, 0.2)
 
 
 def _thin():

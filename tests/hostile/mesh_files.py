@@ -6,8 +6,7 @@ from pathlib import Path
 
 from hostile_table import Hostile
 
-from adaptmg.mesh import as_mesh, graded, step_table
-from adaptmg.problem import StepFile
+import adaptmg as am
 
 # as written by Netgen before 2025: twelve columns, the first the number of the boundary
 VOL = """mesh3d
@@ -106,7 +105,7 @@ MSH_DAMAGE = {
 
 def _read(name: str, text: str | bytes) -> None:
     Path(name).write_bytes(text.encode() if isinstance(text, str) else text)
-    as_mesh(name)
+    am.mesh.as_mesh(name)
 
 
 def _damaged(kind: str, text: str, damage: dict[str, tuple[str, str]]):
@@ -122,7 +121,7 @@ def _damaged(kind: str, text: str, damage: dict[str, tuple[str, str]]):
         )
 
 
-def _step(change, run=step_table) -> None:
+def _step(change, run=am.mesh.step_table) -> None:
     from netgen.occ import Box, Pnt
 
     Box(Pnt(0, 0, 0), Pnt(1, 2, 3)).WriteStep("bad.step")
@@ -161,7 +160,10 @@ def _other_files():
     for name in ("pipe.msh", "pipe.vol", "pipe.vol.gz", "pipe.step"):
         yield Hostile(
             name,
-            lambda n=name: (os.mkfifo(n), (step_table if n.endswith("step") else as_mesh)(n)),
+            lambda n=name: (
+                os.mkfifo(n),
+                (am.mesh.step_table if n.endswith("step") else am.mesh.as_mesh)(n),
+            ),
             name,
             ValueError,
             writes=True,
@@ -183,7 +185,7 @@ def _step_files():
         )
     yield Hostile(
         "step size of 1e-9",
-        lambda: _step(str, lambda p: graded(StepFile(p), 1e-9)),
+        lambda: _step(str, lambda p: am.mesh.graded(am.StepFile(p), 1e-9)),
         "nodes",
         ValueError,
         writes=True,

@@ -8,20 +8,10 @@ import numpy as np
 from hostile_table import Hostile, each, labelled
 
 import adaptmg as am
-from adaptmg.mesh import (
-    MeshArrays,
-    as_mesh,
-    bisect,
-    from_ngsolve,
-    merged,
-    onto_domain,
-    refine_near,
-    structured,
-)
 from adaptmg.mesh.arrays import ngsolve_mesh
 
-SQUARE = structured(am.Rectangle(width=1, height=1), 3)
-CUBE = structured(am.Box(width=1, depth=1, height=1), 2)
+SQUARE = am.mesh.structured(am.Rectangle(width=1, height=1), 3)
+CUBE = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
 NAN = float("nan")
 
 # array, place, value of another type or size
@@ -42,7 +32,7 @@ TYPES = {
 }
 
 
-def _set(mesh: MeshArrays, name: str, where, value) -> MeshArrays:
+def _set(mesh: am.MeshArrays, name: str, where, value) -> am.MeshArrays:
     array = getattr(mesh, name).astype(np.asarray(value).dtype)
     array[where] = value
     return replace(mesh, source=None, **{name: array})
@@ -64,7 +54,9 @@ def _arrays():
         for label in labels:
             name, where, value = VALUES[label]
             yield Hostile(
-                f"{dim} {label}", lambda m=mesh, w=(name, where, value): as_mesh(_set(m, *w)), name
+                f"{dim} {label}",
+                lambda m=mesh, w=(name, where, value): am.mesh.as_mesh(_set(m, *w)),
+                name,
             )
     for label, (name, kind) in TYPES.items():
         yield Hostile(
@@ -86,24 +78,26 @@ def _objects():
     ):
         yield Hostile(
             f"ngsolve {table} {field} {value}",
-            lambda t=table, f=field, v=value: from_ngsolve(_raw(t, f, v)),
+            lambda t=table, f=field, v=value: am.mesh.from_ngsolve(_raw(t, f, v)),
             says,
         )
     yield Hostile(
-        "ngsolve empty", lambda: as_mesh(ngsolve.Mesh(netgen.meshing.Mesh(dim=3))), "elements"
+        "ngsolve empty",
+        lambda: am.mesh.as_mesh(ngsolve.Mesh(netgen.meshing.Mesh(dim=3))),
+        "elements",
     )
-    yield Hostile("netgen mesh", lambda: as_mesh(SQUARE.source.ngmesh), "mesh must be")
-    yield Hostile("merged text", lambda: merged({"a": "mesh"}), "meshes")
-    yield Hostile("merged name", lambda: merged({"a\nb": SQUARE}), "name")
+    yield Hostile("netgen mesh", lambda: am.mesh.as_mesh(SQUARE.source.ngmesh), "mesh must be")
+    yield Hostile("merged text", lambda: am.mesh.merged({"a": "mesh"}), "meshes")
+    yield Hostile("merged name", lambda: am.mesh.merged({"a\nb": SQUARE}), "name")
     yield from each(
         "marked",
-        lambda v: bisect(SQUARE, v),
+        lambda v: am.mesh.bisect(SQUARE, v),
         labelled((np.zeros(18, dtype=bool), np.zeros(18), np.ones(3, dtype=bool), None)),
     )
-    yield from each("n_old", lambda v: onto_domain(None, SQUARE, v), labelled((-1, 17)))
-    yield Hostile("refine_near 25", lambda: refine_near(SQUARE, "top", 25), "levels")
-    yield Hostile("refine_near 3D", lambda: refine_near(CUBE, "top", 12), "levels")
-    yield from each("boundaries", lambda v: refine_near(SQUARE, v), labelled(((), (1,))))
+    yield from each("n_old", lambda v: am.mesh.onto_domain(None, SQUARE, v), labelled((-1, 17)))
+    yield Hostile("refine_near 25", lambda: am.mesh.refine_near(SQUARE, "top", 25), "levels")
+    yield Hostile("refine_near 3D", lambda: am.mesh.refine_near(CUBE, "top", 12), "levels")
+    yield from each("boundaries", lambda v: am.mesh.refine_near(SQUARE, v), labelled(((), (1,))))
 
 
 INPUTS = (*_arrays(), *_objects())

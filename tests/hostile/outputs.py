@@ -10,7 +10,6 @@ import pandas as pd
 from hostile_table import Hostile, each
 
 import adaptmg as am
-from adaptmg.study import as_text
 
 
 @functools.cache
@@ -113,11 +112,14 @@ def _contents():
     )
     frame = pd.DataFrame({"a": [1]})
     yield Hostile(
-        "table of an unknown unit", lambda: as_text(frame, units={"b": "s"}), "units", ValueError
+        "table of an unknown unit",
+        lambda: am.study.as_text(frame, units={"b": "s"}),
+        "units",
+        ValueError,
     )
     yield Hostile(
         "table of an unknown format",
-        lambda: as_text(frame, formats={"b": "d"}),
+        lambda: am.study.as_text(frame, formats={"b": "d"}),
         "formats",
         ValueError,
     )

@@ -7,7 +7,6 @@ from arrays_and_matrices import discrete, grids
 from hostile_table import Hostile, each, labelled, words
 
 import adaptmg as am
-from adaptmg.mesh import graded, sized, structured
 
 NAN, _BAD = float("nan"), "\udc80"
 SQUARE, CUBE = am.Rectangle(width=1, height=1), am.Box(width=1, depth=1, height=1)
@@ -78,10 +77,10 @@ _CALLS = {
     "both be 0": (lambda v: am.Cycle(pre=v, post=v), 0),
     "Outline arcs[1]": (lambda v: triangle(arcs={1: (0, v)}), NAN),
     "Polygon vertices": (triangle, NAN),
-    "graded size": (lambda v: graded(SQUARE, v), 0),
-    "sized size": (lambda v: sized(SQUARE, v, 0.3), 1e-6),
-    "structured divisions": (lambda v: structured(SQUARE, v), (2, 2, 2), 10**5, 10**400),
-    "space divisions": (lambda v: structured(CUBE, v), 2**40),
+    "graded size": (lambda v: am.mesh.graded(SQUARE, v), 0),
+    "sized size": (lambda v: am.mesh.sized(SQUARE, v, 0.3), 1e-6),
+    "structured divisions": (lambda v: am.mesh.structured(SQUARE, v), (2, 2, 2), 10**5, 10**400),
+    "space divisions": (lambda v: am.mesh.structured(CUBE, v), 2**40),
     "divisions": (
         lambda v: am.Hierarchy.uniform(am.cases.greco_bar(), v),
         "24",
@@ -93,7 +92,7 @@ _CALLS = {
     "from coarse to fine": (lambda v: am.Hierarchy.uniform(am.cases.greco_bar(), v), (4, 2)),
     "truncated finest": (lambda v: grids().truncated(finest=v), 5),
     "sized size_function": (
-        lambda v: sized(SQUARE, v, 0.3),
+        lambda v: am.mesh.sized(SQUARE, v, 0.3),
         lambda x: -x[:, 0] - 1,
         lambda x: [1.0, 2.0],
     ),
@@ -114,10 +113,10 @@ _CALLS = {
 }
 #: meshes of more nodes than fit
 _LARGE = {
-    "square": lambda: graded(SQUARE, 1e-6),
-    "ball": lambda: graded(am.Ball((0, 0, 0), 1), 1e-100),
-    "ratio in space": lambda: graded(CUBE, 0.3, "top", 1e5),
-    "round wire": lambda: graded(am.Cylinder((0, 0, 0), (0, 0, 1), 1e-6, 1), 1e-2),
+    "square": lambda: am.mesh.graded(SQUARE, 1e-6),
+    "ball": lambda: am.mesh.graded(am.Ball((0, 0, 0), 1), 1e-100),
+    "ratio in space": lambda: am.mesh.graded(CUBE, 0.3, "top", 1e5),
+    "round wire": lambda: am.mesh.graded(am.Cylinder((0, 0, 0), (0, 0, 1), 1e-6, 1), 1e-2),
 }
 
 

@@ -9,28 +9,16 @@ import numpy as np
 import pytest
 from bisected_meshes import SQUARE, crooked, cube, random_mask, verified
 
-from adaptmg.mesh import (
-    MeshArrays,
-    bisect,
-    check_mesh,
-    graded,
-    onto_domain,
-    quality,
-    refine_near,
-    structured,
-)
+import adaptmg as am
 from adaptmg.mesh.arrays import Refinement
 from adaptmg.mesh.bisection import refined, with_refinement
 from adaptmg.mesh.sizes import distance_to_boundaries
-from adaptmg.problem import Assembly, Box, Outline, Polygon, Rectangle
-from adaptmg.problem.combined_domains import Cut
-from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution
 from adaptmg.solver import store
 
 
 def split(mesh):
     """The mesh with two bodies that are glued."""
-    return check_mesh(
+    return am.mesh.check_mesh(
         replace(
             mesh,
             bodies=("west", "east"),
@@ -60,7 +48,7 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
     for k in range(12):
         before = mesh
         marked = random_mask(mesh, 0.1, k)
-        mesh, parents = bisect(mesh, marked, passes)
+        mesh, parents = am.mesh.bisect(mesh, marked, passes)
         verified(mesh)
         np.testing.assert_array_equal(mesh.points, mesh.points[parents].mean(axis=1))
         np.testing.assert_allclose(
@@ -91,9 +79,9 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
 def test_a_simplex_has_a_bounded_number_of_shapes(corners, most):
     mesh, classes, worst = bisected_meshes.single(corners), [], []
     for _ in range(12):
-        mesh, _ = bisect(mesh, everything(mesh), passes=1)
+        mesh, _ = am.mesh.bisect(mesh, everything(mesh), passes=1)
         classes.append(bisected_meshes.shape_classes(mesh))
-        worst.append(quality(mesh).aspect_ratio)
+        worst.append(am.mesh.quality(mesh).aspect_ratio)
     assert len(mesh.elements) >= 2**12
     # none is new after eight bisections: Arnold, Mukherjee and Pouly, theorem 3.2 with its remark
     assert max(classes) <= most and worst[-1] <= max(worst[:8]) * (1 + 1e-9)
@@ -121,12 +109,12 @@ def test_marked_elements_have_all_edges_halved_and_passes_count(mesh):
     assert once.n_nodes < full.mesh.n_nodes
 
 
-FINE_SQUARE = structured(Rectangle(width=1, height=1), 4)
+FINE_SQUARE = am.mesh.structured(am.Rectangle(width=1, height=1), 4)
 
 
 def test_refine_near_reaches_strong_grading_without_bad_angles():
     before = FINE_SQUARE.source.nv
-    meshes = refine_near(FINE_SQUARE, "bottom", 8)
+    meshes = am.mesh.refine_near(FINE_SQUARE, "bottom", 8)
     assert meshes[0] is FINE_SQUARE and len(meshes) == 9 and FINE_SQUARE.source.nv == before
     np.testing.assert_array_equal([v.point for v in meshes[2].source.vertices], meshes[2].points)
     for level, mesh in enumerate(meshes):
@@ -135,13 +123,14 @@ def test_refine_near_reaches_strong_grading_without_bad_angles():
     # the work goes to the boundary: nodes double with every level, uniform refinement would make
     # four times as many
     assert meshes[-1].n_nodes < 2.05 * meshes[-2].n_nodes
-    assert quality(meshes[-1]).min_angle > 20
+    assert am.mesh.quality(meshes[-1]).min_angle > 20
     assert bisected_meshes.containing_elements(meshes[1], meshes[2]).min() >= 0
     assert [
-        len(m.boundary_facets("bottom")) for m in refine_near(cube(2), ["bottom", "left"], 2)
+        len(m.boundary_facets("bottom"))
+        for m in am.mesh.refine_near(cube(2), ["bottom", "left"], 2)
     ] == [8, 32, 128]
     with pytest.raises(ValueError, match="boundary 'bottm' does not exist"):
-        refine_near(FINE_SQUARE, "bottm")
+        am.mesh.refine_near(FINE_SQUARE, "bottm")
 
 
 # -- the history in files ----------------------------------------------------------------------------------------------
@@ -151,40 +140,42 @@ CROOKED = {"2D": crooked(SQUARE), "3D": crooked(cube(2))}
 
 def thrice(mesh):
     for k in range(3):
-        mesh, _ = bisect(mesh, random_mask(mesh, 0.2, k), passes=2)
+        mesh, _ = am.mesh.bisect(mesh, random_mask(mesh, 0.2, k), passes=2)
     return mesh
 
 
 @pytest.mark.parametrize("mesh", CROOKED.values(), ids=CROOKED)
 def test_bisection_goes_on_from_a_file(mesh, tmp_path):
-    fine, kinds = thrice(mesh), (MeshArrays, Refinement)
+    fine, kinds = thrice(mesh), (am.MeshArrays, Refinement)
     (tmp_path / "mesh.npz").write_bytes(store.packed(fine, kinds, fine.refinement))
     stored = store.read(tmp_path / "mesh.npz", kinds, more=True)
     assert stored.value.refinement is None
     back = with_refinement(stored.value, stored.more)
     marked = random_mask(fine, 0.3, 9)
-    first, second = (bisect(m, marked)[0] for m in (fine, back))
+    first, second = (am.mesh.bisect(m, marked)[0] for m in (fine, back))
     for name in ("points", "elements", "facets", "facet_labels"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-RING = Outline(
+RING = am.Outline(
     vertices=((1, 0), (2, 0), (0, 2), (0, 1)),
     boundaries=("a", "out", "b", "in"),
     arcs={1: (0, 0), 3: (0, 0)},
 )
 # straight and round edges of one name, bulging out and in
-SHARED = Outline(
+SHARED = am.Outline(
     vertices=((0, 0), (1, 0), (1, 1), (0, 1)),
     boundaries=("wall", "wall", "top", "wall"),
     arcs={1: (0, 0.5), 3: (-1, 0.5)},
 )
 # two arcs between the same corners
-LENS = Outline(vertices=((-1, 0), (1, 0)), boundaries=("rim", "rim"), arcs={0: (0, 1), 1: (0, -2)})
-CONE = Polygon(
+LENS = am.Outline(
+    vertices=((-1, 0), (1, 0)), boundaries=("rim", "rim"), arcs={0: (0, 1), 1: (0, -2)}
+)
+CONE = am.Polygon(
     vertices=((0, 0), (2, 0), (1, 1), (0, 1)), boundaries=("base", "cone", "lid", "axis")
 )
-BULGED = Outline(
+BULGED = am.Outline(
     vertices=((1, 0), (2, 0), (2, 1), (1, 1)),
     boundaries=("floor", "belly", "lid", "bore"),
     arcs={1: (1.5, 0.5)},
@@ -193,8 +184,8 @@ BULGED = Outline(
 
 def refined_onto(domain, mesh, passes=2, part=1.0):
     for k in range(passes):
-        fine, _ = bisect(mesh, random_mask(mesh, part, k))
-        moved = onto_domain(domain, fine, mesh.n_nodes)
+        fine, _ = am.mesh.bisect(mesh, random_mask(mesh, part, k))
+        moved = am.mesh.onto_domain(domain, fine, mesh.n_nodes)
         np.testing.assert_array_equal(moved.points[: mesh.n_nodes], mesh.points)
         np.testing.assert_array_equal(moved.elements, fine.elements)
         assert moved.refinement is fine.refinement
@@ -213,17 +204,17 @@ def off_arcs(domain, mesh):
 @pytest.mark.parametrize("domain", [RING, SHARED, LENS], ids=["ring", "shared", "lens"])
 @pytest.mark.parametrize("part", [1.0, 0.3])
 def test_outlines(domain, part):
-    coarse = graded(domain, 0.5)
+    coarse = am.mesh.graded(domain, 0.5)
     mesh = refined_onto(domain, coarse, 2, part)
     errors = [abs(m.volumes.sum() - domain.area) for m in (coarse, mesh)]
     # what bulges out and in alike cancels, unless only a part is refined
     assert errors[1] < max(errors[0] / 14, 1e-14) or part < 1
-    assert quality(mesh).min_angle > 0.5 * quality(coarse).min_angle
+    assert am.mesh.quality(mesh).min_angle > 0.5 * am.mesh.quality(coarse).min_angle
     assert (
         off_arcs(domain, mesh)
         < 1e-14
         < 1e-3
-        < off_arcs(domain, bisect(coarse, everything(coarse))[0])
+        < off_arcs(domain, am.mesh.bisect(coarse, everything(coarse))[0])
     )
 
 
@@ -236,11 +227,11 @@ def on(axis, value):
     return lambda x: x[:, axis] - value
 
 
-BALL, CYLINDER = Ball((1, 2, 3), 0.2), Cylinder((0, 0, 1), (0, 0, 1), 0.5, 1)
-BORED = Cut(Box(width=1, depth=1, height=1), Cylinder((0, 0, -1), (0, 0, 1), 0.5, 3))
+BALL, CYLINDER = am.Ball((1, 2, 3), 0.2), am.Cylinder((0, 0, 1), (0, 0, 1), 0.5, 1)
+BORED = am.Cut(am.Box(width=1, depth=1, height=1), am.Cylinder((0, 0, -1), (0, 0, 1), 0.5, 3))
 SLANT, DRILLED_AT = (math.sin(math.pi / 3), 0.0, math.cos(math.pi / 3)), (3, 2, 1.5)
-DRILL = Cylinder((-2 * SLANT[0], 0, 0.5 - 2 * SLANT[2]), SLANT, 0.25, 4)
-DISK = Outline(
+DRILL = am.Cylinder((-2 * SLANT[0], 0, 0.5 - 2 * SLANT[2]), SLANT, 0.25, 4)
+DISK = am.Outline(
     vertices=((0, 0), (1, 0), (0, 1)), boundaries=("base", "rim", "axis"), arcs={1: (0, 0)}
 )
 CONICAL = {
@@ -251,7 +242,7 @@ CONICAL = {
 # what is zero on the boundaries
 SHAPES = {
     "disk and ring": (
-        Assembly(parts={"disk": DISK, "ring": RING}),
+        am.Assembly(parts={"disk": DISK, "ring": RING}),
         0.4,
         {"disk.rim": off([0, 1], 1), "ring.in": off([0, 1], 1), "ring.out": off([0, 1], 2)},
     ),
@@ -259,14 +250,14 @@ SHAPES = {
     "cylinder": (CYLINDER, 0.5, {"side": off([0, 1], 0.5), "bottom": on(2, 1)}),
     # a quarter turn about y takes (x, y, z) to (z, y, -x)
     "turned": (
-        Moved(CYLINDER, (10, 0, 0), 90, (0, 2, 0)),
+        am.Moved(CYLINDER, (10, 0, 0), 90, (0, 2, 0)),
         0.5,
         {"side": off([1, 2], 0.5), "bottom": on(0, 11)},
     ),
-    "sector of a cone": (Revolution(CONE, 120), 1.0, CONICAL),
-    "cone": (Revolution(CONE), 1.0, CONICAL),
+    "sector of a cone": (am.Revolution(CONE, 120), 1.0, CONICAL),
+    "cone": (am.Revolution(CONE), 1.0, CONICAL),
     "sector": (
-        Revolution(BULGED, 90),
+        am.Revolution(BULGED, 90),
         0.7,
         {
             "belly": lambda x: (
@@ -280,7 +271,9 @@ SHAPES = {
     "bored": (BORED, 0.5, {"side": off([0, 1], 0.5), "front": on(1, 0), "top": on(2, 1)}),
     # the axes of both cylinders meet at 60 degrees: nodes on their crossing lie on both
     "drilled aslant": (
-        Moved(Cut(Moved(CYLINDER, (0, 0, -1)), DRILL, rename={"b.side": "hole"}), (3, 2, 1)),
+        am.Moved(
+            am.Cut(am.Moved(CYLINDER, (0, 0, -1)), DRILL, rename={"b.side": "hole"}), (3, 2, 1)
+        ),
         0.3,
         {
             "side": lambda x: np.hypot(x[:, 0] - 3, x[:, 1] - 2) - 0.5,
@@ -289,13 +282,13 @@ SHAPES = {
             ),
         },
     ),
-    "prism": (Extrusion(RING, 0.5), 0.7, {"in": off([0, 1], 1), "out": off([0, 1], 2)}),
+    "prism": (am.Extrusion(RING, 0.5), 0.7, {"in": off([0, 1], 1), "out": off([0, 1], 2)}),
 }
 
 
 @pytest.mark.parametrize(("domain", "size", "zero"), SHAPES.values(), ids=SHAPES)
 def test_boundaries_stay_where_they_are(domain, size, zero):
-    coarse = graded(domain, size)
+    coarse = am.mesh.graded(domain, size)
     mesh = refined_onto(domain, coarse)
     for name, function in zero.items():
         # on crossings of two surfaces Netgen's nodes miss them by 1e-8
@@ -306,38 +299,41 @@ def test_boundaries_stay_where_they_are(domain, size, zero):
 
 
 def test_what_is_not_known_stays_on_the_chord():
-    for domain, coarse in ((None, graded(BORED, 0.5)), (Rectangle(width=1, height=1), SQUARE)):
-        fine, _ = bisect(coarse, everything(coarse))
-        assert onto_domain(domain, fine, coarse.n_nodes) is fine
+    for domain, coarse in (
+        (None, am.mesh.graded(BORED, 0.5)),
+        (am.Rectangle(width=1, height=1), SQUARE),
+    ):
+        fine, _ = am.mesh.bisect(coarse, everything(coarse))
+        assert am.mesh.onto_domain(domain, fine, coarse.n_nodes) is fine
     # nothing new, nothing moves
-    assert onto_domain(RING, fine, fine.n_nodes) is fine
+    assert am.mesh.onto_domain(RING, fine, fine.n_nodes) is fine
 
 
 def thin(height):
     """A domain whose floor bulges into it by .5, meshed with a node that far above the floor's
     chord."""
-    domain = Outline(
+    domain = am.Outline(
         vertices=((-1, 0), (1, 0), (1, 2), (-1, 2)),
         boundaries=("floor", "right", "top", "left"),
         arcs={0: (0, -0.75)},
     )
     points = np.array([*domain.vertices, (0, height)])
-    mesh = MeshArrays(
+    mesh = am.MeshArrays(
         points,
         np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]),
         np.array([[0, 1], [1, 2], [2, 3], [3, 0]]),
         np.arange(4),
         domain.boundaries,
     )
-    return domain, check_mesh(mesh)
+    return domain, am.mesh.check_mesh(mesh)
 
 
 @pytest.mark.parametrize(("height", "goes"), [(1.0, True), (0.6, False), (0.4, False)])
 def test_a_node_that_would_spoil_an_element_stays_on_the_chord(height, goes):
     domain, coarse = thin(height)
     assert domain.arc(0).at(0.5) == pytest.approx((0, 0.5))
-    fine, parents = bisect(coarse, np.array([True, False, False, False]), passes=1)
-    moved = verified(onto_domain(domain, fine, coarse.n_nodes))
+    fine, parents = am.mesh.bisect(coarse, np.array([True, False, False, False]), passes=1)
+    moved = verified(am.mesh.onto_domain(domain, fine, coarse.n_nodes))
     new = int(np.flatnonzero((parents == [0, 1]).all(axis=1))[0])
     assert (moved is not fine) == goes
     np.testing.assert_allclose(moved.points[new], (0, 0.5 if goes else 0), atol=1e-15)

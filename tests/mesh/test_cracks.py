@@ -9,7 +9,6 @@ from bodies import rotation
 from refused import refused
 
 import adaptmg as am
-from adaptmg.mesh import check_mesh, graded, quality, refine_near, split, structured
 from adaptmg.mesh.soundness import check_overlap
 
 PLATE = am.Rectangle(width=4, height=3)
@@ -49,9 +48,9 @@ def faces(mesh, name):
 def test_cracks_are_meshed_with_two_faces_that_share_tips(mesher):
     domain = plate(np.random.default_rng())
     names = [name for name in domain.boundaries if "kinked" in name or "hole." in name]
-    mesh = graded(domain, 0.4, names, 3, mesher=mesher)
-    check_overlap(check_mesh(replace(mesh, source=None), dict.fromkeys(domain.boundaries)))
-    assert quality(mesh).min_angle > 15
+    mesh = am.mesh.graded(domain, 0.4, names, 3, mesher=mesher)
+    check_overlap(am.mesh.check_mesh(replace(mesh, source=None), dict.fromkeys(domain.boundaries)))
+    assert am.mesh.quality(mesh).min_angle > 15
     assert mesh.volumes.sum() == pytest.approx(domain.domain.outline.area, rel=0.01)
     # nodes at one place: three at the branch, as many as faces meet there
     copies = {
@@ -69,8 +68,8 @@ def test_cracks_are_meshed_with_two_faces_that_share_tips(mesher):
         along = np.array(path[1]) - path[0]
         first = np.argmin(np.linalg.norm(mesh.points[left].mean(axis=1) - path[0], axis=1))
         assert mesh.surface(f"{name}.left").vectors[first] @ [along[1], -along[0]] > 0
-    for level in refine_near(mesh, names, 2)[1:]:
-        check_mesh(replace(level, source=None), domain.boundaries)
+    for level in am.mesh.refine_near(mesh, names, 2)[1:]:
+        am.mesh.check_mesh(replace(level, source=None), domain.boundaries)
 
 
 def test_polygons_are_cracks_of_solids():
@@ -80,8 +79,8 @@ def test_polygons_are_cracks_of_solids():
     # this one reaches through the side
     half = [(4.5, 2, 5), (13.5, 2, 5), (13.5, 5, 5), (4.5, 5, 5)]
     domain = am.Cracked(am.Box(width=6, depth=6, height=7), {"square": square, "half": half})
-    mesh = graded(domain, 2, ("square.left", "square.right"), 4)
-    check_mesh(replace(mesh, source=None), domain.boundaries)
+    mesh = am.mesh.graded(domain, 2, ("square.left", "square.right"), 4)
+    am.mesh.check_mesh(replace(mesh, source=None), domain.boundaries)
     for name, area, normal in (("square", 4, turn[:, 2]), ("half", 4.5, (0, 0, 1))):
         left, right = (mesh.surface(f"{name}.{side}") for side in ("left", "right"))
         np.testing.assert_allclose(left.vectors.sum(axis=0), area * np.array(normal), atol=1e-9)
@@ -90,12 +89,12 @@ def test_polygons_are_cracks_of_solids():
         np.intersect1d(*(mesh.boundary_nodes(f"square.{side}") for side in ("left", "right")))
     ]
     np.testing.assert_allclose(np.abs((front - 3) @ turn).max(axis=1), 1, atol=1e-9)
-    fine = refine_near(mesh, "square.left")[-1]
+    fine = am.mesh.refine_near(mesh, "square.left")[-1]
     assert fine.surface("square.left").measures.sum() == pytest.approx(4)
 
 
 def test_a_mesh_is_split_along_facets():
-    cube = structured(am.Box(width=1, depth=1, height=1), 4)
+    cube = am.mesh.structured(am.Box(width=1, depth=1, height=1), 4)
     inside = np.abs(cube.points[cube.elements] - 0.5).max(axis=(1, 2)) < 0.3
     assert inside.any()
     top = [
@@ -105,7 +104,7 @@ def test_a_mesh_is_split_along_facets():
         if (cube.points[f, 2] == 0.5).all() and (np.abs(cube.points[f, :2] - 0.5) <= 0.25).all()
     ]
     down = [f for f in top if np.cross(*(cube.points[f[1:]] - cube.points[f[0]]))[2] < 0]
-    cracked = split(cube, down, "disc")
+    cracked = am.mesh.split(cube, down, "disc")
     assert (
         cracked.n_nodes == cube.n_nodes + 1
         and cracked.surface("disc.left").normals[:, 2].max() == -1
@@ -121,7 +120,7 @@ CUBE, TRIANGLE = (
     am.Box(width=1, depth=1, height=1),
     [(0.3, 0.3, 0.5), (0.7, 0.3, 0.5), (0.5, 0.7, 0.5)],
 )
-SQUARE = structured(am.Rectangle(width=1, height=1), 4)
+SQUARE = am.mesh.structured(am.Rectangle(width=1, height=1), 4)
 test_refused = refused(
     (
         lambda: am.Cracked(am.StepFile("a.step"), {}),
@@ -139,9 +138,9 @@ test_refused = refused(
         lambda: am.Cracked(CUBE, {"a": [(0, 0, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)]}),
         r"cracks\['a'\]",
     ),
-    (lambda: graded(am.Cracked(CUBE, {"a": np.add(TRIANGLE, 3)}), 0.3), "lies outside"),
+    (lambda: am.mesh.graded(am.Cracked(CUBE, {"a": np.add(TRIANGLE, 3)}), 0.3), "lies outside"),
     (
-        lambda: graded(
+        lambda: am.mesh.graded(
             am.Cracked(CUBE, {"a": [(-1, -1, 0.5), (2, -1, 0.5), (2, 2, 0.5), (-1, 2, 0.5)]}), 0.3
         ),
         "2 pieces",
@@ -164,7 +163,7 @@ test_refused = refused(
         ),
         "other names",
     ),
-    (lambda: split(SQUARE, [[11, 12]]), "nothing opens"),
-    (lambda: split(SQUARE, [[0, 1], [1, 2]]), "between two elements|twice"),
-    (lambda: split(SQUARE, [[10, 11], [11, 12], [12, 13], [13, 14]]), "2 pieces"),
+    (lambda: am.mesh.split(SQUARE, [[11, 12]]), "nothing opens"),
+    (lambda: am.mesh.split(SQUARE, [[0, 1], [1, 2]]), "between two elements|twice"),
+    (lambda: am.mesh.split(SQUARE, [[10, 11], [11, 12], [12, 13], [13, 14]]), "2 pieces"),
 )

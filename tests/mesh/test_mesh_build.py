@@ -11,25 +11,24 @@ from netgen.geom2d import SplineGeometry, unit_square
 from ngsolve.meshes import MakeStructured3DMesh
 from refused import refused
 
-from adaptmg.mesh import as_mesh, from_ngsolve, structured, with_source
-from adaptmg.problem import Box, Rectangle
+import adaptmg as am
 
 MESHES = {
-    "2D": structured(Rectangle(width=1, height=2), (3, 4)),
-    "3D": structured(Box(width=1, depth=2, height=3), 2),
+    "2D": am.mesh.structured(am.Rectangle(width=1, height=2), (3, 4)),
+    "3D": am.mesh.structured(am.Box(width=1, depth=2, height=3), 2),
 }
 
 
 def split(mesh):
     """The mesh with two bodies in a mixed order of elements."""
     body = (mesh.points[mesh.elements].mean(axis=1)[:, 0] > 0.5).astype(int)
-    return with_source(replace(mesh, element_body=body, bodies=("west", "east")))
+    return am.mesh.with_source(replace(mesh, element_body=body, bodies=("west", "east")))
 
 
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 def test_ngsolve_sees_the_same_mesh_and_gives_it_back(mesh):
     mesh = split(mesh)
-    source, back = mesh.source, from_ngsolve(mesh.source)
+    source, back = mesh.source, am.mesh.from_ngsolve(mesh.source)
     for name in ("points", "facets", "facet_labels", "element_body"):
         np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name))
     np.testing.assert_array_equal(np.sort(back.elements), np.sort(mesh.elements))
@@ -74,15 +73,15 @@ def test_what_corners_do_not_say_is_refused(geometry):
     mesh = ngsolve.Mesh(geometry.GenerateMesh(maxh=0.5))
     mesh.SetDeformation(ngsolve.GridFunction(ngsolve.VectorH1(mesh, order=1)))
     with pytest.raises(ValueError, match="has a deformation"):
-        from_ngsolve(mesh)
+        am.mesh.from_ngsolve(mesh)
     mesh.UnsetDeformation()
-    assert from_ngsolve(mesh).n_nodes == mesh.nv
+    assert am.mesh.from_ngsolve(mesh).n_nodes == mesh.nv
     mesh.Curve(3)
     with pytest.raises(ValueError, match=r"has curved elements \(order 3\)"):
-        from_ngsolve(mesh)
+        am.mesh.from_ngsolve(mesh)
     mesh.ngmesh.SecondOrder()
     with pytest.raises(ValueError, match=r"has curved elements \(order 2\)"):
-        from_ngsolve(ngsolve.Mesh(mesh.ngmesh))
+        am.mesh.from_ngsolve(ngsolve.Mesh(mesh.ngmesh))
 
 
 @pytest.mark.parametrize(
@@ -97,7 +96,7 @@ def test_what_corners_do_not_say_is_refused(geometry):
 def test_netgens_other_elements_are_cut(tmp_path, make, area):
     source = make()
     source.ngmesh.Save(str(tmp_path / "m.vol"))
-    for mesh in (from_ngsolve(source), as_mesh(tmp_path / "m.vol")):
+    for mesh in (am.mesh.from_ngsolve(source), am.mesh.as_mesh(tmp_path / "m.vol")):
         assert mesh.n_nodes == source.nv and len(mesh.elements) > source.ne
         assert mesh.volumes.sum() == pytest.approx(1)
         sides = [mesh.surface(name).measures.sum() for name in mesh.boundaries]
@@ -106,8 +105,8 @@ def test_netgens_other_elements_are_cut(tmp_path, make, area):
 
 ELEMENTS, LABELS = MESHES["2D"].elements, MESHES["2D"].facet_labels
 test_refused = refused(
-    (lambda: from_ngsolve(periodic_square()), r"identified nodes \(periodic"),
-    (lambda: from_ngsolve(np.zeros(3)), TypeError, r"must be an ngsolve.Mesh, got ndarray"),
+    (lambda: am.mesh.from_ngsolve(periodic_square()), r"identified nodes \(periodic"),
+    (lambda: am.mesh.from_ngsolve(np.zeros(3)), TypeError, r"must be an ngsolve.Mesh, got ndarray"),
     # what would crash
     *(
         (lambda changes=changes: replace(MESHES["2D"], source=None, **changes), message)
@@ -121,16 +120,16 @@ test_refused = refused(
 
 def test_as_mesh_takes_arrays_and_reads_copies(tmp_path, monkeypatch):
     source = ngsolve.Mesh(unit_square.GenerateMesh(maxh=0.3))
-    read, points, n = as_mesh(source), as_mesh(source).points.copy(), source.nv
+    read, points, n = am.mesh.as_mesh(source), am.mesh.as_mesh(source).points.copy(), source.nv
     source.Refine()
     np.testing.assert_array_equal(read.points, points)
     assert read.source.nv == n == read.n_nodes
     with pytest.raises(FileNotFoundError, match="no file"):
-        as_mesh(tmp_path / "none.vol")
+        am.mesh.as_mesh(tmp_path / "none.vol")
     (tmp_path / "mesh.stl").write_text("solid\n")
     with pytest.raises(ValueError, match=r"mesh.stl': "):
-        as_mesh(tmp_path / "mesh.stl")
-    mesh = structured(Rectangle(width=1, height=1), 2)
+        am.mesh.as_mesh(tmp_path / "mesh.stl")
+    mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
     # nobody asks for the source
     monkeypatch.setattr("adaptmg.mesh.arrays.ngsolve_mesh", lambda *_: pytest.fail("built"))
-    assert as_mesh(mesh) is mesh and as_mesh(replace(mesh, source=None)).sound
+    assert am.mesh.as_mesh(mesh) is mesh and am.mesh.as_mesh(replace(mesh, source=None)).sound

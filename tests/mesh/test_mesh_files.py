@@ -16,15 +16,14 @@ from gmsh_file import write
 from netgen.csg import unit_cube
 from netgen.geom2d import SplineGeometry
 
-from adaptmg.mesh import as_mesh, check_mesh, from_file, from_ngsolve, structured, touching
-from adaptmg.problem import Assembly, Box, Rectangle
+import adaptmg as am
 
 sys.path.append(str(Path(__file__).parents[1] / "hostile"))
 import mesh_files
 
 MESHES = {
-    "2D": structured(Rectangle(width=1, height=2), 3),
-    "3D": structured(Box(width=1, depth=2, height=3), 2),
+    "2D": am.mesh.structured(am.Rectangle(width=1, height=2), 3),
+    "3D": am.mesh.structured(am.Box(width=1, depth=2, height=3), 2),
 }
 BOTH = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 
@@ -41,7 +40,7 @@ def test_gmsh_round_trip(tmp_path, mesh, version, binary):
         binary=binary,
         lift=0.7 if mesh.dim == 2 else 0.0,
     )
-    back = as_mesh(str(path))
+    back = am.mesh.as_mesh(str(path))
     assert (
         back.volumes.sum() == pytest.approx(mesh.volumes.sum(), rel=1e-13)
         and back.source.nv == mesh.n_nodes
@@ -61,10 +60,10 @@ def test_facets_without_a_group(tmp_path, mesh):
     with pytest.warns(
         UserWarning, match=rf"mesh.msh'?: {len(mesh.facets)} facets .* have no name in the file"
     ):
-        assert from_file(path).boundaries == ("free",)
-    everything = from_file(path, unnamed="rim")
+        assert am.mesh.from_file(path).boundaries == ("free",)
+    everything = am.mesh.from_file(path, unnamed="rim")
     assert everything.boundaries == ("rim",) and len(everything.facets) == len(mesh.facets)
-    some = from_file(write(path, mesh, keep=slice(0, 2)), unnamed="free")
+    some = am.mesh.from_file(write(path, mesh, keep=slice(0, 2)), unnamed="free")
     assert set(some.boundaries) == {*mesh.boundaries[:2], "free"}
 
 
@@ -83,7 +82,7 @@ def test_groups_without_names_and_second_order(tmp_path):
         meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), cells, cell_data=data),
         "gmsh22",
     )
-    mesh = from_file(tmp_path / "m.msh")
+    mesh = am.mesh.from_file(tmp_path / "m.msh")
     assert mesh.boundaries == ("3", "5") and mesh.bodies == ("7",)
     np.testing.assert_array_equal(mesh.points, points)
     assert len(mesh.elements) == 4 and [len(mesh.boundary_facets(name)) for name in ("3", "5")] == [
@@ -99,29 +98,33 @@ def test_groups_of_some_and_several_groups(tmp_path):
     )
     for chosen in ("rim", "all"):
         path.write_text(re.sub("|".join(groups), lambda match: groups[match[0]], mesh_files.MSH))
-        mesh = from_file(path, unnamed="free", unit=0.5, boundaries=[chosen])
+        mesh = am.mesh.from_file(path, unnamed="free", unit=0.5, boundaries=[chosen])
         assert (
             mesh.bodies == ("steel",) and mesh.boundaries == (chosen,) and mesh.volumes.sum() == 0.5
         )
     path.write_text(mesh_files.MSH.replace('2\n1 5 "rim"\n2 3 "steel"', '1\n1 5 "rim"'))
-    assert from_file(path).bodies == ("3",) and from_file(path).boundaries == ("rim",)
+    assert am.mesh.from_file(path).bodies == ("3",) and am.mesh.from_file(path).boundaries == (
+        "rim",
+    )
     # of curves that run the other way the numbers are negative
     path.write_text(
         mesh_files.MSH.replace(" 1 5 0\n", " 1 -5 0\n").replace(" 1 3 0\n", " 1 -3 0\n")
     )
-    assert from_file(path).bodies == ("steel",) and from_file(path).boundaries == ("rim",)
+    assert am.mesh.from_file(path).bodies == ("steel",) and am.mesh.from_file(path).boundaries == (
+        "rim",
+    )
     path.write_text(mesh_files.MSH.replace(" 1 5 0\n", " 0 0\n").replace(" 1 3 0\n", " 0 0\n"))
-    mesh = from_file(path, unnamed="free")
+    mesh = am.mesh.from_file(path, unnamed="free")
     assert mesh.bodies == ("body",) and mesh.boundaries == ("free",)
     path.write_text(mesh_files.MSH.replace(" 1 5 0\n", " 0 0\n"))
     with pytest.raises(ValueError, match=r"m.msh.*gmsh:physical.*write it as MSH 2.2"):
-        from_file(path)
+        am.mesh.from_file(path)
 
 
 def test_what_gmsh_files_must_hold(tmp_path):
     path = tmp_path / "m.msh"
     with pytest.raises(FileNotFoundError, match="no file"):
-        from_file(path)
+        am.mesh.from_file(path)
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1.0]])
     for kind, nodes, message in (
         ("triangle10", [[0, 1, 2, 3] * 2 + [0, 1]], "it holds triangle10; elements must be"),
@@ -130,7 +133,7 @@ def test_what_gmsh_files_must_hold(tmp_path):
     ):
         meshio.write(path, meshio.Mesh(corners, [(kind, np.array(nodes))]), "gmsh22")
         with pytest.raises(ValueError, match=f"m.msh.*{message}"):
-            from_file(path)
+            am.mesh.from_file(path)
 
 
 @pytest.mark.parametrize(
@@ -150,22 +153,22 @@ def test_what_gmsh_files_must_hold(tmp_path):
 def test_why_a_file_is_not_read(tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=f"{name}': .*{message}"):
-        from_file(tmp_path / name)
+        am.mesh.from_file(tmp_path / name)
 
 
 def test_files_that_need_another_package_name_it(tmp_path):
     (tmp_path / "a.exo").write_bytes(b"CDF\x01")
     if importlib.util.find_spec("netCDF4") is None:
         with pytest.raises(ValueError, match=r"netCDF4 reads it: pip install 'adaptmg\[formats\]'"):
-            from_file(tmp_path / "a.exo")
+            am.mesh.from_file(tmp_path / "a.exo")
     else:
         with pytest.raises(ValueError, match=r"a\.exo"):
-            from_file(tmp_path / "a.exo")
+            am.mesh.from_file(tmp_path / "a.exo")
 
 
 def test_groups_of_med_name_boundaries_and_bodies(tmp_path):
     pytest.importorskip("h5py")
-    square = structured(Rectangle(width=2, height=1), 2)
+    square = am.mesh.structured(am.Rectangle(width=2, height=1), 2)
     lines = [square.boundary_facets(name) for name in ("bottom", "right", "top")]
     mesh = meshio.Mesh(
         square.points, [("line", np.concatenate(lines)), ("triangle", square.elements)]
@@ -179,7 +182,7 @@ def test_groups_of_med_name_boundaries_and_bodies(tmp_path):
     mesh.point_data["point_tags"] = np.where(square.points[:, 0] == 0, 4, 0)
     mesh.point_tags = {4: ["nodes at left"]}
     meshio.write(tmp_path / "m.med", mesh)
-    read = from_file(
+    read = am.mesh.from_file(
         tmp_path / "m.med", unnamed="free", boundaries=["held", "low", "nodes at left"]
     )
     lengths = {name: read.surface(name).measures.sum() for name in read.boundaries}
@@ -201,15 +204,15 @@ def test_tetrahedra_of_exodus_are_read_with_sets_of_nodes(tmp_path):
         block = file.createVariable("connect1", "i4", ("num_el_in_blk1", "num_nod_per_el1"))
         block.elem_type = "TETRA4"
         block[:] = [[1, 2, 3, 4]]
-    mesh = from_file(tmp_path / "m.exo", unnamed="free")
+    mesh = am.mesh.from_file(tmp_path / "m.exo", unnamed="free")
     assert mesh.volumes.sum() == pytest.approx(1 / 6) and "not read: side sets" in mesh.notes[0]
     assert (mesh.points[mesh.boundary_nodes("low"), 2] == 0).all()
 
 
-CUBES = Assembly(
+CUBES = am.Assembly(
     parts={
-        "lower": Box(width=1, depth=1, height=1),
-        "upper": Box(width=1, depth=1, height=1, origin=(0, 0, 1)),
+        "lower": am.Box(width=1, depth=1, height=1),
+        "upper": am.Box(width=1, depth=1, height=1, origin=(0, 0, 1)),
     }
 )
 
@@ -217,7 +220,7 @@ CUBES = Assembly(
 def write_cubes(path, shared, *, skip=(), names=("lower", "upper")):
     """Two stacked cubes of six tetrahedra each as MSH 2.2, conforming at z = 1, with shared nodes
     there or not."""
-    cubes = structured(CUBES, 1)
+    cubes = am.mesh.structured(CUBES, 1)
     points, numbers = cubes.points, np.arange(16)
     if shared:
         points, numbers = np.unique(points, axis=0, return_inverse=True)
@@ -260,11 +263,11 @@ def write_cubes(path, shared, *, skip=(), names=("lower", "upper")):
 @pytest.mark.parametrize("shared", [True, False])
 def test_bodies_are_glued_by_default_or_share_no_nodes(tmp_path, shared):
     path = write_cubes(tmp_path / "m.msh", shared)
-    glued = from_file(path)
+    glued = am.mesh.from_file(path)
     assert glued.n_nodes == (12 if shared else 16) and glued.bodies == ("lower", "upper")
     # a shared interface lies inside
     assert glued.boundaries == ("base", *["interface"][shared:], "lid", "wall")
-    mesh = check_mesh(from_file(path, split_bodies=True))
+    mesh = am.mesh.check_mesh(am.mesh.from_file(path, split_bodies=True))
     assert mesh.n_nodes == mesh.source.nv == 16 and mesh.bodies == glued.bodies
     assert mesh.boundaries == (
         "lower.base",
@@ -290,14 +293,16 @@ def test_bodies_are_glued_by_default_or_share_no_nodes(tmp_path, shared):
 
 def test_an_interface_without_a_name_and_dots_in_names(tmp_path):
     path = write_cubes(tmp_path / "m.msh", shared=True, skip=(12,), names=("a.1", "upper"))
-    assert from_file(path).boundaries == ("base", "lid", "wall") and from_file(path).bodies == (
+    assert am.mesh.from_file(path).boundaries == ("base", "lid", "wall") and am.mesh.from_file(
+        path
+    ).bodies == (
         "a.1",
         "upper",
     )
     with pytest.warns(
         UserWarning, match=r"4 facets of the boundary, one of them at \(.*have no name in the file"
     ):
-        mesh = from_file(path, split_bodies=True)
+        mesh = am.mesh.from_file(path, split_bodies=True)
     # a dot would be read as body.boundary
     assert set(mesh.boundaries) == {
         "a_1.base",
@@ -334,7 +339,7 @@ def two_bodies():
 
 
 def test_netgens_interfaces_are_left_out_and_names_merged():
-    mesh = from_ngsolve(ngsolve.Mesh(two_bodies()))
+    mesh = am.mesh.from_ngsolve(ngsolve.Mesh(two_bodies()))
     assert mesh.boundaries == ("low", "top", "left side", "r") and mesh.bodies == (
         "first body",
         "b",
@@ -350,29 +355,29 @@ def test_netgens_interfaces_are_left_out_and_names_merged():
 def test_netgen_files_are_read_as_netgen_reads_them(tmp_path, make):
     made = make()
     made.Save(str(tmp_path / "m.vol"))
-    expected = from_ngsolve(ngsolve.Mesh(str(tmp_path / "m.vol")))
+    expected = am.mesh.from_ngsolve(ngsolve.Mesh(str(tmp_path / "m.vol")))
     (tmp_path / "m.vol.gz").write_bytes(gzip.compress((tmp_path / "m.vol").read_bytes()))
     for name in ("m.vol", "m.vol.gz"):
-        found = as_mesh(tmp_path / name)
+        found = am.mesh.as_mesh(tmp_path / name)
         for array in ("points", "elements", "facets", "facet_labels", "element_body"):
             np.testing.assert_array_equal(getattr(found, array), getattr(expected, array))
         assert (found.boundaries, found.bodies) == (expected.boundaries, expected.bodies)
     # of second-order elements the corners are read
     made.SecondOrder()
     made.Save(str(tmp_path / "second.vol"))
-    assert as_mesh(tmp_path / "second.vol").n_nodes == expected.n_nodes
+    assert am.mesh.as_mesh(tmp_path / "second.vol").n_nodes == expected.n_nodes
 
 
 def test_every_cut_is_noticed(tmp_path):
     for text in (mesh_files.VOL, mesh_files.VOL.replace("\n", "\r\n") + "geometry\n"):
         (tmp_path / "whole.vol").write_bytes(text.encode())
-        mesh = as_mesh(tmp_path / "whole.vol")
+        mesh = am.mesh.as_mesh(tmp_path / "whole.vol")
         assert mesh.volumes.sum() == 2 and mesh.bodies == ("steel",)
     for name, text in (("cut.vol", mesh_files.VOL), ("cut.msh", mesh_files.MSH)):
         for k in range(0, len(text) - 15, 37):
             (tmp_path / name).write_text(text[:k])
             with pytest.raises(ValueError, match=re.escape(name)):
-                as_mesh(tmp_path / name)
+                am.mesh.as_mesh(tmp_path / name)
 
 
 @pytest.mark.filterwarnings("ignore:.*have no name in the file")
@@ -383,7 +388,9 @@ def test_damaged_files_are_read_soundly_or_refused(tmp_path):
         path = tmp_path / f"{seed}-{name}"
         path.write_bytes(data)
         try:
-            touching(path) if path.suffix == ".step" else check_mesh(from_file(path))
+            am.mesh.touching(path) if path.suffix == ".step" else am.mesh.check_mesh(
+                am.mesh.from_file(path)
+            )
         except ValueError as error:
             assert path.name in str(error)
             refused += 1

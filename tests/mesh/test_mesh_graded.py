@@ -11,20 +11,19 @@ from refused import refused
 from scipy.spatial import cKDTree
 
 import adaptmg as am
-from adaptmg.mesh import check_mesh, graded, grading, netgen_meshes, quality, sized
+from adaptmg.mesh import grading, netgen_meshes
 from adaptmg.mesh.sizes import distance_to_boundaries, equilateral_sizes
-from adaptmg.problem import Box, Outline, Polygon, Rectangle
 
-SQUARE = Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
-ANGLE = Polygon(
+SQUARE = am.Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
+ANGLE = am.Polygon(
     vertices=((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)),
     boundaries=("b", "r", "c", "c", "t", "l"),
 )
-WEDGE = Polygon(
+WEDGE = am.Polygon(
     vertices=((0, -16e3), (12e3, 0), (12e3, 24e3), (0, 24e3)),
     boundaries=("flank", "neck", "top", "sym"),
 )
-BOX = Box(width=40e-3, depth=20e-3, height=30e-3, origin=(0.01, 0.02, 0.03))
+BOX = am.Box(width=40e-3, depth=20e-3, height=30e-3, origin=(0.01, 0.02, 0.03))
 
 
 @pytest.mark.parametrize("ratio", [1, 16, 500])
@@ -34,7 +33,7 @@ BOX = Box(width=40e-3, depth=20e-3, height=30e-3, origin=(0.01, 0.02, 0.03))
     ids=["square", "angle", "wedge"],
 )
 def test_plane_sizes_are_achieved(domain, contact, size, ratio):
-    mesh = check_mesh(graded(domain, size, contact, ratio), domain.boundaries)
+    mesh = am.mesh.check_mesh(am.mesh.graded(domain, size, contact, ratio), domain.boundaries)
     at_contact = edge_lengths(mesh, contact) * ratio / size
     assert at_contact.min() > 0.6 and at_contact.max() < 1.5
     centroids = mesh.points[mesh.elements].mean(axis=1)
@@ -43,12 +42,12 @@ def test_plane_sizes_are_achieved(domain, contact, size, ratio):
     )
     relative = mesh.element_sizes / wanted
     assert relative.max() < 2.5 and 0.8 < np.median(relative) < 1.4
-    assert quality(mesh).min_angle > 15
+    assert am.mesh.quality(mesh).min_angle > 15
     # where the size grows fast, the centroid of an element at contact asks for less than its edge
     # does
     assert (
         domain is not ANGLE
-        or edge_lengths(graded(ANGLE, 2, "c", 60, 0.7), "c").max() < 1.5 * 2 / 60
+        or edge_lengths(am.mesh.graded(ANGLE, 2, "c", 60, 0.7), "c").max() < 1.5 * 2 / 60
     )
 
 
@@ -65,12 +64,12 @@ def test_round_rims_grow_no_fans(share):
         shares = rng.uniform(0.8, 1.0, n)
         angles = rng.uniform(0, 7) + 2 * np.pi * np.cumsum(shares) / shares.sum()
         vertices = centre + radius * np.column_stack([np.cos(angles), np.sin(angles)])
-        disc = Outline(
+        disc = am.Outline(
             vertices=vertices.tolist(),
             boundaries=("rim",) * n,
             arcs=dict.fromkeys(range(n), tuple(centre.tolist())),
         )
-        mesh = graded(disc, size, "rim", ratio)
+        mesh = am.mesh.graded(disc, size, "rim", ratio)
         edges = np.concatenate([mesh.elements[:, [i, i - 1]] for i in range(3)])
         a, b = mesh.points[edges].transpose(1, 0, 2)
         away = radius - np.linalg.norm(0.5 * (a + b) - centre, axis=1)
@@ -99,7 +98,7 @@ def test_a_mesh_that_is_not_what_was_asked_for_is_refused(spoilt, why, monkeypat
 
     monkeypatch.setattr(grading, "triangulated", poor)
     with caplog.at_level("INFO", "adaptmg"):
-        mesh = graded(RING, 0.1, "inner", 2)
+        mesh = am.mesh.graded(RING, 0.1, "inner", 2)
     assert re.search(f"Netgen meshes the domain: .*{why}", caplog.text)
     assert mesh.element_sizes.max() < 0.2
     # neither does Netgen
@@ -110,13 +109,13 @@ def test_a_mesh_that_is_not_what_was_asked_for_is_refused(spoilt, why, monkeypat
         lambda domain, *_: poor(domain, lambda x: np.full(len(x), 0.3)),
     )
     with pytest.raises(ValueError, match=rf"Netgen could not mesh .*\(.*{why}"):
-        graded(RING, 0.1, "inner", 2)
+        am.mesh.graded(RING, 0.1, "inner", 2)
 
 
 def test_netgen_meshes_a_box_whose_cells_are_not_refined(monkeypatch, caplog):
     monkeypatch.setattr(grading, "drafted", lambda domain, draft, field: draft)
     with caplog.at_level("INFO", "adaptmg"):
-        mesh = graded(BOX, 10e-3, "bottom", 4)
+        mesh = am.mesh.graded(BOX, 10e-3, "bottom", 4)
     assert re.search("Netgen meshes the domain: .* as the sizes ask for", caplog.text)
     assert np.median(edge_lengths(mesh, "bottom")) < 5e-3
 
@@ -142,7 +141,7 @@ def test_sizes_that_fall_make_meshes_that_grow():
         assert triangles == sorted(triangles)
 
 
-RING = Outline(
+RING = am.Outline(
     vertices=((1, 0), (2, 0), (0, 2), (0, 1)),
     boundaries=("foot", "outer", "side", "inner"),
     arcs={1: (0, 0), 3: (0, 0)},
@@ -161,9 +160,9 @@ RING = Outline(
 )
 def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio, monkeypatch):
     monkeypatch.setattr(grading, "plane_mesh", lambda *_: pytest.fail("Netgen was asked"))
-    fine, coarse = (graded(domain, h, contact, ratio) for h in (size, 2 * size))
+    fine, coarse = (am.mesh.graded(domain, h, contact, ratio) for h in (size, 2 * size))
     # whoever checked it: the arrays are sound
-    check_mesh(replace(fine, source=None), dict.fromkeys(domain.boundaries))
+    am.mesh.check_mesh(replace(fine, source=None), dict.fromkeys(domain.boundaries))
     at = fine.points[fine.elements]
     wanted = np.minimum(
         size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], at.mean(axis=1))
@@ -171,7 +170,7 @@ def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio
     relative = equilateral_sizes(fine.points, fine.elements) / wanted
     assert relative.max() < 1.6 and np.median(relative) > 0.75
     assert np.quantile(relative, 0.99) < (1.35 if fine.dim == 2 else 1.5)
-    assert quality(fine).min_angle > 25
+    assert am.mesh.quality(fine).min_angle > 25
     if domain is RING:
         for name, radius in (("outer", 2), ("inner", 1)):
             np.testing.assert_allclose(
@@ -183,11 +182,11 @@ def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio
 
 
 def test_a_box_that_is_far_too_thin_for_the_sizes_is_refused():
-    assert graded(Box(width=1, depth=1, height=1e-2), 0.5).n_nodes < 100
+    assert am.mesh.graded(am.Box(width=1, depth=1, height=1e-2), 0.5).n_nodes < 100
     with pytest.raises(
         ValueError, match=r"size 0.5 m is more than 1000 times as long as Box.* is thick"
     ):
-        graded(Box(width=1, depth=1, height=1e-4), 0.5)
+        am.mesh.graded(am.Box(width=1, depth=1, height=1e-4), 0.5)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +194,7 @@ def test_a_box_that_is_far_too_thin_for_the_sizes_is_refused():
     [(SQUARE, 12e-3, 40, 0), (ANGLE, 0.5, 5, 0), (WEDGE, 2e3, 1, 1), (BOX, 12e-3, 4, 0)],
 )
 def test_meshes_repeat_sorted_along_the_longest_side(domain, size, ratio, axis):
-    first, second = (graded(domain, size, domain.boundaries[2], ratio) for _ in range(2))
+    first, second = (am.mesh.graded(domain, size, domain.boundaries[2], ratio) for _ in range(2))
     for name in ("points", "elements", "facets", "facet_labels"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     assert (np.diff(first.points[:, axis]) >= 0).all() and (
@@ -218,7 +217,8 @@ def test_netgen_meshes_every_plane_case(name):
         grids = am.Hierarchy.graded(problem, sizes[:2], ratio, mesher=mesher)
         result, mesh = am.solve(grids), grids.finest.mesh
         assert (
-            set(mesh.boundaries) == set(problem.domain.boundaries) and quality(mesh).min_angle > 20
+            set(mesh.boundaries) == set(problem.domain.boundaries)
+            and am.mesh.quality(mesh).min_angle > 20
         )
         energies.append(result.energy)
     assert energies[0] == pytest.approx(energies[1], rel=0.05)
@@ -228,32 +228,34 @@ def test_netgen_takes_over_where_triangulation_fails(monkeypatch, caplog):
     def failing(*_):
         raise grading.Untriangulated("because")
 
-    asked = graded(SQUARE, 10e-3, "bottom", 4, mesher="netgen")
+    asked = am.mesh.graded(SQUARE, 10e-3, "bottom", 4, mesher="netgen")
     monkeypatch.setattr(grading, "triangulated", failing)
     with caplog.at_level("INFO", "adaptmg"):
-        np.testing.assert_array_equal(graded(SQUARE, 10e-3, "bottom", 4).points, asked.points)
+        np.testing.assert_array_equal(
+            am.mesh.graded(SQUARE, 10e-3, "bottom", 4).points, asked.points
+        )
     assert "Netgen meshes the domain: because" in caplog.text
 
 
 test_refused = refused(
     (
-        lambda: graded(SQUARE, 1e-3, mesher="gmsh"),
+        lambda: am.mesh.graded(SQUARE, 1e-3, mesher="gmsh"),
         "mesher must be one of 'own', 'netgen', got 'gmsh'",
     ),
     (
-        lambda: sized(
+        lambda: am.mesh.sized(
             SQUARE, lambda x: np.maximum(np.linalg.norm(x - SQUARE.lower, axis=1), 1e-300), 1e-2
         ),
         "tend to zero at a point",
     ),
     (
-        lambda: Polygon(
+        lambda: am.Polygon(
             vertices=((0, 0), (4, 0), (4, 4), (4, 2), (0, 2)), boundaries=tuple("abcde")
         ),
         "edges .* meet",
     ),
     (
-        lambda: Polygon(vertices=((0, 0), (4, 0), (4, 0), (0, 4)), boundaries=tuple("abcd")),
+        lambda: am.Polygon(vertices=((0, 0), (4, 0), (4, 0), (0, 4)), boundaries=tuple("abcd")),
         "must be longer than",
     ),
 )

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 import adaptmg as am
-from adaptmg.mesh import graded, netgen_guard, sized
+from adaptmg.mesh import netgen_guard
 from adaptmg.mesh.netgen_guard import NetgenFails, NetgenUnfinished, netgen
 
 
@@ -69,23 +69,23 @@ def test_limits_are_seconds_of_the_processor_not_of_the_clock(monkeypatch, tmp_p
 
 def test_a_mesh_that_does_not_finish_is_refused_with_the_limit(monkeypatch):
     strip = am.Rectangle(width=1, height=1e-3)
-    assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
+    assert am.mesh.graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
     monkeypatch.setattr(netgen_guard, "LIMIT_S", {2: 1.0, 3: 1.0})
     with pytest.raises(
         ValueError,
         match=r"could not mesh Outline.*does not finish within 1 s of the processor: take smaller sizes",
     ):
-        graded(am.Rectangle(width=1, height=1e-5), 0.2, mesher="netgen")
+        am.mesh.graded(am.Rectangle(width=1, height=1e-5), 0.2, mesher="netgen")
     monkeypatch.undo()
-    assert graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
+    assert am.mesh.graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
 
 
 def test_threads_and_size_functions_mesh_in_their_own_processes():
     square = am.Rectangle(width=1, height=1)
 
     def mesh(_):
-        return sized(
-            square, lambda x: np.full(len(x), 0.1 * graded(square, 0.5).volumes.sum()), 0.3
+        return am.mesh.sized(
+            square, lambda x: np.full(len(x), 0.1 * am.mesh.graded(square, 0.5).volumes.sum()), 0.3
         )
 
     alone = mesh(0)

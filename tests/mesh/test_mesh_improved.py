@@ -9,7 +9,6 @@ import pytest
 from bisected_meshes import shaken as moved
 
 import adaptmg as am
-from adaptmg.mesh import check_mesh, graded, structured
 from adaptmg.mesh.arrays import facet_table
 from adaptmg.mesh.improve import halved, improved
 
@@ -33,10 +32,10 @@ def shapes(mesh):
 
 
 def test_shapes_get_better_and_the_boundary_stays():
-    mesh = graded(BOX, 0.03)
+    mesh = am.mesh.graded(BOX, 0.03)
     rough = shaken(mesh, 0.2)
     better = improved(rough, 8)
-    check_mesh(better)
+    am.mesh.check_mesh(better)
     assert shapes(better).mean() > max(shapes(rough).mean() + 0.009, 0.75)
     assert (1 / shapes(better)).sum() < (1 / shapes(rough)).sum()
     assert (better.facets == mesh.facets).all() and better.boundaries == mesh.boundaries
@@ -47,7 +46,7 @@ def test_shapes_get_better_and_the_boundary_stays():
 
 @pytest.mark.parametrize(
     "mesh",
-    [structured(BOX, 2), graded(BOX, 0.06), graded(TWO, 0.07)],
+    [am.mesh.structured(BOX, 2), am.mesh.graded(BOX, 0.06), am.mesh.graded(TWO, 0.07)],
     ids=["structured", "graded", "two bodies"],
 )
 def test_halves_are_a_sound_mesh_of_the_same_bodies(mesh):
@@ -56,7 +55,7 @@ def test_halves_are_a_sound_mesh_of_the_same_bodies(mesh):
     assert len(fine.elements) == 8 * len(mesh.elements) and len(fine.facets) == 4 * len(mesh.facets)
     assert (fine.points[: mesh.n_nodes] == mesh.points).all()
     # by what it is, not by what it says
-    check_mesh(replace(fine, source=None))
+    am.mesh.check_mesh(replace(fine, source=None))
     np.testing.assert_allclose(8 * fine.volumes, np.repeat(mesh.volumes, 8), rtol=1e-10)
     np.testing.assert_array_equal(fine.element_body, np.repeat(mesh.element_body, 8))
     for name in mesh.boundaries:
@@ -74,7 +73,7 @@ def test_octahedra_are_cut_along_the_shortest_diagonal(order):
         elements = elements[:, [1, 0, 2, 3]]
     facets = elements[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
     fine = halved(am.MeshArrays(corners, elements, facets, np.zeros(4), ("all",)))
-    check_mesh(fine)
+    am.mesh.check_mesh(fine)
     inner = [set(cell) for cell in fine.elements.tolist() if min(cell) >= 4]
     ends = {
         int(np.flatnonzero((fine.points == place).all(axis=1))[0])
@@ -94,7 +93,7 @@ SOLID = am.Box(width=0.3, depth=0.2, height=0.7, origin=(1, 2, 3))
     [(RECTANGLE, (5, 3)), (RECTANGLE, 1), (SOLID, (3, 1, 4)), (SOLID, (1, 2, 2))],
 )
 def test_counts_volumes_and_the_boundary_side_by_side(domain, divisions):
-    mesh = structured(domain, divisions)
+    mesh = am.mesh.structured(domain, divisions)
     table = facet_table(mesh.elements, mesh.n_nodes)
     outer = table.facets[table.counts == 1]
     rows = np.lexsort(np.sort(outer, axis=1).T[::-1])
@@ -102,12 +101,14 @@ def test_counts_volumes_and_the_boundary_side_by_side(domain, divisions):
     np.testing.assert_array_equal(mesh.facets[mine], outer[rows])
     order = np.lexsort((mesh.facets.min(axis=1), mesh.facet_labels))
     np.testing.assert_array_equal(order, np.arange(len(mesh.facets)))
-    assert mesh.sound and check_mesh(replace(mesh, source=None), domain.boundaries).sound
+    assert mesh.sound and am.mesh.check_mesh(replace(mesh, source=None), domain.boundaries).sound
     counts = np.broadcast_to(divisions, mesh.dim)
     assert mesh.n_nodes == np.prod(counts + 1) and len(mesh.elements) == math.factorial(
         mesh.dim
     ) * np.prod(counts)
     # every node is one of the mesh with twice the divisions, to the last bit
-    assert set(map(tuple, mesh.points)) <= set(map(tuple, structured(domain, 2 * counts).points))
+    assert set(map(tuple, mesh.points)) <= set(
+        map(tuple, am.mesh.structured(domain, 2 * counts).points)
+    )
     volume = np.prod(domain.upper - domain.lower)
     np.testing.assert_allclose(mesh.volumes, volume / len(mesh.elements), rtol=1e-11)

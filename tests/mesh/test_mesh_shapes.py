@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 import adaptmg as am
-from adaptmg.export import mesh as write_mesh
-from adaptmg.mesh import from_file, merged, structured
 from adaptmg.mesh.contents import Contents, mesh_of
 from adaptmg.mesh.shapes import KINDS, dimension, facets_of, middles, simplices
 
@@ -160,7 +158,7 @@ def test_gmsh_counts_nodes_of_second_order_in_its_own_way(tmp_path, number):
         f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n{len(points)}\n{nodes}\n$EndNodes\n$Elements\n1\n"
         f"1 {number} 2 3 3 {' '.join(map(str, range(1, len(points) + 1)))}\n$EndElements\n"
     )
-    mesh = from_file(tmp_path / "m.msh", unnamed="free")
+    mesh = am.mesh.from_file(tmp_path / "m.msh", unnamed="free")
     # numbered otherwise, parts would be turned over
     assert (
         mesh.n_nodes == len(points)
@@ -215,7 +213,7 @@ def test_kratos_counts_nodes_in_its_own_way_and_names_parts(tmp_path, name):
     text += ["End SubModelPart", "Begin SubModelPart Load"]
     text += [*block("SubModelPartConditions", ["7"] * (shape == "quad")), "End SubModelPart"]
     (tmp_path / "m.mdpa").write_text("\n".join(text))
-    mesh = from_file(tmp_path / "m.mdpa", unnamed="free")
+    mesh = am.mesh.from_file(tmp_path / "m.mdpa", unnamed="free")
     assert mesh.n_nodes == len(points) and mesh.bodies == ("Part",)
     assert mesh.volumes.sum() == pytest.approx(SIZES[shape])
     face = "Load" if shape == "quad" else "Part_Low"
@@ -225,7 +223,7 @@ def test_kratos_counts_nodes_in_its_own_way_and_names_parts(tmp_path, name):
     text[-len(text) :] = [row.replace(f" {number[-1]}", " 999") for row in text]
     (tmp_path / "m.mdpa").write_text("\n".join(text))
     with pytest.raises(ValueError, match=r"m.mdpa': .*nodes that it does not hold, such as 999"):
-        from_file(tmp_path / "m.mdpa")
+        am.mesh.from_file(tmp_path / "m.mdpa")
 
 
 def test_diagonals_without_neighbours_are_the_shorter_ones():
@@ -327,7 +325,7 @@ def test_a_deck_is_read_with_its_names(tmp_path):
     path = tmp_path / "part.inp"
     path.write_text(DECK)
     with pytest.warns(UserWarning, match='have no name in the file and are called "free"'):
-        mesh = from_file(path, unit=1e-3)
+        mesh = am.mesh.from_file(path, unit=1e-3)
     # a section is cut where nothing joins it, and each piece is called after the smallest set
     # around it
     assert mesh.bodies == ("Low", "High part") and np.bincount(
@@ -347,7 +345,7 @@ def test_a_deck_is_read_with_its_names(tmp_path):
         "not read: *Boundary",
     ):
         assert note in mesh.notes
-    assert from_file(path, boundaries=["lid"], unnamed="rest", body="all").bodies == (
+    assert am.mesh.from_file(path, boundaries=["lid"], unnamed="rest", body="all").bodies == (
         "all",
         "all_2",
     )
@@ -356,22 +354,22 @@ def test_a_deck_is_read_with_its_names(tmp_path):
 def test_names_that_overlap_go_to_the_smallest_or_the_first(tmp_path):
     path = tmp_path / "part.inp"
     path.write_text(DECK + "*Nset, nset=sides\n11, 12, 13, 14, 4, 1\n*Nset, nset=whole\nNall\n")
-    mesh = from_file(path, unnamed="free")
+    mesh = am.mesh.from_file(path, unnamed="free")
     assert len(mesh.boundary_facets("lid")) == 1 and len(mesh.boundary_facets("sides")) == 3
     assert (
         "'sides': 2 of 5 facets belong to another name before it; boundaries= sets the order"
         in mesh.notes
     )
     assert any("set of all nodes of elements" in note and "whole" in note for note in mesh.notes)
-    mesh = from_file(path, unnamed="free", boundaries=["sides", "Seat"])
+    mesh = am.mesh.from_file(path, unnamed="free", boundaries=["sides", "Seat"])
     assert (
         set(mesh.boundaries) == {"sides", "Seat", "free"}
         and len(mesh.boundary_facets("sides")) == 5
     )
     path.write_text(DECK + "*Surface, name=top, type=node\nlid\n")
-    assert "top" in from_file(path, unnamed="free").boundaries
+    assert "top" in am.mesh.from_file(path, unnamed="free").boundaries
     with pytest.raises(ValueError, match="boundaries: it holds no 'side'; it holds"):
-        from_file(path, boundaries=["side"])
+        am.mesh.from_file(path, boundaries=["side"])
 
 
 def second_order_deck(rng, lines="T3D3"):
@@ -416,13 +414,13 @@ def second_order_deck(rng, lines="T3D3"):
 def test_a_deck_of_gmsh_of_second_order_keeps_its_groups_and_whole_boundaries(tmp_path, lines):
     path = tmp_path / "m.inp"
     path.write_text(second_order_deck(np.random.default_rng(), lines))
-    mesh = from_file(path, unnamed="free")
+    mesh = am.mesh.from_file(path, unnamed="free")
     assert mesh.bodies == ("steel", "brass") and mesh.volumes.sum() == pytest.approx(4)
     lengths = {name: mesh.surface(name).measures.sum() for name in mesh.boundaries}
     assert lengths == pytest.approx({"low": 4, "free": 6})
     assert any("'mid': 2 of 2 facets lie inside and are dropped" in note for note in mesh.notes)
     assert any("all nodes of elements" in note and "steel" in note for note in mesh.notes)
-    apart = from_file(path, unnamed="free", split_bodies=True)
+    apart = am.mesh.from_file(path, unnamed="free", split_bodies=True)
     assert apart.surface("steel.mid").measures.sum() == pytest.approx(1)
     # what no element has is said aloud
     path.write_text(
@@ -430,19 +428,19 @@ def test_a_deck_of_gmsh_of_second_order_keeps_its_groups_and_whole_boundaries(tm
         + "\n*NODE\n99999, 50, 50\n"
     )
     with pytest.warns(UserWarning, match=r"'low': 1 of 4 facets are facets of no element"):
-        from_file(path, unnamed="free")
+        am.mesh.from_file(path, unnamed="free")
 
 
 def test_an_included_file_is_named_with_its_line(tmp_path):
     (tmp_path / "all.inp").write_text("*HEADING\n part\n*INCLUDE, INPUT=part/nodes.inp\n")
     with pytest.raises(ValueError, match=r"all.inp': line 3: \*INCLUDE: .*no file .*nodes.inp"):
-        from_file(tmp_path / "all.inp")
+        am.mesh.from_file(tmp_path / "all.inp")
     (tmp_path / "part").mkdir()
     (tmp_path / "part" / "nodes.inp").write_text("\n*NODE\n1, 0, zero\n")
     with pytest.raises(
         ValueError, match=r"all.inp': in 'part/nodes.inp', line 2: \*NODE: could not"
     ):
-        from_file(tmp_path / "all.inp")
+        am.mesh.from_file(tmp_path / "all.inp")
 
 
 def test_a_set_of_corners_holds_the_middle_nodes_between_them(tmp_path):
@@ -451,7 +449,7 @@ def test_a_set_of_corners_holds_the_middle_nodes_between_them(tmp_path):
     (tmp_path / "m.inp").write_text(
         f"*NODE\n{rows}\n*ELEMENT, TYPE=CAX8R\n1, 1, 2, 3, 4, 5, 6, 7, 8\n*NSET, NSET=low\n1, 2\n"
     )
-    mesh = from_file(tmp_path / "m.inp", unnamed="free")
+    mesh = am.mesh.from_file(tmp_path / "m.inp", unnamed="free")
     assert len(mesh.boundary_facets("low")) == 2 and "elements of the types CAX8R" in mesh.notes
 
 
@@ -484,7 +482,7 @@ def test_a_set_of_corners_holds_the_middle_nodes_between_them(tmp_path):
 def test_decks_are_refused_with_the_line(tmp_path, old, new, message):
     (tmp_path / "part.inp").write_text(DECK.replace(old, new, 1))
     with pytest.raises(ValueError, match=f"part.inp.*({message})"):
-        from_file(tmp_path / "part.inp", unnamed="free")
+        am.mesh.from_file(tmp_path / "part.inp", unnamed="free")
 
 
 @pytest.mark.parametrize("suffix", [".msh", ".inp"])
@@ -492,9 +490,11 @@ def test_decks_are_refused_with_the_line(tmp_path, old, new, message):
     "body", [am.Rectangle(width=2e-3, height=1e-3), am.Box(width=1e-3, depth=2e-3, height=3e-3)]
 )
 def test_names_come_back_from_a_file(tmp_path, body, suffix):
-    mesh = merged({"lower": structured(body, 2), "upper": structured(body, 3)})
-    write_mesh(mesh, tmp_path / f"m{suffix}", unit=1e-3)
-    back = from_file(tmp_path / f"m{suffix}", unit=1e-3)
+    mesh = am.mesh.merged(
+        {"lower": am.mesh.structured(body, 2), "upper": am.mesh.structured(body, 3)}
+    )
+    am.export.mesh(mesh, tmp_path / f"m{suffix}", unit=1e-3)
+    back = am.mesh.from_file(tmp_path / f"m{suffix}", unit=1e-3)
     assert back.boundaries == mesh.boundaries and back.bodies == mesh.bodies
     np.testing.assert_allclose(back.points, mesh.points, rtol=1e-14)
     for name in mesh.boundaries:

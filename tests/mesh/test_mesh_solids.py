@@ -12,31 +12,28 @@ import pytest
 from bisected_meshes import edge_lengths
 from refused import refused
 
+import adaptmg as am
 import adaptmg.mesh.netgen_meshes as module
-from adaptmg.mesh import check_mesh, graded, quality, sized
 from adaptmg.mesh.netgen_guard import NetgenFails, netgen
 from adaptmg.mesh.netgen_meshes import built_shape, check_volume
 from adaptmg.mesh.soundness import check_overlap
-from adaptmg.problem import Box, Outline, Polygon, Rectangle
-from adaptmg.problem.combined_domains import Common, Cut, Fuse
-from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 
-PROFILE = Polygon(
+PROFILE = am.Polygon(
     vertices=((0.04, 0), (0.1, 0), (0.1, 0.02), (0.06, 0.025), (0.05, 0.08), (0.04, 0.08)),
     boundaries=("gasket", "rim", "back", "neck", "weld", "bore"),
 )
-QUARTER = Outline(
+QUARTER = am.Outline(
     vertices=((0, 0), (1, 0), (0, 1)), boundaries=("base", "cap", "axis"), arcs={1: (0, 0)}
 )
-TRIANGLE = Polygon(vertices=((0, 0), (2, 0), (0, 1)), boundaries=("long", "slope", "short"))
-BALL = Ball((0, 0, 1), 1)
+TRIANGLE = am.Polygon(vertices=((0, 0), (2, 0), (0, 1)), boundaries=("long", "slope", "short"))
+BALL = am.Ball((0, 0, 1), 1)
 PAIRS = list(itertools.combinations(range(4), 2))
-UNIT = Box(width=1, depth=1, height=1)
-OCTANT = Common(BALL, UNIT)
-HALF = Common(BALL, Box(width=2, depth=2, height=1, origin=(-1, -1, 0)))
-BOLT = Fuse(
-    Cylinder((0, 0, 0), (0, 0, 1), 0.005, 0.03),
-    Cylinder((0, 0, 0.03), (0, 0, 1), 0.009, 0.006),
+UNIT = am.Box(width=1, depth=1, height=1)
+OCTANT = am.Common(BALL, UNIT)
+HALF = am.Common(BALL, am.Box(width=2, depth=2, height=1, origin=(-1, -1, 0)))
+BOLT = am.Fuse(
+    am.Cylinder((0, 0, 0), (0, 0, 1), 0.005, 0.03),
+    am.Cylinder((0, 0, 0.03), (0, 0, 1), 0.009, 0.006),
     rename={"a.side": "shank", "b.side": "head", "b.bottom": "under", "b.top": "upside"},
 )
 # Pappus: the volume of a full revolution of a polygon
@@ -52,19 +49,22 @@ def shape_of(solid):
 
 SOLIDS = {
     "box": (UNIT, 1.0),
-    "cylinder": (Cylinder((1, 2, 3), (1, 1, 0), 0.1, 0.5), 0.005 * math.pi),
-    "ball": (Ball((1, 2, 3), 0.2), 4 / 3 * math.pi * 0.008),
-    "sector": (Revolution(PROFILE, 90), FULL / 4),
-    "wide sector": (Revolution(PROFILE, 250), FULL * 250 / 360),
-    "ring": (Revolution(PROFILE), FULL),
-    "cap sector": (Revolution(QUARTER, 90), math.pi / 6),
-    "drum": (Revolution(Rectangle(width=2, height=1)), 4 * math.pi),
-    "prism": (Extrusion(TRIANGLE, 3, base=-1), 3.0),
-    "quarter disc": (Extrusion(QUARTER, 2), math.pi / 2),
+    "cylinder": (am.Cylinder((1, 2, 3), (1, 1, 0), 0.1, 0.5), 0.005 * math.pi),
+    "ball": (am.Ball((1, 2, 3), 0.2), 4 / 3 * math.pi * 0.008),
+    "sector": (am.Revolution(PROFILE, 90), FULL / 4),
+    "wide sector": (am.Revolution(PROFILE, 250), FULL * 250 / 360),
+    "ring": (am.Revolution(PROFILE), FULL),
+    "cap sector": (am.Revolution(QUARTER, 90), math.pi / 6),
+    "drum": (am.Revolution(am.Rectangle(width=2, height=1)), 4 * math.pi),
+    "prism": (am.Extrusion(TRIANGLE, 3, base=-1), 3.0),
+    "quarter disc": (am.Extrusion(QUARTER, 2), math.pi / 2),
     "octant": (OCTANT, math.pi / 6),
     "half ball": (HALF, 2 * math.pi / 3),
     "bolt": (BOLT, math.pi * (25e-6 * 0.03 + 81e-6 * 0.006)),
-    "moved bolt": (Moved(BOLT, (1, 2, 3), 40, (1, 1, 0)), math.pi * (25e-6 * 0.03 + 81e-6 * 0.006)),
+    "moved bolt": (
+        am.Moved(BOLT, (1, 2, 3), 40, (1, 1, 0)),
+        math.pi * (25e-6 * 0.03 + 81e-6 * 0.006),
+    ),
 }
 
 
@@ -94,7 +94,7 @@ def test_shapes_have_their_volume_names_and_bounding_box(key):
 
 
 def test_a_ball_refined_at_its_lowest_point():
-    mesh = sized(OCTANT, lambda x: 1e-3 + 0.3 * np.linalg.norm(x, axis=1), 0.25)
+    mesh = am.mesh.sized(OCTANT, lambda x: 1e-3 + 0.3 * np.linalg.norm(x, axis=1), 0.25)
     surface = mesh.points[mesh.boundary_nodes("surface")]
     # also the nodes that bisection made lie on the sphere and in the planes of symmetry
     np.testing.assert_allclose(np.linalg.norm(surface - (0, 0, 1), axis=1), 1, rtol=1e-13)
@@ -103,18 +103,18 @@ def test_a_ball_refined_at_its_lowest_point():
     centroids = mesh.points[mesh.elements].mean(axis=1)
     relative = mesh.element_sizes / np.minimum(0.25, 1e-3 + 0.3 * np.linalg.norm(centroids, axis=1))
     assert relative.max() < 3.2 and 0.7 < np.median(relative) < 1.7
-    assert quality(mesh).min_angle > 10 and mesh.n_nodes < 2000
+    assert am.mesh.quality(mesh).min_angle > 10 and mesh.n_nodes < 2000
 
 
 @pytest.mark.parametrize(("ratio", "mesher"), [(8, "own"), (50, "own"), (50, "netgen")])
 def test_sizes_along_boundaries_are_achieved(ratio, mesher):
     # beyond a ratio of 16 Netgen's mesh is bisected
-    punch = Fuse(
+    punch = am.Fuse(
         UNIT,
-        Cylinder((0.5, 0.5, 1), (0, 0, 1), 0.1, 0.3),
+        am.Cylinder((0.5, 0.5, 1), (0, 0, 1), 0.1, 0.3),
         rename={"b.side": "shank", "b.top": "tip"},
     )
-    mesh = graded(punch, 0.5, "tip", ratio, 0.5, mesher=mesher)
+    mesh = am.mesh.graded(punch, 0.5, "tip", ratio, 0.5, mesher=mesher)
     at_tip = edge_lengths(mesh, "tip") * ratio / 0.5
     assert at_tip.max() < 2.5 and 0.6 < np.median(at_tip) < 1.4
     assert np.median(edge_lengths(mesh, "bottom")) > 0.3
@@ -127,15 +127,15 @@ def test_a_slim_bar_has_the_same_mesh_wherever_it_lies(way):
     rng = np.random.default_rng()
     point, axis = rng.normal(size=(2, 3))
     axis /= np.linalg.norm(axis)
-    upright = Cylinder((0, 0, 0), (0, 0, 1), 1, 20)
-    bar = Cylinder(tuple(point), tuple(axis), 1, 20)
+    upright = am.Cylinder((0, 0, 0), (0, 0, 1), 1, 20)
+    bar = am.Cylinder(tuple(point), tuple(axis), 1, 20)
     if way == "moved":
         angle = math.degrees(math.acos(axis[2]))
-        bar = Moved(upright, tuple(point), angle, tuple(np.cross((0, 0, 1), axis)))
-    assert quality(graded(bar, 1)).min_angle == pytest.approx(
-        quality(graded(upright, 1)).min_angle, rel=1e-6
+        bar = am.Moved(upright, tuple(point), angle, tuple(np.cross((0, 0, 1), axis)))
+    assert am.mesh.quality(am.mesh.graded(bar, 1)).min_angle == pytest.approx(
+        am.mesh.quality(am.mesh.graded(upright, 1)).min_angle, rel=1e-6
     )
-    mesh = sized(bar, lambda x: 0.4 + 0.1 * np.abs((x - point) @ axis), 1.0)
+    mesh = am.mesh.sized(bar, lambda x: 0.4 + 0.1 * np.abs((x - point) @ axis), 1.0)
     along = (mesh.points - point) @ axis
     away = np.linalg.norm(mesh.points - point - along[:, None] * axis, axis=1)
     for name, gaps in (("side", away - 1), ("bottom", along), ("top", along - 20)):
@@ -148,33 +148,38 @@ def test_a_slim_bar_has_the_same_mesh_wherever_it_lies(way):
 @pytest.mark.parametrize(
     ("solid", "size"),
     [
-        (Ball((1, 2, 3), 1), 0.5),
-        (Cylinder((0, 0, 0), (0, 0, 1), 1, 3), 0.6),
-        (Fuse(Ball((0, 0, 0), 1), Ball((1.2, 0, 0), 1)), 0.5),
+        (am.Ball((1, 2, 3), 1), 0.5),
+        (am.Cylinder((0, 0, 0), (0, 0, 1), 1, 3), 0.6),
+        (am.Fuse(am.Ball((0, 0, 0), 1), am.Ball((1.2, 0, 0), 1)), 0.5),
     ],
     ids=["ball", "bar", "fused"],
 )
 def test_no_edges_go_through_a_whole_body(solid, size):
     """Netgen leaves coarse round bodies without inner nodes."""
-    mesh = graded(solid, size)
+    mesh = am.mesh.graded(solid, size)
     corners = mesh.points[mesh.elements]
     lengths = [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in PAIRS]
     assert (np.array(lengths) > 2 * size).mean() <= 0.01
-    assert quality(mesh).min_angle > 5
+    assert am.mesh.quality(mesh).min_angle > 5
 
 
 def test_flat_elements_are_mended_or_reported():
     # Netgen's elements with all corners on the boundary had angles of 1 degree
-    assert quality(graded(Cylinder((0, 0, 0), (0, 0, 1), 1, 13.7), 1.93, "side", 2)).min_angle > 4
-    wedge = Extrusion(
-        Polygon(vertices=((0, 0), (1, 0), (1, 0.005)), boundaries=("a", "b", "c")), 0.1
+    assert (
+        am.mesh.quality(
+            am.mesh.graded(am.Cylinder((0, 0, 0), (0, 0, 1), 1, 13.7), 1.93, "side", 2)
+        ).min_angle
+        > 4
+    )
+    wedge = am.Extrusion(
+        am.Polygon(vertices=((0, 0), (1, 0), (1, 0.005)), boundaries=("a", "b", "c")), 0.1
     )
     with pytest.warns(UserWarning, match=r"tetrahedra have angles down to 0\.\d+ degrees"):
-        graded(wedge, 0.1)
+        am.mesh.graded(wedge, 0.1)
 
 
-FILLET = Revolution(
-    Outline(
+FILLET = am.Revolution(
+    am.Outline(
         vertices=((0.2, 0), (1, 0), (1, 0.2), (0.4, 0.2), (0.3, 0.3), (0.26, 1), (0.2, 1)),
         boundaries=("foot", "rim", "flat", "fillet", "neck", "top", "bore"),
         arcs={3: (0.4, 0.3)},
@@ -199,7 +204,7 @@ def from_neck(x):
     ("solid", "size", "contact", "gap"),
     [
         (
-            Cylinder((0, 0, 0), (0, 0, 1), 0.5, 1),
+            am.Cylinder((0, 0, 0), (0, 0, 1), 0.5, 1),
             0.05,
             "bottom",
             {
@@ -227,15 +232,15 @@ def test_a_draft_is_refined_to_the_sizes_on_the_faces(solid, size, contact, gap,
     monkeypatch.setattr(
         module, "_solid_draft", lambda *given: drafts.append(original(*given)) or drafts[-1]
     )
-    mesh = graded(solid, size, contact, 1.5)
+    mesh = am.mesh.graded(solid, size, contact, 1.5)
     assert drafts[-1].n_nodes < mesh.n_nodes / 3
-    check_overlap(check_mesh(replace(mesh, source=None)))
+    check_overlap(am.mesh.check_mesh(replace(mesh, source=None)))
     for name, distance in gap.items():
         # nodes of Netgen's draft lie on crossings of faces within its tolerance
         assert distance(mesh.points[mesh.boundary_nodes(name)]).max() < 1e-7
     lengths = edge_lengths(mesh, contact) * 1.5 / size
     assert lengths.max() < 2.2 and 0.7 < np.median(lengths) < 1.3
-    assert quality(mesh).min_angle > 10
+    assert am.mesh.quality(mesh).min_angle > 10
     shape = shape_of(solid)
     assert mesh.volumes.sum() == pytest.approx(shape.volume * shape.scale**3, rel=0.02)
 
@@ -255,9 +260,9 @@ def test_faces_of_an_unknown_kind_are_left_to_netgen(tmp_path, caplog):
     wire = occ.Wire([edge, *(occ.Segment(a, b) for a, b in itertools.pairwise(corners))])
     occ.Face(wire).Extrude(occ.Vec(0, 0, 1)).WriteStep(str(tmp_path / "wavy.step"))
     with caplog.at_level(logging.INFO, logger=module.__name__):
-        mesh = graded(StepFile(tmp_path / "wavy.step"), 0.1e-3)
+        mesh = am.mesh.graded(am.StepFile(tmp_path / "wavy.step"), 0.1e-3)
     assert "faces other than planes, cylinders" in caplog.text
-    check_mesh(replace(mesh, source=None))
+    am.mesh.check_mesh(replace(mesh, source=None))
     assert 400 < mesh.n_nodes < 8000
 
 
@@ -267,7 +272,7 @@ def test_a_draft_whose_nodes_do_not_reach_the_faces_gives_way(monkeypatch, caplo
 
     monkeypatch.setattr(module, "onto_surfaces", astray)
     with caplog.at_level(logging.INFO, logger=module.__name__):
-        mesh = graded(OCTANT, 0.12, "surface", 1.5)
+        mesh = am.mesh.graded(OCTANT, 0.12, "surface", 1.5)
     for factor in (1.8, 1):
         assert f"sizes times {factor} is not refined: 7 nodes" in caplog.text
     np.testing.assert_allclose(
@@ -288,18 +293,18 @@ def test_netgen_is_given_a_second_chance(monkeypatch):
 
     monkeypatch.setattr(module, "_solid_draft", fails_first)
     fails = 3
-    assert graded(OCTANT, 0.5, grading=0.5).n_nodes > 10
+    assert am.mesh.graded(OCTANT, 0.5, grading=0.5).n_nodes > 10
     np.testing.assert_allclose(seen, [0.5, 0.35, 0.25])
     fails = 9
     with pytest.raises(
         ValueError, match=r"could not mesh Common.*Meshing failed!.*smaller grading"
     ):
-        graded(OCTANT, 0.5)
+        am.mesh.graded(OCTANT, 0.5)
 
 
 def test_the_volume_check_can_fail():
     shape = shape_of(OCTANT)
-    mesh = graded(OCTANT, 0.5 * shape.scale)
+    mesh = am.mesh.graded(OCTANT, 0.5 * shape.scale)
     unit = type(mesh)(
         mesh.points / shape.scale, mesh.elements, mesh.facets, mesh.facet_labels, mesh.boundaries
     )
@@ -314,13 +319,13 @@ def test_the_volume_check_can_fail():
 
 def test_scaling_changes_nothing_and_meshes_repeat():
     def pin(s):
-        return Cut(
-            Cylinder((s, 0, 0), (0, 0, 1), s, s),
-            Ball((s, 0, s), 0.5 * s),
+        return am.Cut(
+            am.Cylinder((s, 0, 0), (0, 0, 1), s, s),
+            am.Ball((s, 0, s), 0.5 * s),
             rename={"surface": "seat"},
         )
 
-    first, again, large = (graded(pin(s), 0.5 * s, "seat", 2) for s in (1.0, 1.0, 4096.0))
+    first, again, large = (am.mesh.graded(pin(s), 0.5 * s, "seat", 2) for s in (1.0, 1.0, 4096.0))
     for name in ("points", "elements", "facets", "facet_labels"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     np.testing.assert_array_equal(first.elements, large.elements)
@@ -329,15 +334,17 @@ def test_scaling_changes_nothing_and_meshes_repeat():
 
 
 def test_renaming():
-    hole = Cylinder((0.5, 0.5, -1), (0, 0, 1), 0.2, 3)
-    one = Cut(UNIT, hole, rename={"top": "lid", "b.top": "end", "b.side": "hole"})
+    hole = am.Cylinder((0.5, 0.5, -1), (0, 0, 1), 0.2, 3)
+    one = am.Cut(UNIT, hole, rename={"top": "lid", "b.top": "end", "b.side": "hole"})
     assert one.boundaries == ("bottom", "right", "lid", "left", "front", "back", "hole", "end")
     assert set(shape_of(one).names) == {*one.boundaries} - {"end"}
     # faces that coincide have the name given by the first solid
-    flush = Cut(UNIT, Box(width=0.5, depth=1, height=1), rename={"b.right": "cut"})
+    flush = am.Cut(UNIT, am.Box(width=0.5, depth=1, height=1), rename={"b.right": "cut"})
     assert set(shape_of(flush).names) == {*UNIT.boundaries, "cut"} - {"left"}
     names = shape_of(
-        Fuse(UNIT, Box(width=1, depth=1, height=1, origin=(0, 0, 1)), rename={"b.front": "face"})
+        am.Fuse(
+            UNIT, am.Box(width=1, depth=1, height=1, origin=(0, 0, 1)), rename={"b.front": "face"}
+        )
     ).names
     assert (
         {"front", "face"} <= set(names) and names.count("top") == 1 and names.count("bottom") == 1
@@ -345,35 +352,41 @@ def test_renaming():
 
 
 test_refused = refused(
-    (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1, 1), "axis must not be zero"),
-    (lambda: Revolution(PROFILE, 361), "angle must be at most 360"),
-    (lambda: Revolution(Rectangle(width=1, height=1, origin=(-0.1, 0))), "half plane r >= 0"),
+    (lambda: am.Cylinder((0, 0, 0), (0, 0, 0), 1, 1), "axis must not be zero"),
+    (lambda: am.Revolution(PROFILE, 361), "angle must be at most 360"),
+    (lambda: am.Revolution(am.Rectangle(width=1, height=1, origin=(-0.1, 0))), "half plane r >= 0"),
     (
-        lambda: Revolution(Polygon(vertices=((0, 0), (1, -1), (1, 1)), boundaries=("a", "b", "c"))),
+        lambda: am.Revolution(
+            am.Polygon(vertices=((0, 0), (1, -1), (1, 1)), boundaries=("a", "b", "c"))
+        ),
         "axis at the single vertex 0",
     ),
     (
-        lambda: Revolution(
-            Polygon(vertices=((1, 0), (2, 0), (2, 1)), boundaries=("start", "b", "c")), 90
+        lambda: am.Revolution(
+            am.Polygon(vertices=((1, 0), (2, 0), (2, 1)), boundaries=("start", "b", "c")), 90
         ),
         "must not be called 'start'",
     ),
-    (lambda: Extrusion(Rectangle(width=1, height=1), 1), "must not be called 'bottom'"),
-    (lambda: Cut(UNIT, BALL, rename={"c.top": "x"}), "the keys of rename must be one of"),
-    (lambda: Moved(UNIT, axis=(0, 0, 0)), "axis must not be zero"),
-    (lambda: StepFile("a.step", names={"solid1": "a.b"}), "must not contain '.'"),
-    (lambda: graded(OCTANT, 0.5, "bottom", 5), "of boundary 'bottom' no face is left"),
+    (lambda: am.Extrusion(am.Rectangle(width=1, height=1), 1), "must not be called 'bottom'"),
+    (lambda: am.Cut(UNIT, BALL, rename={"c.top": "x"}), "the keys of rename must be one of"),
+    (lambda: am.Moved(UNIT, axis=(0, 0, 0)), "axis must not be zero"),
+    (lambda: am.StepFile("a.step", names={"solid1": "a.b"}), "must not contain '.'"),
+    (lambda: am.mesh.graded(OCTANT, 0.5, "bottom", 5), "of boundary 'bottom' no face is left"),
     (
-        lambda: graded(OCTANT, 1, "surfac", 10),
+        lambda: am.mesh.graded(OCTANT, 1, "surfac", 10),
         "boundary 'surfac' does not exist; the boundaries are surface, bottom",
     ),
-    (lambda: graded(OCTANT, 1, "surface", 1e4), "nodes .at most 2e"),
+    (lambda: am.mesh.graded(OCTANT, 1, "surface", 1e4), "nodes .at most 2e"),
     (
-        lambda: graded(Cut(UNIT, Box(width=3, depth=3, height=3, origin=(-1, -1, -1))), 1),
+        lambda: am.mesh.graded(
+            am.Cut(UNIT, am.Box(width=3, depth=3, height=3, origin=(-1, -1, -1))), 1
+        ),
         "leaves nothing",
     ),
     (
-        lambda: graded(Cut(UNIT, Box(width=0.2, depth=3, height=3, origin=(0.4, -1, -1))), 1),
+        lambda: am.mesh.graded(
+            am.Cut(UNIT, am.Box(width=0.2, depth=3, height=3, origin=(0.4, -1, -1))), 1
+        ),
         "leaves 2 pieces",
     ),
 )
@@ -385,4 +398,6 @@ def test_a_boolean_operation_that_fails_is_noticed(monkeypatch):
 
     monkeypatch.setattr(netgen_worker, "_VOLUME_TOLERANCE", -1.0)
     with pytest.raises(ValueError, match=r"volumes do not add up \(0.75 instead of 0.75\)"):
-        netgen_worker.build_shape(Cut(UNIT, Box(width=0.25, depth=1, height=1)), np.zeros(3), 1.0)
+        netgen_worker.build_shape(
+            am.Cut(UNIT, am.Box(width=0.25, depth=1, height=1)), np.zeros(3), 1.0
+        )

@@ -6,35 +6,36 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptmg.mesh import MeshArrays, as_mesh, check_mesh, quality, structured
+import adaptmg as am
 from adaptmg.mesh.arrays import element_facets, facet_keys, facet_table, normalised
 from adaptmg.mesh.soundness import check_overlap
-from adaptmg.problem import Box, Rectangle
 
-SQUARE = structured(Rectangle(width=1, height=1), 4)
-CUBE = structured(Box(width=1, depth=1, height=1), 3)
+SQUARE = am.mesh.structured(am.Rectangle(width=1, height=1), 4)
+CUBE = am.mesh.structured(am.Box(width=1, depth=1, height=1), 3)
 BOTH = pytest.mark.parametrize("mesh", [SQUARE, CUBE], ids=["2D", "3D"])
 
 
 def test_a_sound_mesh_is_checked_once_but_a_changed_one_again(monkeypatch):
-    mesh = replace(structured(Rectangle(width=1, height=1), 2), source=None)
-    assert not mesh.sound and check_mesh(mesh, mesh.boundaries) is mesh and mesh.sound
+    mesh = replace(am.mesh.structured(am.Rectangle(width=1, height=1), 2), source=None)
+    assert not mesh.sound and am.mesh.check_mesh(mesh, mesh.boundaries) is mesh and mesh.sound
     monkeypatch.setattr(
         "adaptmg.mesh.soundness.facet_table", lambda *_: pytest.fail("searched again")
     )
-    assert check_mesh(mesh) is mesh
+    assert am.mesh.check_mesh(mesh) is mesh
     for name in ("rim", ["bottom", "rim"]):
         with pytest.raises(
             ValueError, match="boundary 'rim' does not exist; the boundaries are bottom, right, top"
         ):
-            check_mesh(mesh, name)
+            am.mesh.check_mesh(mesh, name)
     monkeypatch.undo()
     with pytest.raises(ValueError, match="has a hole"):
-        check_mesh(replace(mesh, facets=mesh.facets[1:], facet_labels=mesh.facet_labels[1:]))
+        am.mesh.check_mesh(
+            replace(mesh, facets=mesh.facets[1:], facet_labels=mesh.facet_labels[1:])
+        )
     # a name without facets is as good as missing; new points beside an old source are seen
     with pytest.raises(ValueError, match="'hidden' does not exist"):
-        check_mesh(replace(mesh, boundaries=(*mesh.boundaries, "hidden")), ["hidden"])
-    read = as_mesh(replace(SQUARE, points=2 * SQUARE.points))
+        am.mesh.check_mesh(replace(mesh, boundaries=(*mesh.boundaries, "hidden")), ["hidden"])
+    read = am.mesh.as_mesh(replace(SQUARE, points=2 * SQUARE.points))
     np.testing.assert_array_equal(
         np.array(read.source.ngmesh.Coordinates())[:, :2], 2 * SQUARE.points
     )
@@ -80,7 +81,7 @@ def faults(mesh):
 @BOTH
 def test_faults_are_found_and_located(mesh):
     for change, message in faults(mesh):
-        for judge in (check_mesh, quality):
+        for judge in (am.mesh.check_mesh, am.mesh.quality):
             with pytest.raises(ValueError, match=message):
                 judge(replace(mesh, source=None, element_body=None, **change))
 
@@ -95,9 +96,9 @@ def test_two_pieces_need_two_bodies():
         np.zeros(6),
         ("rim",),
     )
-    check_mesh(MeshArrays(*arrays, [0, 1], ("low", "high")))
+    am.mesh.check_mesh(am.MeshArrays(*arrays, [0, 1], ("low", "high")))
     with pytest.raises(ValueError, match="body 'all' consists of 2 pieces, of 1, 1 elements"):
-        check_mesh(MeshArrays(*arrays, bodies=("all",)))
+        am.mesh.check_mesh(am.MeshArrays(*arrays, bodies=("all",)))
 
 
 def test_keys_of_facets_do_not_overflow():
@@ -114,11 +115,13 @@ TETRAHEDRON = (
 
 
 def test_quality_of_known_elements():
-    half = quality(structured(Rectangle(width=2, height=2), 1))
+    half = am.mesh.quality(am.mesh.structured(am.Rectangle(width=2, height=2), 1))
     assert (half.min_angle, half.max_angle) == pytest.approx((45, 90))
     assert (half.h_min, half.h_max) == pytest.approx((2, 2 * np.sqrt(2)))
     for arrays, angle in ((TRIANGLE, 60), (TETRAHEDRON, np.degrees(np.arccos(1 / 3)))):
-        best = quality(check_mesh(MeshArrays(*arrays, np.zeros(len(arrays[2])), ("a",))))
+        best = am.mesh.quality(
+            am.mesh.check_mesh(am.MeshArrays(*arrays, np.zeros(len(arrays[2])), ("a",)))
+        )
         assert (best.min_angle, best.max_angle, best.aspect_ratio) == pytest.approx(
             (angle, angle, 1)
         )
@@ -147,15 +150,15 @@ def test_every_single_fold_of_a_boundary_node_is_found(mesh):
         if len(np.flatnonzero(np.abs(bad.volumes) < 1e-12)):
             continue
         with pytest.raises(ValueError, match=r"on the same side|lies over itself"):
-            check_overlap(check_mesh(bad))
+            check_overlap(am.mesh.check_mesh(bad))
     mirrored = turned(mesh, mesh.points * np.r_[-1.0, np.ones(mesh.dim - 1)])
-    assert check_overlap(check_mesh(mirrored)).volumes.sum() == pytest.approx(1)
+    assert check_overlap(am.mesh.check_mesh(mirrored)).volumes.sum() == pytest.approx(1)
 
 
 @BOTH
 def test_a_body_that_runs_into_itself(mesh):
-    strip = structured(
-        Rectangle(width=8, height=1) if mesh.dim == 2 else Box(width=8, depth=1, height=1),
+    strip = am.mesh.structured(
+        am.Rectangle(width=8, height=1) if mesh.dim == 2 else am.Box(width=8, depth=1, height=1),
         (32, 4) if mesh.dim == 2 else (32, 4, 4),
     )
 
@@ -166,10 +169,10 @@ def test_a_body_that_runs_into_itself(mesh):
         points[:, 0], points[:, -1] = -radius * np.cos(angle), radius * np.sin(angle)
         return replace(strip, points=points, source=None)
 
-    assert as_mesh(bent(1.9 * np.pi)).volumes.sum() > 0
+    assert am.mesh.as_mesh(bent(1.9 * np.pi)).volumes.sum() > 0
     with pytest.raises(
         ValueError, match="the boundary of body 'body' lies inside other elements of it"
     ):
-        as_mesh(bent(2.2 * np.pi))
+        am.mesh.as_mesh(bent(2.2 * np.pi))
     # two bodies may touch or overlap: that is contact, or a fit with interference
-    assert check_mesh(bent(2.2 * np.pi)).n_nodes == strip.n_nodes
+    assert am.mesh.check_mesh(bent(2.2 * np.pi)).n_nodes == strip.n_nodes

@@ -7,16 +7,14 @@ import step_assembly
 from netgen.occ import Axis, Box, Compound, Cylinder, Glue, Pnt, Sphere, Vec, X, Y, Z, gp_Dir
 
 import adaptmg as am
-from adaptmg.mesh import as_mesh, check_mesh, graded, sized, step_table, touching
-from adaptmg.problem.solid_domains import StepFile
 
 
 def from_step(path, size, contact=(), ratio=1.0, *, unit=1e-3, names=None):
-    return graded(StepFile(path, unit, names or {}), size, contact, ratio)
+    return am.mesh.graded(am.StepFile(path, unit, names or {}), size, contact, ratio)
 
 
 def step_names(path):
-    faces = step_table(path)
+    faces = am.mesh.step_table(path)
     return {
         solid: tuple(own.face[own.face != ""]) for solid, own in faces.groupby("solid", sort=False)
     }
@@ -47,7 +45,7 @@ def two(tmp_path):
 
 def test_two_named_boxes(two):
     assert step_names(two) == {"lower": SIDES, "upper": SIDES}
-    mesh = check_mesh(from_step(two, 5e-3))
+    mesh = am.mesh.check_mesh(from_step(two, 5e-3))
     assert mesh.boundaries == tuple(f"{body}.{side}" for body in mesh.bodies for side in SIDES)
     # millimetres in the file, metres here; exactly in plane
     boxes = {
@@ -74,12 +72,12 @@ def test_sizes_by_body_and_by_face(two):
     mesh = from_step(two, 5e-3, "lower.top", 2.5)
     assert len(mesh.boundary_nodes("lower.top")) > 3 * len(mesh.boundary_nodes("upper.bottom"))
     # positions in m
-    mesh = sized(StepFile(two), lambda x: 1.5e-3 + 0.5 * x[:, 2], 5e-3)
+    mesh = am.mesh.sized(am.StepFile(two), lambda x: 1.5e-3 + 0.5 * x[:, 2], 5e-3)
     assert len(mesh.boundary_nodes("lower.bottom")) > 2 * len(mesh.boundary_nodes("upper.top"))
 
 
 def test_renaming(two):
-    domain = StepFile(
+    domain = am.StepFile(
         two,
         names={
             "solid2": "punch",
@@ -93,7 +91,7 @@ def test_renaming(two):
         "lower": ("symmetry", *SIDES[1:5], "seat"),
         "punch": (*SIDES[:4], "contact", "top"),
     }
-    mesh = graded(domain, 5e-3, "punch.contact", 2.5)
+    mesh = am.mesh.graded(domain, 5e-3, "punch.contact", 2.5)
     assert (mesh.points[mesh.boundary_nodes("punch.contact"), 2] == 0.005).all()
     # several faces may share a name
     everything = from_step(two, 1e-2, names={f"lower.face{k}": "skin" for k in range(1, 7)})
@@ -187,16 +185,16 @@ def clamped(tmp_path_factory):
 
 def test_products_name_the_solids_of_an_assembly(clamped):
     assert list(step_names(clamped)) == ["plate", "nut", "nut_2", "pin", "nut_3"]
-    assert list(step_names(StepFile(clamped, solids=["pin", "nut.2"]))) == ["pin", "nut_2"]
-    assert list(step_names(StepFile(clamped, solids=["nut"]))) == ["nut", "nut_2", "nut_3"]
-    domain = StepFile(clamped, names={"nut_2": "lower"}, solids=("lower", "plate"))
+    assert list(step_names(am.StepFile(clamped, solids=["pin", "nut.2"]))) == ["pin", "nut_2"]
+    assert list(step_names(am.StepFile(clamped, solids=["nut"]))) == ["nut", "nut_2", "nut_3"]
+    domain = am.StepFile(clamped, names={"nut_2": "lower"}, solids=("lower", "plate"))
     mesh = am.mesh.graded(domain, 4e-3)
     assert mesh.bodies == ("lower", "plate") and mesh.points[:, 2].min() == pytest.approx(-3e-3)
     for wrong in ("nuts", "nut.4", "nut.0"):
         with pytest.raises(
             ValueError, match=f"there is no solid '{wrong}'.*holds plate, nut, nut_2, pin, nut_3"
         ):
-            step_names(StepFile(clamped, solids=[wrong]))
+            step_names(am.StepFile(clamped, solids=[wrong]))
 
 
 @pytest.mark.parametrize("name", ["assembly", r"Gr\X2\00FC\X0\n", r"\X\C4ste", "the team''s", " "])
@@ -216,7 +214,7 @@ def test_a_table_knows_the_outside_of_a_turned_solid(tmp_path):
     turn = Axis(Pnt(1, 2, 3), gp_Dir(*rng.normal(size=3)))
     solid = solid.Rotate(turn, rng.uniform(0, 360)).Move(Vec(*rng.uniform(-50, 50, 3)))
     solid.WriteStep(str(path))
-    table = step_table(path)
+    table = am.mesh.step_table(path)
     faces = table[table.face != ""]
     normals = faces[["nx", "ny", "nz"]].to_numpy()
     # of a polyhedron the areas add up to 0, and its volume is the sum of cones, by Gauss
@@ -230,7 +228,7 @@ def test_a_table_knows_the_outside_of_a_turned_solid(tmp_path):
 
 
 def test_a_table_finds_faces_by_what_they_are_like(clamped, tmp_path):
-    table = step_table(clamped)
+    table = am.mesh.step_table(clamped)
     solids = table[table.kind == "solid"].set_index("solid")
     assert solids.volume["pin"] == pytest.approx(np.pi * 36e-9) and solids.z[
         "nut_2"
@@ -253,17 +251,17 @@ def test_a_table_finds_faces_by_what_they_are_like(clamped, tmp_path):
             > 0
         ).all()
     Sphere(Pnt(1, 2, 3), 4).WriteStep(str(tmp_path / "ball.step"))
-    ball = step_table(StepFile(tmp_path / "ball.step", unit=1.0)).iloc[1]
+    ball = am.mesh.step_table(am.StepFile(tmp_path / "ball.step", unit=1.0)).iloc[1]
     assert (ball.kind, ball.radius) == ("sphere", pytest.approx(4)) and ball.area == pytest.approx(
         64 * np.pi
     )
 
 
 def test_faces_that_lie_on_each_other_are_pairs(clamped):
-    table = step_table(clamped).set_index(["solid", "face"])
+    table = am.mesh.step_table(clamped).set_index(["solid", "face"])
 
     def found(**options):
-        return {(pair.slave, pair.master) for pair in touching(clamped, **options)}
+        return {(pair.slave, pair.master) for pair in am.mesh.touching(clamped, **options)}
 
     tight = found()
     # the smaller face is the slave: a nut is screwed on the pin, and one sits on the plate
@@ -287,12 +285,12 @@ def test_faces_that_lie_on_each_other_are_pairs(clamped):
 
 
 def test_a_step_file_is_drawn_with_its_faces(clamped):
-    chosen = StepFile(clamped, solids=["plate", "nut.1"])
+    chosen = am.StepFile(clamped, solids=["plate", "nut.1"])
     posed = am.ContactProblem(
         domain=chosen,
         material=am.Solid(young=2e11, poisson=0.3),
         law=am.Coulomb(0.2),
-        contact=touching(chosen),
+        contact=am.mesh.touching(chosen),
         supports=[am.Support("plate.face5", x=0, y=0, z=0)],
         loads=[am.Pressure("nut.face2", 1e6)],
     )
@@ -314,7 +312,7 @@ def test_bad_files(tmp_path):
         ),
         (lambda: from_step(surface, 1e-3), ValueError, "holds no solids; surfaces must be closed"),
         (lambda: from_step(other, 1e-3), ValueError, r"is not a \.step or \.stp file"),
-        (lambda: as_mesh(surface), ValueError, "StepFile"),
+        (lambda: am.mesh.as_mesh(surface), ValueError, "StepFile"),
     ):  # a geometry is no mesh
         with pytest.raises(error, match=message):
             call()

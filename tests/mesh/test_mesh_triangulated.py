@@ -10,7 +10,7 @@ import pytest
 import adaptmg as am
 from adaptmg._numba import kernel
 from adaptmg.geometry import predicates
-from adaptmg.mesh import check_mesh, graded, grading, quality, sized
+from adaptmg.mesh import grading
 from adaptmg.mesh.sizes import equilateral_sizes
 
 SQUARE = am.Rectangle(width=1, height=1)
@@ -73,9 +73,9 @@ def _no_netgen(monkeypatch):
 @pytest.mark.parametrize("size", [0.3, 0.05])
 @pytest.mark.parametrize("domain", DOMAINS.values(), ids=DOMAINS)
 def test_meshes_are_sound_and_delaunay(domain, size):
-    mesh = graded(domain, size)
+    mesh = am.mesh.graded(domain, size)
     # by what it is, not by what it says
-    check_mesh(replace(mesh, source=None), dict.fromkeys(domain.boundaries))
+    am.mesh.check_mesh(replace(mesh, source=None), dict.fromkeys(domain.boundaries))
     outline = getattr(domain, "outline", domain)
     for name in dict.fromkeys(outline.boundaries):
         away = grading.distance_to_boundaries(
@@ -85,7 +85,7 @@ def test_meshes_are_sound_and_delaunay(domain, size):
     for vertex in getattr(outline, "vertices", SQUARE.outline.vertices if domain is SQUARE else ()):
         assert (mesh.points == vertex).all(axis=1).sum() == 1
     if domain in (SQUARE, DOMAINS["angle"], DOMAINS["two holes"]):
-        assert quality(mesh).min_angle > 28
+        assert am.mesh.quality(mesh).min_angle > 28
         # the mean ratio is 1 for equilateral triangles, .985 where nodes are not moved
         edges = mesh.points[mesh.elements] - mesh.points[np.roll(mesh.elements, 1, axis=1)]
         ratios = 4 * np.sqrt(3) * mesh.volumes / np.square(edges).sum(axis=(1, 2))
@@ -102,9 +102,9 @@ def test_slanted_outlines_are_meshed_wherever_they_lie(domain):
             else moved(domain, rng.uniform(0, 7), scale, offset * rng.normal(size=2))
         )
         for size in (0.2, 0.1, 0.05, 0.02):
-            mesh = graded(turned, size * scale)
-            check_mesh(replace(mesh, source=None), turned.boundaries)
-            assert quality(mesh).min_angle > 15
+            mesh = am.mesh.graded(turned, size * scale)
+            am.mesh.check_mesh(replace(mesh, source=None), turned.boundaries)
+            assert am.mesh.quality(mesh).min_angle > 15
             assert set(turned.vertices) <= set(map(tuple, mesh.points.tolist()))
 
 
@@ -153,9 +153,9 @@ def test_predicates_are_exact():
 
 def test_triangles_at_short_edges_are_not_flat():
     chamfered = polygon((0, 0), (1, 0), (1, 0.98), (0.98, 1), (0, 1))
-    mesh = graded(chamfered, 0.2)
-    assert quality(mesh).min_angle > 25
-    assert mesh.n_nodes < 2 * graded(SQUARE, 0.2).n_nodes
+    mesh = am.mesh.graded(chamfered, 0.2)
+    assert am.mesh.quality(mesh).min_angle > 25
+    assert mesh.n_nodes < 2 * am.mesh.graded(SQUARE, 0.2).n_nodes
 
 
 @pytest.mark.parametrize("thickness", [0.1, 0.01])
@@ -175,8 +175,8 @@ def test_one_good_triangle_fits_across_thin_parts(thickness):
         arm,
     ):
         for size in (0.5, 0.1):
-            mesh = graded(domain, size)
-            assert quality(mesh).min_angle > 15 and mesh.n_nodes < 30 / thickness + 200
+            mesh = am.mesh.graded(domain, size)
+            assert am.mesh.quality(mesh).min_angle > 15 and mesh.n_nodes < 30 / thickness + 200
 
 
 def test_flat_triangles_are_reported_far_coordinates_refused():
@@ -184,10 +184,10 @@ def test_flat_triangles_are_reported_far_coordinates_refused():
         with pytest.warns(
             UserWarning, match=r"triangles are up to \d+ times as long as high: .* is thin"
         ):
-            graded(DOMAINS[name], 0.3)
+            am.mesh.graded(DOMAINS[name], 0.3)
     far = moved(SLANTED["triangle"], 1.0, 1.0, np.array([1e14, 0]))
     with pytest.raises(ValueError, match="move it nearer to the origin"):
-        graded(far, 0.3)
+        am.mesh.graded(far, 0.3)
 
 
 def test_slits_do_not_ask_for_many_nodes():
@@ -195,8 +195,8 @@ def test_slits_do_not_ask_for_many_nodes():
     slit = polygon(
         (0, 0), (0.5, 0), (0.48, 0.5), (0.480001, 0.52), (0.500001, 0), (1, 0), (1.1, 1), (0, 1)
     )
-    mesh = graded(moved(slit, 1.0, 1.0, np.zeros(2)), 0.1)
-    check_mesh(replace(mesh, source=None))
+    mesh = am.mesh.graded(moved(slit, 1.0, 1.0, np.zeros(2)), 0.1)
+    am.mesh.check_mesh(replace(mesh, source=None))
     assert mesh.n_nodes < 1000
 
 
@@ -209,22 +209,22 @@ def test_dips_and_jumps_of_a_size_function_are_met():
             axis=0,
         )
 
-    mesh = sized(SQUARE, dips, 0.2)
-    assert sized(SQUARE, lambda x: np.ones(len(x)), 0.1).element_sizes.max() < 0.2
+    mesh = am.mesh.sized(SQUARE, dips, 0.2)
+    assert am.mesh.sized(SQUARE, lambda x: np.ones(len(x)), 0.1).element_sizes.max() < 0.2
     for place in places:
         assert np.sort(np.linalg.norm(mesh.points - place, axis=1))[1] < 0.004
     # holes in the field, far narrower than the elements around them: seen at nodes and centroids,
     # half of them are met
     discs = np.random.default_rng(0).uniform(0.1, 0.9, (12, 2))
     met = [
-        sized(
+        am.mesh.sized(
             SQUARE, lambda x, p=p: np.where(np.linalg.norm(x - p, axis=1) < 0.06, 0.01, 0.2), 0.2
         ).n_nodes
         > 200
         for p in discs
     ]
     assert sum(met) >= 8
-    jump = sized(SQUARE, lambda x: np.where(x[:, 0] < 0.5, 0.01, 0.2), 0.2, grading=0.2)
+    jump = am.mesh.sized(SQUARE, lambda x: np.where(x[:, 0] < 0.5, 0.01, 0.2), 0.2, grading=0.2)
     # beyond the jump sizes grow by a fifth of the distance, until the next side
     x, sizes = (
         jump.points[jump.elements].mean(axis=1)[:, 0],
@@ -239,10 +239,10 @@ def test_too_many_nodes_are_refused_before_they_are_made():
         with pytest.raises(
             ValueError, match=r"the sizes ask for about .* nodes \(at most 5e\+06\)"
         ):
-            sized(SQUARE, size, 0.1)
+            am.mesh.sized(SQUARE, size, 0.1)
 
 
 def test_a_fine_rim_does_not_ask_for_its_size_all_over():
     """30 000 nodes were refused as 5 million."""
     disc = am.Circle((0, 0), 1.0)
-    assert graded(disc, 0.05, "circle", 62).n_nodes < 60_000
+    assert am.mesh.graded(disc, 0.05, "circle", 62).n_nodes < 60_000

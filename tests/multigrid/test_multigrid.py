@@ -8,7 +8,6 @@ from smoother_problems import tresca_energy
 
 import adaptmg as am
 from adaptmg.multigrid.cycle import MultigridCycle, correction_levels, project
-from adaptmg.smoother.system import local_system
 from adaptmg.solver.record import Run
 
 
@@ -38,7 +37,7 @@ def cycle_of(grids, **options):
         }
         | options,
     )
-    return cycle, local_system(grids.finest.discrete), run
+    return cycle, am.smoother.local_system(grids.finest.discrete), run
 
 
 @pytest.mark.parametrize("name", ["nested", "graded", "L2", "block"])
@@ -124,7 +123,7 @@ def test_hand_counted_work():
 
 
 def test_coarse_solve_meets_its_tolerance(hierarchies):
-    local = local_system(hierarchies["nested"][1].discrete)
+    local = am.smoother.local_system(hierarchies["nested"][1].discrete)
     exact, found = np.zeros((2, local.system.n_dofs))
     run = Run(unit=local.system.nonzeros)
     am.CoarseSolve(rtol=1e-13, omega=1.0, max_sweeps=20_000).solve(
@@ -138,7 +137,10 @@ def test_coarse_solve_meets_its_tolerance(hierarchies):
 
 def levels_of(grids, matrices="galerkin"):
     return correction_levels(
-        grids, [local_system(level.discrete) for level in grids.levels], len(grids) - 1, matrices
+        grids,
+        [am.smoother.local_system(level.discrete) for level in grids.levels],
+        len(grids) - 1,
+        matrices,
     )
 
 

@@ -11,8 +11,6 @@ from scipy import sparse
 from smoother_problems import expand, network
 
 import adaptmg as am
-from adaptmg.discrete.discretise import discretise
-from adaptmg.mesh import graded
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import CoarseFactors, least_weights
 from adaptmg.multigrid.projected_sweeps import Interface
@@ -20,9 +18,7 @@ from adaptmg.multigrid.split_matrix import restrict, split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.smoother.blocks import ZERO
-from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
 from adaptmg.smoother.system import CLOSED, SLIPS
-from adaptmg.transfer import galerkin_product, without_fixed
 
 
 def random_matrix(rng: np.random.Generator, dim: int, n: int = 9) -> sparse.bsr_array:
@@ -110,10 +106,10 @@ def test_projected_half_passes_are_the_smoother(dim, law):
     w = problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim))
     for _ in range(3):
         residual = smooth(level, contact, load, u)
-        ProjectedGaussSeidel(order="backward").smooth(
+        am.ProjectedGaussSeidel(order="backward").smooth(
             problem.system, problem.contact, problem.load, w
         )
-        ProjectedGaussSeidel(order="forward").smooth(
+        am.ProjectedGaussSeidel(order="forward").smooth(
             problem.system, problem.contact, problem.load, w
         )
         np.testing.assert_allclose(
@@ -152,7 +148,11 @@ def newton_matrix(problem, contact, newton: bool) -> np.ndarray:
     F = np.eye(n * dim)
     for k, node in enumerate(contact.nodes):
         F[dim * node : dim * node + dim, dim * node : dim * node + dim] = frames[k]
-    A = F @ without_fixed(problem.discrete.matrix, problem.discrete.fixed).toarray() @ F.T
+    A = (
+        F
+        @ am.transfer.without_fixed(problem.discrete.matrix, problem.discrete.fixed).toarray()
+        @ F.T
+    )
     J, T = A.copy(), np.ones(n * dim)
     for k, node in enumerate(contact.nodes):
         at, tau = (
@@ -186,11 +186,11 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     assert len(np.unique(contact.codes)) > 1
     P1 = sparse.csr_array(rng.random((n, 8)) * (rng.random((n, 8)) < 0.5) + np.eye(n, 8))
     P2 = sparse.csr_array(rng.random((8, 3)) + 0.1)
-    matrix = without_fixed(problem.discrete.matrix, problem.discrete.fixed)
+    matrix = am.transfer.without_fixed(problem.discrete.matrix, problem.discrete.fixed)
     given = [expand(P1, dim), expand(P2, dim)] if of_dofs else [P1, P2]
     finest = sparse.bsr_array(sparse.csr_array(matrix), blocksize=(1, 1)) if of_dofs else matrix
-    middle = galerkin_product(finest, given[0])
-    coarsest = galerkin_product(middle, given[1])
+    middle = am.transfer.galerkin_product(finest, given[0])
+    coarsest = am.transfer.galerkin_product(middle, given[1])
     levels = [split(m, np.zeros(m.shape[0], dtype=bool)) for m in (coarsest, middle)] + [level]
     truncation = Truncation(levels, given[::-1], contact)
     contact.linearise_friction()
@@ -301,7 +301,7 @@ def problem(dim, law, gap=GAP, coupling="mortar"):
         loads=(am.Pressure("upper.top", lambda x: 1e7 * (0.2 + x[:, 0])),),
         supports=(*posed.supports, am.Support("lower.right", x=1e-6)),
     )
-    return posed, mesh, discretise(posed, mesh)
+    return posed, mesh, am.discretise(posed, mesh)
 
 
 class Swept:
@@ -311,7 +311,7 @@ class Swept:
         self.posed, self.mesh, self.discrete = problem(dim, law, gap) if posed is None else posed
         discrete = self.discrete
         level = split(discrete.matrix, discrete.fixed)
-        self.matrix = without_fixed(discrete.matrix, discrete.fixed)
+        self.matrix = am.transfer.without_fixed(discrete.matrix, discrete.fixed)
         self.contact = TruncatedContact.of(discrete, level)
         self.interface = Interface(level, discrete.coupling, discrete.fixed)
         self.inverse = level.inverse
@@ -355,8 +355,8 @@ def in_a_row(law):
     """A node of the cap follows the corner of the block, which follows the seat."""
     posed = corner_pushed(law)
     posed = replace(posed, contact=tuple(replace(pair, gap=GAP) for pair in posed.contact))
-    mesh = graded(posed.domain, 0.4, posed.pair_boundaries, 1.5)
-    return posed, mesh, discretise(posed, mesh)
+    mesh = am.mesh.graded(posed.domain, 0.4, posed.pair_boundaries, 1.5)
+    return posed, mesh, am.discretise(posed, mesh)
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 0.3 * GAP, 30 * GAP], ids=["open", "near", "mixed"])

@@ -18,11 +18,9 @@ from refused import refused
 
 import adaptmg as am
 from adaptmg import plot
-from adaptmg.discrete.stress import full_stress, von_mises
 from adaptmg.plot.contact_surfaces import flattened, lines_of, polylines
 from adaptmg.plot.style import STATE_COLORS, STATE_INKS
 from adaptmg.plot.surfaces import ShadedSurface
-from adaptmg.smoother.system import OPEN, SLIP, STICK
 
 BAR, PLANE, SOLID = result_on(square(16)), two_bodies(), two_bodies(3, 4, 3)
 
@@ -142,7 +140,7 @@ def test_colors_of_the_displacement_are_its_length_at_the_nodes():
 
 def test_states_color_the_slave_surface():
     (ax,) = plot.deformation(PLANE, 10, states=True).axes
-    inks, c = {to_rgba(STATE_INKS[s]): s for s in (OPEN, SLIP, STICK)}, PLANE.contact
+    inks, c = {to_rgba(STATE_INKS[s]): s for s in (am.OPEN, am.SLIP, am.STICK)}, PLANE.contact
     (drawn,) = [
         c for c in ax.collections if isinstance(c, LineCollection) and len(c.get_colors()) > 1
     ]
@@ -160,8 +158,10 @@ def test_states_color_the_slave_surface():
 @pytest.mark.parametrize("result", [PLANE, SOLID], ids=["2D", "3D"])
 def test_stress_is_that_of_each_body_in_megapascal(result):
     figure = plot.deformation(result, 0, stress=True)
-    stress = von_mises(
-        full_stress(result.mesh, MATERIALS if result.dim == 2 else SOLIDS, result.displacement)
+    stress = am.discrete.von_mises(
+        am.discrete.full_stress(
+            result.mesh, MATERIALS if result.dim == 2 else SOLIDS, result.displacement
+        )
     )
     label = f"von Mises stress [MPa], maximum {1e-6 * stress.max():.3g}"
     (bar,) = (ax for ax in figure.axes if ax.get_ylabel() == label)
@@ -236,7 +236,7 @@ def test_contact_shades_the_zones_half_way_between_nodes():
         for p in ax.patches
     }
     ends = 0.5 * (np.r_[x[0], x] + np.r_[x, x[-1]])
-    for code in (OPEN, SLIP, STICK):
+    for code in (am.OPEN, am.SLIP, am.STICK):
         span, inside = (
             spans[tuple(np.round(to_rgba(STATE_COLORS[code]), 6))],
             np.flatnonzero(state == code),

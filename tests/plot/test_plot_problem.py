@@ -10,7 +10,6 @@ from matplotlib.quiver import Quiver
 from pictures import words
 
 import adaptmg as am
-from adaptmg.mesh import graded
 from adaptmg.plot.posed_problem import _spread
 from adaptmg.plot.surfaces import ShadedSurface
 
@@ -158,7 +157,7 @@ def test_arrows_are_proportional_to_tractions_and_end_at_bodies():
 
 
 def test_points_are_spread_over_all_edges_of_a_boundary():
-    mesh = graded(
+    mesh = am.mesh.graded(
         am.Polygon(vertices=((0, 0), (1, 0), (1, 1), (0, 1)), boundaries=("a", "b", "a", "b")), 0.3
     )
     points, normals = _spread(mesh, "a", 2)

@@ -11,8 +11,6 @@ from matplotlib.collections import PolyCollection
 from refused import refused
 
 import adaptmg as am
-from adaptmg.mesh import bisect, graded
-from adaptmg.mesh.onto_domain import onto_domain
 
 BLOCK = am.Rectangle(width=4.0, height=2.0)
 PLATE = am.Cut(BLOCK, am.Circle((2.0, 1.0), 0.5, "hole"))
@@ -56,7 +54,7 @@ def test_known_areas_and_names():
     assert lens.outline.area == pytest.approx(2 * math.pi / 3 - math.sqrt(3) / 2, rel=1e-14)
     assert set(lens.boundaries) == {"circle", "right"}
     assert am.Extrusion(lens, 1.0).boundaries == (*lens.boundaries, "bottom", "top")
-    torus = graded(am.Revolution(am.Circle((2.0, 0.0), 1.0)), 0.5)
+    torus = am.mesh.graded(am.Revolution(am.Circle((2.0, 0.0), 1.0)), 0.5)
     assert 0.95 < torus.volumes.sum() / (4 * math.pi**2) < 1.0
     # edges that coincide, and tangents that go on
     half = am.Fuse(am.Rectangle(width=3, height=2), am.Circle((0, 1), 1.0, "l"))
@@ -104,21 +102,21 @@ test_refused = refused(
 
 
 def test_meshes_fill_the_body_and_nodes_stay_on_the_arc():
-    mesh = graded(PLATE, 0.4, ("hole",), 4)
+    mesh = am.mesh.graded(PLATE, 0.4, ("hole",), 4)
     assert mesh.boundaries == PLATE.boundaries and 0 < mesh.volumes.sum() - 8 + math.pi / 4 < 0.01
-    finer = onto_domain(
-        PLATE, bisect(mesh, np.ones(len(mesh.elements), dtype=bool))[0], mesh.n_nodes
+    finer = am.mesh.onto_domain(
+        PLATE, am.mesh.bisect(mesh, np.ones(len(mesh.elements), dtype=bool))[0], mesh.n_nodes
     )
     for one in (mesh, finer):
         around = one.points[one.boundary_nodes("hole")] - [2.0, 1.0]
         np.testing.assert_allclose(np.linalg.norm(around, axis=1), 0.5, rtol=1e-14)
     both = am.Assembly(parts={"plate": PLATE, "pin": am.Circle((2.0, 1.0), 0.5, "rim")})
-    assert graded(both, 0.4).bodies == ("plate", "pin") and "pin.rim" in both.boundaries
+    assert am.mesh.graded(both, 0.4).bodies == ("plate", "pin") and "pin.rim" in both.boundaries
 
 
 def test_a_gmsh_file_with_names_is_solved_and_drawn(tmp_path):
     path = write(
-        tmp_path / "plate.msh", replace(graded(PLATE, 0.6), bodies=("plate",), source=None)
+        tmp_path / "plate.msh", replace(am.mesh.graded(PLATE, 0.6), bodies=("plate",), source=None)
     )
     problem = replace(
         POSED,

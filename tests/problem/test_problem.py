@@ -13,13 +13,10 @@ from refused import refused
 
 import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.discrete import discretise, fixed_dofs
 from adaptmg.discrete.discretise import load_steps
-from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.stress import StressData
-from adaptmg.problem import Axisymmetric, Domain, PlaneStrain, PlaneStress, Solid, step_problem
 
-STEEL = PlaneStrain(young=2.1e11, poisson=0.3)
+STEEL = am.PlaneStrain(young=2.1e11, poisson=0.3)
 SQUARE, CUBE = am.Rectangle(width=1.0, height=1.0), am.Box(width=1.0, depth=1.0, height=1.0)
 TWO = am.Assembly(
     parts={"upper": SQUARE, "lower": am.Rectangle(width=2.0, height=1.0, origin=(0.0, -1.0))}
@@ -164,7 +161,7 @@ class TestProblem:
         assert two().contact == (PAIR,)
 
     def test_bodies_without_a_domain(self):
-        both = {"a": STEEL, "b": PlaneStress(young=1e7, poisson=0.45)}
+        both = {"a": STEEL, "b": am.PlaneStress(young=1e7, poisson=0.45)}
         assert two(domain=None).bodies == () and two(domain=None, material=both).bodies == (
             "a",
             "b",
@@ -172,7 +169,7 @@ class TestProblem:
         square = am.Rectangle(width=1, height=1)
         assert two(domain=square, contact=am.ContactPair("bottom", "top")).bodies == ("body",)
 
-        class File(Domain):
+        class File(am.problem.Domain):
             dim, boundaries, bodies = 2, None, None
 
         assert two(domain=File(), material=both).bodies == ("a", "b")
@@ -237,17 +234,17 @@ def test_steps_are_what_the_load_path_makes_of_the_problem():
     problem, mesh = loaded(), square(3, 1.0)
     factors = {"right": 0.5, "body force": 2.0, "body": -1.0, "left": 3.0, "top": 0.25}
     step, steps = (
-        step_problem(problem, factors),
-        load_steps(problem, mesh, discretise(problem, mesh)),
+        am.problem.step_problem(problem, factors),
+        load_steps(problem, mesh, am.discretise(problem, mesh)),
     )
     np.testing.assert_allclose(
-        load_vector(mesh, step.loads, step.material),
+        am.discrete.load_vector(mesh, step.loads, step.material),
         steps.load(factors),
         rtol=1e-12,
         atol=1e-12 * np.abs(steps.load(factors)).max(),
     )
     np.testing.assert_allclose(
-        fixed_dofs(mesh, step.supports)[1], steps.fixed_values(factors), rtol=1e-14
+        am.discrete.fixed_dofs(mesh, step.supports)[1], steps.fixed_values(factors), rtol=1e-14
     )
     # the strain of a body counts beside other loads of its name
     strain = StressData.of(mesh, step.material, step.loads).initial_strain
@@ -255,9 +252,10 @@ def test_steps_are_what_the_load_path_makes_of_the_problem():
     assert np.abs(strain).max() > 0
     again = pickle.loads(pickle.dumps(step))
     np.testing.assert_array_equal(
-        fixed_dofs(mesh, again.supports)[1], fixed_dofs(mesh, step.supports)[1]
+        am.discrete.fixed_dofs(mesh, again.supports)[1],
+        am.discrete.fixed_dofs(mesh, step.supports)[1],
     )
-    same = step_problem(problem, {})
+    same = am.problem.step_problem(problem, {})
     assert same.loads == problem.loads and same.supports == problem.supports
 
 
@@ -273,7 +271,7 @@ def test_a_solution_has_the_prescribed_function_in_every_step():
         )
     # where two meet they must agree, whether numbers or functions
     agreeing = (am.Support("left", x=bent), am.Support("top", x=lambda x: 1e-3 * x[:, 1]))
-    assert fixed_dofs(square(4, 1.0), agreeing)[0].sum() == 9
+    assert am.discrete.fixed_dofs(square(4, 1.0), agreeing)[0].sum() == 9
 
 
 VALUES = {
@@ -317,7 +315,7 @@ VALUES = {
         material={"upper": STEEL}
     ),
     "all Axisymmetric": lambda: two(
-        material={"upper": STEEL, "lower": Axisymmetric(young=1.0, poisson=0.3)}
+        material={"upper": STEEL, "lower": am.Axisymmetric(young=1.0, poisson=0.3)}
     ),
     "'upper.bottom' is named twice": lambda: two(
         contact=(PAIR, am.ContactPair("upper.bottom", "lower.left"))
@@ -325,11 +323,11 @@ VALUES = {
     "swap slave and master": lambda: two(contact=(PAIR, am.ContactPair("lower.top", "upper.left"))),
     "body 'middle', used for a load": lambda: two(loads=(am.BodyForce((0, 1), body="middle"),)),
     r"reaches to x = -0\.5 m": lambda: one(
-        material=Axisymmetric(young=1.0, poisson=0.3),
+        material=am.Axisymmetric(young=1.0, poisson=0.3),
         domain=am.Rectangle(width=1, height=1, origin=(-0.5, 0)),
     ),
     "2 components in a 3D problem": lambda: one(
-        material=Solid(young=1.0, poisson=0.3),
+        material=am.Solid(young=1.0, poisson=0.3),
         domain=CUBE,
         contact=am.ContactPair("top", "bottom"),
         loads=(am.InitialStrain("body", (1e-3, 0)),),
@@ -345,12 +343,17 @@ TYPES = {
 
 test_refused = refused(
     (
-        lambda: step_problem(loaded(), {"roof": 1.0}),
+        lambda: am.problem.step_problem(loaded(), {"roof": 1.0}),
         r"factors name 'roof'.* known are 'right', 'body force'",
     ),
-    (lambda: step_problem(loaded(), {"top": np.nan}), r"factors\['top'\] must be finite"),
     (
-        lambda: fixed_dofs(square(4, 1.0), (am.Support("left", x=bent), am.Support("top", x=2e-3))),
+        lambda: am.problem.step_problem(loaded(), {"top": np.nan}),
+        r"factors\['top'\] must be finite",
+    ),
+    (
+        lambda: am.discrete.fixed_dofs(
+            square(4, 1.0), (am.Support("left", x=bent), am.Support("top", x=2e-3))
+        ),
         r"prescribe different x displacements, 0.001 and 0.002 m",
     ),
     *((make, message) for message, make in VALUES.items()),

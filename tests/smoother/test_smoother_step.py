@@ -11,16 +11,9 @@ from hypothesis import strategies as st
 from smoother_problems import LAWS, dual_solution, network, spd, tresca_energy
 
 import adaptmg as am
-from adaptmg.smoother import ProjectedGaussSeidel
 from adaptmg.smoother.conditions import natural_residual, states
 from adaptmg.smoother.node_solve import _inside, slip_3d, solve_2d, solve_3d
-from adaptmg.smoother.system import (
-    LocalProblem,
-    contact_codes,
-    contact_states,
-    inverse_blocks,
-    local_system,
-)
+from adaptmg.smoother.system import contact_codes, contact_states, inverse_blocks
 
 NETWORKS = [f"network {dim}D {law}" for dim in (2, 3) for law in LAWS]
 MESHES = {
@@ -43,7 +36,7 @@ every_network = pytest.mark.parametrize(
 
 
 @cache
-def posed(case: str) -> tuple[LocalProblem, np.ndarray, float]:
+def posed(case: str) -> tuple[am.smoother.LocalProblem, np.ndarray, float]:
     """A problem, its solution by a method that shares nothing with the smoother, and the size of
     its forces."""
     if case in NETWORKS:
@@ -54,13 +47,13 @@ def posed(case: str) -> tuple[LocalProblem, np.ndarray, float]:
     discrete = MESHES[mesh](
         {"tresca": am.Tresca(2e7), "coulomb": am.Coulomb(0.3)}[law]
     ).finest.discrete
-    problem = local_system(discrete)
+    problem = am.smoother.local_system(discrete)
     exact = am.solve(discrete, am.ActiveSet(rtol=1e-13)).displacement
     return problem, problem.to_local(discrete.relative(exact)), np.linalg.norm(problem.load)
 
 
 def smooth(problem, unknowns, sweeps=1, **options):
-    return ProjectedGaussSeidel(**options).smooth(
+    return am.ProjectedGaussSeidel(**options).smooth(
         problem.system, problem.contact, problem.load, unknowns, sweeps
     )
 
@@ -240,7 +233,7 @@ def test_bad_arrays(changes, error, message):
     if isinstance(given["contact"], dict):
         given["contact"] = replace(problem.contact, **given["contact"])
     with pytest.raises(error, match=message):
-        ProjectedGaussSeidel().smooth(problem.system, **given)
+        am.ProjectedGaussSeidel().smooth(problem.system, **given)
 
 
 EXAMPLES = settings(max_examples=100, deadline=None)

@@ -9,7 +9,6 @@ from uncompiled import uncompile
 
 import adaptmg as am
 from adaptmg import _threads as threads
-from adaptmg.mesh.structured import structured
 from adaptmg.multigrid import split_matrix
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.smoother import blocks
@@ -27,7 +26,7 @@ def small(monkeypatch):
 def shuffled(dim: int, seed: int | None) -> sparse.bsr_array:
     """The matrix of a structured mesh, its nodes shuffled unless ``seed`` is None."""
     case, cells = (am.cases.greco_bar(), 20) if dim == 2 else (am.cases.greco_block(), 14)
-    matrix = am.discretise(case, structured(case.domain, cells)).matrix
+    matrix = am.discretise(case, am.mesh.structured(case.domain, cells)).matrix
     if seed is None:
         return matrix
     order = np.random.default_rng(seed).permutation(matrix.shape[0] // dim)
@@ -156,7 +155,7 @@ def test_parts_cover_the_rows_and_pass_errors_on():
 
 
 def test_rows_that_scatter_at_the_same_time_share_no_column():
-    elements = structured(am.cases.greco_bar().domain, 40).elements
+    elements = am.mesh.structured(am.cases.greco_bar().domain, 40).elements
     colours = threads.scattering(elements, size=10**6)
     assert [len(ranges) for ranges in colours] == [8, 8]
     for ranges in colours:

@@ -13,7 +13,7 @@ from study_scripts import load
 
 import adaptmg as am
 from adaptmg.solver.aggregates import Aggregates, CoarseCorrection
-from adaptmg.solver.certificate import Certificate, certify
+from adaptmg.solver.certificate import certify
 from adaptmg.solver.record import Outcome
 
 EXACT = am.ActiveSet(rtol=1e-12)
@@ -370,7 +370,7 @@ def test_it_is_printed_saved_and_computed_again(tmp_path):
     result.save(tmp_path / "run.npz")
     loaded = am.Result.load(tmp_path / "run.npz")
     assert loaded.certificate() == result.certificate() and isinstance(
-        loaded.certificate(), Certificate
+        loaded.certificate(), am.Certificate
     )
     again = loaded.certificate(grids().finest.discrete, bound=True)
     # what is posed is not computed again

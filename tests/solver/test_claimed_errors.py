@@ -11,7 +11,6 @@ from scipy.sparse.linalg import splu
 from study_scripts import load
 
 import adaptmg as am
-from adaptmg.smoother.system import local_system
 from adaptmg.solver.examine import Sizes, displacement_norm
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Run
@@ -71,7 +70,7 @@ def test_the_error_is_what_was_asked_for(grids, exact, method):
 def test_sizes_against_the_matrix(grids, frames):
     """From unknowns that count from the prescribed values, in Cartesian and local components."""
     discrete = grids.finest.discrete
-    local = local_system(discrete)
+    local = am.smoother.local_system(discrete)
     u = np.where(
         discrete.fixed,
         discrete.fixed_values,

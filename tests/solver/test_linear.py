@@ -12,22 +12,19 @@ from scipy.sparse.linalg import splu
 from smoother_problems import network
 
 import adaptmg as am
-from adaptmg.discrete.problem import ContactNodes, DiscreteProblem
-from adaptmg.mesh.structured import structured
 from adaptmg.smoother import factorisation
 from adaptmg.smoother.factorisation import condense, condense_problem, nested_dissection, node_graph
-from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.active_set import local_near_nullspace
 
 
-def bar(divisions: int, problem: am.ContactProblem | None = None) -> DiscreteProblem:
+def bar(divisions: int, problem: am.ContactProblem | None = None) -> am.DiscreteProblem:
     problem = problem or am.cases.greco_bar()
-    return am.discretise(problem, structured(problem.domain, divisions))
+    return am.discretise(problem, am.mesh.structured(problem.domain, divisions))
 
 
-def glued_system(discrete: DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray]:
+def glued_system(discrete: am.DiscreteProblem) -> tuple[sparse.bsr_array, np.ndarray, np.ndarray]:
     """Matrix, load and near-nullspace with all contact dofs fixed."""
-    local = local_system(discrete)
+    local = am.smoother.local_system(discrete)
     free = np.flatnonzero(local.system.contact_of < 0)
     dofs = (discrete.dim * free[:, None] + np.arange(discrete.dim)).reshape(-1)
     matrix = sparse.csr_array(local.system.matrix)[dofs][:, dofs]
@@ -146,12 +143,12 @@ def test_rigid_body_modes_pay_and_few_iterations_show(monkeypatch):
         assert not solution.converged and solution.residual > 1e-10 and solution.iterations <= 3
 
 
-def contact_dofs(local: LocalProblem) -> np.ndarray:
+def contact_dofs(local: am.smoother.LocalProblem) -> np.ndarray:
     dim = local.system.dim
     return (dim * local.system.nodes[:, None] + np.arange(dim)).ravel()
 
 
-def dense_condensation(local: LocalProblem) -> tuple[np.ndarray, np.ndarray]:
+def dense_condensation(local: am.smoother.LocalProblem) -> tuple[np.ndarray, np.ndarray]:
     matrix, c = local.system.matrix.toarray(), contact_dofs(local)
     i = np.setdiff1d(np.arange(len(matrix)), c)
     through = matrix[np.ix_(c, i)] @ np.linalg.inv(matrix[np.ix_(i, i)])
@@ -160,15 +157,15 @@ def dense_condensation(local: LocalProblem) -> tuple[np.ndarray, np.ndarray]:
     ] - through @ local.load[i]
 
 
-def copies(one: DiscreteProblem, n: int) -> DiscreteProblem:
+def copies(one: am.DiscreteProblem, n: int) -> am.DiscreteProblem:
     """Bodies that do not touch each other, their contact nodes in turns."""
     nodes = (one.contact.nodes[:, None] + one.n_nodes * np.arange(n)).reshape(-1)
-    contact = ContactNodes(
+    contact = am.ContactNodes(
         nodes=nodes,
         normals=np.repeat(one.contact.normals, n, axis=0),
         gaps=np.repeat(one.contact.gaps, n),
     )
-    return DiscreteProblem(
+    return am.DiscreteProblem(
         matrix=sparse.block_diag(n * [one.matrix], format="csr"),
         load=np.tile(one.load, n),
         fixed=np.tile(one.fixed, n),
@@ -190,7 +187,7 @@ PROBLEMS = {
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_condensation_and_recovery_are_those_of_dense_algebra(name, dense, monkeypatch):
     monkeypatch.setattr(factorisation, "_DENSE", dense)
-    local = local_system(PROBLEMS[name]())
+    local = am.smoother.local_system(PROBLEMS[name]())
     condensed, (schur, load) = condense(local), dense_condensation(local)
     for matrix in (condensed.matrix, condensed.problem.system.matrix.toarray()):
         assert np.abs(matrix - schur).max() < 1e-13 * np.abs(schur).max()
@@ -223,13 +220,13 @@ def test_a_body_that_nothing_holds_is_refused_or_left_out(dense, monkeypatch):
     both = copies(held, 2)
     of_held = {name: getattr(held.contact, name) for name in ("nodes", "normals", "gaps")}
     loose = replace(
-        both, fixed=np.r_[held.fixed, np.zeros_like(held.fixed)], contact=ContactNodes(**of_held)
+        both, fixed=np.r_[held.fixed, np.zeros_like(held.fixed)], contact=am.ContactNodes(**of_held)
     )
     lenient = condense_problem(loose, lenient=True)
-    for refuses in (condense_problem, lambda problem: condense(local_system(problem))):
+    for refuses in (condense_problem, lambda problem: condense(am.smoother.local_system(problem))):
         with pytest.raises(ValueError, match="singular even with all contact dofs fixed"):
             refuses(loose)
-    alone = condense(local_system(held)).matrix
+    alone = condense(am.smoother.local_system(held)).matrix
     np.testing.assert_allclose(lenient.matrix, alone, atol=1e-13 * np.abs(alone).max())
     assert len(lenient.factors.order) == both.n_dofs - 3
 

@@ -9,7 +9,6 @@ from bodies import bar_hierarchy, bar_on_block
 from norms import far as distance
 
 import adaptmg as am
-from adaptmg.problem import step_problem
 from adaptmg.solver import load_steps as truncated_steps
 from adaptmg.solver.load_path import StepNotConverged
 from adaptmg.solver.load_steps import KeptMultigrid
@@ -66,7 +65,7 @@ def check_step(
     """All conditions of contact, on matrix and load made again from a problem of this step;
     ``before`` is relative."""
     posed = am.discretise(
-        step_problem(grids.problem, factors), grids.finest.mesh, slip_reference=before
+        am.problem.step_problem(grids.problem, factors), grids.finest.mesh, slip_reference=before
     )
     certificate = result.certificate(posed)
     assert not certificate.contradictions(4e-10) and certificate["penetration"].relative <= 1e-12

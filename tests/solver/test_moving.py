@@ -10,8 +10,6 @@ from scipy.spatial.transform import Rotation
 
 import adaptmg as am
 from adaptmg.discrete.stress import cut_force
-from adaptmg.mesh import structured
-from adaptmg.problem import step_problem
 
 E, NU, PRESS = 2e9, 0.3, 1e6
 
@@ -79,7 +77,7 @@ def test_force_and_moment_find_the_motion_that_made_them(seed):
         found.motions["obstacle"] / np.array([size, size, 1]), expected, atol=1e-5 * depth
     )
     np.testing.assert_allclose(found.displacement, moved.displacement, atol=1e-5 * depth * size)
-    placed = pressed.with_problem(step_problem(pressed.problem, {}, found.motions))
+    placed = pressed.with_problem(am.problem.step_problem(pressed.problem, {}, found.motions))
     for indicator in (am.Residual(), am.Goal(am.MeanDisplacement("top", 1))):
         estimates = [
             indicator.indicate(one, result).total
@@ -107,7 +105,9 @@ def test_an_obstacle_finds_a_column_that_has_moved_away(seed, n):
             "top", am.Rigid(punch, force=tuple(turn @ (0, -E * load)), name="punch")
         ),
     )
-    meshes = [structured(am.Rectangle(width=size, height=size), k) for k in (n // 4, n // 2, n)]
+    meshes = [
+        am.mesh.structured(am.Rectangle(width=size, height=size), k) for k in (n // 4, n // 2, n)
+    ]
     meshes = [replace(mesh, points=mesh.points @ turn.T, source=None) for mesh in meshes]
     result = am.solve(am.Hierarchy.from_meshes(problem, meshes))
     confined = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
@@ -138,7 +138,7 @@ def test_a_pad_bears_tangential_force_on_a_surface_that_stretches(n, share):
     result = am.solve(grids)
     np.testing.assert_allclose(result.resultant("top").force, force, atol=1e-6 * PRESS)
     assert result.cycles <= 40
-    placed = grids.with_problem(step_problem(grids.problem, {}, result.motions))
+    placed = grids.with_problem(am.problem.step_problem(grids.problem, {}, result.motions))
     moved = am.solve(placed, am.ActiveSet())
     np.testing.assert_allclose(moved.resultant("top").force, force, atol=1e-5 * PRESS)
 
@@ -275,7 +275,7 @@ def test_a_preload_is_carried_by_cut_heads_and_joint(joint):
         at_cut[1], rel=1e-2
     )  # the bore's corner faces the joint's gap
     placed = grids.with_problem(
-        step_problem(grids.problem, dict.fromkeys(FILLED, 0.0), first.motions)
+        am.problem.step_problem(grids.problem, dict.fromkeys(FILLED, 0.0), first.motions)
     )
     assert am.Residual().indicate(placed, first).total > 0  # its loads are those of the step
     hot = am.InitialStrain("bolt", (0.0, 1e-4))
@@ -377,7 +377,7 @@ def test_a_periodic_layer_under_a_sliding_wall_bears_uniform_stress(law):
     """It sticks, then slides, and the node that follows its partner hands its share of the surface
     to it."""
     turn, depth, slide = rotation(0.7), 1e-3, 2e-4
-    meshes = [structured(am.Rectangle(width=1, height=0.5), (4 * k, 2 * k)) for k in (1, 2)]
+    meshes = [am.mesh.structured(am.Rectangle(width=1, height=0.5), (4 * k, 2 * k)) for k in (1, 2)]
     wall = am.Moving(
         am.Plane(turn @ (0, 0.5), turn @ (0, -1)), displacement=turn @ (0, -depth), name="press"
     )
@@ -407,7 +407,7 @@ def test_a_periodic_layer_under_a_sliding_wall_bears_uniform_stress(law):
 def test_a_punch_on_a_roller_may_be_tilted_by_any_angle(turn):
     """The roller holds a part of its normal, however small: forces depend on the angle without
     jumps."""
-    meshes = [structured(am.Rectangle(width=1, height=1), n) for n in (4, 8)]
+    meshes = [am.mesh.structured(am.Rectangle(width=1, height=1), n) for n in (4, 8)]
     meshes = [replace(mesh, points=mesh.points @ turn.T, source=None) for mesh in meshes]
     forces = []
     for angle in (0.0, 1e-9, 1e-7, 1e-5, 1e-4):

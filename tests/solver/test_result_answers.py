@@ -16,9 +16,7 @@ from simplex_meshes import random_box
 
 import adaptmg as am
 from adaptmg import cases
-from adaptmg.discrete.elasticity import stiffness
-from adaptmg.discrete.stress import StressData, full_stress, von_mises
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.discrete.stress import StressData
 from adaptmg.solver.load_path import StepNotConverged
 from adaptmg.solver.result import KINDS
 from adaptmg.solver.store import packed, read
@@ -104,7 +102,7 @@ def test_a_linear_displacement_has_one_strain_and_stress(kind, initial):
     if not initial:
         u, matrix = (
             np.sin(9 * result.mesh.points),
-            stiffness(result.mesh, kind(young=YOUNG, poisson=POISSON)),
+            am.discrete.stiffness(result.mesh, kind(young=YOUNG, poisson=POISSON)),
         )
         wanted = 0.5 * u.reshape(-1) @ (matrix @ u.reshape(-1))
         assert replace(result, displacement=u).energy == pytest.approx(wanted, rel=1e-12)
@@ -164,12 +162,12 @@ def test_results_and_steps_have_the_stresses_of_their_problem(kind, tmp_path):
         *zip(factors, steps, loaded, strict=True),
     ):
         loads = [am.InitialStrain("body", tuple(factor * c for c in problem.loads[0].components))]
-        wanted = full_stress(result.mesh, problem.material, result.displacement, loads)
+        wanted = am.discrete.full_stress(result.mesh, problem.material, result.displacement, loads)
         assert np.abs(wanted[:, 0, 0]).max() > 1e6
         np.testing.assert_allclose(
             result.stress(), wanted[:, *AT], rtol=1e-9, atol=1e-9 * np.abs(wanted).max()
         )
-        np.testing.assert_allclose(result.von_mises(), von_mises(wanted), rtol=1e-9)
+        np.testing.assert_allclose(result.von_mises(), am.discrete.von_mises(wanted), rtol=1e-9)
         if (
             kind is not am.PlaneStrain
         ):  # whose stress through the thickness has energy whatever the displacement is
@@ -368,7 +366,7 @@ def test_the_largest_of_files_is_not_taken_for_a_bomb(tmp_path):
         result_on(square(2)),
         displacement=points,
         reaction=np.zeros((n, 2)),
-        mesh=MeshArrays(points, elements, elements[:, :2], np.zeros(4), ("bottom",)),
+        mesh=am.MeshArrays(points, elements, elements[:, :2], np.zeros(4), ("bottom",)),
     )
     assert same(moved(big, tmp_path), big)
 

@@ -14,7 +14,6 @@ from scipy.optimize import nnls
 import adaptmg as am
 from adaptmg.cases.closed_forms import quarter_cylinder
 from adaptmg.discrete.volumes import GROUP, Volumes, volume_groups
-from adaptmg.mesh import MeshArrays, structured
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.solver.certificate import certify
 from adaptmg.solver.record import Outcome
@@ -25,10 +24,10 @@ EACH_KIND = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 
 
 @cache
-def glued(dim: int, seed: int = 0) -> MeshArrays:
+def glued(dim: int, seed: int = 0) -> am.MeshArrays:
     """Three bodies that share the nodes of the planes between them, with shaken and renumbered
     nodes."""
-    mesh = structured(
+    mesh = am.mesh.structured(
         am.Rectangle(width=3.0, height=1.0)
         if dim == 2
         else am.Box(width=3.0, depth=1.0, height=1.0),

@@ -21,8 +21,8 @@ import pandas as pd
 import pytest
 
 import adaptmg as am
-from adaptmg.study import Study, execute, local_cluster
 from adaptmg.study import cluster as executor
+from adaptmg.study import execute
 from adaptmg.study.store import Store
 
 distributed = pytest.importorskip("distributed")
@@ -34,7 +34,7 @@ SETTING = 1
 @pytest.fixture(scope="module")
 def cluster():
     """Two workers, which all tests here share."""
-    with local_cluster(2) as client:
+    with am.study.local_cluster(2) as client:
         yield client
 
 
@@ -54,8 +54,8 @@ def solved(friction, divisions):
 
 def test_results_are_those_of_one_process_bit_by_bit(cluster, tmp_path):
     design = {"friction": [0.2, 1.0], "divisions": [4, 8]}
-    serial = Study(solved, design, tmp_path / "serial.sqlite")
-    spread = Study(solved, design, tmp_path / "spread.sqlite")
+    serial = am.Study(solved, design, tmp_path / "serial.sqlite")
+    spread = am.Study(solved, design, tmp_path / "spread.sqlite")
     one, two = serial.run(progress=False), spread.run(progress=False, scheduler=cluster)
     pd.testing.assert_frame_equal(
         one.drop(columns=["seconds", "result"]),
@@ -85,7 +85,7 @@ def test_a_closure_runs_elsewhere_on_one_thread_and_warm(cluster):
             "problem": am.cases.greco_bar().name,
         }
 
-    table = Study(run, {"n": range(7)}).run(progress=False, scheduler=cluster)
+    table = am.Study(run, {"n": range(7)}).run(progress=False, scheduler=cluster)
     assert table["m"].tolist() == [3 * n for n in range(7)] and table["warm"].all()
     assert not table["here"].any() and set(table["threads"]) == set(table["numba"]) == {"1"}
     folder = cluster.run_on_scheduler(lambda dask_scheduler: dask_scheduler._original_local_dir)
@@ -104,7 +104,7 @@ def test_a_run_that_ends_its_worker_once_is_started_again(cluster, tmp_path):
             os.kill(os.getpid(), signal.SIGKILL)
         return {"m": n}
 
-    study = Study(run, {"n": range(5)}, tmp_path.parent / f"{tmp_path.name}.sqlite")
+    study = am.Study(run, {"n": range(5)}, tmp_path.parent / f"{tmp_path.name}.sqlite")
     study.run(progress=False, scheduler=cluster)
     table = study.table(details=True)
     assert table["status"].tolist() == ["done"] * 5
@@ -117,7 +117,7 @@ def test_a_run_that_always_ends_its_worker_fails_alone(cluster, tmp_path):
             os.kill(os.getpid(), signal.SIGKILL)
         return {"m": n}
 
-    study = Study(run, {"n": range(5)}, tmp_path / "s.sqlite")
+    study = am.Study(run, {"n": range(5)}, tmp_path / "s.sqlite")
     study.run(progress=False, scheduler=cluster)
     table = study.table(details=True)
     assert table["status"].tolist() == ["done"] * 4 + ["failed"]
@@ -134,14 +134,16 @@ def test_runs_over_their_limits_are_stopped(cluster):
             return {"m": len(kept)}
         return {"m": 1}
 
-    timed = Study(run, {"what": ["short", "locked"]}).run(
+    timed = am.Study(run, {"what": ["short", "locked"]}).run(
         progress=False, scheduler=cluster, limit_s=4
     )
     assert (
         timed["error"].tolist() == ["", "TimeLimit: stopped after limit_s=4 s"]
         and timed["m"][0] == 1
     )
-    held = Study(run, {"what": ["short", "large"]}).run(progress=False, workers=1, memory_limit=1e9)
+    held = am.Study(run, {"what": ["short", "large"]}).run(
+        progress=False, workers=1, memory_limit=1e9
+    )
     assert held["status"].tolist() == ["done", "failed"] and held["error"][1].startswith(
         "MemoryLimit"
     )
@@ -155,7 +157,7 @@ def test_errors_come_with_type_text_and_traceback(cluster):
     def run(n):
         raise OddError(n, "more") if n else ValueError("zero")
 
-    study = Study(run, {"n": [0, 1]})
+    study = am.Study(run, {"n": [0, 1]})
     assert study.run(progress=False, scheduler=cluster)["error"].tolist() == [
         "ValueError: zero",
         "OddError: 1 and more",
@@ -171,10 +173,10 @@ def test_what_a_worker_lacks_is_reported_immediately(cluster, tmp_path, monkeypa
     import only_here
 
     with pytest.raises(RuntimeError, match=r"worker tls.*No module named .only_here"):
-        Study(only_here.run, {"n": [1]}).run(progress=False, scheduler=cluster)
+        am.Study(only_here.run, {"n": [1]}).run(progress=False, scheduler=cluster)
     monkeypatch.setattr(execute, "identity", lambda: {"numpy": "1.0"})
     with pytest.raises(RuntimeError, match=r"worker tls.*numpy .* instead of 1\.0"):
-        Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=cluster)
+        am.Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=cluster)
 
 
 def test_values_set_in_modules_do_not_reach_workers_in_silence(cluster, monkeypatch):
@@ -190,9 +192,9 @@ def test_values_set_in_modules_do_not_reach_workers_in_silence(cluster, monkeypa
     with pytest.raises(
         RuntimeError, match=r"worker tls.*value of test_cluster.SETTING is changed.*as parameters"
     ):
-        Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)
+        am.Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)
     monkeypatch.setattr(settings, "SETTING", 1)
-    study = Study(run, {"n": [1]})
+    study = am.Study(run, {"n": [1]})
     assert study.run(progress=False, scheduler=cluster)["m"].tolist() == [1]
     monkeypatch.setattr(settings, "SETTING", 3)
     with pytest.raises(RuntimeError, match=r"SETTING is changed"):
@@ -201,10 +203,10 @@ def test_values_set_in_modules_do_not_reach_workers_in_silence(cluster, monkeypa
 
 def test_a_study_inside_a_run(cluster):
     def run(workers):
-        inner = Study(lambda n: {"m": n}, {"n": [1, 2]}, name="inner")
+        inner = am.Study(lambda n: {"m": n}, {"n": [1, 2]}, name="inner")
         return {"m": int(inner.run(progress=False, workers=workers)["m"].sum())}
 
-    table = Study(run, {"workers": [None, 2]}).run(progress=False, scheduler=cluster)
+    table = am.Study(run, {"workers": [None, 2]}).run(progress=False, scheduler=cluster)
     assert table["m"][0] == 3 and "leave workers= out" in table["error"][1]
 
 
@@ -215,7 +217,7 @@ def test_studies_can_share_a_cluster_from_several_threads(cluster, tmp_path):
         def run(n):
             return {"m": k * n}
 
-        return Study(run, {"n": range(10)}, tmp_path / "s.sqlite", name=f"s{k}").run(
+        return am.Study(run, {"n": range(10)}, tmp_path / "s.sqlite", name=f"s{k}").run(
             progress=False, scheduler=cluster
         )
 
@@ -225,7 +227,7 @@ def test_studies_can_share_a_cluster_from_several_threads(cluster, tmp_path):
 
 
 def test_wrong_clusters_and_functions_are_refused(monkeypatch):
-    study = Study(lambda n: {"m": n}, {"n": [1]})
+    study = am.Study(lambda n: {"m": n}, {"n": [1]})
     with pytest.raises(ValueError, match="not both"):
         study.run(workers=1, scheduler="tcp://127.0.0.1:1")
     with pytest.raises(ValueError, match="workers must be >= 1"):
@@ -378,13 +380,13 @@ def test_runs_that_are_given_up_do_not_go_on(address, tmp_path):
     with distributed.Client(address, set_as_default=False) as client:
         client.wait_for_workers(2, timeout=240)
     with pytest.raises(ValueError, match="so"):
-        Study(run, {"n": [0, 1]}).run(progress=False, scheduler=address, throw=True)
+        am.Study(run, {"n": [0, 1]}).run(progress=False, scheduler=address, throw=True)
     given_up = int(Path(mark).read_text(encoding="ascii"))
     end = time.monotonic() + 60
     while psutil.pid_exists(given_up) and time.monotonic() < end:
         time.sleep(0.05)
     assert not psutil.pid_exists(given_up)
-    table = Study(lambda n: {"m": n}, {"n": range(6)}).run(progress=False, scheduler=address)
+    table = am.Study(lambda n: {"m": n}, {"n": range(6)}).run(progress=False, scheduler=address)
     assert (table["status"] == "done").all()
 
 
@@ -405,7 +407,7 @@ def test_workers_of_several_threads_are_refused(address):
     ):
         client.wait_for_workers(3, timeout=120)
         with pytest.raises(ValueError, match=r"has 2 threads.*--nthreads 1"):
-            Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=client)
+            am.Study(lambda n: {"m": n}, {"n": [1]}).run(progress=False, scheduler=client)
 
 
 # what a cluster rarely does
@@ -444,11 +446,11 @@ def test_failed_starts_and_ctrl_c_leave_no_process(monkeypatch):
     monkeypatch.setattr(sys, "executable", shutil.which("false"))
     with (
         pytest.raises(OSError, match=r"2 processes could not be started .*fewer workers"),
-        local_cluster(2),
+        am.study.local_cluster(2),
     ):
         pass
     monkeypatch.undo()
-    with pytest.raises(KeyboardInterrupt), local_cluster(1):
+    with pytest.raises(KeyboardInterrupt), am.study.local_cluster(1):
         raise KeyboardInterrupt
     assert {child.pid for child in psutil.Process().children(recursive=True)} <= before
 
@@ -471,7 +473,7 @@ def test_a_process_that_is_killed_while_all_start_is_replaced(part):
     before = {child.pid for child in psutil.Process().children(recursive=True)}
     killer = threading.Thread(target=kill)
     killer.start()
-    with local_cluster(1) as client:
+    with am.study.local_cluster(1) as client:
         assert len(killed) == 1 and client.submit(os.getpid).result() not in killed
     killer.join()
     assert {child.pid for child in psutil.Process().children(recursive=True)} <= before

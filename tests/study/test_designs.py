@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from adaptmg.study import Grid, LatinHypercube, Points, Random, Sobol, Study
+import adaptmg as am
 
 
 def run(n, law="a", seed=0):
@@ -18,19 +18,22 @@ def points(design):
 
 
 def test_grids_and_lists():
-    assert points(Grid({"n": [1, 2], "law": ["a", "b"]})) == [
+    assert points(am.study.Grid({"n": [1, 2], "law": ["a", "b"]})) == [
         (1, "a"),
         (1, "b"),
         (2, "a"),
         (2, "b"),
     ]
     rows = [{"n": 1, "law": "a"}, {"law": "b", "n": 2}]
-    assert points(Points(rows)) == [(1, "a"), ("b", 2)]
-    assert Study(run, rows).run(progress=False)["m"].tolist() == [1, -2]
-    assert Study(run, Points(pd.DataFrame(rows))).run(progress=False)["m"].tolist() == [1, -2]
+    assert points(am.study.Points(rows)) == [(1, "a"), ("b", 2)]
+    assert am.Study(run, rows).run(progress=False)["m"].tolist() == [1, -2]
+    assert am.Study(run, am.study.Points(pd.DataFrame(rows))).run(progress=False)["m"].tolist() == [
+        1,
+        -2,
+    ]
 
 
-@pytest.mark.parametrize("kind", [Random, LatinHypercube, Sobol])
+@pytest.mark.parametrize("kind", [am.study.Random, am.study.LatinHypercube, am.study.Sobol])
 def test_samples_lie_in_their_ranges_and_come_again(kind):
     ranges = {"x": (0.5, 2.0), "h": (1e-6, 1e-2), "n": (1, 4)}
     sample = kind(ranges, 64, seed=3, log="h")
@@ -41,27 +44,29 @@ def test_samples_lie_in_their_ranges_and_come_again(kind):
     assert set(n.tolist()) == {1, 2, 3, 4}
     # on a logarithmic scale half lie below the geometric mean
     assert 20 <= (h < 1e-4).sum() <= 44
-    if kind is not Random:
+    if kind is not am.study.Random:
         assert np.histogram(x, 16, (0.5, 2.0))[0].tolist() == [4] * 16
 
 
 def test_a_sobol_sequence_is_extended_and_no_point_runs_twice():
-    assert points(Sobol({"x": (0.0, 1.0)}, 100))[:40] == points(Sobol({"x": (0.0, 1.0)}, 40))
-    assert sorted(points(Random({"n": (1, 3)}, 50))) == [(1,), (2,), (3,)]
+    assert points(am.study.Sobol({"x": (0.0, 1.0)}, 100))[:40] == points(
+        am.study.Sobol({"x": (0.0, 1.0)}, 40)
+    )
+    assert sorted(points(am.study.Random({"n": (1, 3)}, 50))) == [(1,), (2,), (3,)]
 
 
 @pytest.mark.parametrize(
     ("make", "error", "match"),
     [
-        (lambda: Grid({"n": itertools.count()}), TypeError, "no end"),
-        (lambda: Grid({"n": (k for k in range(3))}), TypeError, "no end"),
-        (lambda: Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
-        (lambda: Points([{"n": 1}, {"n": 1}]), ValueError, "the same as one before it"),
-        (lambda: Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
-        (lambda: Points([]), TypeError, "list of mappings"),
-        (lambda: Sobol({"x": (1.0, 1.0)}, 4), ValueError, "go up"),
-        (lambda: Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
-        (lambda: Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite"),
+        (lambda: am.study.Grid({"n": itertools.count()}), TypeError, "no end"),
+        (lambda: am.study.Grid({"n": (k for k in range(3))}), TypeError, "no end"),
+        (lambda: am.study.Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
+        (lambda: am.study.Points([{"n": 1}, {"n": 1}]), ValueError, "the same as one before it"),
+        (lambda: am.study.Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
+        (lambda: am.study.Points([]), TypeError, "list of mappings"),
+        (lambda: am.study.Sobol({"x": (1.0, 1.0)}, 4), ValueError, "go up"),
+        (lambda: am.study.Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
+        (lambda: am.study.Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite"),
     ],
 )
 def test_wrong_designs_are_refused_before_memory_is(make, error, match):

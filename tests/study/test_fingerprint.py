@@ -14,7 +14,6 @@ import pytest
 
 import adaptmg as am
 from adaptmg.solver.fingerprint import environment, fingerprint
-from adaptmg.study import Study
 from adaptmg.study.store import Record
 
 FACTOR = 2
@@ -25,7 +24,7 @@ def uses_factor(n):
 
 
 def test_rows_of_another_version_of_the_fingerprint_are_stale(tmp_path):
-    study = Study(uses_factor, {"n": [1]}, tmp_path / "s.sqlite")
+    study = am.Study(uses_factor, {"n": [1]}, tmp_path / "s.sqlite")
     old = Record(
         parameters={"n": 1},
         status="done",
@@ -183,9 +182,9 @@ def test_the_remedy_for_what_is_refused_works(made):
         namespace,
     )
     with pytest.raises(TypeError, match=r"depends=\{'\w+': \.\.\.\}") as refused:
-        Study(namespace["run"], {"n": [1]})
+        am.Study(namespace["run"], {"n": [1]})
     name = re.search(r"depends=\{'(\w+)'", str(refused.value))[1]
-    study = Study(namespace["run"], {"n": [1]}, depends={name: "a text"})
+    study = am.Study(namespace["run"], {"n": [1]}, depends={name: "a text"})
     assert study.run(progress=False)["m"].tolist() == [1]
 
 
@@ -215,10 +214,10 @@ def test_a_run_that_sets_a_global_is_not_stored_under_the_old(tmp_path):
 
     before = FACTOR
     with pytest.warns(UserWarning, match="FACTOR is changed"):
-        Study(run, {"n": [7]}, tmp_path / "s.sqlite").run(progress=False)
-    assert Study(run, {"n": [7]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["stale"]
+        am.Study(run, {"n": [7]}, tmp_path / "s.sqlite").run(progress=False)
+    assert am.Study(run, {"n": [7]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["stale"]
     globals()["FACTOR"] = before
-    assert Study(run, {"n": [7]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["done"]
+    assert am.Study(run, {"n": [7]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["done"]
 
 
 def test_deep_calls_and_circles_are_walked():

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from adaptmg.study import Study
+import adaptmg as am
 
 pytest.importorskip("dask_jobqueue")
 
@@ -51,7 +51,7 @@ def test_jobs_that_wait_and_one_that_is_cancelled(jobs, tmp_path, monkeypatch, c
     ) as cluster:
         cluster.scale(jobs=2)
         with Client(cluster, set_as_default=False) as client:
-            study = Study(run, {"n": range(6)}, tmp_path / "s.sqlite")
+            study = am.Study(run, {"n": range(6)}, tmp_path / "s.sqlite")
             table = study.run(progress=False, scheduler=client, limit_s=2.5)
             assert "no workers yet: 2 were requested" in caplog.text
             assert table["status"].tolist() == ["done", "failed", *["done"] * 4]
@@ -62,7 +62,7 @@ def test_jobs_that_wait_and_one_that_is_cancelled(jobs, tmp_path, monkeypatch, c
             end = time.monotonic() + 120
             while len(client.nthreads()) > 1 and time.monotonic() < end:
                 time.sleep(0.1)
-            again = Study(lambda n: {"job": os.getpgid(0)}, {"n": range(4)}).run(
+            again = am.Study(lambda n: {"job": os.getpgid(0)}, {"n": range(4)}).run(
                 progress=False, scheduler=client
             )
             assert set(again["job"]) <= set(jobs()[1:])

@@ -22,7 +22,6 @@ from matplotlib.figure import Figure
 
 import adaptmg as am
 from adaptmg._machine import process_name
-from adaptmg.study import Study
 from adaptmg.study import store as study_store
 from adaptmg.study import study as study_module
 from adaptmg.study.designs import canonical
@@ -74,7 +73,7 @@ def test_a_store_that_changes_while_it_is_in_use_is_named(tmp_path, monkeypatch,
             change(path)
         return squares(n)
 
-    study = Study(run, {"n": range(8)}, path, depends={"change": None})
+    study = am.Study(run, {"n": range(8)}, path, depends={"change": None})
     with pytest.raises((OSError, ValueError), match=rf"{re.escape(str(path))}.*{words}"):
         study.run(progress=False)
     if change is _locked:
@@ -91,8 +90,8 @@ def test_a_store_that_changes_while_it_is_in_use_is_named(tmp_path, monkeypatch,
 def test_a_full_disk_or_a_store_that_is_read_only(tmp_path, pragma, words):
     """Root may write everywhere and a test does not fill a disk: SQLite is told so."""
     path = tmp_path / "s.sqlite"
-    Study(squares, {"n": range(4)}, path).run(progress=False)
-    study = Study(squares, {"n": range(8)}, path)
+    am.Study(squares, {"n": range(4)}, path).run(progress=False)
+    study = am.Study(squares, {"n": range(8)}, path)
     study._store._connection.execute(pragma)
     study._store._prepare()
     assert study.table()["status"].tolist()[:4] == ["done"] * 4
@@ -145,7 +144,7 @@ def test_a_row_survives_a_power_cut(tmp_path):
 
 
 def test_a_row_whose_writing_was_interrupted_is_written(tmp_path, monkeypatch):
-    study, turns = Study(squares, {"n": range(4)}, tmp_path / "s.sqlite"), iter(range(100))
+    study, turns = am.Study(squares, {"n": range(4)}, tmp_path / "s.sqlite"), iter(range(100))
     odd = Record(parameters={"n": 1}, status="failed", error="\udcff\x00", machine="\udcff")
     study._store.put("surrogates", [odd])
     assert study._store.get("surrogates")[canonical({"n": 1})] == odd
@@ -174,7 +173,7 @@ def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun, monkey
         return {"m": n}
 
     def study():
-        return Study(run, {"n": range(8)}, tmp_path / "s.sqlite", depends={"done": None})
+        return am.Study(run, {"n": range(8)}, tmp_path / "s.sqlite", depends={"done": None})
 
     if rerun:
         study().run(progress=False)
@@ -234,7 +233,7 @@ def test_a_claim_from_elsewhere_holds_while_it_is_renewed(tmp_path, monkeypatch)
 def test_a_flipped_bit_is_never_another_number(tmp_path):
     """Of 300: an error, a stale row, or, where no row lies, what was stored."""
     path, values = tmp_path / "s.sqlite", np.random.default_rng(0).random((3, 3000))
-    study = Study(lambda n: {"u": values[n], "sum": float(values[n].sum())}, {"n": [0, 1, 2]}, path,
+    study = am.Study(lambda n: {"u": values[n], "sum": float(values[n].sum())}, {"n": [0, 1, 2]}, path,
                   name="s", depends={"values": None})  # fmt: skip
     study.run(progress=False)
     content, flips = path.read_bytes(), random.Random(0)
@@ -243,7 +242,7 @@ def test_a_flipped_bit_is_never_another_number(tmp_path):
         at, bit = flips.randrange(len(content)), flips.randrange(8)
         path.write_bytes(content[:at] + bytes([content[at] ^ 1 << bit]) + content[at + 1 :])
         try:
-            again = Study(
+            again = am.Study(
                 study._function, {"n": [0, 1, 2]}, path, name="s", depends={"values": None}
             )
             table = again.table()
@@ -259,7 +258,7 @@ def test_a_flipped_bit_is_never_another_number(tmp_path):
 
 def test_a_damaged_row_is_computed_again(tmp_path):
     def study():
-        return Study(squares, {"n": [1, 2]}, tmp_path / "s.sqlite")
+        return am.Study(squares, {"n": [1, 2]}, tmp_path / "s.sqlite")
 
     study().run(progress=False)
     with sqlite3.connect(tmp_path / "s.sqlite") as file:
@@ -274,7 +273,7 @@ def test_errors_are_bounded_and_any_text_is_stored(tmp_path):
             raise ValueError("\udcff\x00" + "x" * 10**6)
         return {"name": "\udcff.msh"}
 
-    table = Study(run, {"n": [0, 1]}, tmp_path / "s.sqlite").run(progress=False)
+    table = am.Study(run, {"n": [0, 1]}, tmp_path / "s.sqlite").run(progress=False)
     assert (
         table["error"][0].startswith("ValueError: \udcff\x00xxx") and len(table["error"][0]) == 4000
     )
@@ -292,7 +291,7 @@ def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
         "n_nodes": 25,
         "figure": Figure(),
     }
-    study = Study(
+    study = am.Study(
         lambda n: given,
         {"n": [1]},
         tmp_path / "s.sqlite" if where == "file" else None,
@@ -318,7 +317,7 @@ def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
 
 
 def test_what_is_kept_is_stored_with_its_row_or_not_at_all(tmp_path, monkeypatch):
-    study = Study(lambda n: {"a": np.arange(n)}, {"n": [3]}, tmp_path / "s.sqlite", name="s")
+    study = am.Study(lambda n: {"a": np.arange(n)}, {"n": [3]}, tmp_path / "s.sqlite", name="s")
     with pytest.raises(ValueError, match="keeps nothing"):
         study.load(0)
     study.run(progress=False)
@@ -345,7 +344,7 @@ def test_what_is_kept_is_stored_with_its_row_or_not_at_all(tmp_path, monkeypatch
 def test_a_link_to_a_store_is_followed(tmp_path):
     (tmp_path / "real").mkdir()
     (tmp_path / "link.sqlite").symlink_to(tmp_path / "real" / "s.sqlite")
-    Study(lambda n: {"a": np.ones(2)}, {"n": [1]}, tmp_path / "link.sqlite", name="s").run(
+    am.Study(lambda n: {"a": np.ones(2)}, {"n": [1]}, tmp_path / "link.sqlite", name="s").run(
         progress=False
     )
     assert sorted(path.name for path in (tmp_path / "real").iterdir()) == ["s.sqlite"]
@@ -380,7 +379,7 @@ def test_the_text_of_a_point_is_json_and_of_no_other_value(tmp_path):
             point, sort_keys=True, separators=(",", ":"), ensure_ascii=False
         )
         assert canonical(point) == canonical(dict(reversed(point.items())))
-    study = Study(
+    study = am.Study(
         lambda x: {"kind": type(x).__name__}, {"x": values}, tmp_path / "s.sqlite", name="s"
     )
     assert study.run(progress=False)["kind"].tolist() == [type(value).__name__ for value in values]

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import adaptmg as am
-from adaptmg.study import Study, as_text, execute
+from adaptmg.study import execute
 from adaptmg.study.designs import canonical
 from adaptmg.study.execute import compute
 from adaptmg.study.store import Record, Store
@@ -45,7 +45,7 @@ def another(sweeps, friction=0.3):
 
 def sweep(*given, **options):
     """A study whose runs say that they ran."""
-    return Study(*given, depends={"CALLS": None}, **options)
+    return am.Study(*given, depends={"CALLS": None}, **options)
 
 
 def test_rows_come_in_grid_order_with_plain_results():
@@ -97,7 +97,7 @@ def test_rows_before_an_end_are_stored(tmp_path, how):
             raise KeyboardInterrupt if how == "interrupt" else RuntimeError("two")
         return {"m": n}
 
-    study = Study(run, {"n": range(4)}, tmp_path / "s.sqlite")
+    study = am.Study(run, {"n": range(4)}, tmp_path / "s.sqlite")
     with pytest.raises(KeyboardInterrupt if how == "interrupt" else RuntimeError):
         study.run(progress=False, throw=True)
     ended = "missing" if how == "interrupt" else "failed"
@@ -125,7 +125,7 @@ def test_a_file_changed_by_others_is_not_blamed_on_runs(tmp_path):
         file.write_text("2", encoding="utf-8")
         return {"m": value}
 
-    study = Study(run, {"n": [1]}, depends={"data": file, "file": None})
+    study = am.Study(run, {"n": [1]}, depends={"data": file, "file": None})
     assert study.run(progress=False)["m"][0] == 1 and study.table()["status"][0] == "stale"
     assert study.run(progress=False)["m"][0] == 2 and study.table()["status"][0] == "done"
 
@@ -153,7 +153,7 @@ def test_long_runs_and_runs_without_a_record_go_first():
         assert [point["n"] for point, _ in in_order(todo, cost).values()] == order
     with pytest.raises(TypeError, match="cost must be"):
         in_order(todo, 3)
-    table = Study(lambda n: {"began": time.monotonic_ns()}, {"n": range(4)}).run(
+    table = am.Study(lambda n: {"began": time.monotonic_ns()}, {"n": range(4)}).run(
         progress=False, cost="n"
     )
     assert table["began"].is_monotonic_decreasing
@@ -187,7 +187,7 @@ def generator(sweeps):
 )
 def test_a_wrong_study_is_refused_before_anything_runs(run, parameters, fixed, error, match):
     with pytest.raises(error, match=match):
-        Study(run, parameters, fixed=fixed)
+        am.Study(run, parameters, fixed=fixed)
     assert not CALLS
 
 
@@ -207,14 +207,14 @@ def test_results_that_cannot_be_stored_end_the_first_run(tmp_path, returned, mat
         done.append(n)
         return {"m": n} if n == 2 else returned
 
-    study = Study(
+    study = am.Study(
         run, {"n": [1, 2, 3]}, tmp_path / "s.sqlite", depends={"done": None, "returned": None}
     )
     with pytest.raises(ValueError, match=f"cannot be used.*{match}"):
         study.run(progress=False)
     assert done == [1] and study.status().missing == 3
     # later ones are failures, as one run must not end the others
-    study = Study(run, {"n": [2, 3]}, depends={"done": None, "returned": None})
+    study = am.Study(run, {"n": [2, 3]}, depends={"done": None, "returned": None})
     assert study.run(progress=False)["status"].tolist() == ["done", "failed"]
 
 
@@ -222,7 +222,7 @@ def test_names_of_columns_are_free(tmp_path):
     def run(error, run_status):
         return {"status": "CONVERGED" if error else 1 / error, "seconds": 7.5 + run_status}
 
-    study = Study(run, {"error": [1, 0], "run_status": [2]}, tmp_path / "s.sqlite")
+    study = am.Study(run, {"error": [1, 0], "run_status": [2]}, tmp_path / "s.sqlite")
     table = study.run(progress=False, cost="seconds")
     assert table["error"].tolist() == [1, 0] and table["run_status"].tolist() == [2, 2]
     assert table["status"][0] == "CONVERGED" and table["seconds"][0] == 9.5
@@ -246,7 +246,7 @@ def test_seconds_contain_no_compiling():
         numba.njit(made["f"])(1.5)
         return {"wall": time.perf_counter() - begin}
 
-    table = Study(run, {"n": [1]}, depends={"exec": None}).run(progress=False)
+    table = am.Study(run, {"n": [1]}, depends={"exec": None}).run(progress=False)
     assert table["wall"][0] > 0.2 and table["seconds"][0] < 0.2 * table["wall"][0]
 
 
@@ -258,7 +258,7 @@ def test_seconds_contain_no_compiling():
     ],
 )
 def test_results_that_cannot_be_stored_are_failures(returned, match):
-    table = Study(lambda n: returned, {"n": [1]}, depends={"returned": None}).run(progress=False)
+    table = am.Study(lambda n: returned, {"n": [1]}, depends={"returned": None}).run(progress=False)
     assert table["status"].tolist() == ["failed"] and match in table["error"].iloc[0]
 
 
@@ -286,12 +286,12 @@ def test_any_exception_of_a_run_is_its_failure(error):
         with pytest.raises(KeyboardInterrupt):
             compute(run, {"n": 1})
     else:
-        table = Study(run, {"n": [1, 2]}, depends={"error": None}).run(progress=False)
+        table = am.Study(run, {"n": [1, 2]}, depends={"error": None}).run(progress=False)
         assert table["status"].tolist() == ["failed", "failed"]
 
 
 def test_each_run_is_reported(capsys, caplog, monkeypatch):
-    reported, study = [], Study(lambda n: {"m": 1 / n}, {"n": [1, 0, 2]}, name="s")
+    reported, study = [], am.Study(lambda n: {"m": 1 / n}, {"n": [1, 0, 2]}, name="s")
     caplog.set_level("INFO", logger="adaptmg.study")
     study.run(lambda watch: reported.append((watch.name, watch.done, watch.total, watch.failed)))
     assert (
@@ -315,7 +315,7 @@ def test_tables_name_units():
     table = pd.DataFrame(
         {"mesh <h>": ["33 x 33", "a&b"], "seconds": [0.123456, float("nan")], "ok": [True, False]}
     )
-    text = as_text(
+    text = am.study.as_text(
         table,
         caption="Table 1",
         note="rtol 1e-8",

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from refused import refused
 from simplex_meshes import disk, log_graded, mesh_of, random_box, structured, two_boxes
 
-from adaptmg.mesh import MeshArrays
-from adaptmg.transfer import PointLocator, mesh_ratio, size_ratio
+import adaptmg as am
 
 MESHES = {
     "random 2D": random_box(80, 2, 1),
@@ -46,7 +45,7 @@ def brute_force_weights(mesh, point):
 def test_agrees_with_brute_force(seed, dim, n):
     mesh = random_box(n, dim, seed)
     points = np.random.default_rng(seed).random((20, dim)) * 1.4 - 0.2
-    found = PointLocator(mesh).locate(points)
+    found = am.transfer.PointLocator(mesh).locate(points)
     for point, element, weights, distance in zip(
         points, found.element, found.weights, found.distance, strict=True
     ):
@@ -71,7 +70,9 @@ def test_points_of_the_boundary_lie_inside(dim):
     points = mesh.points @ axes + 100.0
     shares = rng.dirichlet(np.ones(dim), (20, len(mesh.facets)))
     places = np.einsum("nfk,fkd->nfd", shares, points[mesh.facets]).reshape(-1, dim)
-    assert (PointLocator(mesh_of(points, mesh.elements)).locate(places).distance == 0).all()
+    assert (
+        am.transfer.PointLocator(mesh_of(points, mesh.elements)).locate(places).distance == 0
+    ).all()
 
 
 @settings(max_examples=15, deadline=None)
@@ -83,7 +84,7 @@ def test_outside_a_shape_that_is_not_convex(seed, dim):
     centres = whole.points[whole.elements].mean(axis=1)
     mesh = mesh_of(whole.points, whole.elements[~(centres > 0.5).all(axis=1)])
     points = np.random.default_rng(seed).random((30, dim)) * 3 - 1
-    found = PointLocator(mesh).locate(points)
+    found = am.transfer.PointLocator(mesh).locate(points)
     high = [np.where(np.arange(dim) == axis, 0.5, 1.0) for axis in range(dim)]
     expected = np.min(
         [np.linalg.norm(points - np.clip(points, 0, h), axis=1) for h in high], axis=0
@@ -98,9 +99,9 @@ def test_outside_a_shape_that_is_not_convex(seed, dim):
 
 def test_far_away_none_and_each_body():
     mesh, both = MESHES["random 2D"], two_boxes(3, 2)
-    found = PointLocator(mesh).locate(np.array([[1e9, 0.5], [-1e12, -1e12]]))
+    found = am.transfer.PointLocator(mesh).locate(np.array([[1e9, 0.5], [-1e12, -1e12]]))
     np.testing.assert_allclose(found.distance, [1e9 - 1, np.sqrt(2) * 1e12], rtol=1e-12)
-    empty = PointLocator(mesh).locate(np.zeros((0, 2)))
+    empty = am.transfer.PointLocator(mesh).locate(np.zeros((0, 2)))
     assert (
         empty.element.shape == (0,)
         and empty.weights.shape == (0, 3)
@@ -108,34 +109,41 @@ def test_far_away_none_and_each_body():
     )
     points = np.column_stack([np.linspace(0, 1, 20), np.zeros(20)])
     for body in (0, 1):
-        found = PointLocator(both, body=body).locate(points)
+        found = am.transfer.PointLocator(both, body=body).locate(points)
         assert (both.element_body[found.element] == body).all() and not found.distance.any()
 
 
 def bare(points, elements):
-    return MeshArrays(
+    return am.MeshArrays(
         points=points, elements=elements, facets=np.zeros((0, 2)), facet_labels=[], boundaries=()
     )
 
 
 test_failures_name_the_argument = refused(
     (
-        lambda: PointLocator(MESHES["disk"]).locate(np.array([[0.5, 0.5], [np.nan, 0]])),
+        lambda: am.transfer.PointLocator(MESHES["disk"]).locate(
+            np.array([[0.5, 0.5], [np.nan, 0]])
+        ),
         "must be finite; point 1",
     ),
     (
-        lambda: PointLocator(bare([[0, 0], [1, 0], [0, 1], [2, 0]], [[0, 1, 2], [0, 1, 3]])),
+        lambda: am.transfer.PointLocator(
+            bare([[0, 0], [1, 0], [0, 1], [2, 0]], [[0, 1, 2], [0, 1, 3]])
+        ),
         "element 1 has no volume",
     ),
-    (lambda: PointLocator(bare([[0, 0]], np.zeros((0, 3)))), "no elements"),
-    (lambda: PointLocator(two_boxes(3, 2), body=2), "body 2 of the mesh has no elements"),
+    (lambda: am.transfer.PointLocator(bare([[0, 0]], np.zeros((0, 3)))), "no elements"),
+    (
+        lambda: am.transfer.PointLocator(two_boxes(3, 2), body=2),
+        "body 2 of the mesh has no elements",
+    ),
 )
 
 
 def test_mesh_ratio_of_uniform_meshes_and_at_a_local_jump():
     for make, n, m, dim in ((structured, 2, 4, 2), (structured, 4, 2, 3), (two_boxes, 2, 6, 2)):
-        assert mesh_ratio(make(n, dim), make(m, dim)) == pytest.approx(m / n, abs=1e-12)
+        assert am.transfer.mesh_ratio(make(n, dim), make(m, dim)) == pytest.approx(m / n, abs=1e-12)
     coarse, fine = structured(8, 2), log_graded(3000, 4)
-    assert mesh_ratio(coarse, fine) > 200
+    assert am.transfer.mesh_ratio(coarse, fine) > 200
     # the hundredth that differs most is left out
-    assert 100 < size_ratio(coarse, fine) < 0.9 * mesh_ratio(coarse, fine)
+    assert 100 < am.transfer.size_ratio(coarse, fine) < 0.9 * am.transfer.mesh_ratio(coarse, fine)

@@ -15,12 +15,8 @@ from simplex_meshes import delaunay, disk, log_graded, mesh_of, random_box, stru
 from smoother_problems import expand
 
 import adaptmg as am
-from adaptmg.discrete.discretise import discretise
 from adaptmg.geometry.quadrature import simplex_rule
-from adaptmg.mesh import MeshArrays, bisect, graded
-from adaptmg.mesh import structured as structured_mesh
 from adaptmg.multigrid.split_matrix import is_galerkin
-from adaptmg.transfer import galerkin_product, surface_interpolation, with_contact_rows
 from adaptmg.transfer.contact import between_levels
 from adaptmg.transfer.projections import mass_matrix, mixed_mass
 
@@ -113,7 +109,7 @@ LONGER = replace(PLATE, width=0.31)  # by less than what may lie outside
 def test_structured_meshes_are_interpolated_as_by_search(domain, coarse, fine):
     domains = domain if isinstance(domain, tuple) else (domain, domain)
     meshes = [
-        structured_mesh(own, divisions)
+        am.mesh.structured(own, divisions)
         for own, divisions in zip(domains, (coarse, fine), strict=True)
     ]
     known, searched = (
@@ -221,7 +217,7 @@ def test_nodes_outside():
             transfer.build(coarse, far)
 
 
-UNUSED = MeshArrays(
+UNUSED = am.MeshArrays(
     points=[[0, 0], [1, 0], [0, 1], [0.5, 0.5]],
     elements=[[0, 1, 2]],
     facets=np.zeros((0, 2)),
@@ -287,7 +283,7 @@ def flat(pair, dim=2, angle=0.0):
     problem = replace(
         problem, supports=(am.Support("lower.bottom", **dict.fromkeys("xyz"[:dim], 0.0)),)
     )
-    meshes = [structured_mesh(problem.domain, d) for d in divisions]
+    meshes = [am.mesh.structured(problem.domain, d) for d in divisions]
     return replace(problem, domain=None), [
         turned(mesh, angle) if angle else mesh for mesh in meshes
     ]
@@ -305,7 +301,7 @@ def corner():
     """Three bodies in a row: what follows the block follows the seat."""
     problem = corner_pushed(am.Coulomb(0.3))
     meshes = [
-        graded(problem.domain, h, problem.pair_boundaries, ratio)
+        am.mesh.graded(problem.domain, h, problem.pair_boundaries, ratio)
         for h, ratio in ((0.5, 1.2), (0.3, 1.5))
     ]
     return replace(
@@ -315,7 +311,7 @@ def corner():
 
 def one_body():
     problem = am.cases.greco_bar(law=am.Coulomb(0.5))
-    return problem, [structured_mesh(problem.domain, n) for n in (3, 5)]
+    return problem, [am.mesh.structured(problem.domain, n) for n in (3, 5)]
 
 
 CASES = {
@@ -333,7 +329,7 @@ CASES = {
 @pytest.fixture(scope="module", params=CASES)
 def levels(request):
     problem, meshes = CASES[request.param]()
-    return problem, meshes, [discretise(problem, mesh) for mesh in meshes]
+    return problem, meshes, [am.discretise(problem, mesh) for mesh in meshes]
 
 
 def affine_of_each_body(mesh):
@@ -352,13 +348,15 @@ def nodal_of(problem, meshes, transfer):
     coarse, fine = meshes
     nodal, contact = (
         sparse.csr_array(transfer.build(coarse, fine)),
-        discretise(problem, fine).contact,
+        am.discretise(problem, fine).contact,
     )
     masters = [(name, fine.boundary_nodes(name)) for name in contact.masters if name]
     slaves = [(name, contact.nodes[contact.boundary == k]) for k, name in enumerate(contact.names)]
     for boundary, nodes in (*masters, *slaves):
-        rows = surface_interpolation(coarse, fine, coarse.boundary_facets(boundary), nodes)
-        nodal = with_contact_rows(nodal, nodes, rows)
+        rows = am.transfer.surface_interpolation(
+            coarse, fine, coarse.boundary_facets(boundary), nodes
+        )
+        nodal = am.transfer.with_contact_rows(nodal, nodes, rows)
     return nodal
 
 
@@ -396,7 +394,7 @@ def test_rigid_motions_and_the_galerkin_matrix(levels):
     P = expand(nodal_of(problem, meshes, am.Interpolation()), coarse.dim)
     T = np.column_stack([coarse.physical(unit).ravel() for unit in np.eye(coarse.n_dofs)])
     expected = T.T @ (P.T @ stiffness @ P).toarray() @ T
-    got = galerkin_product(fine.matrix, found.prolongation).toarray()
+    got = am.transfer.galerkin_product(fine.matrix, found.prolongation).toarray()
     np.testing.assert_allclose(got, expected, atol=1e-12 * np.abs(expected).max())
 
 
@@ -443,7 +441,7 @@ def test_soft_bodies_next_to_stiff_ones_count_in_comparisons():
     soft = sparse.kron(mass_matrix(fine), sparse.csr_array(stretched))
     stiff = sparse.bsr_array(sparse.block_diag([1e12 * soft, soft]), blocksize=(2, 2))
     both = sparse.csr_array(sparse.block_diag([P, P]))
-    product = galerkin_product(stiff, both)
+    product = am.transfer.galerkin_product(stiff, both)
     assert is_galerkin(stiff, both, product)
     wrong = product.copy()
     wrong.data[wrong.indptr[coarse.n_nodes] :] *= 1.001
@@ -459,11 +457,11 @@ def bottom(mesh):
 
 
 def rows_of(facets):
-    return surface_interpolation(disk(2), disk(3), facets, np.unique(disk(3).facets))
+    return am.transfer.surface_interpolation(disk(2), disk(3), facets, np.unique(disk(3).facets))
 
 
 def replaced(rows, at):
-    return with_contact_rows(am.Interpolation().build(disk(2), disk(3)), at, rows)
+    return am.transfer.with_contact_rows(am.Interpolation().build(disk(2), disk(3)), at, rows)
 
 
 test_refused = refused(
@@ -491,11 +489,11 @@ def hierarchy(inserted: int) -> am.Hierarchy:
     """4, 8, 16 cells a side; the second mesh is bisected so many times in the middle of a cell, far
     from contact."""
     problem = am.cases.greco_bar(law=am.Coulomb(0.5))
-    meshes = [structured_mesh(problem.domain, n) for n in (4, 8, 16)]
+    meshes = [am.mesh.structured(problem.domain, n) for n in (4, 8, 16)]
     for _ in range(inserted):
         centre = meshes[1].points[meshes[1].elements].mean(axis=1)
         near = np.linalg.norm(centre - np.array([20.4e-3, 20.8e-3]), axis=1)
-        meshes[1] = bisect(meshes[1], near <= 1.01 * near.min())[0]
+        meshes[1] = am.mesh.bisect(meshes[1], near <= 1.01 * near.min())[0]
     return am.Hierarchy.from_meshes(problem, meshes)
 
 

@@ -7,15 +7,14 @@ from hypothesis import strategies as st
 from refused import refused
 from scipy import sparse
 
-from adaptmg.transfer import largest_gap, minmod_slip, smallest_gap, summed_limit, supports
-from adaptmg.transfer.contact import injected_gap, injected_limit, injected_slip
+import adaptmg as am
 
 # fine nodes 0, 2, 4 lie on the coarse nodes 0, 1, 2; 1 and 3 halfway; the coarse node 3 has no fine
 # node
 P_LINE = sparse.csr_array(
     [[1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 1, 0, 0], [0, 0.5, 0.5, 0], [0, 0, 1, 0]]
 )
-LINE = supports(P_LINE)
+LINE = am.transfer.supports(P_LINE)
 
 
 def random_rows(rng, n_fine, n_coarse):
@@ -47,11 +46,11 @@ def test_monotone_guarantee(seed, dim, one_way):
         slip = np.linalg.norm(slip, axis=1)[:, None] * direction / np.linalg.norm(direction)
     stick = rng.random(n_fine) < 0.15
     slip[stick] = 0
-    sets = supports(P)
+    sets = am.transfer.supports(P)
     bound, reference, force = (
-        smallest_gap(sets, opening),
-        minmod_slip(sets, slip, stick),
-        summed_limit(sets, limit),
+        am.transfer.smallest_gap(sets, opening),
+        am.transfer.minmod_slip(sets, slip, stick),
+        am.transfer.summed_limit(sets, limit),
     )
     for scale in (1e-3, 1.0, 1e3):
         normal = np.minimum(
@@ -74,11 +73,11 @@ TINY = np.where(np.arange(5) == 1, -1e-200, 1e-200)  # the product of two of the
 @pytest.mark.parametrize(
     ("function", "values", "expected"),
     [
-        (smallest_gap, OPENING, [1, 1, 2, np.inf]),
-        (largest_gap, OPENING, [3, 5, 7, np.inf]),
-        (injected_gap, OPENING, [3, 5, 7, np.inf]),
-        (summed_limit, LIMIT, [2, 9, 20, 0]),
-        (injected_limit, LIMIT, [1, 4, 16, 0]),
+        (am.transfer.smallest_gap, OPENING, [1, 1, 2, np.inf]),
+        (am.transfer.largest_gap, OPENING, [3, 5, 7, np.inf]),
+        (am.transfer.injected_gap, OPENING, [3, 5, 7, np.inf]),
+        (am.transfer.summed_limit, LIMIT, [2, 9, 20, 0]),
+        (am.transfer.injected_limit, LIMIT, [1, 4, 16, 0]),
     ],
 )
 def test_gaps_and_limits_by_hand(function, values, expected):
@@ -96,34 +95,44 @@ def test_gaps_and_limits_by_hand(function, values, expected):
 )
 def test_slips_by_hand(slip, stick, expected):
     slip = np.array(slip, dtype=float)[:, None]
-    found = minmod_slip(LINE, slip, *(() if stick is None else (np.arange(5) == stick,)))
+    found = am.transfer.minmod_slip(
+        LINE, slip, *(() if stick is None else (np.arange(5) == stick,))
+    )
     np.testing.assert_array_equal(found[:, 0], expected)
-    np.testing.assert_array_equal(injected_slip(LINE, slip)[:, 0], [*slip[::2, 0], 0])
+    np.testing.assert_array_equal(am.transfer.injected_slip(LINE, slip)[:, 0], [*slip[::2, 0], 0])
 
 
 def test_slips_in_the_plane_by_hand():
     slip = np.array([[3.0, 0], [1, 1e-8], [2, 0], [0, 2], [0, 1]])
-    np.testing.assert_array_equal(minmod_slip(LINE, slip), [[1, 1e-8], [0, 0], [0, 1], [0, 0]])
-    np.testing.assert_array_equal(minmod_slip(LINE, slip + np.array([0, 1e-5]))[0], [0, 0])
-    np.testing.assert_array_equal(minmod_slip(LINE, slip * [[1], [-1], [1], [1], [1]])[0], [0, 0])
-    np.testing.assert_array_equal(minmod_slip(LINE, slip, np.arange(5) == 4)[2], [0, 0])
-    np.testing.assert_array_equal(injected_slip(LINE, slip), [[3, 0], [2, 0], [0, 1], [0, 0]])
+    np.testing.assert_array_equal(
+        am.transfer.minmod_slip(LINE, slip), [[1, 1e-8], [0, 0], [0, 1], [0, 0]]
+    )
+    np.testing.assert_array_equal(
+        am.transfer.minmod_slip(LINE, slip + np.array([0, 1e-5]))[0], [0, 0]
+    )
+    np.testing.assert_array_equal(
+        am.transfer.minmod_slip(LINE, slip * [[1], [-1], [1], [1], [1]])[0], [0, 0]
+    )
+    np.testing.assert_array_equal(am.transfer.minmod_slip(LINE, slip, np.arange(5) == 4)[2], [0, 0])
+    np.testing.assert_array_equal(
+        am.transfer.injected_slip(LINE, slip), [[3, 0], [2, 0], [0, 1], [0, 0]]
+    )
 
 
 def test_supports():
     P = P_LINE.copy()
     P.data[1] = 0.0  # a stored zero is in no support
-    sets = supports(P)
+    sets = am.transfer.supports(P)
     np.testing.assert_array_equal(sets.nodes[: sets.indptr[1]], [0])
     np.testing.assert_array_equal(sets.main, [0, 2, 4, -1])
     assert P.nnz == 7  # the matrix given is left as it was
-    equal = supports(sparse.csr_array([[0.5, 0.5], [0.5, 0.5]]))
+    equal = am.transfer.supports(sparse.csr_array([[0.5, 0.5], [0.5, 0.5]]))
     np.testing.assert_array_equal(equal.main, [0, 0])  # the first of equal weights
 
 
 test_failures_name_the_argument = refused(
     *(
-        (lambda bad=bad: supports(sparse.csr_array([[1.5, bad]])), "P_cc must be >= 0")
+        (lambda bad=bad: am.transfer.supports(sparse.csr_array([[1.5, bad]])), "P_cc must be >= 0")
         for bad in (-0.5, np.nan)
     ),
     *(
@@ -131,6 +140,6 @@ test_failures_name_the_argument = refused(
             lambda call=call: call(LINE, np.zeros(4)),
             "one value a fine contact node is needed, 5, got 4",
         )
-        for call in (smallest_gap, largest_gap, injected_gap)
+        for call in (am.transfer.smallest_gap, am.transfer.largest_gap, am.transfer.injected_gap)
     ),
 )
