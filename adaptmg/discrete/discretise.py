@@ -371,7 +371,7 @@ def contact_data(
             )
         else:
             parts.append(in_front_of(contact, problem, mesh, surfaces, owner, k, held, tied))
-    parts.append(MortarInterface(*nothing, taken_over=sparse.csr_array((0, mesh.n_nodes))))
+    parts.append(MortarInterface(*nothing))
     boundary = np.repeat(np.arange(len(parts)), [len(part.nodes) for part in parts])
     nodes = np.concatenate([part.nodes for part in parts])
     order = np.argsort(nodes)
@@ -381,9 +381,8 @@ def contact_data(
         np.concatenate([getattr(part, name) for part in parts])[order]
         for name in ("normals", "weights", "gaps")
     )
-    taken = sparse.csr_array(
-        sparse.vstack([part.taken_over for part in parts], format="csr")[order]
-    )
+    taken = _joined([(part.nodes, part.taken_over) for part in parts], mesh.n_nodes)
+    taken = sparse.csr_array((len(nodes), mesh.n_nodes)) if taken is None else taken[nodes]
     if held.inclined is not None:
         rubbed = np.intersect1d(nodes, held.inclined.nodes[held.inclined.moving])
         if len(rubbed):
@@ -446,7 +445,15 @@ def _masses_of_ties(
 
 def _followed(parts: list[MortarInterface], n_nodes: int) -> sparse.csr_array | None:
     """Rows (n_nodes, n_nodes) of what the nodes of all pairs face."""
-    coupled = [(part.nodes, part.coupling) for part in parts if part.coupling is not None]
+    return _joined([(part.nodes, part.coupling) for part in parts], n_nodes)
+
+
+def _joined(
+    parts: list[tuple[np.ndarray, sparse.csr_array | None]], n_nodes: int
+) -> sparse.csr_array | None:
+    """The rows (n_nodes, n_nodes) of several matrices (n, n_nodes) whose rows are those of nodes (n,),
+    None if there are no matrices."""
+    coupled = [(nodes, weights) for nodes, weights in parts if weights is not None]
     if not coupled:
         return None
     rows = np.concatenate([np.repeat(nodes, np.diff(weights.indptr)) for nodes, weights in coupled])

@@ -136,7 +136,8 @@ def sides_of(
     that match cancel, and those of one side alone are gaps."""
     names = pair.slave, pair.master
     slave, master = map(mesh.surface, names)
-    if not all(name in exact for name in names):
+    surfaces = [surface for name in names for surface in exact.get(name, ())]
+    if not all(map(exact.get, names)) or all(surface.plane for surface in surfaces):
         return slave, master
     one, other = (
         Curved(mesh.points, side.facets, exact[name], mesh.refinement is not None)
@@ -208,11 +209,9 @@ def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse
     """The shares (n_nodes, n_nodes) in which the nearest nodes that carry multipliers (n_nodes,),
     columns, stand for each node of a surface: itself, or some of sum 1."""
     n = len(surface.points)
-    integrals = surface.shape_integrals(axisymmetric)
-    facets = surface.facets
-    corners = facets.shape[1]
-    ends = np.repeat(facets, corners, axis=1).ravel(), np.tile(facets, (1, corners)).ravel()
-    near = sparse.csr_array((np.repeat(integrals, corners, axis=1).ravel(), ends), shape=(n, n))
+    corners = surface.facets.shape[1]
+    integrals = np.repeat(surface.shape_integrals(axisymmetric), corners, axis=1)
+    near = _assembled(integrals, surface.facets, surface.facets, n)
     share = sparse.diags_array(carries.astype(float), format="csr")
     reached = carries.copy()
     while True:  # each pass reaches further nodes, or is the last
@@ -378,19 +377,11 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
     followed = share * np.where(carries, 0.0, own)[:, None, :]
     slave = surfaces.slave[parts.slave]
-    k = carries.shape[1]
-    rows = np.repeat(np.concatenate([slave, surfaces.slave]), k)
-    columns = np.tile(
-        np.concatenate([surfaces.master[parts.master], surfaces.slave]), (1, k)
-    ).ravel()
-    facing = np.einsum("piq,pqk->pik", tests, parts.shapes)
-    facing, taken = (
-        sparse.csr_array((values.ravel(), (rows[at], columns[at])), shape=(n_nodes, n_nodes))
-        for values, at in (
-            (facing, slice(facing.size)),
-            (followed, slice(facing.size, None)),
-        )
-    )
+    products = np.einsum("piq,pqk->pik", tests, parts.shapes)
+    facing = _assembled(products, slave, surfaces.master[parts.master], n_nodes)
+    taken = None
+    if followed.any():
+        taken = _assembled(followed, surfaces.slave, surfaces.slave, n_nodes)
     diagonal = np.bincount(
         surfaces.slave.ravel(), np.where(carries, own, 0.0).ravel(), minlength=n_nodes
     )
@@ -399,7 +390,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     )
     least = _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric)
     nodes = np.flatnonzero(diagonal > least)
-    if alone[parts.slave].any():
+    if taken is not None and alone[parts.slave].any():
         share = _shares(surfaces.slave_side, diagonal > least, surfaces.axisymmetric).T
         facing = sparse.csr_array(share @ facing)
         taken = sparse.csr_array(share @ taken)
@@ -407,18 +398,29 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
     scale = sparse.diags_array(1 / diagonal[nodes], format="csr")
-    taken = sparse.csr_array(scale @ taken[nodes])
-    taken.eliminate_zeros()
-    coupling = sparse.csr_array(scale @ facing[nodes] - taken)
+    coupling = scale @ facing[nodes]
+    if taken is not None:
+        taken = sparse.csr_array(scale @ taken[nodes])
+        taken.eliminate_zeros()
+        coupling = coupling - taken
     return MortarInterface(
         nodes=nodes,
         normals=surfaces.normals[nodes],
         weights=diagonal[nodes],
         gaps=gaps[nodes] / diagonal[nodes],
-        coupling=_without_rounding(coupling),
+        coupling=_without_rounding(sparse.csr_array(coupling)),
         closest=closest[nodes],
         taken_over=taken,
     )
+
+
+def _assembled(
+    values: np.ndarray, rows: np.ndarray, columns: np.ndarray, n_nodes: int
+) -> sparse.csr_array:
+    """The matrix (n_nodes, n_nodes) to which facets, with nodes (n, k) each, give blocks (n, k, k)."""
+    k = rows.shape[1]
+    ends = np.repeat(rows, k, axis=1).ravel(), np.tile(columns, (1, k)).ravel()
+    return sparse.csr_array((values.ravel(), ends), shape=(n_nodes, n_nodes))
 
 
 def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -64,17 +64,20 @@ def in_front_of(
     carries, silent = np.zeros((2, mesh.n_nodes), dtype=bool)
     carries[nodes[kept]] = True
     silent[nodes] = tied[nodes] >= 0
-    taken = taken_over(surface, carries, problem.axisymmetric, silent)[nodes[kept]]
+    taken = taken_over(surface, carries, problem.axisymmetric, silent)
     weights = (surface.lumped(problem.axisymmetric) + tied)[nodes[kept]]
-    taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken)
-    normals, gaps = along_free(free[kept], normals[kept], gaps[kept] + taken[:, nodes] @ gaps)
+    distances = gaps[kept]
+    if taken.nnz:
+        taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[kept]])
+        distances = distances + taken[:, nodes] @ gaps
+    normals, gaps = along_free(free[kept], normals[kept], distances)
     return MortarInterface(
         nodes[kept],
         normals,
         weights,
         gaps,
         coupling=-taken if taken.nnz else None,
-        taken_over=taken,
+        taken_over=taken if taken.nnz else None,
     )
 
 

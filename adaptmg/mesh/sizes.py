@@ -21,7 +21,6 @@ from adaptmg.mesh.arrays import (
     edge_lengths,
     facet_keys,
     facet_table,
-    longest_edges,
     signed_measures,
 )
 from adaptmg.problem.combined_domains import Assembly
@@ -262,10 +261,10 @@ def overlong(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:
 def check_sizes(mesh: MeshArrays, field: SizeField) -> MeshArrays:
     """Return the mesh if its element edges are as short as the field at the centroids asks for;
     Unfit otherwise. Shorter ones are not judged: thin parts and short edges need them."""
-    centroids = mesh.points[mesh.elements].mean(axis=1)
+    centroids = mesh.points.take(mesh.elements, axis=0).mean(axis=1)
     sizes = field(centroids)
-    if (long := overlong(mesh, sizes)).any():
-        relative = mesh.element_sizes / sizes
+    relative = mesh.element_sizes / sizes
+    if relative.max() > _LONG and (long := overlong(mesh, sizes)).any():
         worst = int(np.argmax(relative))
         place = ", ".join(f"{x:.6g}" for x in centroids[worst])
         raise Unfit(
@@ -283,15 +282,18 @@ def check_rims(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     rounded = _ON_RIM * scale + 8 * np.spacing(np.abs(mesh.points).max())
     cut_off = rounded * scale
     for name in mesh.boundaries:
-        facets = mesh.boundary_facets(name)
-        nodes = np.unique(facets)
-        away = distance_to_boundaries(domain, [name], mesh.points[nodes])
+        surface = mesh.surface(name)
+        nodes = surface.nodes
+        corners = mesh.points[surface.facets]
+        middles = corners.mean(axis=1)
+        places = np.concatenate([mesh.points[nodes], middles])
+        distances = distance_to_boundaries(domain, [name], places)
+        away = distances[: len(nodes)]
         if not away.max(initial=0.0) <= rounded:
             place = ", ".join(f"{x:.6g}" for x in mesh.points[nodes[np.argmax(away)]])
             raise Unfit(f"a node of boundary {name!r} lies {away.max():.3g} m off it at ({place})")
-        middles = mesh.points[facets].mean(axis=1)
-        lengths = longest_edges(mesh.points[facets])
-        sagittas = distance_to_boundaries(domain, [name], middles)
+        lengths = surface.measures
+        sagittas = distances[len(nodes) :]
         if not (sagittas <= _SAGITTA * lengths + rounded).all():
             place = ", ".join(f"{x:.6g}" for x in middles[np.argmax(sagittas / lengths)])
             raise Unfit(f"a facet of boundary {name!r} is too long for its curve at ({place})")

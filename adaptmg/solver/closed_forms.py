@@ -19,8 +19,7 @@ import numpy as np
 from adaptmg._on_demand import remembered
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.mesh.sizes import facet_elements
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Axisymmetric, Elastic
 from adaptmg.problem.loads import (
@@ -71,7 +70,6 @@ def _stiffness(
     springs = [one for one in problem.supports if isinstance(one, Spring)]
     covered = (
         all(_is_isotropic(one) for one in materials)
-        and not _glued(mesh, materials)
         and not any(isinstance(one, PointSpring) for one in problem.supports)
         and all(_constant(one.normal, one.tangential) for one in springs)
         and discrete.volumes is None
@@ -79,7 +77,8 @@ def _stiffness(
         and not any(isinstance(one, Periodic) for one in problem.ties)
         and not isinstance(materials[0], Axisymmetric)
     )
-    if not covered:
+    kinds = _kinds_of_nodes(mesh, materials) if covered else None
+    if kinds is None:
         return ()
     rng = np.random.default_rng(0)
     centre = mesh.points.mean(axis=0)
@@ -91,13 +90,11 @@ def _stiffness(
     forces = discrete.physical_forces(discrete.matrix @ unknowns).reshape(field.shape)
     expected = np.zeros_like(field)
     strain = 0.5 * (gradient + gradient.T)
-    for number in np.unique(mesh.facet_labels):
-        surface = mesh.surface(mesh.boundaries[number])
-        stresses = np.stack([_stress(one, strain) for one in materials])
-        body = mesh.element_body[facet_elements(mesh, surface.facets)]
-        tractions = np.einsum("fij,fj->fi", stresses[body], surface.normals)
-        share = (tractions * surface.measures[:, None] / mesh.dim)[:, None, :]
-        np.add.at(expected, surface.facets, np.repeat(share, mesh.dim, axis=1))
+    stresses = np.stack([_stress(one, strain) for one in materials])[kinds[mesh.facets[:, 0]]]
+    vectors = Surface(mesh.points, mesh.facets).vectors
+    share = np.einsum("fij,fj->fi", stresses, vectors) / mesh.dim
+    for corner in mesh.facets.T:
+        np.add.at(expected, corner, share)
     for spring in springs:
         _add_springs(expected, mesh, spring, field)
     return (_condition("stiffness", forces - expected, float(np.linalg.norm(expected))),)
@@ -107,14 +104,13 @@ def _is_isotropic(material: Elastic) -> bool:
     return material.anisotropy is None and np.isfinite(material.lame)
 
 
-def _glued(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> bool:
-    """Return whether bodies of unlike materials share nodes: stresses jump there."""
-    first = np.full(mesh.n_nodes, len(materials))
-    last = np.full(mesh.n_nodes, -1)
-    kinds = np.array([materials.index(one) for one in materials])[mesh.element_body]
-    np.minimum.at(first, mesh.elements, kinds[:, None])
-    np.maximum.at(last, mesh.elements, kinds[:, None])
-    return bool((first < last).any())
+def _kinds_of_nodes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> np.ndarray | None:
+    """Return the material (n_nodes,) of the elements at each node, None if bodies of unlike
+    materials share nodes: stresses jump there."""
+    kinds = np.array([materials.index(one) for one in materials])[mesh.element_body, None]
+    result = np.zeros(mesh.n_nodes, dtype=np.int64)
+    result[mesh.elements] = kinds
+    return result if (result[mesh.elements] == kinds).all() else None
 
 
 def _constant(*values: object) -> bool:

@@ -142,7 +142,7 @@ def between_levels(
             if name
         ]
         for nodes, rows in (*master_rows, *slave_rows):
-            if (abs(nodal[nodes] - rows) > CLIP).nnz:  # not on nested meshes
+            if largest_entry((nodal[nodes] - rows).data) > CLIP:  # not on nested meshes
                 nodal = with_contact_rows(nodal, nodes, rows)
     relative = relative_prolongation(nodal, coupling, coarse_problem.coupling)
     above = coarse_problem.contact
@@ -151,9 +151,10 @@ def between_levels(
     passes = np.isin(np.arange(coarse.n_nodes), above.nodes) | coarse_problem.fixed.reshape(
         -1, coarse.dim
     ).all(axis=1)
+    takes = np.diff(contact.taken_over.indptr) > 0
     for k, (nodes, rows) in enumerate(slave_rows):
         known = above.nodes[above.boundary == k]
-        if contact.masters[k] or contact.taken_over[contact.boundary == k].nnz:
+        if contact.masters[k] or takes[contact.boundary == k].any():
             surface = with_contact_rows(
                 surface, nodes, _among(known, rows, fine.points[nodes], coarse.points)
             )
