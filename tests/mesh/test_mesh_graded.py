@@ -11,8 +11,14 @@ from refused import refused
 from scipy.spatial import cKDTree
 
 import adaptmg as am
-from adaptmg.mesh import grading, netgen_meshes
-from adaptmg.mesh.sizes import distance_to_boundaries, equilateral_sizes
+from adaptmg.mesh.grading import sensible_sizes
+from adaptmg.mesh.sizes import (
+    Unfit,
+    check_rims,
+    check_sizes,
+    distance_to_boundaries,
+    equilateral_sizes,
+)
 
 SQUARE = am.Rectangle(width=40e-3, height=40e-3, origin=(0.1, -0.3))
 ANGLE = am.Polygon(
@@ -78,46 +84,51 @@ def test_round_rims_grow_no_fans(share):
         assert np.bincount(mesh.elements.ravel()).max() < 12
 
 
+class Fickle:
+    """A size everywhere, a third of it from a call on."""
+
+    def __init__(self, size, last=np.inf):
+        self.size = size
+        self.last = last
+        self.calls = 0
+
+    def __call__(self, points):
+        self.calls += 1
+        return np.full(len(points), self.size / (3 if self.calls >= self.last else 1))
+
+
+@pytest.mark.parametrize("domain", [SQUARE, BOX], ids=["square", "box"])
+def test_netgen_takes_over_where_sizes_are_missed(domain, caplog):
+    steady = Fickle(12e-3)
+    am.mesh.sized(domain, steady, 12e-3)
+    with caplog.at_level("INFO", "adaptmg"):
+        mesh = am.mesh.sized(domain, Fickle(12e-3, steady.calls), 12e-3)
+    assert re.search("Netgen meshes the domain: .* as long as the sizes ask for", caplog.text)
+    assert np.median(mesh.element_sizes) < 8e-3
+
+
 @pytest.mark.parametrize(
     ("spoilt", "why"),
     [
-        (lambda mesh: mesh.points, "elements have edges more than 2 times as long"),
+        (lambda x: 3 * x, r"\d\d% of the elements have edges more than 2 times as long"),
         (
-            lambda mesh: np.where(mesh.points[:, :1] > 1.999, 0.9999, 1.0) * mesh.points,
+            lambda x: np.where(x[:, :1] > 1.999, 0.9999, 1.0) * x,
             r"a node of boundary 'outer' lies .* m off it at \(",
         ),
+        (lambda x: x * (1 + 1e-3 * (np.linalg.norm(x, axis=1) < 1.9))[:, None], "off it at"),
     ],
-    ids=["sizes", "rim"],
+    ids=["sizes", "a node", "the inner rim"],
 )
-def test_a_mesh_that_is_not_what_was_asked_for_is_refused(spoilt, why, monkeypatch, caplog):
-    good = grading.triangulated
+def test_a_mesh_that_misses_sizes_or_rims_is_unfit(spoilt, why):
+    mesh = am.mesh.graded(RING, 0.1, "inner", 2)
+    poor = replace(mesh, points=spoilt(mesh.points), source=None)
 
-    def poor(domain, field, growth=None):
-        mesh = good(domain, lambda x: (3 if "2 times" in why else 1) * field(x), growth)
-        return replace(mesh, points=spoilt(mesh), source=None)
+    def measured(given):
+        return check_rims(RING, check_sizes(given, lambda x: np.full(len(x), 0.1)))
 
-    monkeypatch.setattr(grading, "triangulated", poor)
-    with caplog.at_level("INFO", "adaptmg"):
-        mesh = am.mesh.graded(RING, 0.1, "inner", 2)
-    assert re.search(f"Netgen meshes the domain: .*{why}", caplog.text)
-    assert mesh.element_sizes.max() < 0.2
-    # neither does Netgen
-    monkeypatch.setattr(netgen_meshes, "too_large", lambda mesh, field: (np.zeros(0, bool), field))
-    monkeypatch.setattr(
-        netgen_meshes,
-        "_plane_draft",
-        lambda domain, *_: poor(domain, lambda x: np.full(len(x), 0.3)),
-    )
-    with pytest.raises(ValueError, match=rf"Netgen could not mesh .*\(.*{why}"):
-        am.mesh.graded(RING, 0.1, "inner", 2)
-
-
-def test_netgen_meshes_a_box_whose_cells_are_not_refined(monkeypatch, caplog):
-    monkeypatch.setattr(grading, "drafted", lambda domain, draft, field: draft)
-    with caplog.at_level("INFO", "adaptmg"):
-        mesh = am.mesh.graded(BOX, 10e-3, "bottom", 4)
-    assert re.search("Netgen meshes the domain: .* as the sizes ask for", caplog.text)
-    assert np.median(edge_lengths(mesh, "bottom")) < 5e-3
+    assert measured(mesh) is mesh
+    with pytest.raises(Unfit, match=why):
+        measured(poor)
 
 
 def test_sizes_that_fall_make_meshes_that_grow():
@@ -158,9 +169,10 @@ RING = am.Outline(
     ],
     ids=["square", "angle", "ring", "box"],
 )
-def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio, monkeypatch):
-    monkeypatch.setattr(grading, "plane_mesh", lambda *_: pytest.fail("Netgen was asked"))
-    fine, coarse = (am.mesh.graded(domain, h, contact, ratio) for h in (size, 2 * size))
+def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio, caplog):
+    with caplog.at_level("INFO", "adaptmg"):
+        fine, coarse = (am.mesh.graded(domain, h, contact, ratio) for h in (size, 2 * size))
+    assert "Netgen" not in caplog.text
     # whoever checked it: the arrays are sound
     am.mesh.check_mesh(replace(fine, source=None), dict.fromkeys(domain.boundaries))
     at = fine.points[fine.elements]
@@ -211,9 +223,9 @@ def test_meshes_repeat_sorted_along_the_longest_side(domain, size, ratio, axis):
 )
 def test_netgen_meshes_every_plane_case(name):
     problem = am.cases.CASES[name].function()
-    sizes, ratio = grading.sensible_sizes(problem.domain, problem.pair_boundaries)
+    sizes, ratio = sensible_sizes(problem.domain, problem.pair_boundaries)
     energies = []
-    for mesher in grading.MESHERS:
+    for mesher in ("own", "netgen"):
         grids = am.Hierarchy.graded(problem, sizes[:2], ratio, mesher=mesher)
         result, mesh = am.solve(grids), grids.finest.mesh
         assert (
@@ -222,19 +234,6 @@ def test_netgen_meshes_every_plane_case(name):
         )
         energies.append(result.energy)
     assert energies[0] == pytest.approx(energies[1], rel=0.05)
-
-
-def test_netgen_takes_over_where_triangulation_fails(monkeypatch, caplog):
-    def failing(*_):
-        raise grading.Untriangulated("because")
-
-    asked = am.mesh.graded(SQUARE, 10e-3, "bottom", 4, mesher="netgen")
-    monkeypatch.setattr(grading, "triangulated", failing)
-    with caplog.at_level("INFO", "adaptmg"):
-        np.testing.assert_array_equal(
-            am.mesh.graded(SQUARE, 10e-3, "bottom", 4).points, asked.points
-        )
-    assert "Netgen meshes the domain: because" in caplog.text
 
 
 test_refused = refused(

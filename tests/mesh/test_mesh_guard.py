@@ -7,13 +7,13 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import numpy as np
 import psutil
 import pytest
 
 import adaptmg as am
-from adaptmg.mesh import netgen_guard
 from adaptmg.mesh.netgen_guard import NetgenFails, NetgenUnfinished, netgen
 
 
@@ -26,6 +26,24 @@ def test_one_process_serves_all_calls_and_errors_keep_it():
         assert again is first and other is not first
     # one of them is enough
     assert first.alive != other.alive
+
+
+@pytest.fixture
+def in_place_of_netgen(monkeypatch, tmp_path):
+    """Let new processes run a code in place of Netgen."""
+    script = tmp_path / "python"
+    script.touch(mode=0o755)
+
+    @contextmanager
+    def run(code):
+        script.write_text(f"#!{sys.executable}\nimport os, pickle, sys, time\n{code}\n")
+        with netgen(), monkeypatch.context() as patch:  # who asks meanwhile needs another one
+            patch.setattr(sys, "executable", str(script))
+            yield
+            with netgen() as worker:
+                worker.end()
+
+    return run
 
 
 @pytest.mark.parametrize(
@@ -42,42 +60,30 @@ def test_one_process_serves_all_calls_and_errors_keep_it():
     ],
 )
 def test_a_process_that_breaks_down_or_hangs_is_replaced(
-    monkeypatch, tmp_path, code, seconds, error, message
+    in_place_of_netgen, code, seconds, error, message
 ):
-    monkeypatch.setattr(netgen_guard, "_idle", {})
-    with monkeypatch.context() as patch:
-        patch.setattr(netgen_guard, "_WORKER", tmp_path / "worker.py")
-        (tmp_path / "worker.py").write_text(f"import os, time\n{code}\n")
-        with pytest.raises(error, match=message), netgen() as worker:
+    with in_place_of_netgen(code), netgen() as worker:
+        with pytest.raises(error, match=message):
             worker("hello", seconds=seconds)
-    assert not worker.alive and not netgen_guard._idle[os.getpid()]
+        assert not worker.alive
     with netgen() as worker, pytest.raises(NetgenFails, match="KeyError"):
         worker("hello", seconds=60)
-    worker.end()
 
 
-def test_limits_are_seconds_of_the_processor_not_of_the_clock(monkeypatch, tmp_path):
-    monkeypatch.setattr(netgen_guard, "_idle", {})
-    monkeypatch.setattr(netgen_guard, "_WORKER", tmp_path / "worker.py")
-    (tmp_path / "worker.py").write_text(
-        "import pickle, sys, time\npickle.load(sys.stdin.buffer)\ntime.sleep(1)\n"
-        "pickle.dump((True, 'late'), sys.stdout.buffer)\n"
-    )
-    with netgen() as worker:
+def test_limits_are_seconds_of_the_processor_not_of_the_clock(in_place_of_netgen):
+    late = "pickle.load(sys.stdin.buffer); time.sleep(1)\npickle.dump((True, 'late'), sys.stdout.buffer)"
+    with in_place_of_netgen(late), netgen() as worker:
         assert worker("wait for the disk", seconds=0.3) == "late"
 
 
-def test_a_mesh_that_does_not_finish_is_refused_with_the_limit(monkeypatch):
-    strip = am.Rectangle(width=1, height=1e-3)
-    assert am.mesh.graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
-    monkeypatch.setattr(netgen_guard, "LIMIT_S", {2: 1.0, 3: 1.0})
-    with pytest.raises(
-        ValueError,
-        match=r"could not mesh Outline.*does not finish within 1 s of the processor: take smaller sizes",
+def test_a_mesh_that_fails_is_refused_and_the_next_one_is_made(in_place_of_netgen):
+    square = am.Rectangle(width=1, height=1)
+    with (
+        in_place_of_netgen("os.abort()"),
+        pytest.raises(ValueError, match=r"could not mesh Outline.*breaks down.*smaller grading"),
     ):
-        am.mesh.graded(am.Rectangle(width=1, height=1e-5), 0.2, mesher="netgen")
-    monkeypatch.undo()
-    assert am.mesh.graded(strip, 0.3).volumes.sum() == pytest.approx(1e-3)
+        am.mesh.graded(square, 0.3, mesher="netgen")
+    assert am.mesh.graded(square, 0.3, mesher="netgen").volumes.sum() == pytest.approx(1)
 
 
 def test_threads_and_size_functions_mesh_in_their_own_processes():

@@ -14,7 +14,8 @@ from refused import refused
 
 import adaptmg as am
 import adaptmg.mesh.netgen_meshes as module
-from adaptmg.mesh.netgen_guard import NetgenFails, netgen
+from adaptmg.mesh import netgen_worker
+from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, netgen
 from adaptmg.mesh.netgen_meshes import built_shape, check_volume
 from adaptmg.mesh.soundness import check_overlap
 
@@ -227,13 +228,10 @@ def from_neck(x):
     ],
     ids=["cylinder", "octant", "fillet"],
 )
-def test_a_draft_is_refined_to_the_sizes_on_the_faces(solid, size, contact, gap, monkeypatch):
-    drafts, original = [], module._solid_draft
-    monkeypatch.setattr(
-        module, "_solid_draft", lambda *given: drafts.append(original(*given)) or drafts[-1]
-    )
-    mesh = am.mesh.graded(solid, size, contact, 1.5)
-    assert drafts[-1].n_nodes < mesh.n_nodes / 3
+def test_a_draft_is_refined_to_the_sizes_on_the_faces(solid, size, contact, gap, caplog):
+    with caplog.at_level(logging.INFO, "adaptmg"):
+        mesh = am.mesh.graded(solid, size, contact, 1.5)
+    assert "is not refined" not in caplog.text
     check_overlap(am.mesh.check_mesh(replace(mesh, source=None)))
     for name, distance in gap.items():
         # nodes of Netgen's draft lie on crossings of faces within its tolerance
@@ -266,36 +264,34 @@ def test_faces_of_an_unknown_kind_are_left_to_netgen(tmp_path, caplog):
     assert 400 < mesh.n_nodes < 8000
 
 
-def test_a_draft_whose_nodes_do_not_reach_the_faces_gives_way(monkeypatch, caplog):
-    def astray(*_):
-        raise module.Misplaced("7 nodes do not reach the surfaces of their faces")
-
-    monkeypatch.setattr(module, "onto_surfaces", astray)
-    with caplog.at_level(logging.INFO, logger=module.__name__):
-        mesh = am.mesh.graded(OCTANT, 0.12, "surface", 1.5)
-    for factor in (1.8, 1):
-        assert f"sizes times {factor} is not refined: 7 nodes" in caplog.text
-    np.testing.assert_allclose(
-        np.linalg.norm(mesh.points[mesh.boundary_nodes("surface")] - (0, 0, 1), axis=1),
-        1,
-        atol=1e-7,
+def test_a_draft_with_sharp_angles_gives_way(caplog):
+    blade = am.Extrusion(
+        am.Polygon(vertices=((0, 0), (1, 0), (1, 0.1)), boundaries=("a", "b", "c")), 0.3
     )
+    with caplog.at_level(logging.INFO, "adaptmg"):
+        mesh = am.mesh.graded(blade, 0.03)
+    assert "with sizes times 1.8 is not refined: it has angles of" in caplog.text
+    am.mesh.check_mesh(replace(mesh, source=None))
+    assert mesh.volumes.sum() == pytest.approx(0.015)
+    assert (mesh.element_sizes > 0.06).mean() <= 0.01
 
 
-def test_netgen_is_given_a_second_chance(monkeypatch):
-    original, seen = module._solid_draft, []
+@pytest.mark.parametrize("failures", [2, 9])
+def test_netgen_is_given_a_second_chance(failures, monkeypatch):
+    answer, gradings = Netgen.__call__, []
 
-    def fails_first(worker, shape, sizes, *others):
-        seen.append(sizes.grading)
-        if len(seen) < fails:
-            raise NetgenFails("Meshing failed!")
-        return original(worker, shape, sizes, *others)
+    def fails_first(worker, function, *arguments, seconds):
+        if function == "mesh_shape":
+            gradings.append(arguments[1]["grading"])
+            if len(gradings) <= failures:
+                raise NetgenFails("Meshing failed!")
+        return answer(worker, function, *arguments, seconds=seconds)
 
-    monkeypatch.setattr(module, "_solid_draft", fails_first)
-    fails = 3
-    assert am.mesh.graded(OCTANT, 0.5, grading=0.5).n_nodes > 10
-    np.testing.assert_allclose(seen, [0.5, 0.35, 0.25])
-    fails = 9
+    monkeypatch.setattr(Netgen, "__call__", fails_first)
+    if failures == 2:
+        assert am.mesh.graded(OCTANT, 0.5, grading=0.5).n_nodes > 10
+        np.testing.assert_allclose(gradings, [0.5, 0.35, 0.25])
+        return
     with pytest.raises(
         ValueError, match=r"could not mesh Common.*Meshing failed!.*smaller grading"
     ):
@@ -393,11 +389,14 @@ test_refused = refused(
 
 
 def test_a_boolean_operation_that_fails_is_noticed(monkeypatch):
-    # OCC says nothing when an operation fails: all others pass this comparison of volumes
-    from adaptmg.mesh import netgen_worker
-
-    monkeypatch.setattr(netgen_worker, "_VOLUME_TOLERANCE", -1.0)
-    with pytest.raises(ValueError, match=r"volumes do not add up \(0.75 instead of 0.75\)"):
+    # OCC says nothing when an operation fails
+    monkeypatch.setattr(netgen_worker.occ, "Fuse", lambda parts: parts[0])
+    with pytest.raises(ValueError, match=r"volumes do not add up \(0.25 instead of 1\)"):
         netgen_worker.build_shape(
-            am.Cut(UNIT, am.Box(width=0.25, depth=1, height=1)), np.zeros(3), 1.0
+            am.Fuse(
+                am.Box(width=0.25, depth=1, height=1),
+                am.Box(width=0.75, depth=1, height=1, origin=(0.25, 0, 0)),
+            ),
+            np.zeros(3),
+            1.0,
         )
