@@ -380,11 +380,3 @@ def test_refusals():
         node_to_node(points, slave, turned, normals)
     with pytest.raises(ValueError, match=r"slave node 0 .* has no partner"):
         node_to_node(points, slave, master[:-1], normals)
-
-
-def test_a_node_on_the_axis(monkeypatch):
-    monkeypatch.setattr(coupling_module, "_OFFSET", 1.0)
-    points = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0], [0.0, 1.1], [0.0, -0.1], [1.0, -0.1]])
-    slave, master = np.array([[0, 1], [1, 2]]), np.array([[5, 4], [4, 3]])
-    with pytest.raises(ValueError, match=r"slave node 0 has no area"):
-        node_to_node(points, slave, master, node_normals(points, slave), axisymmetric=True)

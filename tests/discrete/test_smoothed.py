@@ -19,16 +19,9 @@ def two(kind) -> dict:
 
 
 @EACH_KIND
-def test_the_kernels_compute_the_same_uncompiled_and_in_parts(kind, monkeypatch):
+def test_the_kernels_compute_the_same_uncompiled(kind, monkeypatch):
     mesh, materials = MESHES[kind.dim], two(kind)
     compiled = am.discrete.stiffness(mesh, materials, "smoothed")
-    monkeypatch.setattr("adaptmg._threads.LARGE", 1)
-    am.set_threads(2)
-    try:
-        parts = am.discrete.stiffness(mesh, materials, "smoothed")
-    finally:
-        am.set_threads(1)
-    np.testing.assert_array_equal(parts.data, compiled.data)
     uncompile(monkeypatch, elasticity)
     np.testing.assert_allclose(
         am.discrete.stiffness(mesh, materials, "smoothed").data,

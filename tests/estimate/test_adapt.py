@@ -10,7 +10,6 @@ import pytest
 import adaptmg as am
 from adaptmg.estimate import loop as solving
 from adaptmg.estimate.loop import RATIO, RTOL, Limits, appended, carried, posed_at, thinned
-from adaptmg.multigrid import split_matrix
 from adaptmg.transfer.interpolation import _size_ratios
 
 upset = am.cases.upset_block
@@ -184,7 +183,7 @@ def test_small_shares_of_a_quantity_are_not_rounding():
 
 
 @pytest.mark.parametrize("engine", [BISECT, am.Remesh()])
-def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
+def test_the_limits_bind_the_first_mesh(engine):
     problem = upset()
     mesh = am.mesh.structured(problem.domain, 9)
     for start, most, message in (
@@ -194,8 +193,6 @@ def test_the_limits_bind_the_first_mesh(engine, monkeypatch):
         with pytest.raises(ValueError, match=f"max_nodes must be at least {message}"):
             am.adapt(problem, start, engine=engine, max_nodes=most)
     assert next(am.adapt(problem, mesh, engine=engine, max_nodes=100)).nodes == 100
-    for module in ("mesh.grading.plane_mesh", "estimate.engines.lattices"):
-        monkeypatch.setattr(f"adaptmg.{module}", lambda *a, **o: pytest.fail("meshed"))
     for start in (1e-4, 1e-200):
         with pytest.raises(
             ValueError, match=r"start must be at least 0\.00096 m for max_nodes=2000, got"
@@ -439,19 +436,6 @@ def test_a_mesh_is_put_between_where_sizes_fall_too_much(offered, fine, kept, as
 )  # without it sizes are too far apart
 def test_close_levels_that_are_not_needed_are_dropped(sizes, last, kept):
     assert tuple(nodes(thinned(grids(*sizes), last=last))) == kept
-
-
-def test_whether_levels_are_nested_is_asked_once(monkeypatch):
-    hierarchy, asked, is_galerkin = grids(3, 6, 12), [], split_matrix.is_galerkin
-    monkeypatch.setattr(
-        split_matrix, "is_galerkin", lambda *given: asked.append(given) or is_galerkin(*given)
-    )
-    for _ in range(2):
-        am.solve(hierarchy, am.Multigrid(rtol=1e-6))
-    assert len(asked) == 2
-    # another coarse level below the same fine one is another question
-    am.solve(hierarchy.without(1), am.Multigrid(rtol=1e-6))
-    assert len(asked) == 3
 
 
 def test_the_ratio_of_a_sample_is_that_of_all():

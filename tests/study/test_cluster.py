@@ -183,22 +183,20 @@ def test_values_set_in_modules_do_not_reach_workers_in_silence(cluster, monkeypa
     from adaptmg.study import tables
 
     settings = sys.modules[__name__]
-    monkeypatch.setattr(settings, "SETTING", 2)
 
     def run(n):
         return {"m": settings.SETTING * n, "text": tables.as_text.__name__}
 
-    # this module goes by name, and there the value is another one
-    with pytest.raises(
-        RuntimeError, match=r"worker tls.*value of test_cluster.SETTING is changed.*as parameters"
-    ):
-        am.Study(run, {"n": [1]}).run(progress=False, scheduler=cluster)
-    monkeypatch.setattr(settings, "SETTING", 1)
+    # this module goes by name, and there the value is 1
     study = am.Study(run, {"n": [1]})
-    assert study.run(progress=False, scheduler=cluster)["m"].tolist() == [1]
-    monkeypatch.setattr(settings, "SETTING", 3)
-    with pytest.raises(RuntimeError, match=r"SETTING is changed"):
-        study.run(progress=False, scheduler=cluster)
+    for value in (2, 1, 3):
+        monkeypatch.setattr(settings, "SETTING", value)
+        if value == 1:
+            assert study.run(progress=False, scheduler=cluster)["m"].tolist() == [1]
+        else:
+            words = r"worker tls.*value of test_cluster.SETTING is changed.*as parameters"
+            with pytest.raises(RuntimeError, match=words):
+                study.run(progress=False, scheduler=cluster)
 
 
 def test_a_study_inside_a_run(cluster):
