@@ -59,14 +59,13 @@ def triangulated(
     (n,) says. With ``growth`` sizes grow by at most so much per distance, and dips between nodes
     are looked for. The boundaries are called by the numbers of the edges. ValueError for too many
     nodes."""
-    edges = [domain.edge(i) for i in range(len(domain.vertices))]
-    field = _beside_short_edges(edges, domain.lengths, field)
+    field = _beside_short_edges(domain, field)
     middle = 0.5 * (domain.lower + domain.upper)
     scale = 2.0 ** math.frexp((domain.upper - domain.lower).max())[1]
     least = field
     for k in range(_PASSES):
         places, facets, labels, elements, across = _laid(
-            domain, edges, field, growth, middle, scale, spread=k > 0 or len(domain.holes) > 0
+            domain, field, growth, middle, scale, spread=k > 0 or len(domain.holes) > 0
         )
         feet, sizes = _thin_parts(places, elements, across)
         thin = sizes > least(feet) / _DEEPEST
@@ -89,7 +88,6 @@ def triangulated(
 
 def _laid(
     domain: Outline,
-    edges: list,
     field: Callable[[np.ndarray], np.ndarray],
     growth: float | None,
     middle: np.ndarray,
@@ -98,9 +96,9 @@ def _laid(
 ) -> tuple[np.ndarray, ...]:
     """Nodes along the edges, facets between them and their edges; triangles between nodes, and
     their neighbours."""
-    fractions = _spaced(domain, edges, domain.lengths, field, growth)
+    fractions = _spaced(domain, field, growth)
     for _ in range(_CUTS):
-        laid = [edge.at(t) for edge, t in zip(edges, fractions, strict=True)]
+        laid = [edge.at(t) for edge, t in zip(domain.edges, fractions, strict=True)]
         for right, left in domain.twins.items():
             laid[right] = np.roll(laid[left][::-1], 1, axis=0)
         places = np.concatenate(laid)
@@ -118,7 +116,7 @@ def _laid(
                 f"{shortest:.1g} m long; move it nearer to the origin, or take larger sizes"
             )
         facets = np.column_stack([np.arange(len(places)), following])
-        labels = np.repeat(np.arange(len(edges)), counts)
+        labels = np.repeat(np.arange(len(counts)), counts)
         if domain.twins:
             places, facets = _joined(places, facets)
         elements, across, found = of_boundary((places - middle) / scale, facets, spread)
@@ -175,14 +173,14 @@ def _beside_thin_parts(
 
 
 def _beside_short_edges(
-    edges: list, lengths: tuple[float, ...], field: Callable[[np.ndarray], np.ndarray]
+    domain: Outline, field: Callable[[np.ndarray], np.ndarray]
 ) -> Callable[[np.ndarray], np.ndarray]:
     """The field, lowered around edges that are much shorter than it: triangles at both their ends
     would be flat."""
-    sizes = field(np.concatenate([edge.at(np.array([0.5])) for edge in edges]))
+    sizes = field(np.concatenate([edge.at(np.array([0.5])) for edge in domain.edges]))
     short = [
         (edge, length)
-        for edge, length, size in zip(edges, lengths, sizes, strict=True)
+        for edge, length, size in zip(domain.edges, domain.lengths, sizes, strict=True)
         if length < _SHORT * size
     ]
 
@@ -195,13 +193,13 @@ def _beside_short_edges(
 
 
 def _spaced(
-    domain: Domain,
-    edges: list,
-    lengths: tuple[float, ...],
+    domain: Outline,
     field: Callable[[np.ndarray], np.ndarray],
     growth: float | None,
 ) -> list[np.ndarray]:
     """Fractions of each edge at which its nodes lie, its first end included."""
+    edges = domain.edges
+    lengths = domain.lengths
     at = [np.linspace(0.0, 1.0, _INTERVALS + 1)] * len(edges)
     for _ in range(MAX_BISECTIONS):
         sizes = np.split(

@@ -195,12 +195,9 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     piece."""
     tol = _ROUND * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
     points: list[np.ndarray] = []
-    edges = [[outline.edge(i) for i in range(len(outline.vertices))] for outline in (a, b)]
-    met = [[meetings(e, f, tol) for f in edges[1]] for e in edges[0]]
-    of_a = _pieces(a, edges[0], [list(chain(*row)) for row in met], points, tol)
-    of_b = _pieces(
-        b, edges[1], [list(chain(*column)) for column in zip(*met, strict=True)], points, tol
-    )
+    met = [[meetings(e, f, tol) for f in b.edges] for e in a.edges]
+    of_a = _pieces(a, [list(chain(*row)) for row in met], points, tol)
+    of_b = _pieces(b, [list(chain(*column)) for column in zip(*met, strict=True)], points, tol)
     kept = []
     for piece in of_a:
         twins = [
@@ -225,7 +222,6 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
 
 def _pieces(
     outline: Outline,
-    edges: list[Segment | Arc],
     cuts: list[list[np.ndarray]],
     points: list[np.ndarray],
     tol: float,
@@ -240,7 +236,7 @@ def _pieces(
         return len(points) - 1
 
     result = []
-    for i, (edge, here) in enumerate(zip(edges, cuts, strict=True)):
+    for i, (edge, here) in enumerate(zip(outline.edges, cuts, strict=True)):
         ends = [np.array(outline.vertices[k]) for k in (i, outline.following[i])]
         inner = sorted(here, key=edge.along)
         numbers = list(dict.fromkeys(map(number, (ends[0], *inner))))

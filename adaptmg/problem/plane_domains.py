@@ -227,7 +227,7 @@ class Outline(Domain):
                     else ("must run counter-clockwise around a positive area")
                 )
                 raise ValueError(f"vertices {way}, got a signed area of {area}")
-        check_simple(list(map(self.edge, range(n))), self.boundaries, np.arange(n), self.following)
+        check_simple(self.edges, self.boundaries, np.arange(n), self.following)
         for first, last in ends[1:]:
             if self.winding(self.vertices[first], np.r_[0:first, last:n]) != 1:
                 raise ValueError(
@@ -297,7 +297,15 @@ class Outline(Domain):
 
     def edge(self, i: int) -> Arc | Segment:
         """Return edge i."""
-        return self.arc(i) or Segment(*map(np.array, self._ends(i)))
+        return self.edges[i]
+
+    @cached_property
+    def edges(self) -> tuple[Arc | Segment, ...]:
+        """Return all edges, made once: a size field asks for the distance to some of them several
+        hundred times."""
+        return tuple(
+            self.arc(i) or Segment(*map(np.array, self._ends(i))) for i in range(len(self.vertices))
+        )
 
     def winding(self, x: np.ndarray | tuple[float, float], edges: np.ndarray | None = None) -> int:
         """Return how often the edges, or closed loops of them, run around a point that lies on
@@ -323,22 +331,24 @@ class Outline(Domain):
     @property
     def lengths(self) -> tuple[float, ...]:
         """Return the length of each edge, m."""
-        return tuple(self.edge(i).length for i in range(len(self.vertices)))
+        return tuple(edge.length for edge in self.edges)
 
     def chords(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return points (n, 2), m, in order, arcs cut every 3 degrees; for each its edge, and the
         next one's number."""
-        edges = [self.edge(i) for i in range(len(self.vertices))]
         counts = np.array(
-            [math.ceil(abs(one.angle) / _CHORD) if isinstance(one, Arc) else 1 for one in edges]
+            [
+                math.ceil(abs(one.angle) / _CHORD) if isinstance(one, Arc) else 1
+                for one in self.edges
+            ]
         )
         points = np.concatenate(
-            [one.at(np.arange(n) / n) for one, n in zip(edges, counts.tolist(), strict=True)]
+            [one.at(np.arange(n) / n) for one, n in zip(self.edges, counts.tolist(), strict=True)]
         )
         last = np.cumsum(counts) - 1
         following = np.arange(1, len(points) + 1)
         following[last] = (last - counts + 1)[self.following]
-        return points, np.repeat(np.arange(len(edges)), counts), following
+        return points, np.repeat(np.arange(len(counts)), counts), following
 
     @property
     def outline(self) -> Outline:
