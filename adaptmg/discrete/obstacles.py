@@ -51,7 +51,7 @@ def in_front_of(
     )
     gaps = np.array(gaps, dtype=np.float64)
     if gaps.min(initial=0.0) < 0:
-        gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(np.ptp(mesh.points, axis=0)))] = 0.0
+        gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(mesh.sides))] = 0.0
     if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
         raise ValueError(
@@ -111,9 +111,7 @@ def check_held(
         over = np.where(_held_in_part(free, normals), np.abs(along), along - gaps)
         over[(free == normals).all(axis=1)] = 0.0
         i = int(np.argmax(over))
-        if over[i] > _ROUNDING * (
-            np.abs([along[i], gaps[i]]).max() + np.ptp(mesh.points, axis=0).max()
-        ):
+        if over[i] > _ROUNDING * (np.abs([along[i], gaps[i]]).max() + mesh.sides.max()):
             raise ValueError(
                 f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {over[i]:.6g} "
                 "m inside its obstacle: move the support less, or the obstacle"

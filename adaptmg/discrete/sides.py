@@ -164,7 +164,7 @@ def _periodic(
     slave = mesh.surface(tie.slave).nodes
     master = mesh.surface(tie.master).nodes
     points = mesh.points
-    size = np.ptp(mesh.points, axis=0).max()
+    size = mesh.sides.max()
     middle = [
         0.5 * (points[side].max(axis=0) + points[side].min(axis=0)) for side in (slave, master)
     ]

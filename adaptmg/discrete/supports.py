@@ -181,7 +181,7 @@ def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -
     )
     nodes = np.unique(mine)
     away = np.linalg.norm(mesh.points[nodes] - point, axis=1)
-    near = nodes[away <= _AT_POINT * np.ptp(mesh.points, axis=0).max()]
+    near = nodes[away <= _AT_POINT * mesh.sides.max()]
     if not len(near):
         nearest = mesh.points[nodes[np.argmin(away)]]
         raise ValueError(

