@@ -121,7 +121,7 @@ def flag(name: str, value: object) -> bool:
 def choice(name: str, value: _T, choices: Iterable[_T]) -> _T:
     """Return ``value`` if it is one of ``choices``."""
     choices = tuple(choices)
-    if not any(type(value) is type(one) and value == one for one in choices):
+    if not any(type(value) is type(allowed) and value == allowed for allowed in choices):
         raise ValueError(
             f"{name} must be one of {', '.join(map(repr, choices))}, got {shown(value)}"
         )
@@ -470,14 +470,14 @@ class Checked:
 @cache
 def _field_checks(kind: type) -> list[tuple[str, Callable[[str, object], object], bool]]:
     # annotations of a user's subclass may be names that only type checkers know
-    own = next(base for base in kind.__mro__ if base.__module__.startswith("adaptmg."))
+    owner = next(base for base in kind.__mro__ if base.__module__.startswith("adaptmg."))
     result = []
-    for name, hint in get_type_hints(own, include_extras=True).items():
+    for name, hint in get_type_hints(owner, include_extras=True).items():
         choices = (hint, *get_args(hint))
         own_checks = [
             check
-            for one in choices
-            for check in getattr(one, "__metadata__", ())
+            for hinted in choices
+            for check in getattr(hinted, "__metadata__", ())
             if callable(check)
         ]
         result += [(name, check, type(None) in choices) for check in own_checks]

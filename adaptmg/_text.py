@@ -96,8 +96,8 @@ def brief(self: DataclassInstance) -> str:
     Arrays are shown by their shapes, and of what is long less is shown."""
     values = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
     defaults = [
-        one.default_factory() if one.default_factory is not MISSING else one.default
-        for one, _ in values
+        option.default_factory() if option.default_factory is not MISSING else option.default
+        for option, _ in values
     ]
     changed = [
         (item.name, value)

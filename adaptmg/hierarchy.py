@@ -88,11 +88,11 @@ class Hierarchy:
             shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
                 shape = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
-            own = vars(fine)["prolongation"]
+            prolongation = vars(fine)["prolongation"]
             other = fine.surface_prolongation
             for name, matrix in (
-                ("prolongation", own),
-                ("surface_prolongation", own if other is None else other),
+                ("prolongation", prolongation),
+                ("surface_prolongation", prolongation if other is None else other),
             ):
                 if matrix is None or matrix.shape != shape:
                     raise ValueError(
@@ -240,8 +240,8 @@ class Hierarchy:
         from adaptmg.mesh import as_mesh
 
         checks.instance("problem", problem, ContactProblem, "a ContactProblem")
-        alone = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
-        arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if alone else meshes, ())]
+        is_single = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
+        arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if is_single else meshes, ())]
         return cls._build(problem, lambda: arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
@@ -435,20 +435,20 @@ class Hierarchy:
                 f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform"
             )
         problem = with_sides(problem, self.finest.mesh)
-        own, asked = (
-            (*one.contact_boundaries, *one.masters, *one.tied_boundaries)
-            for one in (self.problem, problem)
+        boundaries, asked = (
+            (*posed.contact_boundaries, *posed.masters, *posed.tied_boundaries)
+            for posed in (self.problem, problem)
         )
-        if own != asked and _exchanged(self.problem) == _exchanged(problem):
+        if boundaries != asked and _exchanged(self.problem) == _exchanged(problem):
             meshes = [level.mesh for level in self.levels]
             return replace(
                 self.from_meshes(problem, meshes, self.transfer, self.contact_rows),
                 origin=self.origin,
             )
-        if own != asked:
+        if boundaries != asked:
             raise ValueError(
                 f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
-                f"contact on {', '.join(filter(None, own))}: use Hierarchy.graded or from_meshes"
+                f"contact on {', '.join(filter(None, boundaries))}: use Hierarchy.graded or from_meshes"
             )
         changed = changed_parts(problem, self.problem)
         levels = [
@@ -499,7 +499,7 @@ class Hierarchy:
 
     def _need_meshes(self, what: str) -> None:
         if self.problem is None or any(
-            one.mesh_or_none is None or one.discrete_or_none is None for one in self.levels
+            level.mesh_or_none is None or level.discrete_or_none is None for level in self.levels
         ):
             raise ValueError(
                 f"{what}: these levels ({self.origin}) are not made of meshes of a ContactProblem; make "
@@ -558,8 +558,8 @@ class Hierarchy:
         return "\n".join(lines)
 
 
-def _each(name: str, value: Any, one: tuple[type, ...]) -> tuple[Any, ...]:
-    if isinstance(value, one) and not isinstance(value, bool):
+def _each(name: str, value: Any, single_types: tuple[type, ...]) -> tuple[Any, ...]:
+    if isinstance(value, single_types) and not isinstance(value, bool):
         return (value,)
     values = checks.listed(name, cast(Sequence, value), "values, one a level, coarse to fine")
     if not values:

@@ -265,16 +265,16 @@ def meshed_domain(problem: ContactProblem) -> Domain:
     lies on a straight plane edge."""
 
     def cut(domain: Domain, body: str | None) -> Domain:
-        for one in (*problem.supports, *problem.loads):
+        for part in (*problem.supports, *problem.loads):
             if (
-                isinstance(one, PointSupport | PointSpring | PointForce)
-                and body in (None, one.body or body)
+                isinstance(part, PointSupport | PointSpring | PointForce)
+                and body in (None, part.body or body)
                 and domain.dim == 2
             ):
                 domain = (
-                    replace(domain, domain=with_vertex(domain.domain, one.point))
+                    replace(domain, domain=with_vertex(domain.domain, part.point))
                     if isinstance(domain, Cracked)
-                    else with_vertex(domain, one.point)
+                    else with_vertex(domain, part.point)
                 )
         return domain
 

@@ -104,14 +104,14 @@ def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) ->
 def keys_of(function: Maker) -> dict[str, Key]:
     """Return the keys of a class or function: its arguments, and those of the objects that these
     may be."""
-    own = {}
+    keys = {}
     nested = {}
     for name, (item, kinds) in _parameters(function).items():
         if kinds[1:]:
             default = _default_class(name, item, kinds)
-            own[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
+            keys[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
         elif not kinds:
-            own[name] = Key(
+            keys[name] = Key(
                 re.sub(r"FieldLike\w*", "float", str(item.annotation)).removesuffix(" | None"),
                 _default(item.default),
             )
@@ -120,7 +120,7 @@ def keys_of(function: Maker) -> dict[str, Key]:
                 if type(item.default) is kind and hasattr(item.default, key):
                     value = Key(value.values, _default(getattr(item.default, key)))
                 nested.setdefault(key, value)
-    return nested | own
+    return nested | keys
 
 
 def _default(value: object) -> str:

@@ -81,7 +81,7 @@ def _parser(command: str) -> _Parser:
         run: Callable[[Namespace], int | None], purpose: str, example: str, *more: str
     ) -> Callable[..., object]:
         name = run.__name__[1:]
-        own = commands.add_parser(
+        parser = commands.add_parser(
             name,
             help=purpose,
             epilog=f"Example: adaptmg {name} {example}",
@@ -89,10 +89,10 @@ def _parser(command: str) -> _Parser:
             description=" ".join([f"{purpose[0].upper()}{purpose[1:]}.", *more]),
         )
         if command == name in _SECTIONS:
-            own.usage = f"adaptmg {name} CASE [options]"
-            _add_settings(own, name)
-        own.set_defaults(run=run, options=own._option_string_actions)
-        return own.add_argument
+            parser.usage = f"adaptmg {name} CASE [options]"
+            _add_settings(parser, name)
+        parser.set_defaults(run=run, options=parser._option_string_actions)
+        return parser.add_argument
 
     add = made(_cases, "list the benchmark cases, or explain one", "dovetail")
     add(

@@ -138,25 +138,27 @@ def keep_left(polygon, n, ax, ay, bx, by, out):
     """Write the part of a polygon to the left of the line from a to b to ``out``; returns its
     number of corners. Corners beyond the room of ``out`` are dropped: only rounding makes more, on
     an edge along the line."""
-    kept = 0
+    corners = 0
     room = len(out)
     if n == 0:
-        return kept
+        return corners
     last = n - 1
     side_last = _side(polygon, last, ax, ay, bx, by)
     for i in range(n):
         side = _side(polygon, i, ax, ay, bx, by)
-        if kept < room and ((side > 0.0 and side_last < 0.0) or (side < 0.0 and side_last > 0.0)):
+        if corners < room and (
+            (side > 0.0 and side_last < 0.0) or (side < 0.0 and side_last > 0.0)
+        ):
             t = side_last / (side_last - side)
             for c in range(2):
-                out[kept, c] = (1.0 - t) * polygon[last, c] + t * polygon[i, c]
-            kept += 1
-        if kept < room and side >= 0.0:
-            out[kept, 0], out[kept, 1] = polygon[i, 0], polygon[i, 1]
-            kept += 1
+                out[corners, c] = (1.0 - t) * polygon[last, c] + t * polygon[i, c]
+            corners += 1
+        if corners < room and side >= 0.0:
+            out[corners, 0], out[corners, 1] = polygon[i, 0], polygon[i, 1]
+            corners += 1
         last = i
         side_last = side
-    return kept
+    return corners
 
 
 @kernel

@@ -129,7 +129,7 @@ class Combination(SolidDomain):
         if self.dim == 2:
             return tuple(dict.fromkeys(self.outline.boundaries))
         both = ((part, name) for part in "ab" for name in getattr(self, part).boundaries)
-        return tuple(dict.fromkeys(self.renamed(*one) for one in both))
+        return tuple(dict.fromkeys(self.renamed(*named) for named in both))
 
 
 class Cut(Combination):
@@ -198,7 +198,7 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     met = [[meetings(e, f, tol) for f in b.edges] for e in a.edges]
     of_a = _pieces(a, [list(chain(*row)) for row in met], points, tol)
     of_b = _pieces(b, [list(chain(*column)) for column in zip(*met, strict=True)], points, tol)
-    kept = []
+    pieces = []
     for piece in of_a:
         twins = [
             other
@@ -208,16 +208,16 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
         ]
         if twins:
             if (twins[0].start == piece.start) != (what == "Cut"):
-                kept.append(piece)
+                pieces.append(piece)
         elif (b.winding(piece.middle) == 1) == (what == "Common"):
-            kept.append(piece)
+            pieces.append(piece)
         of_b = [other for other in of_b if other not in twins]
     for piece in of_b:
         if (a.winding(piece.middle) == 1) == (what != "Fuse"):
-            kept.append(
+            pieces.append(
                 replace(piece, start=piece.end, end=piece.start) if what == "Cut" else piece
             )
-    return _chained(what, kept, points)
+    return _chained(what, pieces, points)
 
 
 def _pieces(

@@ -178,7 +178,7 @@ class ContactProblem(checks.Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.law is None and all(one.law is not None for one in self.contact):
+        if self.law is None and all(contact.law is not None for contact in self.contact):
             object.__setattr__(self, "law", Frictionless())
         check_law("law", self.law)
         self._check_elements()
@@ -219,46 +219,46 @@ class ContactProblem(checks.Checked):
 
     def _check_elements(self) -> None:
         linear = self.elements == "linear"
-        for one in (
+        for material in (
             [self.material] if isinstance(self.material, Elastic) else self.material.values()
         ):
-            if linear and one.incompressible:
+            if linear and material.incompressible:
                 raise ValueError(
-                    f"poisson must be less than 0.5 with linear elements, got {one.poisson!r}: take "
+                    f"poisson must be less than 0.5 with linear elements, got {material.poisson!r}: take "
                     'elements="smoothed"'
                 )
-            if linear or one.anisotropy is None:
+            if linear or material.anisotropy is None:
                 continue
-            if one.anisotropy.varies:
+            if material.anisotropy.varies:
                 raise ValueError(
                     "axes of an anisotropic material must not vary in a body with smoothed elements: take "
                     'elements="linear"'
                 )
-            if one.poisson > _MOST_POISSON and not isinstance(one, PlaneStress):
+            if material.poisson > _MOST_POISSON and not isinstance(material, PlaneStress):
                 raise ValueError(
                     f"an anisotropic material must have a mean Poisson's ratio of at most "
-                    f"{_MOST_POISSON:g} with smoothed elements, got {one.poisson:g}: take "
+                    f"{_MOST_POISSON:g} with smoothed elements, got {material.poisson:g}: take "
                     'elements="linear"'
                 )
 
     def _check_contact(self) -> None:
-        for one in self.contact:
-            if not isinstance(one, Contact):
+        for contact in self.contact:
+            if not isinstance(contact, Contact):
                 continue
-            dim = getattr(one.obstacle, "dim", self.dim)
+            dim = getattr(contact.obstacle, "dim", self.dim)
             if dim != self.dim:
                 raise ValueError(
-                    f"the {type(one.obstacle).__name__} in front of {one.boundary!r} is "
+                    f"the {type(contact.obstacle).__name__} in front of {contact.boundary!r} is "
                     f"{dim}D, the material {self.dim}D"
                 )
-            for part in moving_parts(one.obstacle) if self.axisymmetric else ():
+            for part in moving_parts(contact.obstacle) if self.axisymmetric else ():
                 if (
                     part.free != (1,)
                     if isinstance(part, Rigid)
                     else part.displacement[0] or part.rotation.any()
                 ):
                     raise ValueError(
-                        f"the obstacle {part.name!r} in front of {one.boundary!r} must move along the "
+                        f"the obstacle {part.name!r} in front of {contact.boundary!r} must move along the "
                         "axis only, or be pressed along it, in an axisymmetric problem"
                     )
         for tie in self.ties:
@@ -275,11 +275,11 @@ class ContactProblem(checks.Checked):
                 f"boundary {twice[0]!r} is named twice as contact boundary or as slave of a tie: swap "
                 "slave and master of one, or cut the boundary in two"
             )
-        for kind in ([one for one in self.contact if isinstance(one, ContactPair)], self.ties):
-            for one in kind:
-                if one.master in [other.slave for other in kind]:
+        for kind in ([pair for pair in self.contact if isinstance(pair, ContactPair)], self.ties):
+            for pair in kind:
+                if pair.master in [other.slave for other in kind]:
                     raise ValueError(
-                        f"boundary {one.master!r} is the master of {one.slave!r} and slave of another "
+                        f"boundary {pair.master!r} is the master of {pair.slave!r} and slave of another "
                         "pair: swap slave and master of one, or cut the boundary in two"
                     )
 
@@ -328,7 +328,8 @@ class ContactProblem(checks.Checked):
         """Return whether forces are prescribed whose motions are unknown: those of rigid obstacles,
         of preloads."""
         return any(isinstance(load, Preload) for load in self.loads) or any(
-            isinstance(one, Contact) and isinstance(one.obstacle, Rigid) for one in self.contact
+            isinstance(contact, Contact) and isinstance(contact.obstacle, Rigid)
+            for contact in self.contact
         )
 
     @property

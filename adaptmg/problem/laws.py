@@ -164,8 +164,8 @@ class Elastic(checks.Checked):
             )
 
     def __repr__(self) -> str:
-        own = f", anisotropy={self.anisotropy!r}" if self.anisotropy is not None else ""
-        return f"{type(self).__name__}(young={self.young!r}, poisson={self.poisson!r}{own})"
+        anisotropy = f", anisotropy={self.anisotropy!r}" if self.anisotropy is not None else ""
+        return f"{type(self).__name__}(young={self.young!r}, poisson={self.poisson!r}{anisotropy})"
 
     @classmethod
     def _of(cls, anisotropy: Anisotropy) -> Self:

@@ -103,9 +103,9 @@ class LoadPath:
         names = names_in_path(problem)
         _check_names("path names", self.factors, names)
         for name in self.factors:
-            alike = [one for one in _acting(problem) if name in one.path_names]
-            if len(alike) > 1 and not all(one.name for one in alike):
-                kinds = " and a ".join(type(one).__name__ for one in alike)
+            alike = [acting for acting in _acting(problem) if name in acting.path_names]
+            if len(alike) > 1 and not all(acting.name for acting in alike):
+                kinds = " and a ".join(type(acting).__name__ for acting in alike)
                 raise ValueError(f"path names {name!r}, where a {kinds} act: give each a name=")
         return {name: self.of(name) for name in names}
 
@@ -114,7 +114,9 @@ def _acting(problem: ContactProblem) -> Sequence[Acting]:
     """Return what a path scales: loads, prescribed displacements and jumps other than zero, and
     moving obstacles."""
     held = [
-        one for one in (*problem.supports, *problem.ties) if isinstance(one, Acting) and one.acts
+        support
+        for support in (*problem.supports, *problem.ties)
+        if isinstance(support, Acting) and support.acts
     ]
     return [*problem.loads, *held, *_obstacles(problem)]
 
@@ -122,9 +124,9 @@ def _acting(problem: ContactProblem) -> Sequence[Acting]:
 def _obstacles(problem: ContactProblem) -> list[Moving | Rigid]:
     return [
         part
-        for one in problem.contact
-        if isinstance(one, Contact)
-        for part in moving_parts(one.obstacle)
+        for contact in problem.contact
+        if isinstance(contact, Contact)
+        for part in moving_parts(contact.obstacle)
     ]
 
 
@@ -132,12 +134,12 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
     """Return the names of all that a path scales, each once; those of preloads and obstacles belong
     to one alone."""
     acting = _acting(problem)
-    named = [name for one in acting for name in one.path_names]
-    for one in acting:
-        shared = [name for name in one.path_names if named.count(name) > 1]
-        if isinstance(one, Preload | Moving | Rigid) and shared:
+    named = [name for part in acting for name in part.path_names]
+    for part in acting:
+        shared = [name for name in part.path_names if named.count(name) > 1]
+        if isinstance(part, Preload | Moving | Rigid) and shared:
             raise ValueError(
-                f"{shared[0]!r} is the name of a {type(one).__name__} and of another load, support or "
+                f"{shared[0]!r} is the name of a {type(part).__name__} and of another load, support or "
                 "obstacle: give each a name= of its own"
             )
     return tuple(dict.fromkeys(named))
@@ -145,7 +147,7 @@ def names_in_path(problem: ContactProblem) -> tuple[str, ...]:
 
 def obstacles_in_path(problem: ContactProblem) -> list[str]:
     """Return the names of the obstacles that move."""
-    return [one.name for one in _obstacles(problem)]
+    return [obstacle.name for obstacle in _obstacles(problem)]
 
 
 def _factors(name: str, value: ArrayLike) -> np.ndarray:
@@ -182,23 +184,23 @@ def step_problem(
     _check_names("factors name", factors, names_in_path(problem))
     changed = {
         kind: tuple(
-            one.scaled(factors.get(one.path_name, 1.0)) if isinstance(one, Acting) else one
-            for one in getattr(problem, kind)
+            part.scaled(factors.get(part.path_name, 1.0)) if isinstance(part, Acting) else part
+            for part in getattr(problem, kind)
         )
         for kind in ("loads", "supports", "ties")
     }
     if motions is not None:
         changed["loads"] = tuple(
-            one.shortening(problem.dim, *np.ravel(motions[one.path_name]))
-            if isinstance(one, Preload)
-            else one
-            for one in changed["loads"]
+            part.shortening(problem.dim, *np.ravel(motions[part.path_name]))
+            if isinstance(part, Preload)
+            else part
+            for part in changed["loads"]
         )
     contact = tuple(
-        replace(one, obstacle=placed(one.obstacle, factors, motions))
-        if isinstance(one, Contact)
-        else one
-        for one in problem.contact
+        replace(part, obstacle=placed(part.obstacle, factors, motions))
+        if isinstance(part, Contact)
+        else part
+        for part in problem.contact
     )
     return replace(problem, contact=contact, **changed)
 

@@ -55,7 +55,8 @@ class Product:
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Return the values (n,) at points (n, dim)."""
         first, second = (
-            np.asarray(one(points)) if callable(one) else one for one in (self.first, self.second)
+            np.asarray(factor(points)) if callable(factor) else factor
+            for factor in (self.first, self.second)
         )
         return np.multiply(first, second)
 
@@ -294,8 +295,10 @@ class InitialStrain(Acting):
         return cls(
             body,
             tuple(
-                Product(one, rise) if callable(one) or callable(rise) else float(one) * float(rise)
-                for one in each
+                Product(expansion_along, rise)
+                if callable(expansion_along) or callable(rise)
+                else float(expansion_along) * float(rise)
+                for expansion_along in each
             ),
             name=name,
         )

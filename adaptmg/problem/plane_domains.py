@@ -338,12 +338,12 @@ class Outline(Domain):
         next one's number."""
         counts = np.array(
             [
-                math.ceil(abs(one.angle) / _CHORD) if isinstance(one, Arc) else 1
-                for one in self.edges
+                math.ceil(abs(edge.angle) / _CHORD) if isinstance(edge, Arc) else 1
+                for edge in self.edges
             ]
         )
         points = np.concatenate(
-            [one.at(np.arange(n) / n) for one, n in zip(self.edges, counts.tolist(), strict=True)]
+            [edge.at(np.arange(n) / n) for edge, n in zip(self.edges, counts.tolist(), strict=True)]
         )
         last = np.cumsum(counts) - 1
         following = np.arange(1, len(points) + 1)

@@ -142,10 +142,10 @@ class Revolution(SolidDomain):
                 f"polygon must lie in the half plane r >= 0, it reaches to r = {self.polygon.lower[0]:g}"
             )
         on_axis = r <= _ON_AXIS * r.max()
-        alone = on_axis & ~np.roll(on_axis, 1) & ~np.roll(on_axis, -1)
-        if alone.any():
+        touching = on_axis & ~np.roll(on_axis, 1) & ~np.roll(on_axis, -1)
+        if touching.any():
             raise ValueError(
-                f"polygon touches the axis at the single vertex {int(np.argmax(alone))}; let an edge of "
+                f"polygon touches the axis at the single vertex {int(np.argmax(touching))}; let an edge of "
                 "it lie on the axis, or move the vertex away"
             )
         if self.angle < 360 and {"start", "end"} & set(self.polygon.boundaries):

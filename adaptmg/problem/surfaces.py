@@ -378,8 +378,10 @@ class Rigid(_MovingPart):
 
     def loaded(self, factors: Mapping[str, float]) -> Rigid:
         """Return the same with factors of force and moment, 1 where not named."""
-        own = {name: times(one, factors.get(name, 1.0)) for name, one in self.forces.items()}
-        force = own if isinstance(self.force, Mapping) else own[self.name]
+        scaled_forces = {
+            name: times(one, factors.get(name, 1.0)) for name, one in self.forces.items()
+        }
+        force = scaled_forces if isinstance(self.force, Mapping) else scaled_forces[self.name]
         return replace(self, force=force, moment=times(self.moment, factors.get(self.name, 1.0)))
 
     @property

@@ -163,9 +163,9 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
         if not len(nodes):
             return
         behind[nodes], is_leaf = _halves(coordinates[nodes], part[nodes])
-        kept = (part[row] == part[column]) & active[row] & active[column]
-        row = row[kept]
-        column = column[kept]
+        inside_part = (part[row] == part[column]) & active[row] & active[column]
+        row = row[inside_part]
+        column = column[inside_part]
         cut = behind[row] != behind[column]
         separator[:] = False
         separator[np.where(behind[row], row, column)[cut]] = True

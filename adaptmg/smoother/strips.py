@@ -62,20 +62,20 @@ class Strips:
         graph: sweeps then jump in memory, by a third slower even if rows are ``stored`` in their
         order, so that one thread does without."""
         n = len(indptr) - 1
-        own = np.arange(n, dtype=np.int32)
+        numbering = np.arange(n, dtype=np.int32)
         if block * len(indices) < threads.LARGE:
-            return cls(own, own, [[(0, n)]])
-        order = own
+            return cls(numbering, numbering, [[(0, n)]])
+        order = numbering
         bounds = _bounds(indices[indptr[1:] - 1])
         if len(bounds) <= FEWEST and stored and threads.several():
             order = _by_distance(indptr, indices)
             place = np.empty_like(order)
-            place[order] = own
+            place[order] = numbering
             bounds = _bounds(np.maximum.reduceat(place[indices], indptr[:-1])[order])
         if len(bounds) <= FEWEST:
-            return cls(own, own, [[(0, n)]])
+            return cls(numbering, numbering, [[(0, n)]])
         strips = [order[first:last] for first, last in pairwise(bounds)]
-        if order is not own:
+        if order is not numbering:
             # in a strip in the order of the numbers: neighbours in memory
             strips = list(map(np.sort, strips))
         parts = [*strips[::2], *strips[1::2]]
@@ -83,8 +83,8 @@ class Strips:
         ranges = list(pairwise(ends))
         even = len(strips[::2])
         order = np.concatenate(parts)
-        rank = np.empty_like(own)
-        rank[order] = own
+        rank = np.empty_like(numbering)
+        rank[order] = numbering
         return cls(order, rank, [ranges[:even], ranges[even:]])
 
     def sweep(self, kernel: Callable[..., Any], *arguments: object, backward: bool = False) -> None:

@@ -211,18 +211,18 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
     reference = to_frames(frames, problem.contact.slip_reference)[:, 1:] - lifted[:, 1:]
     held = fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]
     reference[held] = 0.0
-    alone = None
+    normal_held = None
     if problem.dim == 3 and (held[:, 0] & ~held[:, 1]).any():
-        alone = held[:, 0] & ~held[:, 1]
+        normal_held = held[:, 0] & ~held[:, 1]
         u = to_frames(frames, problem.at_contact(problem.fixed_values))
         slip = u[:, 1] - np.einsum("nj,nj->n", frames[:, 1], problem.contact.slip_reference)
-        reference[alone, 0] = -slip[alone]
+        reference[normal_held, 0] = -slip[normal_held]
     return NodalContact(
         gap=problem.contact.gaps - lifted[:, 0],
         slip_reference=np.ascontiguousarray(reference),
         limit=np.array(limit, dtype=np.float64),
         friction=np.array(friction, dtype=np.float64),
-        held=alone,
+        held=normal_held,
     )
 
 

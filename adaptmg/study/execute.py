@@ -146,9 +146,9 @@ def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict
                 f"result {name!r} has the name of a parameter: rename it (e.g. 'solver_{name}')"
             )
         value = plain(value)
-        if (kept := pack(value)) is not None:
-            packed[name] = kept
-            value = kept.kind
+        if (item := pack(value)) is not None:
+            packed[name] = item
+            value = item.kind
         if value is not None and type(value) not in (bool, int, float, str):
             raise WrongResults(
                 f"result {name!r} must be a number, string, bool or None, got {checks.shown(value)}; "

@@ -268,15 +268,15 @@ class Store:
         study: str,
         records: Sequence[Record],
         parts: dict[str, str] | None = None,
-        kept: Sequence[dict[str, Packed]] = (),
+        contents: Sequence[dict[str, Packed]] = (),
     ) -> None:
         """Write runs in one transaction, which Ctrl-C does not prevent, in place of earlier ones
-        with the same parameters; ``parts`` are those of their fingerprint, ``kept`` has for each
+        with the same parameters; ``parts`` are those of their fingerprint, ``contents`` has for each
         what is kept by name."""
         try:
-            self._write(study, records, parts, kept)
+            self._write(study, records, parts, contents)
         except KeyboardInterrupt:  # it undid the transaction
-            self._write(study, records, parts, kept)
+            self._write(study, records, parts, contents)
             raise
 
     def _write(
@@ -284,14 +284,14 @@ class Store:
         study: str,
         records: Sequence[Record],
         parts: dict[str, str] | None,
-        kept: Sequence[dict[str, Packed]],
+        contents: Sequence[dict[str, Packed]],
     ) -> None:
         keys = [(study, canonical(record.parameters)) for record in records]
         rows = [json.dumps({name: getattr(record, name) for name in _FIELDS}) for record in records]
         kept_rows = [
-            (*key, name, one.kind, one.content, _hash(*key, name, one.kind, one.content))
-            for key, packed in zip(keys, kept, strict=bool(kept))
-            for name, one in packed.items()
+            (*key, name, item.kind, item.content, _hash(*key, name, item.kind, item.content))
+            for key, packed in zip(keys, contents, strict=bool(contents))
+            for name, item in packed.items()
         ]
         with self._explained():
             self._check_there()

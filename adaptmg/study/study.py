@@ -330,15 +330,15 @@ class Study:
         else:
             points = self.points()
             point = points[checks.integer("row", row, maximum=len(points) - 1)]
-        kept = self._store.kept(self.name, canonical(point))
-        if name is None and kept:
-            return {key: unpack(item) for key, item in kept.items()}
-        if name not in kept:
+        items = self._store.kept(self.name, canonical(point))
+        if name is None and items:
+            return {key: unpack(item) for key, item in items.items()}
+        if name not in items:
             raise ValueError(
-                f"the run {checks.shown(canonical(point))} keeps {', '.join(kept) or 'nothing'}, not "
-                f"{name}{checks.suggestion(name or '', kept)}"
+                f"the run {checks.shown(canonical(point))} keeps {', '.join(items) or 'nothing'}, not "
+                f"{name}{checks.suggestion(name or '', items)}"
             )
-        return unpack(kept[name])
+        return unpack(items[name])
 
     def _compute(
         self, runs: Done, code: Fingerprint, count: int, progress: Progress, throw: bool

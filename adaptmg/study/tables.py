@@ -48,15 +48,15 @@ def frame(
 
     records = [record for _, record, _ in rows if record is not None]
     given = dict.fromkeys((*names, *(name for record in records for name in record.results)))
-    own = own_columns(given)
+    column_of = own_columns(given)
     lines = []
-    shown = [own[name] for name in (*RESERVED, *(DETAILS if details else ()))]
+    shown = [column_of[name] for name in (*RESERVED, *(DETAILS if details else ()))]
     for point, record, status in rows:
-        line = {name: point.get(name) for name in names} | {own["error"]: ""}
+        line = {name: point.get(name) for name in names} | {column_of["error"]: ""}
         if record is not None:
             line |= record.results
-            line |= {column: getattr(record, name) for name, column in own.items()}
-        lines.append(line | {own["status"]: status})
+            line |= {column: getattr(record, name) for name, column in column_of.items()}
+        lines.append(line | {column_of["status"]: status})
     columns = {name: [line.get(name, math.nan) for line in lines] for name in (*given, *shown)}
     # texts that are not UTF-8 are refused by the text columns of pandas with pyarrow
     table = pd.DataFrame(
@@ -67,7 +67,7 @@ def frame(
             for name, column in columns.items()
         }
     )
-    table.attrs["columns"] = own
+    table.attrs["columns"] = column_of
     return table
 
 

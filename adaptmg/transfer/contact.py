@@ -247,10 +247,10 @@ def _check_bodies(
     wrong = np.flatnonzero((part[below] != part[above]) & (nodal.data != 0.0))
     if wrong.size:
         node = rows[wrong[0]]
-        own = fine.bodies[below[wrong[0]]]
-        other = coarse.bodies[above[wrong[0]]]
+        fine_body = fine.bodies[below[wrong[0]]]
+        coarse_body = coarse.bodies[above[wrong[0]]]
         raise ValueError(
-            f"transfer.build of {transfer!r} lets node {node} of body {own!r} follow body {other!r}: "
+            f"transfer.build of {transfer!r} lets node {node} of body {fine_body!r} follow body {coarse_body!r}: "
             "build the rows of each body from its own nodes (mesh.element_body tells which they are)"
         )
 
@@ -268,17 +268,17 @@ def _among(
     any."""
     if not len(known):
         return sparse.csr_array(rows.shape)
-    kept = sparse.csr_array(
+    same_side = sparse.csr_array(
         rows @ sparse.diags_array(np.isin(np.arange(rows.shape[1]), known).astype(float))
     )
-    sums = np.asarray(kept.sum(axis=1)).ravel()
+    sums = np.asarray(same_side.sum(axis=1)).ravel()
     lost = np.flatnonzero(sums <= 1e-10)
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     nearest = known[cKDTree(coarse_points[known]).query(points[lost])[1]]
     filled = sparse.csr_array((np.ones(len(lost)), (lost, nearest)), shape=rows.shape)
     scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 1e-10)
-    result = sparse.csr_array(sparse.diags_array(scale) @ kept + filled)
+    result = sparse.csr_array(sparse.diags_array(scale) @ same_side + filled)
     result.eliminate_zeros()
     return result
 
@@ -390,10 +390,10 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     shortest = np.zeros(len(sets.main), dtype=np.int64)
     filled = sets.main >= 0
     shortest[filled] = sets.nodes[order[sets.indptr[:-1][filled]]]
-    this = slip[sets.nodes]
+    fine_slip = slip[sets.nodes]
     best = slip[shortest[coarse]]
-    dot = this[:, 0] * best[:, 0] + this[:, 1] * best[:, 1]
-    cross = this[:, 0] * best[:, 1] - this[:, 1] * best[:, 0]
+    dot = fine_slip[:, 0] * best[:, 0] + fine_slip[:, 1] * best[:, 1]
+    cross = fine_slip[:, 0] * best[:, 1] - fine_slip[:, 1] * best[:, 0]
     other = ~(dot > 0.0) | (
         np.abs(cross) > np.sin(_PARALLEL) * (size[shortest[coarse]] * size[sets.nodes])
     )

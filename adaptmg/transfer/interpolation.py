@@ -80,12 +80,12 @@ class PointLocator(SimplexLocator):
         checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
         chosen = None if body is None else np.flatnonzero(mesh.element_body == body)
         if len(mesh.elements if chosen is None else chosen) == 0:
-            whose = (
+            refusal = (
                 "mesh has no elements"
                 if body is None
                 else f"body {body} of the mesh has no elements"
             )
-            raise ValueError(f"mesh: {whose}")
+            raise ValueError(f"mesh: {refusal}")
         super().__init__(mesh.points, mesh.elements, chosen)
         self.mesh = mesh
 
@@ -244,10 +244,10 @@ def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -
 
 def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
     """Return a copy without entries whose magnitude is below ``tolerance``."""
-    kept = np.abs(matrix.data) >= tolerance
-    before = np.concatenate([[0], np.cumsum(kept, dtype=matrix.indptr.dtype)])
+    large = np.abs(matrix.data) >= tolerance
+    before = np.concatenate([[0], np.cumsum(large, dtype=matrix.indptr.dtype)])
     indptr = before[matrix.indptr].astype(matrix.indptr.dtype)
-    return sparse.csr_array((matrix.data[kept], matrix.indices[kept], indptr), shape=matrix.shape)
+    return sparse.csr_array((matrix.data[large], matrix.indices[large], indptr), shape=matrix.shape)
 
 
 def _with_moments(
