@@ -169,7 +169,7 @@ def test_contact_rows_stay_on_the_contact_boundary():
     assert (np.diff(untouched[1].prolongation.indptr) == 1).all()
 
 
-RENAMED = replace(COARSE, boundaries=("south", "east", "north", "west"), source=None)
+RENAMED = replace(COARSE, boundaries=("south", "east", "north", "west"))
 BLOCKS = [am.mesh.structured(am.Box(width=1, depth=1, height=1), n) for n in (2, 4)]
 
 
@@ -270,7 +270,7 @@ def test_what_is_assembled_passes_the_checks_of_a_users_problem(make):
         given, again = level.discrete, replace(level.discrete)
         np.testing.assert_array_equal(again.matrix.data, given.matrix.data)
         np.testing.assert_array_equal(again.near_nullspace, given.near_nullspace)
-        am.mesh.check_mesh(replace(level.mesh, source=None))
+        am.mesh.check_mesh(replace(level.mesh))
 
 
 def test_indices_that_kernels_follow_cannot_be_written():

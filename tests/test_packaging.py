@@ -107,7 +107,6 @@ def _public() -> dict[str, object]:
 WITHOUT_EXAMPLE = {
     "cases.TransitionField",
     "mesh.onto_domain",
-    "mesh.with_source",
     "study.local_cluster",
 }
 

@@ -40,9 +40,9 @@ from adaptmg.estimate.engines import Engine, divisible, sound_mesh
 from adaptmg.estimate.estimate import AnyEstimate, Estimate, Indicator, Mark, estimate_of, marks_of
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh import with_source
-from adaptmg.mesh.arrays import MeshArrays, Refinement
+from adaptmg.mesh.arrays import MeshArrays, Refinement, sound_by_construction
 from adaptmg.mesh.bisection import with_refinement
+from adaptmg.mesh.soundness import check_mesh
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem import LoadPath, step_problem
 from adaptmg.solver.active_set import ActiveSet
@@ -468,7 +468,7 @@ class AdaptiveLoop:
         hierarchy = restored(
             self.first if last is None else last.hierarchy, [*stored.levels[:-1], own]
         )
-        # one mesh for both, with its source
+        # one mesh for both
         result = replace(step.value, mesh=hierarchy.finest.mesh)
         return Step(
             number,
@@ -668,7 +668,7 @@ def restored(before: Hierarchy, meshes: Sequence[MeshArrays]) -> Hierarchy:
     there = [_key(level.mesh) for level in before.levels]
     for key, mesh in zip(stored, meshes, strict=True):
         if key not in there:
-            before = before.append(with_source(mesh))
+            before = before.append(sound_by_construction(check_mesh(mesh)))
             there.append(key)
     for level in reversed([k for k, key in enumerate(there) if key not in stored]):
         before = before.without(level)

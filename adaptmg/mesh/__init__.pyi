@@ -9,7 +9,6 @@ from .soundness import (
     check_mesh as check_mesh,
     MeshQuality as MeshQuality,
     quality as quality,
-    with_source as with_source,
 )
 from .step import step_table as step_table, touching as touching
 from .structured import merged as merged, structured as structured

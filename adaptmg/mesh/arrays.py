@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
-from adaptmg._on_demand import ABSENT, OnDemand, made_on_demand
+from adaptmg._on_demand import ABSENT
 from adaptmg._text import shortened
 
 if TYPE_CHECKING:
@@ -89,10 +89,6 @@ class MeshArrays:
         Index into ``bodies``; all zero by default.
     bodies : tuple of str
         Names of the bodies.
-    source : ngsolve.Mesh, optional
-        A straight ngsolve.Mesh with the same node and element numbers, which meshes made by adaptmg
-        build when it is first read. Neither saved nor pickled: :func:`adaptmg.mesh.with_source`
-        makes a new one.
 
     Raises
     ------
@@ -104,6 +100,8 @@ class MeshArrays:
     ----------
     sound : bool
         Whether :func:`adaptmg.mesh.check_mesh` has passed this mesh, or it is so by construction.
+    apart : bool
+        Whether no body lies over itself: it was checked, or the package made the mesh.
     refinement : Refinement or None
         The history of a bisected mesh, which further bisection needs. Pickled, but not saved in a
         result; a mesh made by ``dataclasses.replace`` has none, and is an initial mesh.
@@ -129,8 +127,8 @@ class MeshArrays:
     boundaries: tuple[str, ...]
     element_body: np.ndarray = ABSENT
     bodies: tuple[str, ...] = ("body",)
-    source: ngsolve.Mesh | None = field(default=None, repr=False)
     sound: bool = field(default=False, init=False, repr=False)
+    apart: bool = field(default=False, init=False, repr=False)
     refinement: Refinement | None = field(default=None, init=False, repr=False)
     lattices: tuple[tuple[int, ...], ...] = field(default=(), init=False, repr=False)
     notes: tuple[str, ...] = field(default=(), init=False, repr=False)
@@ -146,7 +144,6 @@ class MeshArrays:
             boundaries: tuple[str, ...],
             element_body: ArrayLike | None = None,
             bodies: tuple[str, ...] = ("body",),
-            source: ngsolve.Mesh | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -208,16 +205,24 @@ class MeshArrays:
                 self.element_body,
                 self.bodies,
             ),
-            {name: getattr(self, name) for name in ("sound", "refinement", "lattices", "notes")},
+            {
+                name: getattr(self, name)
+                for name in ("sound", "apart", "refinement", "lattices", "notes")
+            },
         )
 
     def __copy__(self) -> MeshArrays:
-        # what is frozen needs no second copy, and a source that nobody has asked for yet is built
-        # once
+        # arrays that are frozen need no second copy, and the source is built once
         return self
 
     def __deepcopy__(self, memo: dict[int, object]) -> MeshArrays:
         return self
+
+    @cached_property
+    def source(self) -> ngsolve.Mesh:
+        """Return a straight ngsolve.Mesh with the same node and element numbers, built when it is
+        first read, neither saved nor pickled."""
+        return ngsolve_mesh(self)
 
     @property
     def dim(self) -> int:
@@ -440,14 +445,11 @@ def longest_edges(corners: np.ndarray) -> np.ndarray:
     return edge_lengths(corners).max(axis=0)
 
 
-def trusted(
-    mesh: MeshArrays, source: ngsolve.Mesh | OnDemand | None, sound: bool = True
-) -> MeshArrays:
-    """Return the same arrays, not copied, as a mesh that is known to be sound, with another
-    source."""
+def trusted(mesh: MeshArrays, sound: bool = True) -> MeshArrays:
+    """Return the same arrays, not copied, as a mesh that is known to be sound."""
     result = object.__new__(MeshArrays)
     result.__dict__.update(mesh.__dict__)
-    result.__dict__.update(source=source, sound=sound)
+    result.__dict__.update(sound=sound)
     return result
 
 
@@ -468,7 +470,6 @@ def swept(mesh: MeshArrays) -> MeshArrays:
             elements=elements[rows],
             facets=number[mesh.facets],
             element_body=mesh.element_body[rows],
-            source=None,
         )
     )
 
@@ -476,9 +477,9 @@ def swept(mesh: MeshArrays) -> MeshArrays:
 def sound_by_construction(
     mesh: MeshArrays, lattices: tuple[tuple[int, ...], ...] = ()
 ) -> MeshArrays:
-    """Return the mesh, not checked (it was written down as it must be), with a source on demand."""
-    result = trusted(mesh, OnDemand(ngsolve_mesh))
-    object.__setattr__(result, "lattices", lattices)
+    """Return the mesh without checks: it was written down as it must be."""
+    result = trusted(mesh)
+    result.__dict__.update(apart=True, lattices=lattices)
     return result
 
 
@@ -515,9 +516,6 @@ def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
     for i, name in enumerate(mesh.boundaries):
         result.SetBCName(i, name)
     return ngsolve.Mesh(result)
-
-
-MeshArrays.source = made_on_demand("source", "A straight ngsolve.Mesh of these arrays, or None.")
 
 
 #: by dimension: node numbers are of 32 bits, and the three of a facet must fit into 63

@@ -82,7 +82,7 @@ def bisect(
     Parameters
     ----------
     mesh : MeshArrays
-        Not changed, nor its source.
+        Not changed.
     marked : (n_elements,) array of bool
         The elements to refine; at least one.
     passes : int, optional
@@ -201,7 +201,7 @@ def _touching(mesh: MeshArrays, names: Sequence[str]) -> np.ndarray:
 class Refined:
     """A mesh made from another one by bisection."""
 
-    mesh: MeshArrays  # trusted, with its history and a source on demand
+    mesh: MeshArrays  # trusted, with its history
     origin: np.ndarray  # (n_elements,) int: the element of the mesh before that holds each element
 
 
@@ -349,8 +349,8 @@ def _mesh_of(
 
 
 def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArrays:
-    """Return the same mesh with another history, its source and soundness kept."""
-    result = trusted(mesh, vars(mesh)["source"], mesh.sound)
+    """Return the same mesh with another history, its soundness kept."""
+    result = trusted(mesh, mesh.sound)
     object.__setattr__(result, "refinement", refinement)
     return result
 

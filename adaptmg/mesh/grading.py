@@ -101,7 +101,7 @@ def graded(
     Returns
     -------
     MeshArrays
-        With its source; the same arrays for the same arguments. Nodes lie on arcs, edges are their
+        The same arrays for the same arguments. Nodes lie on arcs, edges are their
         chords (of at most about 35 degrees). The bodies of an assembly share no nodes, see
         :func:`adaptmg.mesh.merged`.
 

@@ -156,9 +156,7 @@ def halved(mesh: MeshArrays) -> MeshArrays:
             facets=facets.reshape(-1, 3),
             facet_labels=np.repeat(mesh.facet_labels, 4),
             element_body=np.repeat(mesh.element_body, 8),
-            source=None,
         ),
-        None,
         mesh.sound,
     )
 
@@ -178,7 +176,7 @@ def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
     for _ in range(rounds):
         _move(points, mesh.elements, around, held)
     # moves turn no element over
-    return trusted(replace(mesh, points=points, source=None), None, mesh.sound)
+    return trusted(replace(mesh, points=points), mesh.sound)
 
 
 def improve_triangles(

@@ -216,7 +216,7 @@ def netgen_error(domain: Domain, why: Exception) -> ValueError:
 
 
 def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """The mesh with its boundary nodes exactly on the outline, without source."""
+    """The mesh with its boundary nodes exactly on the outline."""
     points = mesh.points.copy()
     vertices = np.array(domain.vertices)
     for i in range(len(vertices)):
@@ -235,12 +235,12 @@ def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     for i, vertex in enumerate(vertices):
         nodes = mesh.boundary_nodes(str(i))
         points[nodes[np.argmin(np.linalg.norm(points[nodes] - vertex, axis=1))]] = vertex
-    return replace(mesh, points=points, source=None)
+    return replace(mesh, points=points)
 
 
 def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """Return the mesh with the names of the domain's boundaries in place of edge numbers, checked,
-    with source."""
+    """Return the mesh with the names of the domain's boundaries in place of edge numbers,
+    checked."""
     mesh = swept(check_mesh(mesh))
     names = tuple(dict.fromkeys(domain.boundaries))
     if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
@@ -253,7 +253,7 @@ def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
     # other names leave a mesh sound
     return sound_by_construction(
-        replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names, source=None)
+        replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names)
     )
 
 
@@ -396,7 +396,7 @@ def solid_mesh(
             stacklevel=2,
         )
     # neither names nor rounding makes a sound mesh unsound
-    return swept(trusted(replace(mesh, facet_labels=labels, boundaries=order), None, mesh.sound))
+    return swept(trusted(replace(mesh, facet_labels=labels, boundaries=order), mesh.sound))
 
 
 def _at_rest(domain: Domain) -> tuple[Domain, np.ndarray, np.ndarray]:
@@ -626,10 +626,8 @@ def _bisected(
 
 
 def _placed(unit: MeshArrays, shape: Shape) -> MeshArrays:
-    """The mesh in m, without source."""
-    return trusted(
-        replace(unit, points=shape.lower + shape.scale * unit.points, source=None), None, unit.sound
-    )
+    """The mesh in m."""
+    return trusted(replace(unit, points=shape.lower + shape.scale * unit.points), unit.sound)
 
 
 def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndarray) -> MeshArrays:
@@ -654,9 +652,7 @@ def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndar
             facet_labels=labels[unit.facet_labels],
             boundaries=order,
             bodies=("body",),
-            source=None,
         ),
-        None,
         unit.sound,
     )
 

@@ -84,9 +84,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
         return mesh
     if not moved.any():
         return mesh
-    return with_refinement(
-        sound_by_construction(replace(mesh, points=points, source=None)), mesh.refinement
-    )
+    return with_refinement(sound_by_construction(replace(mesh, points=points)), mesh.refinement)
 
 
 def _new_nodes(mesh: MeshArrays, name: str, n_old: int) -> tuple[np.ndarray, np.ndarray]:

@@ -48,7 +48,7 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     Returns
     -------
     MeshArrays
-        With its source; the same object if it was MeshArrays with a source already.
+        The same object if it was checked before, or made by the package.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     True
     """
     if isinstance(mesh, MeshArrays):
-        return mesh if mesh.sound and vars(mesh)["source"] is not None else check_stranger(mesh)
+        return mesh if mesh.sound and mesh.apart else check_stranger(mesh)
     if _is_ngsolve(mesh):
         return from_ngsolve(mesh)
     if not isinstance(mesh, str | Path):
@@ -189,7 +189,7 @@ def from_file(
     Returns
     -------
     MeshArrays
-        With its source, and with ``notes``: how elements were cut, names that overlap, materials
+        With ``notes``: how elements were cut, names that overlap, materials
         and friction that the file lists (they are not applied), and what was not read.
         Quadrilaterals are cut along the shorter diagonal, bricks, wedges and pyramids into
         tetrahedra, elements of second order through their middle nodes; no node of an element is

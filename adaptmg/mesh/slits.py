@@ -25,8 +25,9 @@ from adaptmg.mesh.arrays import (
     pair_keys,
     positive,
     same_orientation,
+    sound_by_construction,
 )
-from adaptmg.mesh.soundness import check_mesh, with_source
+from adaptmg.mesh.soundness import check_mesh
 
 
 def opened(
@@ -213,14 +214,12 @@ def split(mesh: MeshArrays, facets: ArrayLike, name: str = "crack") -> MeshArray
         raise ValueError(
             "facets: nothing opens, as all their nodes are at tips; a crack needs two edges at least"
         )
-    return with_source(
-        replace(
-            mesh,
-            points=mesh.points[origin],
-            elements=elements,
-            facets=sides[is_open],
-            facet_labels=labels[is_open],
-            boundaries=(*mesh.boundaries, *names),
-            source=None,
-        )
+    cut = replace(
+        mesh,
+        points=mesh.points[origin],
+        elements=elements,
+        facets=sides[is_open],
+        facet_labels=labels[is_open],
+        boundaries=(*mesh.boundaries, *names),
     )
+    return sound_by_construction(check_mesh(cut))

@@ -74,19 +74,10 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
     return mesh
 
 
-def with_source(mesh: MeshArrays) -> MeshArrays:
-    """Return the checked mesh with an ``ngsolve.Mesh`` of the same node and element numbers as its
-    ``source``.
-
-    The source is built when it is first read; one that is there is replaced.
-    """
-    return sound_by_construction(check_mesh(mesh))
-
-
 def check_stranger(mesh: MeshArrays) -> MeshArrays:
     """Return the same for a mesh that was not made here: none of its bodies lies over itself
     either."""
-    return check_overlap(with_source(mesh))
+    return sound_by_construction(check_overlap(check_mesh(mesh)))
 
 
 def _at(points: np.ndarray) -> str:

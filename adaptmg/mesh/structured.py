@@ -275,7 +275,7 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
     -------
     MeshArrays
         Nodes, elements and facets of the first body come first, then those of the next; boundaries
-        are called "body.boundary". Nodes at the same place stay apart. With its source.
+        are called "body.boundary". Nodes at the same place stay apart.
 
     Raises
     ------

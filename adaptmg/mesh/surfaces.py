@@ -335,4 +335,4 @@ def onto_surfaces(
     moved[nodes] = True
     if not least_angle(points, mesh.elements[moved[mesh.elements].any(axis=1)]) > flat:
         raise Misplaced("elements at a curved boundary became flat")
-    return trusted(replace(mesh, points=points, source=None), None, mesh.sound)
+    return trusted(replace(mesh, points=points), mesh.sound)

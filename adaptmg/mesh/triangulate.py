@@ -302,7 +302,7 @@ def _mesh(
     area = 0.5 * float(np.sum(x * v - y * u))
     if not (mesh.volumes.min() > 0 and abs(mesh.volumes.sum() - area) <= 1e-9 * area):
         raise Untriangulated(f"triangles of {domain!r} are turned over")
-    return trusted(mesh, None)
+    return trusted(mesh)
 
 
 @kernel

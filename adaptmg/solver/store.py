@@ -70,14 +70,13 @@ class _Writer:
         if isinstance(value, np.ndarray):
             written = {"array": self._array(name, value)}
         elif kind is not None:
-            # the source of a mesh is made when it is read
             written = {
                 kind.__name__: value.name
                 if isinstance(value, Enum)
                 else {
                     one.name: self.plain(_joined(name, one.name), vars(value).get(one.name))
                     for one in fields(kind)
-                    if one.init and one.name != "source"
+                    if one.init
                 }
             }
         elif isinstance(value, Mapping):

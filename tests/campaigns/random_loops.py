@@ -213,7 +213,7 @@ def mesh_faults(mesh: am.MeshArrays, first: am.MeshArrays, curved: bool) -> list
     """What is wrong with a mesh: soundness, names, size of bodies without arcs."""
     faults = []
     try:
-        am.mesh.check_mesh(replace(mesh, source=None))
+        am.mesh.check_mesh(replace(mesh))
     except ValueError as error:
         faults.append(str(error))
     if set(mesh.boundaries) != set(first.boundaries) or mesh.bodies != first.bodies:

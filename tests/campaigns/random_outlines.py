@@ -121,7 +121,7 @@ def random_outline(rng: np.random.Generator) -> tuple[am.Outline, str]:
 def faults_of(mesh: am.MeshArrays, outline: am.Outline) -> str:
     """What is wrong with a mesh."""
     try:
-        am.mesh.check_mesh(replace(mesh, source=None), outline.boundaries)
+        am.mesh.check_mesh(replace(mesh), outline.boundaries)
     except ValueError as error:
         return str(error)
     held = set(map(tuple, mesh.points[np.unique(mesh.facets)].tolist()))

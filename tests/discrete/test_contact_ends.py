@@ -39,7 +39,6 @@ def skewed_box(dim, seed, skew):
         facets=number[mesh.facets],
         facet_labels=np.argmax(places, axis=0),
         boundaries=tuple(names),
-        source=None,
     )
     return moved, turn, scale
 
@@ -315,7 +314,7 @@ def test_the_force_next_to_a_clamped_side_and_its_estimate(direction):
 def test_contact_ends_on_a_plane_of_symmetry():
     """A sloping floor: next to the end of the common edge a part of its normal is held."""
     mesh, gap = am.mesh.structured(am.Box(width=1.0, depth=1.0, height=1.0), 3), 2e-4
-    mesh = replace(mesh, points=mesh.points - [[0, 0, 0.5]] * mesh.points[:, :1], source=None)
+    mesh = replace(mesh, points=mesh.points - [[0, 0, 0.5]] * mesh.points[:, :1])
     normal = mesh.surface("bottom").normals[0]
     strain, moved = (1 - 2 * POISSON) * P / YOUNG, np.array([0, 0, gap / normal[2]])
     exact = {axis: lambda x, k=k: -strain * x[:, k] + moved[k] for k, axis in enumerate("xyz")}

@@ -290,7 +290,6 @@ def test_factors_between_two_materials_are_refused():
             mesh,
             element_body=(above < -beyond).astype(int),
             bodies=("body", "hard"),
-            source=None,
         )
         posed = replace(problem, material={"body": soft, "hard": hard}, domain=None)
         result = am.solve(am.Hierarchy.from_meshes(posed, [two]), am.ActiveSet())

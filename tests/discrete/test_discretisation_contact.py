@@ -100,9 +100,7 @@ class TestContactNodes:
         centre = PLATE.points[PLATE.facets].mean(axis=1)
         labels = PLATE.facet_labels.copy()
         labels[(labels == 0) & (centre[:, 0] > 1)] = 4
-        mesh = replace(
-            PLATE, facet_labels=labels, boundaries=(*PLATE.boundaries, "bottom 2"), source=None
-        )
+        mesh = replace(PLATE, facet_labels=labels, boundaries=(*PLATE.boundaries, "bottom 2"))
         contact = (am.Contact("bottom 2", FLOOR), am.Contact("bottom", FLOOR))
         nodes = contact_data(plane_problem(contact=contact), mesh)[0]
         np.testing.assert_array_equal(nodes.boundary, [1, 1, 0, 0, 0])
@@ -116,7 +114,7 @@ class TestContactNodes:
         angle, radius = flat.points[:, 0] * np.pi / 2, 1 - flat.points[:, 1] / 2
         points = np.column_stack([radius * np.sin(angle), -radius * np.cos(angle)])
         points[flat.boundary_nodes("left"), 0] = 0.0
-        mesh = replace(flat, points=points, source=None)
+        mesh = replace(flat, points=points)
         nodes = contact_data(plane_problem(contact=am.Contact("bottom", TOUCHING), loads=()), mesh)[
             0
         ]
@@ -248,7 +246,7 @@ def mesh_of(lift=0.0, bodies=("upper", "lower")):
     """The bar ``lift`` above the block."""
     parts = {name: am.mesh.structured(posed().domain.parts[name], 4) for name in ("upper", "lower")}
     upper = parts["upper"]
-    parts["upper"] = replace(upper, points=upper.points + np.array([0.0, lift]), source=None)
+    parts["upper"] = replace(upper, points=upper.points + np.array([0.0, lift]))
     parts["other"] = parts["upper"]
     return am.mesh.merged({name: parts[name] for name in bodies})
 

@@ -162,7 +162,6 @@ def test_glued_bodies_move_together():
     glued = replace(
         mesh,
         bodies=("left", "right"),
-        source=None,
         element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0,
     )
     np.testing.assert_array_equal(am.discrete.rigid_motions(glued), am.discrete.rigid_motions(mesh))

@@ -32,7 +32,7 @@ def pressed(dim, seed, elements="linear"):
         row = [int(np.argmin(np.linalg.norm(mesh.points - x, axis=1))) for x in at]
         mesh = am.mesh.split(mesh, np.column_stack([row[:-1], row[1:]]))
         contact.append(am.ContactPair("crack.left", "crack.right"))
-    mesh = replace(mesh, points=mesh.points @ turn.T + rng.normal(size=dim), source=None)
+    mesh = replace(mesh, points=mesh.points @ turn.T + rng.normal(size=dim))
     top = mesh.surface("upper.top")
     wall = am.Plane(top.points[top.facets[0, 0]], -turn[:, -1])
     down = tuple(-1e-4 * turn[:, -1] + 1e-5 * turn[:, 0])
@@ -56,7 +56,7 @@ def periodic():
         ties=am.Periodic("left", "right", jump=(0, 1e-3)),
         loads=am.Pressure("top", 1e7),
         supports=am.Spring("bottom", normal=2e11, tangential=1e11),
-    ), replace(mesh, source=None)
+    ), replace(mesh)
 
 
 @pytest.mark.filterwarnings("ignore:the bodies span")

@@ -231,7 +231,7 @@ def sheared(dim, seed):
     )
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
     meshes = [am.mesh.structured(unit, n) for n in ((2, 4) if dim == 3 else (2, 4, 8))]
-    return [replace(one, points=one.points @ matrix.T, source=None) for one in meshes]
+    return [replace(one, points=one.points @ matrix.T) for one in meshes]
 
 
 @pytest.mark.parametrize("touching", [False, True])
@@ -304,7 +304,7 @@ def test_supports_along_normals_turn_with_the_body(dim, seed):
     straight = am.Hierarchy.from_meshes(pressed(dim), meshes)
     turned = am.Hierarchy.from_meshes(
         pressed(dim, contact=am.Contact("bottom", am.Plane(shift, turn[:, -1]))),
-        [replace(one, points=one.points @ turn.T + shift, source=None) for one in meshes],
+        [replace(one, points=one.points @ turn.T + shift) for one in meshes],
     )
     path = am.LoadPath({"top": [1.0, 1.0, 0.5], "right": [0.0, 1.0, 0.5]})
     one, other = (am.solve_path(grids, path, EXACT) for grids in (straight, turned))
@@ -378,7 +378,7 @@ def test_pairs_between_planes_of_symmetry_turn_with_the_bodies(dim):
     turn[0] *= np.linalg.det(turn)
     one, grids = (
         am.Hierarchy.from_meshes(
-            problem, [replace(mesh, points=mesh.points @ each.T, source=None) for mesh in meshes]
+            problem, [replace(mesh, points=mesh.points @ each.T) for mesh in meshes]
         )
         for each in (np.eye(dim), turn)
     )
@@ -413,7 +413,7 @@ def clamped_beam(gap, seed, sinks=0.0):
         am.mesh.structured(am.Rectangle(width=1.0, height=0.2), n)
         for n in ((1, 1), (2, 1), (2, 2), (4, 2), (6, 3))
     ]
-    meshes = [replace(one, points=size * one.points @ turn + shift, source=None) for one in meshes]
+    meshes = [replace(one, points=size * one.points @ turn + shift) for one in meshes]
     end = dict(zip("xy", size * np.array([0.0, sinks]) @ turn, strict=True))
     problem = am.ContactProblem(
         material=am.PlaneStrain(young=2e9, poisson=0.3),
@@ -609,7 +609,7 @@ def test_a_pad_in_an_inclined_guide_slides_on_its_plate():
     meshes = [level.mesh for level in grids(straight, 2, 6, 4).levels]
     result = am.solve(
         am.Hierarchy.from_meshes(
-            problem, [replace(one, points=one.points @ turn.T, source=None) for one in meshes]
+            problem, [replace(one, points=one.points @ turn.T) for one in meshes]
         ),
         am.ActiveSet(rtol=1e-10),
     )

@@ -31,9 +31,7 @@ def stacked(dim, seed):
         am.mesh.structured(am.Assembly(parts=parts), {"upper": 3 * n // 2, "lower": n})
         for n in (2, 4)
     ]
-    meshes = [
-        replace(one, points=size * one.points @ turn.T + shift, source=None) for one in meshes
-    ]
+    meshes = [replace(one, points=size * one.points @ turn.T + shift) for one in meshes]
     planes = [f"{body}.{side}" for body in parts for side in ("left", "front")[: dim - 1]]
     problem = am.ContactProblem(
         material=(am.Solid if dim == 3 else am.PlaneStrain)(young=E, poisson=NU),
@@ -319,7 +317,7 @@ def test_a_cell_does_not_depend_on_where_it_begins(shift):
         mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 8)
         centre = np.abs(mesh.points[mesh.elements].mean(axis=1) - 0.5 - np.array(shift) / 8)
         inside = (centre < 0.25).all(axis=1).astype(np.int32)
-        two = replace(mesh, bodies=("soft", "stiff"), element_body=inside, source=None)
+        two = replace(mesh, bodies=("soft", "stiff"), element_body=inside)
         problem, _ = cell(
             2, material={"soft": PLANE, "stiff": replace(PLANE, young=10 * E)}, domain=None
         )

@@ -45,7 +45,7 @@ class TestPatch:
     def test_axisymmetric(self, inner, pair):
         materials = [am.Axisymmetric(**vars(m)) for m in MATERIALS[2]]
         flat = bodies.stacked([(4, 2), (7, 3)])
-        mesh = replace(flat, points=flat.points + np.array([inner, 0.0]), source=None)
+        mesh = replace(flat, points=flat.points + np.array([inner, 0.0]))
         problem = bodies.pressed(mesh, [pair], materials)
         held = problem.supports if inner == 0 else problem.supports[:1]
         result = am.solve(am.Hierarchy.from_meshes(replace(problem, supports=held), [mesh]), EXACT)

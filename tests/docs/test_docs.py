@@ -71,7 +71,7 @@ def given(tmp_path):
     for name, mesh in zip(("coarse", "fine"), meshes, strict=True):
         write(
             tmp_path / f"{name}.msh",
-            replace(mesh, bodies=("bar",), source=None),
+            replace(mesh, bodies=("bar",)),
             keep=slice(0, 3, 2),
         )
     contact = fine.contact

@@ -164,7 +164,6 @@ def glued(kind):
     mesh = dataclasses.replace(
         mesh,
         points=mesh.points + away,
-        source=None,
         bodies=("a", "b"),
         element_body=np.array(mesh.points[mesh.elements, 0].mean(axis=1) > 0.02, dtype=np.int32),
     )

@@ -17,7 +17,7 @@ def shaken(mesh: am.MeshArrays, size: float, seed: int = 3) -> am.MeshArrays:
     """A mesh with its inner nodes moved at random."""
     points, inner = mesh.points.copy(), np.setdiff1d(np.arange(mesh.n_nodes), mesh.facets)
     points[inner] += size * np.random.default_rng(seed).uniform(-1, 1, (len(inner), mesh.dim))
-    return am.mesh.check_mesh(replace(mesh, points=points, source=None))
+    return am.mesh.check_mesh(replace(mesh, points=points))
 
 
 def crooked(mesh: am.MeshArrays) -> am.MeshArrays:
@@ -56,7 +56,7 @@ def random_mask(mesh: am.MeshArrays, part: float, seed: int) -> np.ndarray:
 def verified(mesh: am.MeshArrays) -> am.MeshArrays:
     """The mesh, which claims to be sound, checked as if it did not."""
     assert mesh.sound
-    am.mesh.check_mesh(replace(mesh, source=None), mesh.boundaries)
+    am.mesh.check_mesh(replace(mesh), mesh.boundaries)
     return mesh
 
 

@@ -10,7 +10,7 @@ from adaptmg.solver.examine import ContactResult
 
 def square(n: int, size: float = 0.04) -> am.MeshArrays:
     """n x n squares cut in two; boundaries bottom, right, top, left."""
-    return replace(am.mesh.structured(am.Rectangle(width=size, height=size), n), source=None)
+    return replace(am.mesh.structured(am.Rectangle(width=size, height=size), n))
 
 
 def cube(n: int, size: float = 0.04) -> am.MeshArrays:
@@ -20,7 +20,6 @@ def cube(n: int, size: float = 0.04) -> am.MeshArrays:
         mesh,
         facet_labels=np.where(mesh.facet_labels == mesh.boundaries.index("bottom"), 0, 1),
         boundaries=("bottom", "rest"),
-        source=None,
     )
 
 
@@ -133,6 +132,5 @@ def same(a: object, b: object) -> bool:
         return type(a) is type(b) and all(
             same(*(vars(one).get(k, getattr(type(one), k, None)) for one in (a, b)))
             for k in a.__dataclass_fields__
-            if k != "source"
         )
     return a is b or a == b

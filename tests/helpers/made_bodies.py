@@ -13,9 +13,7 @@ def joined(parts: dict[str, am.MeshArrays], shifts: dict[str, tuple[float, ...]]
     """Meshes moved and put together body by body; boundaries are named 'body.edge'."""
     return am.mesh.merged(
         {
-            body: dataclasses.replace(
-                mesh, points=mesh.points + np.asarray(shifts[body]), source=None
-            )
+            body: dataclasses.replace(mesh, points=mesh.points + np.asarray(shifts[body]))
             for body, mesh in parts.items()
         }
     )

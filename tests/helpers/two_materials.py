@@ -32,7 +32,6 @@ def _glued(dim: int) -> am.MeshArrays:
         mesh,
         points=points,
         bodies=("left", "right"),
-        source=None,
         element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 1.0,
     )
 

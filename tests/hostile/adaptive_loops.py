@@ -46,7 +46,7 @@ def _finer(mesh):
 
 
 def _changed(mesh, **changes):
-    return replace(mesh, source=None, **changes)
+    return replace(mesh, **changes)
 
 
 def _moved(mesh, value):

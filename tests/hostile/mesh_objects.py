@@ -35,7 +35,7 @@ TYPES = {
 def _set(mesh: am.MeshArrays, name: str, where, value) -> am.MeshArrays:
     array = getattr(mesh, name).astype(np.asarray(value).dtype)
     array[where] = value
-    return replace(mesh, source=None, **{name: array})
+    return replace(mesh, **{name: array})
 
 
 def _raw(table: str, field: str, value) -> ngsolve.Mesh:

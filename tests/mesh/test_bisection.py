@@ -22,7 +22,6 @@ def split(mesh):
         replace(
             mesh,
             bodies=("west", "east"),
-            source=None,
             element_body=mesh.points[mesh.elements, 0].mean(axis=1) > 0.5,
         )
     )
@@ -63,9 +62,7 @@ def test_random_marks_again_and_again_stay_conforming(mesh, passes):
         assert len(refinement.parents) == mesh.n_nodes and refinement.generation.max() < 100
         if mesh.n_nodes > 6_000:
             break
-    assert (
-        k >= 2 and before.refinement is not None and replace(mesh, source=None).refinement is None
-    )
+    assert k >= 2 and before.refinement is not None and replace(mesh).refinement is None
 
 
 @pytest.mark.parametrize(

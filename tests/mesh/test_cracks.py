@@ -49,7 +49,7 @@ def test_cracks_are_meshed_with_two_faces_that_share_tips(mesher):
     domain = plate(np.random.default_rng())
     names = [name for name in domain.boundaries if "kinked" in name or "hole." in name]
     mesh = am.mesh.graded(domain, 0.4, names, 3, mesher=mesher)
-    check_overlap(am.mesh.check_mesh(replace(mesh, source=None), dict.fromkeys(domain.boundaries)))
+    check_overlap(am.mesh.check_mesh(replace(mesh), dict.fromkeys(domain.boundaries)))
     assert am.mesh.quality(mesh).min_angle > 15
     assert mesh.volumes.sum() == pytest.approx(domain.domain.outline.area, rel=0.01)
     # nodes at one place: three at the branch, as many as faces meet there
@@ -69,7 +69,7 @@ def test_cracks_are_meshed_with_two_faces_that_share_tips(mesher):
         first = np.argmin(np.linalg.norm(mesh.points[left].mean(axis=1) - path[0], axis=1))
         assert mesh.surface(f"{name}.left").vectors[first] @ [along[1], -along[0]] > 0
     for level in am.mesh.refine_near(mesh, names, 2)[1:]:
-        am.mesh.check_mesh(replace(level, source=None), domain.boundaries)
+        am.mesh.check_mesh(replace(level), domain.boundaries)
 
 
 def test_polygons_are_cracks_of_solids():
@@ -80,7 +80,7 @@ def test_polygons_are_cracks_of_solids():
     half = [(4.5, 2, 5), (13.5, 2, 5), (13.5, 5, 5), (4.5, 5, 5)]
     domain = am.Cracked(am.Box(width=6, depth=6, height=7), {"square": square, "half": half})
     mesh = am.mesh.graded(domain, 2, ("square.left", "square.right"), 4)
-    am.mesh.check_mesh(replace(mesh, source=None), domain.boundaries)
+    am.mesh.check_mesh(replace(mesh), domain.boundaries)
     for name, area, normal in (("square", 4, turn[:, 2]), ("half", 4.5, (0, 0, 1))):
         left, right = (mesh.surface(f"{name}.{side}") for side in ("left", "right"))
         np.testing.assert_allclose(left.vectors.sum(axis=0), area * np.array(normal), atol=1e-9)

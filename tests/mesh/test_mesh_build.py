@@ -22,7 +22,7 @@ MESHES = {
 def split(mesh):
     """The mesh with two bodies in a mixed order of elements."""
     body = (mesh.points[mesh.elements].mean(axis=1)[:, 0] > 0.5).astype(int)
-    return am.mesh.with_source(replace(mesh, element_body=body, bodies=("west", "east")))
+    return am.mesh.check_mesh(replace(mesh, element_body=body, bodies=("west", "east")))
 
 
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
@@ -109,7 +109,7 @@ test_refused = refused(
     (lambda: am.mesh.from_ngsolve(np.zeros(3)), TypeError, r"must be an ngsolve.Mesh, got ndarray"),
     # what would crash
     *(
-        (lambda changes=changes: replace(MESHES["2D"], source=None, **changes), message)
+        (lambda changes=changes: replace(MESHES["2D"], **changes), message)
         for changes, message in (
             ({"elements": ELEMENTS[:, :2]}, r"elements must have shape \(n, 3\)"),
             ({"facet_labels": LABELS[1:]}, "facet_labels must have shape"),
@@ -130,4 +130,4 @@ def test_as_mesh_takes_arrays_and_reads_copies(tmp_path):
     with pytest.raises(ValueError, match=r"mesh.stl': "):
         am.mesh.as_mesh(tmp_path / "mesh.stl")
     mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
-    assert am.mesh.as_mesh(mesh) is mesh and am.mesh.as_mesh(replace(mesh, source=None)).sound
+    assert am.mesh.as_mesh(mesh) is mesh and am.mesh.as_mesh(replace(mesh)).sound

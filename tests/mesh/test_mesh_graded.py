@@ -121,7 +121,7 @@ def test_netgen_takes_over_where_sizes_are_missed(domain, caplog):
 )
 def test_a_mesh_that_misses_sizes_or_rims_is_unfit(spoilt, why):
     mesh = am.mesh.graded(RING, 0.1, "inner", 2)
-    poor = replace(mesh, points=spoilt(mesh.points), source=None)
+    poor = replace(mesh, points=spoilt(mesh.points))
 
     def measured(given):
         return check_rims(RING, check_sizes(given, lambda x: np.full(len(x), 0.1)))
@@ -174,7 +174,7 @@ def test_planes_and_boxes_are_meshed_without_netgen(domain, contact, size, ratio
         fine, coarse = (am.mesh.graded(domain, h, contact, ratio) for h in (size, 2 * size))
     assert "Netgen" not in caplog.text
     # whoever checked it: the arrays are sound
-    am.mesh.check_mesh(replace(fine, source=None), dict.fromkeys(domain.boundaries))
+    am.mesh.check_mesh(replace(fine), dict.fromkeys(domain.boundaries))
     at = fine.points[fine.elements]
     wanted = np.minimum(
         size, size / ratio + 0.3 * distance_to_boundaries(domain, [contact], at.mean(axis=1))

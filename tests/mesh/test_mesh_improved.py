@@ -55,7 +55,7 @@ def test_halves_are_a_sound_mesh_of_the_same_bodies(mesh):
     assert len(fine.elements) == 8 * len(mesh.elements) and len(fine.facets) == 4 * len(mesh.facets)
     assert (fine.points[: mesh.n_nodes] == mesh.points).all()
     # by what it is, not by what it says
-    am.mesh.check_mesh(replace(fine, source=None))
+    am.mesh.check_mesh(replace(fine))
     np.testing.assert_allclose(8 * fine.volumes, np.repeat(mesh.volumes, 8), rtol=1e-10)
     np.testing.assert_array_equal(fine.element_body, np.repeat(mesh.element_body, 8))
     for name in mesh.boundaries:
@@ -101,7 +101,7 @@ def test_counts_volumes_and_the_boundary_side_by_side(domain, divisions):
     np.testing.assert_array_equal(mesh.facets[mine], outer[rows])
     order = np.lexsort((mesh.facets.min(axis=1), mesh.facet_labels))
     np.testing.assert_array_equal(order, np.arange(len(mesh.facets)))
-    assert mesh.sound and am.mesh.check_mesh(replace(mesh, source=None), domain.boundaries).sound
+    assert mesh.sound and am.mesh.check_mesh(replace(mesh), domain.boundaries).sound
     counts = np.broadcast_to(divisions, mesh.dim)
     assert mesh.n_nodes == np.prod(counts + 1) and len(mesh.elements) == math.factorial(
         mesh.dim

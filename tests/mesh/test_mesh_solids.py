@@ -232,7 +232,7 @@ def test_a_draft_is_refined_to_the_sizes_on_the_faces(solid, size, contact, gap,
     with caplog.at_level(logging.INFO, "adaptmg"):
         mesh = am.mesh.graded(solid, size, contact, 1.5)
     assert "is not refined" not in caplog.text
-    check_overlap(am.mesh.check_mesh(replace(mesh, source=None)))
+    check_overlap(am.mesh.check_mesh(replace(mesh)))
     for name, distance in gap.items():
         # nodes of Netgen's draft lie on crossings of faces within its tolerance
         assert distance(mesh.points[mesh.boundary_nodes(name)]).max() < 1e-7
@@ -260,7 +260,7 @@ def test_faces_of_an_unknown_kind_are_left_to_netgen(tmp_path, caplog):
     with caplog.at_level(logging.INFO, logger=module.__name__):
         mesh = am.mesh.graded(am.StepFile(tmp_path / "wavy.step"), 0.1e-3)
     assert "faces other than planes, cylinders" in caplog.text
-    am.mesh.check_mesh(replace(mesh, source=None))
+    am.mesh.check_mesh(replace(mesh))
     assert 400 < mesh.n_nodes < 8000
 
 
@@ -271,7 +271,7 @@ def test_a_draft_with_sharp_angles_gives_way(caplog):
     with caplog.at_level(logging.INFO, "adaptmg"):
         mesh = am.mesh.graded(blade, 0.03)
     assert "with sizes times 1.8 is not refined: it has angles of" in caplog.text
-    am.mesh.check_mesh(replace(mesh, source=None))
+    am.mesh.check_mesh(replace(mesh))
     assert mesh.volumes.sum() == pytest.approx(0.015)
     assert (mesh.element_sizes > 0.06).mean() <= 0.01
 

@@ -16,7 +16,7 @@ BOTH = pytest.mark.parametrize("mesh", [SQUARE, CUBE], ids=["2D", "3D"])
 
 
 def test_a_mesh_is_sound_until_it_changes():
-    mesh = replace(am.mesh.structured(am.Rectangle(width=1, height=1), 2), source=None)
+    mesh = replace(am.mesh.structured(am.Rectangle(width=1, height=1), 2))
     assert not mesh.sound and am.mesh.check_mesh(mesh, mesh.boundaries) is mesh and mesh.sound
     for name in ("rim", ["bottom", "rim"]):
         with pytest.raises(
@@ -78,7 +78,7 @@ def test_faults_are_found_and_located(mesh):
     for change, message in faults(mesh):
         for judge in (am.mesh.check_mesh, am.mesh.quality):
             with pytest.raises(ValueError, match=message):
-                judge(replace(mesh, source=None, element_body=None, **change))
+                judge(replace(mesh, element_body=None, **change))
 
 
 def test_two_pieces_need_two_bodies():
@@ -162,7 +162,7 @@ def test_a_body_that_runs_into_itself(mesh):
         radius = 3 + strip.points[:, -1] + 0.06 * angle
         points = strip.points.copy()
         points[:, 0], points[:, -1] = -radius * np.cos(angle), radius * np.sin(angle)
-        return replace(strip, points=points, source=None)
+        return replace(strip, points=points)
 
     assert am.mesh.as_mesh(bent(1.9 * np.pi)).volumes.sum() > 0
     with pytest.raises(

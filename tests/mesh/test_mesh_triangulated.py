@@ -76,7 +76,7 @@ def _no_netgen(caplog):
 def test_meshes_are_sound_and_delaunay(domain, size):
     mesh = am.mesh.graded(domain, size)
     # by what it is, not by what it says
-    am.mesh.check_mesh(replace(mesh, source=None), dict.fromkeys(domain.boundaries))
+    am.mesh.check_mesh(replace(mesh), dict.fromkeys(domain.boundaries))
     outline = getattr(domain, "outline", domain)
     for name in dict.fromkeys(outline.boundaries):
         away = distance_to_boundaries(outline, [name], mesh.points[mesh.boundary_nodes(name)])
@@ -102,7 +102,7 @@ def test_slanted_outlines_are_meshed_wherever_they_lie(domain):
         )
         for size in (0.2, 0.1, 0.05, 0.02):
             mesh = am.mesh.graded(turned, size * scale)
-            am.mesh.check_mesh(replace(mesh, source=None), turned.boundaries)
+            am.mesh.check_mesh(replace(mesh), turned.boundaries)
             assert am.mesh.quality(mesh).min_angle > 15
             assert set(turned.vertices) <= set(map(tuple, mesh.points.tolist()))
 
@@ -195,7 +195,7 @@ def test_slits_do_not_ask_for_many_nodes():
         (0, 0), (0.5, 0), (0.48, 0.5), (0.480001, 0.52), (0.500001, 0), (1, 0), (1.1, 1), (0, 1)
     )
     mesh = am.mesh.graded(moved(slit, 1.0, 1.0, np.zeros(2)), 0.1)
-    am.mesh.check_mesh(replace(mesh, source=None))
+    am.mesh.check_mesh(replace(mesh))
     assert mesh.n_nodes < 1000
 
 

@@ -61,7 +61,7 @@ def test_the_start_on_uniform_plane_grids_is_extrapolated():
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8, 16, 32))
     # the same meshes that do not know that they are lattices
     unknown = am.Hierarchy.from_meshes(
-        grids.problem, [replace(level.mesh, source=None) for level in grids.levels]
+        grids.problem, [replace(level.mesh) for level in grids.levels]
     )
     solution = exact(grids)
     here, there = (am.solve(of, NESTED, reference=solution) for of in (grids, unknown))

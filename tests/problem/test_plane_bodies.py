@@ -115,9 +115,7 @@ def test_meshes_fill_the_body_and_nodes_stay_on_the_arc():
 
 
 def test_a_gmsh_file_with_names_is_solved_and_drawn(tmp_path):
-    path = write(
-        tmp_path / "plate.msh", replace(am.mesh.graded(PLATE, 0.6), bodies=("plate",), source=None)
-    )
+    path = write(tmp_path / "plate.msh", replace(am.mesh.graded(PLATE, 0.6), bodies=("plate",)))
     problem = replace(
         POSED,
         domain=None,

@@ -108,7 +108,7 @@ def test_an_obstacle_finds_a_column_that_has_moved_away(seed, n):
     meshes = [
         am.mesh.structured(am.Rectangle(width=size, height=size), k) for k in (n // 4, n // 2, n)
     ]
-    meshes = [replace(mesh, points=mesh.points @ turn.T, source=None) for mesh in meshes]
+    meshes = [replace(mesh, points=mesh.points @ turn.T) for mesh in meshes]
     result = am.solve(am.Hierarchy.from_meshes(problem, meshes))
     confined = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
     down = gap + sunk + shrunk * (1 + NU) / (1 - NU) + E * load / confined
@@ -389,7 +389,7 @@ def test_a_periodic_layer_under_a_sliding_wall_bears_uniform_stress(law):
         supports=am.Support("bottom", x=0, y=0),
     )
     grids = am.Hierarchy.from_meshes(
-        problem, [replace(one, points=one.points @ turn.T, source=None) for one in meshes]
+        problem, [replace(one, points=one.points @ turn.T) for one in meshes]
     )
     steps = am.solve_path(grids, am.LoadPath({"slide": [0, 1, 0.5, 100]}), am.Multigrid(rtol=1e-10))
     pressure = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU)) * depth / 0.5
@@ -408,7 +408,7 @@ def test_a_punch_on_a_roller_may_be_tilted_by_any_angle(turn):
     """The roller holds a part of its normal, however small: forces depend on the angle without
     jumps."""
     meshes = [am.mesh.structured(am.Rectangle(width=1, height=1), n) for n in (4, 8)]
-    meshes = [replace(mesh, points=mesh.points @ turn.T, source=None) for mesh in meshes]
+    meshes = [replace(mesh, points=mesh.points @ turn.T) for mesh in meshes]
     forces = []
     for angle in (0.0, 1e-9, 1e-7, 1e-5, 1e-4):
         punch = am.Moving(

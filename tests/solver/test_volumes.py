@@ -45,7 +45,6 @@ def glued(dim: int, seed: int = 0) -> am.MeshArrays:
         facets=order[mesh.facets],
         element_body=np.floor(x).astype(int),
         bodies=("soft", "steel", "rubber"),
-        source=None,
     )
 
 

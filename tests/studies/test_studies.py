@@ -161,5 +161,5 @@ def test_the_campaign_of_loops_sees_spoilt_meshes():
         ("names of", {"boundaries": ("a", *mesh.boundaries[1:])}),
         ("no edge of", {"elements": mesh.elements[1:], "element_body": None}),
     ):
-        faults = loops.mesh_faults(dataclasses.replace(mesh, source=None, **change), mesh, False)
+        faults = loops.mesh_faults(dataclasses.replace(mesh, **change), mesh, False)
         assert any(words in fault for fault in faults), words

@@ -253,7 +253,7 @@ def test_meshes_with_inverted_elements_are_refused(transfer, dim):
     mesh, finer = structured(2, dim), structured(3, dim)
     elements = np.array(mesh.elements)
     elements[3, :2] = elements[3, 1::-1]
-    inverted = replace(mesh, elements=elements, source=None)
+    inverted = replace(mesh, elements=elements)
     for pair, which in (((inverted, finer), "coarse"), ((finer, inverted), "fine")):
         with pytest.raises(ValueError, match=f"{which}: element 3 is inverted or degenerate"):
             transfer.build(*pair)
@@ -291,9 +291,7 @@ def flat(pair, dim=2, angle=0.0):
 
 def axisymmetric():
     problem, meshes = flat(UPPER_ON_LOWER)
-    shifted = [
-        replace(mesh, points=mesh.points + np.array([0.05, 0.0]), source=None) for mesh in meshes
-    ]
+    shifted = [replace(mesh, points=mesh.points + np.array([0.05, 0.0])) for mesh in meshes]
     return replace(problem, material=am.Axisymmetric(young=1e11, poisson=0.3)), shifted
 
 
