@@ -58,7 +58,7 @@ from adaptmg.problem import Assembly, Box, ContactProblem, Rectangle
 
 
 class Engine(Protocol):
-    """What makes the next mesh: Remesh, Bisect or a user-defined object. It may also have
+    """The maker of the next mesh: Remesh, Bisect or a user-defined object. It may also have
     ``intermediate(problem, coarse, fine) -> MeshArrays or None``, a mesh between two whose sizes
     differ too much for neighbouring levels, and ``first(problem, size) -> MeshArrays or None``, the
     mesh to begin with."""

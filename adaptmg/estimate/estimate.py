@@ -194,7 +194,7 @@ else:
 
 
 class Indicator(Protocol[AnyEstimate]):
-    """What estimates the error: Residual, Recovery, Goal or a user-defined object."""
+    """An estimator of the error: Residual, Recovery, Goal or a user-defined object."""
 
     def indicate(self, hierarchy: Hierarchy, result: Result) -> AnyEstimate:
         """Return the estimate for the elements of the finest mesh."""
@@ -221,7 +221,7 @@ def estimate_for(mesh: MeshArrays, estimate: Estimate, name: str = "estimate") -
 
 
 class Mark(Protocol):
-    """What chooses the elements to refine: Doerfler, Maximum or a user-defined object."""
+    """A choice of the elements to refine: Doerfler, Maximum or a user-defined object."""
 
     def mark(self, estimate: Estimate) -> np.ndarray:
         """Return the mask (n_elements,) of the marked elements."""

@@ -222,7 +222,8 @@ def need_linear(problem: ContactProblem) -> None:
 
 
 def _sizes(functionals: list[Functional]) -> np.ndarray:
-    """What each quantity is related to: 1 of a single one, else the size of its value."""
+    """Return the value that each quantity is related to: 1 for a single one, else the size of its
+    value."""
     if len(functionals) == 1:
         return np.ones(1)
     sizes = np.array([abs(functional.value) for functional in functionals])
@@ -312,8 +313,8 @@ def _on_elements(fine: GoalView, origin: np.ndarray, parts: np.ndarray) -> np.nd
 
 
 def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) -> float:
-    r"""What the solver has left: J of the discrete solution minus J of the result, in the unit of
-    the quantity.
+    r"""Return what the solver has left: J of the discrete solution minus J of the result, in the
+    unit of the quantity.
 
     With the residual r = A u - b, the slip force s f of Tresca's law, and what is left of
     prescribed values,

@@ -211,7 +211,7 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
 
 @dataclass(frozen=True, eq=False)
 class StoredStep:
-    """What a store has of a step next to its result."""
+    """The record that a store has of a step next to its result."""
 
     estimate: Estimate
     levels: list[MeshArrays]  # the meshes of all levels
@@ -223,7 +223,7 @@ class StoredStep:
 
 @dataclass(frozen=True)
 class LoopParts:
-    """What the loop is made of; :func:`adaptmg.adapt` says what each is."""
+    """The parts of a loop; :func:`adaptmg.adapt` says what each is."""
 
     indicator: Indicator
     mark: Mark
@@ -295,7 +295,7 @@ class AdaptiveLoop:
             yield self._solve(*self._carry(last, cast("MeshArrays", mesh)))
 
     def _reached(self, last: Step) -> str:
-        """Which limit a step has reached, as text; empty if none."""
+        """Return as text which limit a step has reached; empty if none."""
         limits = self.limits
         relative = last.estimate.relative
         met = [
@@ -329,7 +329,7 @@ class AdaptiveLoop:
         return ""
 
     def _full(self, nodes: int) -> bool:
-        """Whether this number of nodes leaves no room for another mesh."""
+        """Return whether this number of nodes leaves no room for another mesh."""
         return self.limits.max_nodes is not None and nodes * LEAST_GROWTH > self.limits.max_nodes
 
     @one_blas_thread()
@@ -515,7 +515,7 @@ def solved(
 
 
 def _applies(solver: Solver, hierarchy: Hierarchy) -> bool:
-    """Whether a solver can be used: multigrid needs two levels."""
+    """Return whether a solver can be used: multigrid needs two levels."""
     return len(hierarchy) > 1 or not isinstance(solver, Multigrid)
 
 

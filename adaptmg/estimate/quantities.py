@@ -139,7 +139,8 @@ class Functional:
 
 
 class Quantity(Protocol):
-    """What a goal may ask for; a user-defined quantity is any object with this method."""
+    """A quantity that a goal may ask for; a user-defined quantity is any object with this
+    method."""
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the quantity, or several, of a solution."""

@@ -56,8 +56,8 @@ class EnergyError:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What errors are measured against; made once, by :meth:`of`. Mappings are by the name of the
-    body."""
+    """A solution that errors are measured against; made once, by :meth:`of`. Mappings are by the
+    name of the body."""
 
     problem: ContactProblem
     energy: float  # ||u_H||^2, N m

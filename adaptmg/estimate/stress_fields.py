@@ -63,12 +63,13 @@ class ElementStress:
 
     @property
     def axisymmetric(self) -> bool:
-        """Whether integrals are weighted with 2 pi r."""
+        """Return whether integrals are weighted with 2 pi r."""
         return self.data.axisymmetric
 
     @property
     def columns(self) -> np.ndarray:
-        """Which column (dim, dim) has each component in space, in axisymmetry of the section."""
+        """Return the column (dim, dim) of each component in space, in axisymmetry of the
+        section."""
         return _BACK[self.values.shape[1]]
 
     @cached_property
@@ -132,7 +133,8 @@ def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData)
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Which elements share the facets inside, and which one a boundary facet belongs to."""
+    """The elements that share each facet inside, and the one that each boundary facet belongs
+    to."""
 
     pairs: np.ndarray  # (2, n): both elements
     facets: np.ndarray  # (n, dim): the facet between them

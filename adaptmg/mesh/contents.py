@@ -34,7 +34,7 @@ _FLAT = 1e-9
 
 @dataclass(eq=False)
 class Contents:
-    """What a mesh file holds; nodes are rows of ``points``."""
+    """Contents of a mesh file; nodes are rows of ``points``."""
 
     points: np.ndarray  # (n, 3): in the unit of the file
     cells: list[tuple[str, np.ndarray]]  # kind and nodes (m, k) of blocks of any dimension
@@ -292,8 +292,8 @@ def _labelled(
 def _is_volume(
     inside: np.ndarray, elements: np.ndarray, at_rim: np.ndarray, parts: np.ndarray
 ) -> bool:
-    """Whether a set of nodes is that of some elements, among them a whole piece of the mesh or one
-    with a node within."""
+    """Return whether a set of nodes is that of some elements, among them a whole piece of the mesh
+    or one with a node within."""
     whole = inside[elements].all(axis=1)
     # nodes of no element may be in it
     covered = np.ones_like(inside)

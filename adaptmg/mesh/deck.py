@@ -92,11 +92,11 @@ class _Block:
 
 
 class _InLine(ValueError):
-    """What is wrong in a line of a deck or of a file that it includes."""
+    """An error in a line of a deck, or of a file that it includes."""
 
 
 class _Deck:
-    """What was read of a deck so far. Names of sets are in capitals."""
+    """The parts of a deck that were read so far. Names of sets are in capitals."""
 
     def __init__(self) -> None:
         self.numbers = [np.empty(0, dtype=np.int64)]

@@ -69,7 +69,7 @@ class Netgen:
 
     @property
     def alive(self) -> bool:
-        """Whether the process still runs."""
+        """Return whether the process still runs."""
         return self.process.poll() is None
 
     def __call__(self, function: str, *arguments: Any, seconds: float) -> Any:

@@ -319,7 +319,7 @@ class SolidSizes:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What is known of an OCC solid at about unit size that a process of Netgen holds."""
+    """Properties of an OCC solid at about unit size that a process of Netgen holds."""
 
     names: list[str]  # of its faces
     areas: list[float]

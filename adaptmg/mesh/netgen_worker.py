@@ -62,7 +62,7 @@ _SIDES = ("left", "right", "front", "back", "bottom", "top")
 
 
 class _Held:
-    """What a request leaves for the next one."""
+    """Objects that a request leaves for the next one."""
 
     mesh: object = None
     shape: Solid = None

@@ -99,7 +99,8 @@ def _new_nodes(mesh: MeshArrays, name: str, n_old: int) -> tuple[np.ndarray, np.
 
 
 def _depth(parents: np.ndarray, n_old: int) -> np.ndarray:
-    """How many new nodes follow each other in the ancestry of each new node, itself included."""
+    """Count the new nodes that follow each other in the ancestry of each new node, itself
+    included."""
     depth = np.zeros(len(parents), dtype=np.int64)
     new = np.arange(n_old, len(parents))
     while True:

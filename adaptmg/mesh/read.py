@@ -75,7 +75,7 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
 
 
 def _is_ngsolve(mesh: object) -> bool:
-    """Whether it is an ngsolve.Mesh; NGSolve is not loaded for the question."""
+    """Return whether it is an ngsolve.Mesh; NGSolve is not loaded for the question."""
     module = sys.modules.get("ngsolve")
     return module is not None and isinstance(mesh, module.Mesh)
 
@@ -147,7 +147,7 @@ def _file(name: str, path: str | Path) -> Path:
 
 
 def _read(function: str, path: Path) -> Any:
-    """What a reader of the other process makes of a file."""
+    """Return what a reader of the other process makes of a file."""
     with netgen() as worker:
         return worker(function, str(path.absolute()), seconds=read_s(path))
 

@@ -345,8 +345,8 @@ def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -
 
 
 def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: float) -> bool:
-    """Whether a triangle of a face lies on another face, of a solid, which looks the other way
-    there."""
+    """Return whether a triangle of a face lies on another face, of a solid, which looks the other
+    way there."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     # corners lie on round faces, centroids of their triangles do not; plane faces may have all

@@ -196,7 +196,7 @@ def _cells(counts: tuple[int, ...], last: np.ndarray, *, axis: int = -1) -> np.n
 
 
 def _strides(counts: tuple[int, ...]) -> np.ndarray:
-    """How far apart neighbours along each axis are numbered."""
+    """Return how far apart neighbours along each axis are numbered."""
     return np.cumprod([1, *(n + 1 for n in counts[:-1])]).astype(np.int32)
 
 
@@ -259,7 +259,7 @@ def _simplices(counts: tuple[int, ...]) -> np.ndarray:
 
 
 def _moved(simplices: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Those (n, k) of the cell whose lowest node is 0, in each of some cells."""
+    """Move the simplices (n, k) of the cell whose lowest node is 0 to each of some cells."""
     return (cells[:, None, None] + simplices).reshape(-1, simplices.shape[1])
 
 
@@ -340,7 +340,7 @@ def merged(meshes: Mapping[str, MeshArrays]) -> MeshArrays:
 
 
 def _starts(counts: Iterable[int]) -> np.ndarray:
-    """Where each of some concatenated parts begins."""
+    """Return where each of some concatenated parts begins."""
     return np.cumsum([0, *counts])[:-1]
 
 

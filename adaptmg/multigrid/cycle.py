@@ -60,11 +60,11 @@ class InitialContact:
 
 
 class Correction(Protocol):
-    """How contact data go to the next coarser level."""
+    """The transport of contact data to the next coarser level."""
 
     @property
     def needs_initial(self) -> bool:
-        """Whether :meth:`transport` gets the first solution on the coarse level."""
+        """Return whether :meth:`transport` gets the first solution on the coarse level."""
         ...
 
     def transport(
@@ -80,7 +80,8 @@ class Correction(Protocol):
 
 
 class Recorder(Protocol):
-    """What the multigrid ingredients report to; :class:`adaptmg.solver.record.Run` is one."""
+    """An observer that the multigrid ingredients report to; :class:`adaptmg.solver.record.Run` is
+    one."""
 
     def count(self, passes: float, nonzeros: int) -> None:
         """Count matrix passes."""
@@ -654,7 +655,7 @@ class CoarseSolve:
 
 @dataclass(frozen=True, kw_only=True)
 class NestedStart:
-    """How the levels below the finest are solved before it.
+    """The solves on the levels below the finest, before it.
 
     Parameters
     ----------

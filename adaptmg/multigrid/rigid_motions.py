@@ -258,7 +258,7 @@ class _Descent:
 
 
 def _least(slope: Callable[[float], float], first: float, stop: float) -> float:
-    """Where a rising slope vanishes, at most ``stop``, looked for up to ``first`` first."""
+    """Find the root of an increasing function in (0, stop], bracketed from ``first``."""
     low = 0.0
     high = min(first, stop)
     while high < stop and slope(high) < 0.0:  # there is friction that holds

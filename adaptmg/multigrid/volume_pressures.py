@@ -74,7 +74,8 @@ class VolumePressures:
 
     @property
     def weights(self) -> np.ndarray:
-        """What makes energies of the squares of :meth:`missed` (n_groups,), N m."""
+        """Return the factors (n_groups,) that make energies of the squares of :meth:`missed`, N
+        m."""
         return self.volumes.areas * self.volumes.modulus
 
     def missed(self, unknowns: np.ndarray) -> np.ndarray:

@@ -124,7 +124,7 @@ def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence
 
 
 def _positive_definite(matrix: np.ndarray) -> bool:
-    """Whether the eigenvalues of a matrix are positive once its diagonal is scaled to 1."""
+    """Return whether the eigenvalues of a matrix are positive once its diagonal is scaled to 1."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     return bool(
         scale.all() and np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() > _FROM_LIMIT

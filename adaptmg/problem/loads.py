@@ -73,7 +73,7 @@ def times(value: Any, factor: float) -> Any:
 
 
 class Acting(checks.Checked):
-    """What a load path scales: the base class of loads, supports, periodic sides and moving
+    """The base class of what a load path scales: of loads, supports, periodic sides and moving
     obstacles."""
 
     name: str | None = None
@@ -355,7 +355,7 @@ Load = Pressure | Traction | BodyForce | PointForce | InitialStrain | Preload
 
 
 class _Holds(Acting):
-    """What holds bodies: the base class of all supports."""
+    """The base class of all supports."""
 
     _stiffnesses: ClassVar[tuple[str, ...]] = ()
 

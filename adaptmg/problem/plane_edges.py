@@ -202,7 +202,7 @@ def check_simple(
 
 
 def _meet(e: Segment | Arc, f: Segment | Arc, shared: list[np.ndarray], tiny: float) -> bool:
-    """Whether two edges meet elsewhere than at the vertices they share."""
+    """Return whether two edges meet elsewhere than at the vertices they share."""
     points = (
         meetings(e, f, tiny)
         if not shared

@@ -36,7 +36,7 @@ _NO_ROTATION = cast("np.ndarray", 0.0)  # an array once it is checked
 
 
 class Obstacle(Protocol):
-    """What a contact boundary may touch."""
+    """A surface that a contact boundary may touch."""
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return contact normals (n, dim) and gaps (n,), m; see :meth:`adaptmg.Plane.contact`."""
@@ -135,7 +135,7 @@ class GapFunction(checks.Checked):
 
 
 class _MovingPart(Acting):
-    """What Moving and Rigid share."""
+    """The fields and checks that Moving and Rigid share."""
 
     obstacle: Obstacle
     about: np.ndarray | None

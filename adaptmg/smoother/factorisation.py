@@ -176,8 +176,8 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
 
 
 def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which nodes lie behind the median of their part along its longest extent, and which parts are
-    left whole."""
+    """Find which nodes lie behind the median of their part along its longest extent, and which
+    parts are left whole."""
     _, index, size = np.unique(part, return_inverse=True, return_counts=True)
     first = np.r_[0, np.cumsum(size)[:-1]]
     extent, low, middle = (np.empty((len(size), coordinates.shape[1])) for _ in range(3))
@@ -248,12 +248,13 @@ class Condensed(Eliminated):
 
     @property
     def regular(self) -> bool:
-        """Whether no dof was left at zero."""
+        """Return whether no dof was left at zero."""
         return len(self.factors.order) == self.full.system.n_dofs
 
     @property
     def by_nodes(self) -> bool:
-        """Whether sweeps may solve node by node: all contact nodes but one hold every body."""
+        """Return whether sweeps may solve node by node: all contact nodes but one hold every
+        body."""
         n = len(self.full.system.nodes)
         dim = self.full.system.dim
         size = np.sqrt(self.shift).reshape(n, dim)

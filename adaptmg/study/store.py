@@ -205,8 +205,8 @@ class Store:
                         connection.execute(statement)
 
     def _is_store(self) -> bool:
-        """Whether there are tables of this version; False for an empty file, ValueError for other
-        databases, also for those with views and triggers."""
+        """Return whether there are tables of this version; False for an empty file, ValueError for
+        other databases, also for those with views and triggers."""
         tables = dict(
             self._connection.execute(
                 "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL UNION ALL "
@@ -335,8 +335,8 @@ class Store:
         return claimed
 
     def _may_live(self, run: tuple[str, str], owner: str, renewals: int) -> bool:
-        """Whether the process of a claim may still compute: not if it has ended, nor if it has not
-        renewed the claim for a while by the clock of this process."""
+        """Return whether the process of a claim may still compute: not if it has ended, nor if it
+        has not renewed the claim for a while by the clock of this process."""
         if has_ended(owner.partition(" ")[0]):
             return False
         if self._seen.get(run, ("", 0))[:2] != (owner, renewals):
