@@ -177,7 +177,8 @@ def held_slaves(
 
 class Unknowns:
     """The unknowns of a :class:`~adaptmg.discrete.problem.DiscreteProblem` in each system, there
-    and back."""
+    and back. A solution is one vector (n_unknowns,): the unknowns of the nodes, then the pressures
+    of volumes, which are the same in every system."""
 
     matrix: sparse.bsr_array
     load: np.ndarray
@@ -229,16 +230,26 @@ class Unknowns:
         """Return the inverse of :meth:`physical_forces`."""
         return forces if self.coupling is None else self.coupling.relative_forces(forces)
 
-    def from_prescribed(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return unknowns (n_dofs,) or (n_nodes, dim) minus the prescribed values, zero at fixed
-        dofs (n_dofs,), m."""
-        result = unknowns.reshape(-1) - self.fixed_values
-        result[self.fixed] = 0.0
+    def parts(self, solution: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the unknowns of the nodes (n_dofs,) and the pressures (n_groups,) of a
+        solution, not copied."""
+        return solution[: len(self.fixed)], solution[len(self.fixed) :]
+
+    def from_prescribed(self, solution: np.ndarray) -> np.ndarray:
+        """Return unknowns (n_dofs,) or (n_nodes, dim), m, or a solution (n_unknowns,), minus the
+        prescribed values, zero at fixed dofs; flat."""
+        result = np.array(solution, dtype=np.float64).reshape(-1)
+        unknowns, _ = self.parts(result)
+        unknowns -= self.fixed_values
+        unknowns[self.fixed] = 0.0
         return result
 
     def with_prescribed(self, change: np.ndarray) -> np.ndarray:
-        """Return the inverse of :meth:`from_prescribed` (n_dofs,)."""
-        return change + self.fixed_values
+        """Return the inverse of :meth:`from_prescribed`."""
+        result = change.copy()
+        unknowns, _ = self.parts(result)
+        unknowns += self.fixed_values
+        return result
 
     def load_from_prescribed(self) -> np.ndarray:
         """Return the load b - A u_fixed of what :meth:`from_prescribed` returns, zero at fixed dofs

@@ -135,14 +135,15 @@ def discretise(
         ),
         "name": f"{problem.name}, {mesh.n_nodes} nodes",
     }
+    parts["volumes"] = Volumes.none(mesh.n_nodes, mesh.dim)
     if problem.elements == "smoothed":
         parts["volumes"] = volume_groups(mesh, materials)
-        if parts["volumes"] is not None and held.inclined is not None:
+        if len(parts["volumes"]) and held.inclined is not None:
             raise ValueError(
                 "supports along directions that are no axes cannot hold smoothed elements with poisson "
                 'above .4; turn the problem, or take elements="linear"'
             )
-    parts |= _strain_free(problem, mesh, materials, parts.get("volumes"))
+    parts |= _strain_free(problem, mesh, materials, parts["volumes"])
     for array in (parts["load"], fixed, values, *bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
     result = DiscreteProblem.assembled(weights, **parts)
@@ -170,24 +171,22 @@ def _nodal_law(problem: ContactProblem, mesh: MeshArrays, contact: ContactNodes)
 
 
 def _strain_free(
-    problem: ContactProblem, mesh: MeshArrays, materials: Materials, volumes: Volumes | None
+    problem: ContactProblem, mesh: MeshArrays, materials: Materials, volumes: Volumes
 ) -> dict[str, Any]:
     """The parts of a problem that initial strains make besides loads."""
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
     if not strains:
         return {
             "strain_free": None,
-            "volumes": None if volumes is None else replace(volumes, expansion=0.0),
+            "volumes": replace(volumes, expansion=0.0),
         }
     data = StressData.of(mesh, materials, strains, problem.elements)
-    if volumes is not None:
-        volumes = volumes.expanding(mesh, data.initial_strain, data.axisymmetric)
     return {
         "strain_free": (
             load_vector(mesh, strains, materials, problem.elements),
             data.suppressed(mesh),
         ),
-        "volumes": volumes,
+        "volumes": volumes.expanding(mesh, data.initial_strain, data.axisymmetric),
     }
 
 
@@ -492,7 +491,7 @@ class LoadSteps:
         """Return the problem of a load step; slips count from ``slip_reference`` (n_contact, dim),
         m."""
         volumes = discrete.volumes
-        if volumes is not None and self.strains:
+        if len(volumes) and self.strains:
             data = self.stress_data(factors)
             volumes = volumes.expanding(self.mesh, data.initial_strain, data.axisymmetric)
         return discrete.with_step(

@@ -103,7 +103,7 @@ class DiscreteProblem(Unknowns):
     )
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray], ...] = ()
-    volumes: Volumes | None = None  # groups of nodes whose mean volume strains add to the stiffness
+    volumes: Volumes = ABSENT  # groups of nodes whose mean volume strains add to the stiffness
 
     if TYPE_CHECKING:
         _structure: ClassVar[Token]  # of each object, set by _complete; no field
@@ -186,9 +186,9 @@ class DiscreteProblem(Unknowns):
         load: np.ndarray,
         fixed_values: np.ndarray,
         slip_reference: np.ndarray,
-        strain_free: tuple[np.ndarray, float] | None = None,
-        factors: Mapping[str, float] | None = None,
-        volumes: Volumes | None = None,
+        strain_free: tuple[np.ndarray, float] | None,
+        factors: Mapping[str, float],
+        volumes: Volumes,
     ) -> DiscreteProblem:
         """Return the same bodies under other data (a load step): nothing else is checked or copied
         again.
@@ -203,7 +203,7 @@ class DiscreteProblem(Unknowns):
         values = bounded("fixed_values", np.where(self.fixed, fixed_values, 0.0), (self.n_dofs,))
         inclined = self.inclined
         if inclined is not None:
-            prescribed = inclined.prescribed(factors or {})
+            prescribed = inclined.prescribed(factors)
             inclined = replace(inclined, load=load)
             load = inclined.posed(load, prescribed)
             strain_free = inclined.strain_free(strain_free, prescribed)
@@ -213,7 +213,7 @@ class DiscreteProblem(Unknowns):
             contact=contact,
             strain_free=strain_free,
             inclined=inclined,
-            volumes=self.volumes if volumes is None else volumes,
+            volumes=volumes,
         )
 
     def posing(self, **parts: object) -> DiscreteProblem:
@@ -234,16 +234,14 @@ class DiscreteProblem(Unknowns):
         """Return whether matrix, fixed dofs, contact nodes and normals are those of another one."""
         return self._structure is other._structure
 
-    def under(self, pressures: np.ndarray | None) -> DiscreteProblem:
-        """Return the same with given pressures (n_groups,) of ``volumes``, Pa, as part of the
-        load."""
-        if self.volumes is None or pressures is None:
-            return self
-        return self.posing(load=self.load - self.volumes.forces(pressures))
+    def residual(self, solution: np.ndarray) -> np.ndarray:
+        """Return b - A u - B'p (n_dofs,), N, of a solution (n_unknowns,); dual."""
+        displacement, pressures = self.parts(solution)
+        return self.load - self.matrix @ displacement - self.volumes.forces(pressures)
 
     def need_no_volumes(self, what: str) -> None:
         """Raise ValueError if there are volumes, which ``what`` cannot take."""
-        if self.volumes is not None:
+        if len(self.volumes):
             raise ValueError(
                 f"grids: {what} cannot solve for smoothed elements with poisson above .4; use "
                 "am.FullMultigrid(), am.Multigrid(correction=am.Truncated()) or am.ActiveSet()"
@@ -307,6 +305,8 @@ class DiscreteProblem(Unknowns):
         :func:`remembered_of_structure`."""
         check_size("load", largest_entry(self.load))
         check_bounds(self.law, len(self.contact))
+        if self.volumes is None:
+            object.__setattr__(self, "volumes", Volumes.none(self.n_nodes, self.dim))
         object.__setattr__(self, "_structure", Token())
 
     def _check_fixed_at_contact(self) -> None:
@@ -326,6 +326,11 @@ class DiscreteProblem(Unknowns):
     def n_dofs(self) -> int:
         """Return the number of degrees of freedom, fixed ones included."""
         return self.matrix.shape[0]
+
+    @property
+    def n_unknowns(self) -> int:
+        """Return the number of degrees of freedom and of the pressures of ``volumes``."""
+        return self.n_dofs + len(self.volumes)
 
     @property
     def n_nodes(self) -> int:
@@ -373,9 +378,8 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     load.flags.writeable = False
     if strain_free is not None:
         strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
-    volumes = parts.get("volumes")
-    if volumes is not None:
-        volumes = volumes.with_rows(coupling.relative_rows(volumes.rows))
+    volumes = parts["volumes"]
+    volumes = volumes.with_rows(coupling.relative_rows(volumes.rows))
     if parts.get("ties"):
         tied = parts["fixed"].copy().reshape(weights.shape[0], -1)
         for *_, nodes in parts["ties"]:

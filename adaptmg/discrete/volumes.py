@@ -50,6 +50,8 @@ from adaptmg.mesh.arrays import MeshArrays
 
 #: nodes of a group, by dimension
 GROUP = {2: 4, 3: 8}
+#: of a problem without groups
+NO_PRESSURES = read_only(np.empty(0))
 #: kappa over the shear modulus up to which there are no groups
 _NONE = 1e-9
 
@@ -70,6 +72,19 @@ class Volumes:
         np.ndarray
     )  # (n_elements, dim + 1) int32: groups of the corners of elements, -1 for none
     expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
+
+    @classmethod
+    def none(cls, n_nodes: int, dim: int) -> Volumes:
+        """Return no groups, of a problem whose matrix holds the whole stiffness."""
+        return cls(
+            rows=sparse.csr_array((0, n_nodes * dim)),
+            means=sparse.csr_array((0, n_nodes)),
+            areas=NO_PRESSURES,
+            compliance=NO_PRESSURES,
+            modulus=NO_PRESSURES,
+            body=np.empty(0, dtype=np.int64),
+            corners=np.empty((0, dim + 1), dtype=np.int32),
+        )
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -110,6 +125,8 @@ class Volumes:
 
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
         """Return the same under initial strains (n_elements, 3)."""
+        if not len(self):
+            return self
         own = self.corners >= 0
         size = self.corners.shape[1]
         shares = np.repeat(
@@ -130,8 +147,8 @@ class Volumes:
         return np.append(pressures, 0.0)[self.corners].mean(axis=1)
 
 
-def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
-    """Return the groups of all bodies that are nearly incompressible; None if there are none."""
+def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes:
+    """Return the groups of all bodies that are nearly incompressible."""
     materials = body_materials(mesh, material)
     dim = mesh.dim
     lame, shear = lame_constants(materials)
@@ -140,7 +157,7 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes | None:
     # a ratio of .4 has a kappa of rounding
     soft = (kappa > _NONE * shear)[mesh.element_body]
     if not soft.any():
-        return None
+        return Volumes.none(mesh.n_nodes, dim)
     # a node of two bodies has a group in each
     cells, points = apart(mesh)
     elements = mesh.elements[soft]

@@ -237,10 +237,7 @@ class Posed:
         pressures of volumes."""
         unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
         forces = self.discrete.matrix @ unknowns
-        volumes = self.discrete.volumes
-        return unknowns, forces if volumes is None else forces + volumes.forces(
-            cast("np.ndarray", self.result.pressures)
-        )
+        return unknowns, forces + self.discrete.volumes.forces(self.result.pressures)
 
     def check_loads(self) -> None:
         """Raise ValueError unless the loads of the problem are those of the result, b = A u -

@@ -203,7 +203,8 @@ def _discrete(discrete: DiscreteProblem) -> Iterator[Part]:
             modes[:, k],
             dim,
         )
-    if (volumes := discrete.volumes) is not None:
+    volumes = discrete.volumes
+    if len(volumes):
         yield Part(
             "volumes",
             "B: A u + B' p = b, B u = C p + v with the pressures p of groups of nodes",

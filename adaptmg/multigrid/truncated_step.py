@@ -39,7 +39,7 @@ from scipy import linalg, sparse
 
 from adaptmg._numba import kernel
 from adaptmg._threads import sum_of_parts
-from adaptmg.discrete.volumes import Volumes
+from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import LinearCycle, least_weights, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
@@ -77,22 +77,21 @@ class TruncatedStep:
         self,
         cycle: LinearCycle,
         number: int,
+        problem: DiscreteProblem,
         contact: TruncatedContact,
         load: np.ndarray,
-        unknowns: np.ndarray,
+        iterate: np.ndarray,
         depth: int,
         motions: RigidMotions | None = None,
         interface: Interface | None = None,
         interface_sweeps: int = 0,
-        pressures: VolumePressures | None = None,
         search: bool = True,
     ) -> None:
         self.searches = search
         self.cycle = cycle
         self.number = number
         self.contact = contact
-        self.pressures = pressures
-        self.load = load
+        self.pressures = VolumePressures(problem)
         self.level = cycle.levels[number]
         levels = cycle.levels[: number + 1]
         self.matrix = self.level.matrix
@@ -102,14 +101,9 @@ class TruncatedStep:
             [level.prolongation for level in levels[1:]],
             contact,
         )
-        self.motions = motions
         self.depth = depth
-        self.unknowns = unknowns
-        self.residual = np.zeros_like(unknowns)
-        self._uniform: list[tuple[np.ndarray, np.ndarray]] = []
-        self._frozen: bool | None = (
-            None  # whether friction is frozen in the coarse matrices; None: they are to be made
-        )
+        self.residual = np.zeros(self.matrix.n_dofs)
+        self.begin(load, iterate, motions)
         self.interface = interface
         self._interface_sweeps = 0 if interface is None else interface_sweeps
 
@@ -123,12 +117,12 @@ class TruncatedStep:
         self.smooth()
         # u'Au = u'f - u'r; the linearisation truncates r
         energy = (
-            _product(self.unknowns, self.load) - _product(self.unknowns, self.residual)
+            _product(self.unknowns, self.load)
+            - _product(self.unknowns, self.residual)
+            + self.pressures.volumes.energy(self.group_pressures)
             if with_energy
             else np.nan
         )
-        if self.pressures is not None:
-            energy += self.pressures.volumes.energy(self.pressures.values)
         return self.linearise(np.inf if trusted is None else trusted(self.unknowns), energy)
 
     def smooth(self) -> None:
@@ -140,8 +134,7 @@ class TruncatedStep:
                 order = self.interface.backward if backward else self.interface.forward
                 self._interface_sweep(self.interface, order)
         if self.motions is not None:
-            # pressures stand behind the unknowns
-            past = [iterate[: len(self.unknowns)] for iterate, _ in self._past]
+            past = [iterate[: self.matrix.n_dofs] for iterate, _ in self._past]
             self.motions.settle(self.unknowns, past, self.residual)
 
     def linearise(self, trusted: float, energy: float) -> StepState:
@@ -149,18 +142,21 @@ class TruncatedStep:
         coarse matrices. A residual above ``trusted`` (N) freezes g in the matrices, which keeps
         them symmetric."""
         changed, natural, reactions = self.contact.update_status(self.residual)
-        whole = self.residual if self.pressures is None else self.residual.copy()
+        pressures = self.pressures
+        whole = self.residual.copy() if len(pressures.volumes) else self.residual
         at_contact = self.contact.truncate(self.residual)
-        self._restricted = np.empty(self.coarse.n_dofs)
-        elsewhere = max(self.level.restrict(self.residual, self._restricted) - at_contact, 0.0)
+        n = self.coarse.n_dofs
+        #: the residual on the next coarser level, and what volumes miss
+        self._left = np.empty(n + len(pressures.volumes))
+        elsewhere = max(self.level.restrict(self.residual, self._left[:n]) - at_contact, 0.0)
         self.cycle.recorder.visit(self.number, "restrict")
-        if self.pressures is not None:
-            self._missed = self.pressures.missed(self.unknowns)
-            natural += self.pressures.forces_missed(self._missed)
-            self.cycle.recorder.count(1.0, self.pressures.nonzeros)
-            # not where the status was unknown: 1441 for 1512 cycles of 46 problems, ratio .45 to .5
-            if changed and self._frozen is not None:
-                self.pressures.hesitate()
+        missed = self._left[n:]
+        missed[:] = pressures.missed(self.unknowns, self.group_pressures)
+        natural += pressures.forces_missed(missed)
+        self.cycle.recorder.count(1.0, pressures.nonzeros)
+        # not where the status was unknown: 1441 for 1512 cycles of 46 problems, ratio .45 to .5
+        if changed and self._frozen is not None:
+            pressures.hesitate()
         residual = float(np.sqrt(elsewhere + natural))
         frozen = residual > trusted
         if changed or frozen != self._frozen:
@@ -170,21 +166,19 @@ class TruncatedStep:
             self._past.clear()
             self._frozen = frozen
             self._uniform = []
-        if self.pressures is not None and not self._uniform and changed <= self.FEW:
-            self._uniform = [
-                self._of_uniform(self.pressures.volumes, whole, one)
-                for one in self.pressures.uniform()
-            ]
+        if not self._uniform and changed <= self.FEW:
+            self._uniform = [self._of_uniform(whole, one) for one in pressures.uniform()]
         return StepState(changed, residual, float(np.sqrt(reactions)), energy)
 
     def correct(self, shorten: bool = False) -> float:
         """Correct, project and search; returns the energy of the coarse correction, N m. It
         estimates the energy of the error that the correction removes. ``shorten``: up to where the
         first open node closes."""
-        start = self._iterate()
-        combined, residual = self._recombined(start)
+        start = self.iterate, self._left
+        combined, residual = self._recombined(*start)
         load = residual[: self.coarse.n_dofs]
-        proposed = combined[: len(self._unknowns)].copy()
+        iterate = combined.copy()
+        proposed = iterate[: self.matrix.n_dofs]
         # past iterates make up for what a cheaper cycle leaves
         correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
         energy = _product(load, correction)
@@ -193,34 +187,38 @@ class TruncatedStep:
         proposed[self.matrix.fixed] = 0.0
         if shorten:
             way = self.contact.way(proposed)
-            proposed = self._unknowns + way * (proposed - self._unknowns)
+            proposed[:] = self.unknowns + way * (proposed - self.unknowns)
         self.contact.project(proposed)
         if self._frozen and self.searches:
             self._search(proposed, before)
-        smoothed = [] if combined is start[0] else [start]
+        smoothed = [] if combined is self.iterate else [start]
         self._past = [(combined, residual), *smoothed, *self._past][: self.depth]
-        self._unknowns = proposed
+        self.iterate = iterate
         self._corrected = True
-        if self.pressures is not None:
-            self.pressures.values = combined[len(proposed) :]
-            energy += self.pressures.advance(proposed)
-            self.load = self._given
-            self.cycle.recorder.count(2.0, self.pressures.nonzeros)
+        energy += self.pressures.advance(proposed, self.group_pressures)
+        self._carry()
+        self.cycle.recorder.count(2.0, self.pressures.nonzeros)
         self.cycle.recorder.visit(self.number, "prolong")
         return energy
 
     def move(self, change: np.ndarray) -> None:
         """Add a change (n_dofs,) to the iterate, which is projected onto the admissible ones."""
-        self.unknowns = self.unknowns + change
+        unknowns = self.unknowns
+        unknowns += change
         self.contact.start(self.unknowns)
+        self._forget()
 
-    def pose(self, load: np.ndarray, unknowns: np.ndarray, motions: RigidMotions | None) -> None:
-        """Begin another load step."""
-        self.load = load
-        self.unknowns = unknowns
+    def begin(self, load: np.ndarray, iterate: np.ndarray, motions: RigidMotions | None) -> None:
+        """Begin at an admissible iterate (n_unknowns,), which is changed, under a load (n_dofs,):
+        the first one or another load step."""
+        self._given = load
+        self.iterate = iterate
         self.motions = motions
-        self._turns = 0
-        self._frozen = None
+        #: whether friction is frozen in the coarse matrices; None: they are to be made
+        self._frozen: bool | None = None
+        self._uniform: list[tuple[np.ndarray, np.ndarray]] = []
+        self._forget()
+        self._carry()
 
     def base_matrix(self, number: int) -> sparse.bsr_array:
         """The matrix of a coarser level without truncation."""
@@ -242,41 +240,33 @@ class TruncatedStep:
 
     @property
     def unknowns(self) -> np.ndarray:
-        """The present iterate (n_dofs,)."""
-        return self._unknowns
+        """The displacement of the iterate (n_dofs,), from the prescribed values."""
+        return self.iterate[: self.matrix.n_dofs]
 
-    @unknowns.setter
-    def unknowns(self, values: np.ndarray) -> None:
-        self._unknowns = values
+    @property
+    def group_pressures(self) -> np.ndarray:
+        """The pressures of the iterate (n_groups,)."""
+        return self.iterate[self.matrix.n_dofs :]
+
+    def _forget(self) -> None:
+        """Recombine no iterate before the present one."""
         self._corrected = False
         #: iterates and their restricted residuals, newest first, in turns a recombined one and the one it was made from
         self._past: list[tuple[np.ndarray, np.ndarray]] = []
 
-    @property
-    def load(self) -> np.ndarray:
-        """What the matrix of this level balances (n_dofs,): the load without what pressures of
+    def _carry(self) -> None:
+        """Find what the matrix of this level balances (n_dofs,): the load without what pressures of
         groups carry."""
-        return self._load
-
-    @load.setter
-    def load(self, given: np.ndarray) -> None:
-        self._given = self._load = given
-        if self.pressures is not None:
-            self._load = given - self.pressures.volumes.forces(self.pressures.values)
-
-    def _iterate(self) -> tuple[np.ndarray, np.ndarray]:
-        """The iterate and its residual, restricted; with pressures these and what they miss
-        behind."""
-        if self.pressures is None:
-            return self._unknowns, self._restricted
-        return np.append(self._unknowns, self.pressures.values), np.append(
-            self._restricted, self._missed
-        )
+        volumes = self.pressures.volumes
+        self.load = self._given
+        if len(volumes):
+            self.load = self._given - volumes.forces(self.group_pressures)
 
     def _of_uniform(
-        self, volumes: Volumes, residual: np.ndarray, pressures: np.ndarray
+        self, residual: np.ndarray, pressures: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """The pressures, and what they add to the restricted residual and to what volumes miss."""
+        volumes = self.pressures.volumes
         changed = residual - volumes.forces(pressures)
         restricted = np.empty(self.coarse.n_dofs)
         self.contact.truncate(changed)
@@ -325,33 +315,32 @@ class TruncatedStep:
         )
         self.cycle.recorder.count(1.0, interface.nonzeros)
 
-    def _recombined(self, iterate: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def _recombined(self, iterate: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r"""The iterate and its restricted residual, recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
         the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays,
         the residual is affine in u (3D: nearly). With recombined iterates alone, few are as good as
         all of them where the problem is symmetric; the others keep what Coulomb's law needs."""
-        unknowns, load = iterate
         uniform = self._uniform
         if self._past or uniform:
             dim = self.coarse.dim
             n = len(self._past)
             d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
-            d = d if self.pressures is None else np.append(d, self.pressures.weights)
+            d = np.append(d, self.pressures.weights)
             changes = np.array(
                 [residual - load for _, residual in self._past] + [change for _, change in uniform]
             )
             alpha = least_weights(load, changes, d)
-            combined = (1.0 - alpha[:n].sum()) * unknowns
+            combined = (1.0 - alpha[:n].sum()) * iterate
             for weight, (past, _) in zip(alpha, self._past, strict=False):
                 combined = linalg.blas.daxpy(
                     past, combined, a=weight
                 )  # in place: one pass over long vectors
             for weight, (pressures, _) in zip(alpha[n:], uniform, strict=True):
-                combined[len(self._unknowns) :] += weight * pressures
-            if self.contact.admits(combined[: len(self._unknowns)]):
+                combined[self.matrix.n_dofs :] += weight * pressures
+            if self.contact.admits(combined[: self.matrix.n_dofs]):
                 return combined, load + alpha @ changes
-        return unknowns, load
+        return iterate, load
 
     def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""

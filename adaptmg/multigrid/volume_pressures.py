@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -38,19 +37,14 @@ from adaptmg.discrete.volumes import Volumes
 from adaptmg.multigrid.linear_cycle import least_weights
 
 
-def _volumes(problem: DiscreteProblem) -> Volumes:
-    """Return the volumes of a problem that has them: what this module is for."""
-    return cast("Volumes", problem.volumes)
-
-
 class VolumePressures:
-    """The pressures of one level, ``values`` (n_groups,), Pa."""
+    """What moves the pressures (n_groups,) of one level, Pa."""
 
     #: share of a step after a change of the status, and number of such steps
     CAUTIOUS, STEPS = 0.5, 2
 
-    def __init__(self, problem: DiscreteProblem, start: np.ndarray | None = None) -> None:
-        volumes = _volumes(problem)
+    def __init__(self, problem: DiscreteProblem) -> None:
+        volumes = problem.volumes
         free = (~problem.fixed).astype(float)
         rows = sparse.csr_array(
             (
@@ -61,16 +55,12 @@ class VolumePressures:
             shape=volumes.rows.shape,
         )
         self.volumes = replace(volumes, rows=rows, expansion=0.0)
-        self.values = np.zeros(len(volumes))
-        self.pose(problem, start)
+        self.pose(problem)
 
-    def pose(self, problem: DiscreteProblem, start: np.ndarray | None) -> None:
-        """Take over prescribed values and initial strains of another load step, and pressures if
-        there are any."""
-        if start is not None:
-            self.values = start.copy()
+    def pose(self, problem: DiscreteProblem) -> None:
+        """Take over prescribed values and initial strains of another load step."""
         self._cautious = 0
-        self._prescribed = _volumes(problem).strains(problem.fixed_values)
+        self._prescribed = problem.volumes.strains(problem.fixed_values)
 
     @property
     def weights(self) -> np.ndarray:
@@ -78,10 +68,10 @@ class VolumePressures:
         m."""
         return self.volumes.areas * self.volumes.modulus
 
-    def missed(self, unknowns: np.ndarray) -> np.ndarray:
+    def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return what volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed
         values."""
-        return self.volumes.missed(unknowns, self.values) + self._prescribed
+        return self.volumes.missed(unknowns, pressures) + self._prescribed
 
     def uniform(self) -> list[np.ndarray]:
         """Return for each body the pressures (n_groups,) that are 1 in it."""
@@ -95,13 +85,14 @@ class VolumePressures:
     def hesitate(self) -> None:
         self._cautious = self.STEPS
 
-    def advance(self, unknowns: np.ndarray) -> float:
-        """Step towards the pressures of corrected unknowns; returns the energy of the step, N m."""
-        missed = self.missed(unknowns)
+    def advance(self, unknowns: np.ndarray, pressures: np.ndarray) -> float:
+        """Step towards the pressures of corrected unknowns, in place; returns the energy of the
+        step, N m."""
+        missed = self.missed(unknowns, pressures)
         volumes = self.volumes
         change = missed / (volumes.compliance + 1 / volumes.modulus)
         energy = float(np.einsum("i,i,i->", volumes.areas, missed, change))
-        self.values = self.values + (self.CAUTIOUS if self._cautious else 1.0) * change
+        pressures += (self.CAUTIOUS if self._cautious else 1.0) * change
         self._cautious = max(self._cautious - 1, 0)
         return energy
 
@@ -112,15 +103,12 @@ class VolumePressures:
 
 
 def prolonged_pressures(
-    coarse: DiscreteProblem,
-    fine: DiscreteProblem,
-    nodal: sparse.csr_array,
-    pressures: np.ndarray | None,
-) -> np.ndarray | None:
+    coarse: DiscreteProblem, fine: DiscreteProblem, nodal: sparse.csr_array, pressures: np.ndarray
+) -> np.ndarray:
     """Interpolate pressures to a finer level; ``nodal`` is the prolongation, between bodies of
     relative values."""
-    if coarse.volumes is None or fine.volumes is None or pressures is None:
-        return None
+    if not len(coarse.volumes):
+        return np.zeros(len(fine.volumes))
     values = coarse.volumes.at_nodes(pressures)
     if coarse.coupling is not None:
         values = values - coarse.coupling.weights @ values
@@ -136,7 +124,7 @@ _MOST = 100.0  # c
 @remembered_of_structure
 def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
     """The problem with its whole matrix, and kappa of the groups as far as the matrix has it."""
-    volumes = _volumes(problem)
+    volumes = problem.volumes
     with np.errstate(divide="ignore"):
         kappa = np.minimum(1 / volumes.compliance, _MOST * volumes.modulus)
     rows = sparse.diags_array(np.sqrt(kappa / volumes.areas), format="csr") @ volumes.rows
@@ -147,7 +135,7 @@ def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
     result = copy.copy(problem)
     parts = {
         "matrix": indices_frozen(whole.sorted_indices()),
-        "volumes": None,
+        "volumes": Volumes.none(problem.n_nodes, problem.dim),
         "_structure": Token(),
     }
     for name, value in parts.items():
@@ -161,12 +149,12 @@ class Augmented:
     #: solves at most
     MOST = 20
 
-    def __init__(self, problem: DiscreteProblem, pressures: np.ndarray | None) -> None:
+    def __init__(self, problem: DiscreteProblem, pressures: np.ndarray) -> None:
         formed, self._kappa = _formed(problem)
-        volumes = _volumes(problem)
+        volumes = problem.volumes
         self._volumes = volumes
         rest = 1 - self._kappa * volumes.compliance
-        self._before = np.zeros(len(rest)) if pressures is None else pressures
+        self._before = pressures
         self._offset = rest * self._before
         #: whether the first solve ends it
         self.exact = not (rest > 1e-12).any()
@@ -183,6 +171,10 @@ class Augmented:
         """Return the pressures (n_groups,) that belong to a displacement, between bodies
         relative."""
         return self._offset + self._kappa * self._volumes.strains(solved.reshape(-1))
+
+    def whole(self, solved: np.ndarray) -> np.ndarray:
+        """Return the solution (n_unknowns,) of the problem with volumes for a displacement."""
+        return np.append(solved, self.pressures(solved))
 
     def accelerated(
         self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]

@@ -41,11 +41,11 @@ _ENTRIES = {2: 15, 3: 45}
 def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
     """Return whether the work for factors is at most that of linear elements with these numbers of
     dofs."""
-    entries = problem.matrix.nnz
     n = problem.n_dofs
-    if problem.volumes is not None:
-        # every second entry that its rows bring to the formed matrix is one of the other rows, too
-        entries += 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
+    # every second entry that the rows of volumes bring to the formed matrix is one of the other
+    # rows, too
+    added = 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
+    entries = problem.matrix.nnz + added
     return bool(max(entries / _ENTRIES[problem.dim], n) <= most[problem.dim])
 
 

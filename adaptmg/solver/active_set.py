@@ -97,7 +97,7 @@ class ActiveSet:
         checks.integer("max_steps", self.max_steps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        if hierarchy.finest.discrete.volumes is not None:
+        if len(hierarchy.finest.discrete.volumes):
             return self._augmented(hierarchy, run, start)
         first = len(hierarchy) - 1
         last = len(hierarchy) - 1
@@ -107,7 +107,7 @@ class ActiveSet:
         for number in range(first, last + 1):
             level = hierarchy[number]
             if start is not None and number > first:
-                start = level.prolongation @ start
+                start = level.prolongation @ start.reshape(-1, level.discrete.dim)
                 run.visit(number, "start")
             with run.phase("factorise" if self.condensed else "setup"):
                 condensed = condense_problem(level.discrete) if self.condensed else None
@@ -115,7 +115,7 @@ class ActiveSet:
             newton = _Newton(self, local, run, number, start, condensed, finest=number == last)
             status, stop = newton.solve(certified=number == last)
             start = local.to_cartesian(newton.unknowns)
-        solved = cast("np.ndarray", start)  # of the last level
+        solved = cast("np.ndarray", start).reshape(-1)  # of the last level
         return Outcome(solved, status, newton.cycles, self.rtol, stop.error_estimate, stop.rate)
 
     def _augmented(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
@@ -127,7 +127,9 @@ class ActiveSet:
             )
         problem = hierarchy.finest.discrete
         number = len(hierarchy) - 1
-        pressures = run.pressures
+        pressures = np.zeros(len(problem.volumes))
+        if start is not None:
+            start, pressures = problem.parts(start)
         cycles = 0
         past: list[tuple[np.ndarray, np.ndarray]] = []
         with run.phase("setup"):
@@ -150,7 +152,7 @@ class ActiveSet:
                 start,
                 factors,
                 finest=True,
-                pressures=augmented.pressures,
+                whole=augmented.whole,
             )
             run.first_cycle += cycles
             status, stop = newton.solve(certified=last)
@@ -164,10 +166,8 @@ class ActiveSet:
                 status = Status.LIMIT
                 break
             pressures = augmented.accelerated(pressures, past)
-        solved = cast("np.ndarray", start)  # of the last solve
-        return Outcome(
-            solved, status, cycles, self.rtol, stop.error_estimate, stop.rate, pressures=pressures
-        )
+        solution = np.append(cast("np.ndarray", start), pressures)  # of the last solve
+        return Outcome(solution, status, cycles, self.rtol, stop.error_estimate, stop.rate)
 
 
 class _NewtonTest(StopTest):
@@ -211,7 +211,7 @@ class _Newton:
         start: np.ndarray | None,
         condensed: Condensed | None = None,
         finest: bool = False,
-        pressures: Callable[[np.ndarray], np.ndarray] | None = None,
+        whole: Callable[[np.ndarray], np.ndarray] = np.asarray,
     ) -> None:
         self.options = options
         self.local = local
@@ -219,7 +219,7 @@ class _Newton:
         self.level = level
         self.finest = finest
         self._measure = Measure(local, run if finest else None)
-        self._pressures = pressures
+        self._whole = whole  # makes a solution of the problem that was posed from a displacement
         self.equations_of: SparseSteps | CondensedSteps = (
             SparseSteps(local, options.linear, run)
             if condensed is None
@@ -252,10 +252,7 @@ class _Newton:
         return iterate(self, stop, self.run if self.finest else None), stop
 
     def _shortfall(self, rtol: float) -> float:
-        solved = self.local.to_cartesian(self.unknowns)
-        return self.run.shortfall(
-            solved, rtol, None if self._pressures is None else self._pressures(solved)
-        )
+        return self.run.shortfall(self._whole(self.local.to_cartesian(self.unknowns)), rtol)
 
     def step(self) -> Measured | Status:
         if self._equations is not None or self._from_inside:
@@ -570,17 +567,17 @@ def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None
 
 def coarsest_solution(
     problem: DiscreteProblem, rtol: float, start: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray | None, int, float]:
-    """Return the displacement (n_nodes, dim) of a coarsest problem, whose matrix may be singular,
-    the pressures of its volumes, and the numbers of its steps and of the passes over its matrix.
-    ``start`` is a displacement near to it (not used with volumes)."""
-    if problem.volumes is not None:
-        augmented = Augmented(problem, None)
-        solution, _, steps, passes = coarsest_solution(augmented.problem, rtol)
-        return solution, augmented.pressures(solution), steps, passes
+) -> tuple[np.ndarray, int, float]:
+    """Return the solution (n_unknowns,) of a coarsest problem, whose matrix may be singular, and
+    the numbers of its steps and of the passes over its matrix. ``start`` is a displacement near to
+    it (not used with volumes)."""
+    if len(problem.volumes):
+        augmented = Augmented(problem, np.zeros(len(problem.volumes)))
+        solution, steps, passes = coarsest_solution(augmented.problem, rtol)
+        return augmented.whole(solution), steps, passes
     condensed = condense_problem(problem, lenient=True)
     local = condensed.full
     run = Run(unit=local.system.nonzeros)
     newton = _Newton(ActiveSet(rtol=rtol), local, run, 0, start, condensed)
     newton.solve(certified=False)
-    return local.to_cartesian(newton.unknowns), None, newton.cycles, run.work_units
+    return local.to_cartesian(newton.unknowns).reshape(-1), newton.cycles, run.work_units

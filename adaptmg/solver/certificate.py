@@ -17,7 +17,7 @@ largest displacement, energies to u'Au: never to a lifted nodal jump."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, cast
+from typing import Protocol
 
 import numpy as np
 from scipy import sparse
@@ -26,6 +26,7 @@ from adaptmg._text import in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks
+from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.solver.aggregates import Aggregates, AtNodes, aggregates_of, changed_status
 from adaptmg.solver.energy_error import FrozenStatus, correction
 
@@ -146,7 +147,7 @@ def certify(
     contact: ContactClaims,
     bound: bool = False,
     rtol: float = 0.0,
-    pressures: np.ndarray | None = None,
+    pressures: np.ndarray = NO_PRESSURES,
     residual: np.ndarray | None = None,
     posed: tuple[Condition, ...] = (),
 ) -> Certificate:
@@ -235,7 +236,7 @@ class Evidence:
         problem: DiscreteProblem,
         displacement: np.ndarray,
         contact: ContactClaims,
-        pressures: np.ndarray | None = None,
+        pressures: np.ndarray = NO_PRESSURES,
         residual: np.ndarray | None = None,
     ) -> None:
         self.problem = problem
@@ -245,16 +246,11 @@ class Evidence:
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
-        load = problem.under(pressures).load
+        load = problem.load - problem.volumes.forces(pressures)
         residual = (
             load - problem.matrix @ self.unknowns.reshape(-1) if residual is None else residual
         )
-        energy = _sum(self.unknowns, load - residual)
-        energy += (
-            0.0
-            if problem.volumes is None
-            else problem.volumes.energy(cast("np.ndarray", pressures))
-        )
+        energy = _sum(self.unknowns, load - residual) + problem.volumes.energy(pressures)
         self.energy = float(
             np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0)))
         )
@@ -373,16 +369,11 @@ class Evidence:
     def volumes(self) -> tuple[Condition, ...]:
         """Return what the mean volume strains of groups and their pressures miss, as forces on a
         facet."""
-        if self.problem.volumes is None:
-            return ()
         volumes = self.problem.volumes
-        return (
-            self._forces(
-                "volumes",
-                volumes.scale
-                * volumes.missed(self.unknowns.reshape(-1), cast("np.ndarray", self.pressures)),
-            ),
-        )
+        if not len(volumes):
+            return ()
+        missed = volumes.missed(self.unknowns.reshape(-1), self.pressures)
+        return (self._forces("volumes", volumes.scale * missed),)
 
     def prescribed(self) -> Condition:
         """Return by how much supports miss their values."""
@@ -481,7 +472,7 @@ class Evidence:
         status = self._frozen(here, self.unknowns)[0]
         squares = sparse.bsr_array((matrix.data**2, matrix.indices, matrix.indptr))
         sizes = _EPSILON * np.sqrt(squares @ self.unknowns.reshape(-1) ** 2)
-        missed = None if self.problem.volumes is None else np.zeros(len(self.problem.volumes))
+        missed = np.zeros(len(self.problem.volumes))
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (_SAMPLES, len(sizes)))
         energies = [
             correction(
@@ -509,16 +500,13 @@ class Evidence:
         free, and whether the corrected displacement contradicts this status."""
         contact = self.problem.contact
         matrix = self.problem.matrix
-        missed = None
         status, change, lawful, closed = self._frozen(here, unknowns)
         images = (matrix @ change.reshape(-1)).reshape(change.shape)
         moved = np.sqrt(max(_sum(change, images), 0.0))
         forces = forces + images
         forces[contact.nodes] += here.forces(contact.normals) - lawful
         exerted = forces[contact.nodes] + lawful
-        if self.problem.volumes is not None:
-            pressures = cast("np.ndarray", self.pressures)
-            missed = self.problem.volumes.missed((unknowns + change).reshape(-1), pressures)
+        missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
         corrected = correction(
             self.problem, status, forces, missed, aggregates, negligible, self.rounding
         )
@@ -538,7 +526,7 @@ class Evidence:
         problem = self.problem
         contact = self.problem.contact
         matrix = self.problem.matrix
-        residual = problem.under(self.pressures).load - matrix @ self.unknowns.reshape(-1)
+        residual = problem.residual(np.append(self.unknowns, self.pressures))
         solution = changed_status(problem, residual, here, self.stiffness, self.limit)
         if solution is None:
             return held

@@ -72,7 +72,7 @@ def _stiffness(
         all(_is_isotropic(one) for one in materials)
         and not any(isinstance(one, PointSpring) for one in problem.supports)
         and all(_constant(one.normal, one.tangential) for one in springs)
-        and discrete.volumes is None
+        and not len(discrete.volumes)
         and discrete.inclined is None
         and not any(isinstance(one, Periodic) for one in problem.ties)
         and not isinstance(materials[0], Axisymmetric)
@@ -148,7 +148,7 @@ def _loads(
         for one in loads
     )
     axisymmetric = isinstance(body_materials(mesh, problem.material)[0], Axisymmetric)
-    if not acting or axisymmetric or discrete.volumes is not None or discrete.inclined is not None:
+    if not acting or axisymmetric or len(discrete.volumes) or discrete.inclined is not None:
         return ()
     if not loads:
         return ()

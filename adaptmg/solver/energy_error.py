@@ -36,7 +36,6 @@ Nothing here comes from the solvers but the arithmetic of small blocks.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -44,7 +43,6 @@ from scipy.sparse.linalg import splu
 
 from adaptmg._numba import kernel
 from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks, remembered_of_structure
-from adaptmg.discrete.volumes import Volumes
 from adaptmg.smoother.blocks import (
     ONE,
     ZERO,
@@ -222,7 +220,7 @@ def correction(
     problem: DiscreteProblem,
     status: FrozenStatus,
     residual: np.ndarray,
-    missed: np.ndarray | None,
+    missed: np.ndarray,
     aggregates: Aggregates | None,
     negligible: float,
     rounding: float,
@@ -234,9 +232,7 @@ def correction(
     residual whose norm is at most ``rounding`` loads no motion. Without aggregates by factors; the
     residual is overwritten."""
     status.project(residual)
-    load = residual.reshape(-1)
-    if missed is not None:
-        load = np.append(load, -cast("Volumes", problem.volumes).areas * missed)
+    load = np.append(residual, -problem.volumes.areas * missed)
     size = load @ load
     if not 0.0 < size < np.inf:
         none = np.zeros((len(status.nodes), problem.dim))
@@ -275,9 +271,9 @@ class _Equations:
         self.status = status
         self.volumes = problem.volumes
         self.precondition = _Preconditioner(problem, status, aggregates)
-        self.symmetric = self.volumes is None and not status.dragged.any()
+        self.symmetric = not len(self.volumes) and not status.dragged.any()
         self.most = (
-            _MOST if self.symmetric else _MOST_COULOMB if self.volumes is None else _MOST_VOLUMES
+            _MOST if self.symmetric else _MOST_VOLUMES if len(self.volumes) else _MOST_COULOMB
         )
 
     def direction(self, left: np.ndarray) -> tuple[_Direction, np.ndarray]:
@@ -287,7 +283,7 @@ class _Equations:
         values = nodal
         energetic = forces
         image = forces.copy()
-        if self.volumes is not None:
+        if len(self.volumes):
             soft = self.volumes.areas * self.volumes.compliance
             areas = self.volumes.areas
             volumes = self.volumes.rows @ nodal
@@ -302,7 +298,7 @@ class _Equations:
         energetic[: self.n].reshape(by_node.shape)[status.nodes] += turned
         by_node[status.nodes] += turned + np.einsum("nij,nj->ni", status.dragged, exerted)
         status.project(by_node)
-        if self.volumes is not None:
+        if len(self.volumes):
             image = np.append(image, soft * pressures - volumes)
         return _Direction(values, image, np.stack([moved, exerted])), energetic
 
@@ -327,7 +323,7 @@ def _estimated(
     for step in range(1, most + 1):
         new, energetic = equations.direction(left)
         product = float(left[:n] @ new.values[:n])
-        if not product > 0.0 and equations.volumes is None:
+        if not product > 0.0 and not len(equations.volumes):
             return HeldCorrection(energies[-1], *total), True
         overlaps = np.array([one.values @ energetic for one in span])
         square = float(new.values @ energetic - overlaps @ overlaps)
@@ -357,7 +353,7 @@ def _estimated(
             left -= change * one.image
             total += change * one.at_contact
         energies.append(energy)
-        if equations.volumes is not None:
+        if len(equations.volumes):
             if (
                 step >= _LEAST
                 and max(abs(energy - before) for before in energies[-3:-1]) <= _CALM * energy
@@ -395,8 +391,8 @@ def _factorised(
         every - keep
     )
     shift = np.full(len(load), _SHIFT * most)
-    if volumes is not None:
-        shift[n:] = 0.0
+    shift[n:] = 0.0
+    if len(volumes):
         whole = sparse.block_array(
             [
                 [whole, taken @ volumes.columns],
@@ -414,9 +410,7 @@ def _factorised(
         rest = load - whole @ solution
         balanced = balanced or bool(np.linalg.norm(rest[:n]) <= most_left)
     image = matrix @ solution[:n]
-    energy = max(float(solution[:n] @ image), 0.0)
-    if volumes is not None:
-        energy += volumes.energy(solution[n:])
-        image += volumes.forces(solution[n:])
+    energy = max(float(solution[:n] @ image), 0.0) + volumes.energy(solution[n:])
+    image += volumes.forces(solution[n:])
     moved, forces = (vector.reshape(-1, dim)[status.nodes] for vector in (solution[:n], image))
     return HeldCorrection(energy if balanced else float("inf"), moved, forces)

@@ -16,7 +16,7 @@ reactions :math:`A u - b` of the supports."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -259,15 +259,12 @@ class Examiner:
         self.held = held_tangents(discrete)
         self.blocks = contact_blocks(discrete)
         self.sizes = Sizes(discrete)
-        self._last: tuple[np.ndarray, np.ndarray | None, Examined] | None = None
+        self._last: tuple[np.ndarray, Examined] | None = None
 
-    def relative_residual(self, solved: np.ndarray, pressures: np.ndarray | None = None) -> float:
-        """Return the natural residual of a displacement (n_dofs,) over the forces that act, in
+    def relative_residual(self, solution: np.ndarray) -> float:
+        """Return the natural residual of a solution (n_unknowns,) over the forces that act, in
         Euclidean norms; 1 if it is all there is."""
-        solved = np.asarray(solved, dtype=np.float64).reshape(-1)
-        return self._residual(
-            solved, self.discrete.under(pressures).load - self.discrete.matrix @ solved, pressures
-        )
+        return self._residual(solution, self.discrete.residual(solution))
 
     def _at_contact(self, vector: np.ndarray) -> np.ndarray:
         """Local components (n_contact, dim) of a vector (n_dofs,), zero along what is held."""
@@ -280,10 +277,9 @@ class Examiner:
     def _values(self, solved: np.ndarray) -> np.ndarray:
         return self._at_contact(self.discrete.from_prescribed(solved))
 
-    def _residual(
-        self, solved: np.ndarray, residual: np.ndarray, pressures: np.ndarray | None
-    ) -> float:
+    def _residual(self, solution: np.ndarray, residual: np.ndarray) -> float:
         discrete = self.discrete
+        solved, pressures = discrete.parts(solution)
         free = np.where(discrete.fixed, 0.0, residual)
         at_contact = self._at_contact(free)
         natural = natural_at_nodes(self.contact, self.blocks, self._values(solved), at_contact)
@@ -291,42 +287,26 @@ class Examiner:
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
         exerted = euclidean_norm(at_contact.reshape(-1))
         scale = self.sizes.forces(unknowns, exerted)
-        size = euclidean_norm(free)
-        if discrete.volumes is not None:
-            size = float(
-                np.hypot(
-                    size,
-                    euclidean_norm(
-                        discrete.volumes.scale
-                        * discrete.volumes.missed(solved, cast("np.ndarray", pressures))
-                    ),
-                )
-            )
+        missed = discrete.volumes.scale * discrete.volumes.missed(solved, pressures)
+        size = float(np.hypot(euclidean_norm(free), euclidean_norm(missed)))
         if self.sizes.prescribed:
             floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(exerted, floor, unknowns):
                 return 0.0
         return 0.0 if size == 0.0 else size / (scale or size)
 
-    def __call__(
-        self, solved: np.ndarray, rtol: float = 0.0, pressures: np.ndarray | None = None
-    ) -> Examined:
-        """Examine a displacement (n_nodes, dim) or (n_dofs,), between bodies in relative
-        coordinates, m, which is kept and must not change any more; ``rtol``: the tolerance that is
-        asked for; ``pressures`` of volumes, Pa."""
-        solved = np.asarray(solved, dtype=np.float64).reshape(-1)
-        if (
-            self._last is not None
-            and np.array_equal(self._last[0], solved)
-            and (pressures is None or np.array_equal(cast("np.ndarray", self._last[1]), pressures))
-        ):
-            return self._last[2]
+    def __call__(self, solution: np.ndarray, rtol: float = 0.0) -> Examined:
+        """Examine a solution (n_unknowns,), between bodies in relative coordinates, which is kept
+        and must not change any more; ``rtol``: the tolerance that is asked for."""
+        if self._last is not None and np.array_equal(self._last[0], solution):
+            return self._last[1]
         discrete = self.discrete
         self._last = None
-        residual = discrete.under(pressures).load - discrete.matrix @ solved
+        residual = discrete.residual(solution)
+        solved, pressures = discrete.parts(solution)
         displacement = discrete.physical(solved.reshape(discrete.n_nodes, discrete.dim))
         contact = self._contact_result(solved, residual)
-        natural = self._residual(solved, residual, pressures)
+        natural = self._residual(solution, residual)
         checked = certify(
             discrete,
             displacement,
@@ -342,7 +322,7 @@ class Examiner:
         ties = tie_forces(discrete, residual)
         reaction = discrete.physical_forces(residual).reshape(displacement.shape)
         examined = Examined(displacement, reaction, contact, ties, natural, checked)
-        self._last = solved, pressures, examined
+        self._last = solution, examined
         return examined
 
     def _contact_result(self, solved: np.ndarray, residual: np.ndarray) -> ContactResult:

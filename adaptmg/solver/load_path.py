@@ -36,7 +36,6 @@ from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import (
     Controls,
     Past,
-    Start,
     TruncatedSteps,
     better_start,
     coarse_displacements,
@@ -398,7 +397,7 @@ class _Restarted:
         if not past.given:
             return self.first.run(hierarchy, run, None), None
         start = better_start(examiner, past, run)
-        return self.later.run(hierarchy, run, start.reshape(examiner.discrete.n_nodes, -1)), None
+        return self.later.run(hierarchy, run, start), None
 
     def hold(self, rtol: float) -> None:
         """Solve every step to the tolerance of the solver."""
@@ -433,13 +432,8 @@ class PathLoop:
             for level in grids.levels[0 if grids.discretised else -1 :]
         ]
         self.coarse: list[np.ndarray] | None = None
-        #: the ends of the last two steps, and the forces that led there
-        self.recent = [
-            (
-                (self.levels[-1], _no_pressures(grids.finest.discrete)),
-                np.zeros_like(self.levels[-1]),
-            )
-        ]
+        #: the solutions of the last two steps, and the forces that led there
+        self.recent = [(np.zeros(finest.discrete.n_unknowns), np.zeros(finest.discrete.n_dofs))]
 
     def described(self, k: int) -> str:
         """Return the factors of a step as text."""
@@ -483,11 +477,8 @@ class PathLoop:
         """The result of step k with the motions of obstacles, from one ``near`` to it; and what the
         next step needs. The tolerance may be as ``loose``."""
         finest = self.grids.finest.discrete
-        run = Run(
-            unit=finest.matrix.nnz,
-            callback=None if progress is None else partial(progress, k),
-            pressures=self.recent[-1][0][1],
-        )
+        callback = None if progress is None else partial(progress, k)
+        run = Run(unit=finest.matrix.nnz, callback=callback)
         with run.phase("setup"):
             grids = self._posed(k, motions)
             if (
@@ -581,12 +572,11 @@ class PathLoop:
         its iterates."""
         rtol = getattr(self.solver, "rtol", None)
         outcome = Outcome(
-            np.zeros(grids.finest.discrete.n_dofs),
+            np.zeros(grids.finest.discrete.n_unknowns),
             Status.CONVERGED,
             0,
             float(rtol) if isinstance(rtol, float | int) else np.nan,
             error_estimate=0.0,
-            pressures=_no_pressures(grids.finest.discrete),
         )
         result = result_of(
             grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
@@ -625,32 +615,24 @@ class PathLoop:
         self.coarse = coarse
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
-        self.recent = [*self.recent[-1:], ((displacement, result.pressures), forces)]
+        solution = np.append(displacement, result.pressures)
+        self.recent = [*self.recent[-1:], (solution, forces)]
         self.levels = (
             coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
         )
 
-    def _start(self, forces: np.ndarray, near: Result | None) -> Start:
-        """A start for a step with these forces: a result near to it, or where all goes on as
-        between the last two steps, least squares in the forces."""
+    def _start(self, forces: np.ndarray, near: Result | None) -> np.ndarray:
+        """A start (n_unknowns,) for a step with these forces: a result near to it, or where all
+        goes on as between the last two steps, least squares in the forces."""
         if near is not None:
-            return self.grids.finest.discrete.relative(near.displacement).reshape(
-                -1
-            ), near.pressures
+            displacement = self.grids.finest.discrete.relative(near.displacement)
+            return np.append(displacement, near.pressures)
         (earlier, forces_earlier), (last, last_forces) = self.recent[0], self.recent[-1]
         change = last_forces - forces_earlier
         # not through BLAS, whose threads cost more than they gain
         size = float(np.einsum("i,i->", change, change))
         ratio = float(np.einsum("i,i->", forces - last_forces, change)) / size if size else 0.0
-        displacement, pressures = (
-            None if one is None else one + ratio * (one - before)
-            for one, before in zip(last, earlier, strict=True)
-        )
-        return displacement, pressures
-
-
-def _no_pressures(discrete: DiscreteProblem) -> np.ndarray | None:
-    return None if discrete.volumes is None else np.zeros(len(discrete.volumes))
+        return last + ratio * (last - earlier)
 
 
 def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:

@@ -92,8 +92,6 @@ _SLOW = 0.15
 _TINY = 1e-300
 #: motions, a result near to theirs, and the tolerance that suffices -> a result, and what is kept of it
 Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Kept]]
-#: displacement (n_dofs,) of the finest level, and pressures of its volumes, if it has them
-Start = tuple[np.ndarray, np.ndarray | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,22 +99,18 @@ class Past:
     """What is known before a step."""
 
     levels: list[np.ndarray]  # displacements (n_dofs,) after the step before, coarsest level first
-    last: Start  # after the step before
-    extrapolated: Start
+    last: np.ndarray  # solution (n_unknowns,) after the step before
+    extrapolated: np.ndarray
     given: bool  # whether there is a step before
     near: bool = False  # whether ``extrapolated`` is a solution of this step with other motions
     loose: float = 0.0  # tolerance that suffices
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
-    """Return the displacement of the step before or the extrapolated one, the one with the smaller
+    """Return the solution of the step before or the extrapolated one, the one with the smaller
     residual."""
     with run.phase("start"):
-        starts = past.last, past.extrapolated
-        displacement, run.pressures = min(
-            starts, key=lambda start: examiner.relative_residual(*start)
-        )
-    return displacement
+        return min(past.last, past.extrapolated, key=examiner.relative_residual)
 
 
 def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list[np.ndarray]:
@@ -147,36 +141,30 @@ class KeptMultigrid(TruncatedRun):
         self.run = run
         self.cycle.recorder = run
         self.problems = [level.discrete_or_none for level in hierarchy.levels]
-        self.pressures = run.pressures
         self.cycle.factors.forget()
         if len(hierarchy) - 1 in self._steps:
             with run.phase("setup"):
                 self._steps[len(hierarchy) - 1].truncation.restore()
 
     def increment(self, start: NestedStart, past: list[np.ndarray]) -> list[np.ndarray]:
-        """Return the displacements (n_dofs,) of all levels from which a step begins."""
+        """Return the solutions (n_unknowns,) of all levels from which a step begins, those
+        after the step before being ``past``."""
         result: list[np.ndarray] = []
         for number, problem in enumerate(self.problems):
             if number == 0:
                 unknowns = self._solve_coarsest(start, past[0] if past[0].any() else None)
             else:
-                change = (result[-1] - past[number - 1]).reshape(-1, problem.dim)
-                unknowns = past[number] + (self.cycle.levels[number].prolongation @ change).reshape(
-                    -1
-                )
-                unknowns = problem.from_prescribed(unknowns)
-                self.pressures = prolonged_pressures(
-                    self.problems[number - 1],
-                    problem,
-                    self.cycle.levels[number].prolongation,
-                    self.pressures,
-                )
+                coarse = self.problems[number - 1]
+                nodal = self.cycle.levels[number].prolongation
+                displacement, pressures = coarse.parts(result[-1])
+                change = (displacement - past[number - 1]).reshape(-1, problem.dim)
+                displacement = past[number] + (nodal @ change).reshape(-1)
+                pressures = prolonged_pressures(coarse, problem, nodal, pressures)
+                unknowns = problem.from_prescribed(np.append(displacement, pressures))
                 self.run.visit(number, "start")
                 if number < len(self.problems) - 1:
                     unknowns = self._start_cycles(number, unknowns, start)
             result.append(problem.with_prescribed(unknowns))
-        if self.run.pressures is not None:
-            self.pressures = self.run.pressures
         self.run.start_work_units = self.run.work_units
         return result
 
@@ -192,9 +180,8 @@ class KeptMultigrid(TruncatedRun):
             load = problem.load_from_prescribed()
             contact.renew(data)
             contact.start(unknowns)
-            if step.pressures is not None:
-                step.pressures.pose(problem, self.pressures)
-            step.pose(load, unknowns, RigidMotions.of(problem, contact, load))
+            step.pressures.pose(problem)
+            step.begin(load, unknowns, RigidMotions.of(problem, contact, load))
         return step
 
 
@@ -216,37 +203,37 @@ class TruncatedSteps:
         self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
     ) -> tuple[Outcome, list[np.ndarray] | None]:
         multigrid = self.multigrid
+        problem = hierarchy.finest.discrete
         coarse = None
         kind = "given" if past.given else "zero"
-        if multigrid is None or not hierarchy.finest.discrete.alike(multigrid.problems[-1]):
+        if multigrid is None or not problem.alike(multigrid.problems[-1]):
             multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
         else:
             multigrid.take(hierarchy, run)
         multigrid.rtol = self.rtol if isinstance(self.rtol, str) else max(self.rtol, past.loose)
         if past.near:
-            start, multigrid.pressures = past.extrapolated
+            start = past.extrapolated
         elif self.start is not None:
-            *coarse, start = multigrid.increment(self.start, past.levels)
+            *below, start = multigrid.increment(self.start, past.levels)
+            levels = zip(multigrid.problems[:-1], below, strict=True)
+            coarse = [one.parts(solution)[0] for one, solution in levels]
             kind = "given" if past.given else "nested"
+            if past.given:
+                start[problem.n_dofs :] = past.last[problem.n_dofs :]
             with run.phase("start"):
                 # not where the nested start sets the tolerance
-                extrapolated, pressures = past.extrapolated
                 if (
                     past.given
                     and self.rtol != "discretisation"
-                    and examiner.relative_residual(extrapolated, pressures)
-                    <= self.EXTRAPOLATE * examiner.relative_residual(start, multigrid.pressures)
+                    and examiner.relative_residual(past.extrapolated)
+                    <= self.EXTRAPOLATE * examiner.relative_residual(start)
                 ):
-                    start = extrapolated
-                    multigrid.pressures = pressures
+                    start = past.extrapolated
+        elif past.given:
+            start = better_start(examiner, past, run)
         else:
-            start = (
-                better_start(examiner, past, run)
-                if past.given
-                else np.zeros(examiner.discrete.n_dofs)
-            )
-            multigrid.pressures = run.pressures
-        outcome = multigrid.finish(examiner.discrete.from_prescribed(start), kind)
+            start = np.zeros(problem.n_unknowns)
+        outcome = multigrid.finish(problem.from_prescribed(start), kind)
         self.hold(outcome.rtol)
         # what a cycle that ran away leaves behind is not used again
         self.multigrid = None if outcome.left else multigrid
@@ -577,7 +564,6 @@ class Guide:
         matrix = rows.T @ sparse.csr_array(discrete.matrix) @ rows + springs
         load = rows.T @ discrete.load
         load[discrete.n_dofs :][:n] += forces * scales
-        volumes = discrete.volumes
         problem = DiscreteProblem(
             matrix=0.5 * (matrix + matrix.T),
             load=load,
@@ -585,13 +571,13 @@ class Guide:
             fixed_values=np.pad(discrete.fixed_values, (0, padded)),
             law=discrete.law,
             contact=contact,
-            volumes=None if volumes is None else volumes.with_rows(volumes.rows @ rows),
+            volumes=discrete.volumes.with_rows(discrete.volumes.rows @ rows),
         )
         run = Run(unit=posed.finest.discrete.matrix.nnz)
         with run.phase("start"):
             outcome = ActiveSet().run(Hierarchy.single(problem), run, None)
         self.spent.append(run)
-        found = outcome.displacement.reshape(-1)[discrete.n_dofs :][:n]
+        found = outcome.solution[discrete.n_dofs :][:n]
         return found * scales / self.sizes[:n]
 
 

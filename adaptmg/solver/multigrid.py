@@ -204,7 +204,7 @@ CONDENSED = 6_000
 def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
     """Return the outcome, or where it leaves cycles to another method that of this one."""
     problem = hierarchy.finest.discrete
-    start = outcome.displacement if outcome.better else None
+    start = outcome.solution if outcome.better else None
     if outcome.left and factorisable(problem):
         solver = ActiveSet(
             rtol=outcome.rtol,
@@ -214,10 +214,10 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
         outcome = _continued(outcome, solver, "ActiveSet", start, hierarchy, run)
         if outcome.status.ok or outcome.status is Status.ROUNDING:
             return outcome
-    if outcome.left and hierarchy.discretised and problem.volumes is None:
+    if outcome.left and hierarchy.discretised and not len(problem.volumes):
         solver = Multigrid(correction=Monotone(), rtol=outcome.rtol, max_cycles=outcome.left)
         return _continued(outcome, solver, "Monotone", start, hierarchy, run)
-    if outcome.left and problem.volumes is not None and len(hierarchy) > 2:
+    if outcome.left and len(problem.volumes) and len(hierarchy) > 2:
         solver = Multigrid(rtol=outcome.rtol, max_cycles=outcome.left)
         fewer = _fewer_levels(hierarchy)
         return _continued(outcome, solver, "Truncated on fewer levels", None, fewer, run)
@@ -251,7 +251,6 @@ def _continued(
     run.first_cycle = before.cycles
     run.fallback = f"{method} from cycle {before.cycles}"
     start_work_units = run.start_work_units
-    run.pressures = None if start is None else before.pressures
     try:
         outcome = solver.run(hierarchy, run, start)
     except (np.linalg.LinAlgError, ValueError, MemoryError) as error:

@@ -139,13 +139,18 @@ def displacement_argument(
     return np.array(discrete.relative(array))
 
 
-def pressures_argument(
+def start_argument(
     start: ArrayLike | Result | None, discrete: DiscreteProblem
 ) -> np.ndarray | None:
-    """Return the pressures of the volumes of a problem at a start, if it has them."""
-    if discrete.volumes is None or not isinstance(start, Result) or start.pressures is None:
+    """Return a start as a solution (n_unknowns,), checked; the pressures of an array are zero."""
+    displacement = displacement_argument("start", start, discrete)
+    if displacement is None:
         return None
-    return checks.vector("start.pressures", start.pressures, len(discrete.volumes))
+    groups = len(discrete.volumes)
+    pressures = np.zeros(groups)
+    if groups and isinstance(start, Result):
+        pressures = checks.vector("start.pressures", start.pressures, groups)
+    return np.append(displacement, pressures)
 
 
 def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
@@ -159,12 +164,13 @@ def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem)
     """Return what a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers
     are not finite."""
     name = f"solver: of the Outcome of {type(solver).__name__}"
-    shape = (discrete.n_nodes, discrete.dim)
     checks.instance(f"solver: what {type(solver).__name__} returns", outcome, Outcome)
-    displacement = checks.real_array(outcome.displacement)
-    if displacement is None or displacement.size != discrete.n_dofs:
+    solution = checks.real_array(outcome.solution)
+    if solution is None or solution.size != discrete.n_unknowns:
         raise TypeError(
-            f"{name} displacement must be a real array {shape}, got {checks.shown(outcome.displacement)}"
+            f"{name} solution must be a real array ({discrete.n_unknowns},), got "
+            f"{checks.shown(outcome.solution)}: the displacement, and the pressures of "
+            f"{len(discrete.volumes)} volumes"
         )
     checks.instance(f"{name} status", outcome.status, Status, "one of am.Status")
     cycles = checks.integer(f"{name} cycles", outcome.cycles)
@@ -177,17 +183,10 @@ def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem)
             )
     if not rtol < 1:
         raise ValueError(f"{name} rtol must be < 1, got {rtol:g}")
-    if discrete.volumes is not None and np.shape(cast("Any", outcome.pressures)) != (
-        len(discrete.volumes),
-    ):
-        raise TypeError(
-            f"{name} pressures must be those of {len(discrete.volumes)} volumes, got "
-            f"{checks.shown(outcome.pressures)}"
-        )
-    finite = bool(np.isfinite(displacement).all())
-    return replace(
-        outcome, cycles=cycles, rtol=rtol, status=outcome.status if finite else Status.DIVERGED
-    )
+    # a solver of the user may go on with its array
+    solution = np.array(solution, dtype=np.float64).reshape(-1)
+    status = outcome.status if np.isfinite(solution).all() else Status.DIVERGED
+    return replace(outcome, solution=solution, cycles=cycles, rtol=rtol, status=status)
 
 
 def result_of(
@@ -202,14 +201,14 @@ def result_of(
     """Return the Result on the finest level; the certificate and the natural residual confirm the
     status."""
     with run.phase("certificate"):
-        # a solver of the user may go on with its array
-        examined = examiner(np.array(outcome.displacement), outcome.rtol, outcome.pressures)
+        examined = examiner(outcome.solution, outcome.rtol)
     volumes = grids.finest.discrete.volumes
-    if volumes is not None and stress_data is not None and outcome.pressures is not None:
+    _, pressures = grids.finest.discrete.parts(outcome.solution)
+    if len(volumes) and stress_data is not None:
         stress_data = replace(
             stress_data,
-            pressure=volumes.of_elements(outcome.pressures),
-            volume_energy=0.5 * volumes.energy(outcome.pressures),
+            pressure=volumes.of_elements(pressures),
+            volume_energy=0.5 * volumes.energy(pressures),
         )
     mesh = cast("Any", grids.finest.mesh_or_none)
     problem = grids.problem
@@ -266,7 +265,7 @@ def result_of(
         supports=supports,
         springs=springs,
         ties=examined.ties,
-        pressures=outcome.pressures,
+        pressures=pressures,
     )
 
 

@@ -142,7 +142,7 @@ class ProjectedRun:
                 lambda rtol: self.run.shortfall(local.to_cartesian(unknowns), rtol),
             )
         return Outcome(
-            local.to_cartesian(unknowns),
+            local.to_cartesian(unknowns).reshape(-1),
             status,
             cycles.cycles,
             self.rtol,
@@ -282,7 +282,7 @@ class SingleGrid:
             )
         run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):
-            solved = local.to_cartesian(recover(unknowns))
+            solved = local.to_cartesian(recover(unknowns)).reshape(-1)
         return Outcome(
             solved,
             status,

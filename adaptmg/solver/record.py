@@ -77,10 +77,7 @@ class Run:
     untimed_seconds: float = 0.0  # spent on comparison with the reference
     first_cycle: int = 0  # cycles done by another method before the one that records now
     fallback: str = ""  # the method that took over, and from which cycle; empty if none did
-    examiner: Callable[[np.ndarray, float, np.ndarray | None], Examined] | None = None
-    pressures: np.ndarray | None = (
-        None  # (n_groups,): of the start, where the problem has volumes, Pa
-    )
+    examiner: Callable[[np.ndarray, float], Examined] | None = None
     _nested_seconds: float = 0.0
     _compiled: float = field(default_factory=compiling_seconds)
 
@@ -141,16 +138,13 @@ class Run:
             self.timings[name] = self.timings.get(name, 0.0) + seconds - self._nested_seconds
             self._nested_seconds = outside + seconds
 
-    def shortfall(
-        self, solved: np.ndarray, rtol: float, pressures: np.ndarray | None = None
-    ) -> float:
-        """Return by how many times the certificate finds a displacement (n_dofs,) short of
-        ``rtol``; 0 if it does not. Between bodies in relative coordinates; with the pressures of
-        volumes. Rounding is not a shortfall."""
+    def shortfall(self, solution: np.ndarray, rtol: float) -> float:
+        """Return by how many times the certificate finds a solution (n_unknowns,) short of
+        ``rtol``; 0 if it does not. Rounding is not a shortfall."""
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):
-            checked = self.examiner(solved, rtol, pressures).checked
+            checked = self.examiner(solution.reshape(-1), rtol).checked
         if checked.energy_error > max(rtol, checked.energy_rounding):
             return min(checked.energy_error, 1.0) / rtol
         return 1.0 if checked.contradictions(rtol) else 0.0
@@ -160,7 +154,9 @@ class Run:
 class Outcome:
     """What a solver returns."""
 
-    displacement: np.ndarray  # (n_nodes, dim) on the finest level, m
+    # (n_unknowns,): displacement on the finest level, between bodies relative, m; then the
+    # pressures of volumes, Pa, where the problem has any
+    solution: np.ndarray
     status: Status
     cycles: int  # cycles, sweeps or Newton steps on the finest level
     rtol: float  # the tolerance asked for
@@ -172,13 +168,12 @@ class Outcome:
     )  # asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown
     left: int = 0  # cycles for a method that takes over where this one fails
     better: bool = False  # whether that begins at the displacement, not at zero
-    pressures: np.ndarray | None = None  # (n_groups,): where the problem has volumes, Pa
 
 
 class Solver(Protocol):
     """What :func:`adaptmg.solve` needs of a solver."""
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve on the finest level of ``hierarchy`` from ``start`` (n_nodes, dim) or zero, writing
-        to ``run``."""
+        """Solve on the finest level of ``hierarchy`` from ``start`` (n_unknowns,), see
+        :class:`Outcome`, or zero, writing to ``run``."""
         ...

@@ -103,7 +103,7 @@ class Result:
     motions : dict of str to list of float
         By name the displacement, m, and the rotation, rad, of obstacles that a force presses
         (:class:`adaptmg.Rigid`), and the strain that shortens a body (:class:`adaptmg.Preload`).
-    pressures : (n_groups,) array or None
+    pressures : (n_groups,) array
         Of nearly incompressible bodies with smoothed elements: what the mean volume strains of
         groups of nodes add to the stress, Pa, tension positive (:mod:`adaptmg.discrete.volumes`).
 
@@ -145,7 +145,7 @@ class Result:
     choice: str = ""
     springs: dict[str, list[float]] = field(default_factory=dict)
     motions: dict[str, list[float]] = field(default_factory=dict)
-    pressures: np.ndarray | None = None
+    pressures: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     #: of the columns of stresses and strains
     COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")
@@ -225,9 +225,7 @@ class Result:
         again, and ``bound`` bounds the energy error by a sparse factorisation."""
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
-            if problem.volumes is not None and (
-                self.pressures is None or len(self.pressures) != len(problem.volumes)
-            ):
+            if len(self.pressures) != len(problem.volumes):
                 raise ValueError(
                     f"problem has {len(problem.volumes)} volumes, whose pressures this result has not: "
                     "give the problem that was solved"

@@ -25,8 +25,8 @@ from adaptmg.solver.outcome import (
     displacement_argument,
     grids_argument,
     method_argument,
-    pressures_argument,
     result_of,
+    start_argument,
 )
 from adaptmg.solver.record import Run, Solver
 from adaptmg.solver.result import NotConverged, Result
@@ -135,13 +135,12 @@ def solve(
         return path[0]
     discrete = grids.finest.discrete
     exact = displacement_argument("reference", reference, discrete)
-    first = displacement_argument("start", start, discrete)
+    first = start_argument(start, discrete)
     run = Run(
         unit=discrete.matrix.nnz,
         callback=_watched(callback, progress),
         reference=exact,
         timings={} if grids is posed_grids else dict(grids.timings),
-        pressures=pressures_argument(start, discrete),
     )
     _LOG.debug(
         "nodes of the levels: %s (%s)",

@@ -125,7 +125,7 @@ class Stepped:
         with run.phase("cycles"):
             status = iterate(cycles, stop, run)
         return Outcome(
-            last.to_cartesian(cycles.state.unknowns),
+            last.to_cartesian(cycles.state.unknowns).reshape(-1),
             status,
             cycles.number,
             self.rtol,
@@ -137,7 +137,7 @@ class Stepped:
         """Return the start on the finest level, from a few steps on each level below it."""
         coarse = local_system(hierarchy[0].discrete)
         with run.phase("start"):
-            solution, _, steps, passes = coarsest_solution(coarse.discrete, self.rtol)
+            solution, steps, passes = coarsest_solution(coarse.discrete, self.rtol)
             run.count(passes, coarse.system.nonzeros)
             run.visit(0, "solve", steps)
         unknowns = coarse.to_local(solution)

@@ -379,7 +379,7 @@ def fingerprint(
         "grids": [[level.n_nodes, *_sums(level.matrix.data)] for level in grids.levels]
         + coordinates,
         "volumes": []
-        if finest.volumes is None
+        if not len(finest.volumes)
         else [_sums(finest.volumes.rows.data), _sums(finest.volumes.compliance)],
         "transfers": [_sums(level.prolongation.data) for level in grids.levels[1:]],
         "loads": [

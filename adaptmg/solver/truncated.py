@@ -43,7 +43,7 @@ from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedStep
-from adaptmg.multigrid.volume_pressures import VolumePressures, prolonged_pressures
+from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import ROUNDING, Sizes
 from adaptmg.solver.iterate import Measured, StopTest, iterate, true_error
@@ -202,10 +202,7 @@ class TruncatedIteration(StopTest):
             return 0.0
         # mostly this iterate is the last
         self.multigrid.set_aside(self.problem.matrix, self.problem.fixed)
-        pressures = None if self.multigrid.pressures is None else self.multigrid.pressures.values
-        return self.run.shortfall(
-            self.problem.with_prescribed(self.multigrid.unknowns), self.rtol, pressures
-        )
+        return self.run.shortfall(self.problem.with_prescribed(self.multigrid.iterate), self.rtol)
 
     def _estimate(self) -> float:
         rate = self.safe_rate
@@ -357,14 +354,12 @@ class TruncatedRun:
             level.discrete_or_none for level in hierarchy.levels
         ]
         self._coarse: CoarseContact | None = None
-        #: of the volumes of the level that comes next, at its start
-        self.pressures = run.pressures
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
-        """Solve from a displacement (n_nodes, dim), between bodies relative, or from zero."""
+        """Solve from a solution (n_unknowns,), or from zero."""
         problem = self.problems[-1]
         return self.finish(
-            np.zeros(problem.n_dofs) if start is None else problem.from_prescribed(start),
+            np.zeros(problem.n_unknowns) if start is None else problem.from_prescribed(start),
             "zero" if start is None else "given",
         )
 
@@ -372,8 +367,8 @@ class TruncatedRun:
         return self.finish(self.nested_start(start), "nested")
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
-        """Solve level by level from the coarsest; returns the start on the finest level (n_dofs,),
-        Cartesian."""
+        """Solve level by level from the coarsest; returns the start on the finest level
+        (n_unknowns,), from the prescribed values."""
         unknowns = self._solve_coarsest(start)
         before = None
         for number in range(len(self.hierarchy) - 1):
@@ -384,18 +379,16 @@ class TruncatedRun:
                     *self.problems[number : number + 2],
                     self.cycle.levels[number + 1],
                 )
-                solution = coarse.with_prescribed(unknowns)
+                solution, pressures = coarse.parts(coarse.with_prescribed(unknowns))
                 displacement = np.zeros(fine.n_dofs)
                 finer.prolong(solution, displacement)
                 prolonged = displacement.copy() if self._extrapolation(number + 1) > 0 else None
                 if before is not None:
                     change = self._extrapolation(number) * (solution - before)
                     finer.prolong(change, displacement)
-                unknowns = fine.from_prescribed(displacement)
+                pressures = prolonged_pressures(coarse, fine, finer.prolongation, pressures)
+                unknowns = fine.from_prescribed(np.append(displacement, pressures))
                 before = prolonged
-                self.pressures = prolonged_pressures(
-                    coarse, fine, finer.prolongation, self.pressures
-                )
             self.run.visit(number + 1, "start")
         self.run.start_work_units = self.run.work_units
         return unknowns
@@ -431,12 +424,11 @@ class TruncatedRun:
                 else None,
             )
             status = iterate(cycles, cycles, self.run)
-        displacement = problem.with_prescribed(step.unknowns).reshape(-1, problem.dim)
         failed = (
             status in (Status.STALLED, Status.DIVERGED) and cycles.rtol > 0 and not cycles.rests()
         )
         return Outcome(
-            displacement,
+            problem.with_prescribed(step.iterate),
             status,
             cycles.cycles,
             cycles.rtol,
@@ -444,11 +436,10 @@ class TruncatedRun:
             cycles.rate,
             left=self.max_cycles - cycles.cycles if failed else 0,
             better=cycles.better,
-            pressures=None if step.pressures is None else step.pressures.values,
         )
 
     def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
-        """Steps on level ``number`` from ``unknowns`` (n_dofs,), which become admissible."""
+        """Steps on level ``number`` from ``unknowns`` (n_unknowns,), which become admissible."""
         with self.run.phase("setup"):
             problem = self.problems[number]
             parts = self.parts
@@ -463,12 +454,10 @@ class TruncatedRun:
                 )
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
-            pressures = (
-                None if problem.volumes is None else VolumePressures(problem, self.pressures)
-            )
             step = TruncatedStep(
                 self.cycle,
                 number,
+                problem,
                 contact,
                 load,
                 unknowns,
@@ -476,7 +465,6 @@ class TruncatedRun:
                 RigidMotions.of(problem, contact, load) if parts.rigid_motions else None,
                 interface,
                 parts.interface_sweeps,
-                pressures,
                 parts.search,
             )
             if number == len(levels) - 1 and not self.cycle.reads_diagonals:
@@ -501,12 +489,10 @@ class TruncatedRun:
         problem = self.problems[0]
         with self.run.phase("start"):
             try:
-                solution, self.pressures, steps, passes = coarsest_solution(
-                    problem, start.rtol, near
-                )
+                solution, steps, passes = coarsest_solution(problem, start.rtol, near)
             except (np.linalg.LinAlgError, ValueError) as error:
                 _LOG.info("coarsest level: the active set method gives up: %s", error)
-                return np.zeros(problem.n_dofs)
+                return np.zeros(problem.n_unknowns)
             self.run.count(passes, problem.matrix.nnz)
             self.run.visit(0, "solve", steps)
             return problem.from_prescribed(solution)
@@ -540,5 +526,4 @@ class TruncatedRun:
                     if cycle + 1 >= enough and state.residual <= trusted:
                         break
             step.truncation.restore()
-        self.pressures = None if step.pressures is None else step.pressures.values
-        return step.unknowns
+        return step.iterate

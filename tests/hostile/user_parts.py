@@ -198,7 +198,7 @@ def _solvers():
     def changed(**changes):
         def make(d):
             good = {
-                "displacement": np.zeros((d.n_nodes, d.dim)),
+                "solution": np.zeros((d.n_nodes, d.dim)),
                 "status": am.Status.LIMIT,
                 "cycles": 1,
                 "rtol": 1e-8,
@@ -210,10 +210,8 @@ def _solvers():
     made = {
         "None": lambda d: None,
         "the class Outcome": lambda d: Outcome,
-        "displacement short": changed(displacement=np.zeros((3, 2))),
-        "displacement complex": changed(
-            displacement=lambda d: np.zeros((d.n_nodes, 2), dtype=complex)
-        ),
+        "solution short": changed(solution=np.zeros((3, 2))),
+        "solution complex": changed(solution=lambda d: np.zeros((d.n_nodes, 2), dtype=complex)),
         "status text": changed(status="converged"),
         "cycles float": changed(cycles=1.5),
         "rtol nan": changed(rtol=np.nan),
@@ -226,7 +224,7 @@ def _solvers():
         "path solver",
         lambda v: am.solve_path(_grids(), am.LoadPath(default=[0.5, 1.0]), _solver(v)),
         made,
-        ("None", "displacement short"),
+        ("None", "solution short"),
     )
 
 

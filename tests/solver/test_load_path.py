@@ -364,7 +364,7 @@ class TestStore:
             again = am.solve_path(grids, path, solver, store=tmp_path)
             for one, other in zip(again, whole, strict=True):
                 assert np.array_equal(one.displacement, other.displacement)
-                assert one.pressures is None or np.array_equal(one.pressures, other.pressures)
+                assert np.array_equal(one.pressures, other.pressures)
                 assert one.cycles == other.cycles
 
     def test_another_run_is_refused(self, rough, tmp_path):
