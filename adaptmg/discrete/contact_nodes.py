@@ -128,10 +128,11 @@ class ContactNodes(checks.Checked):
         )
         if len(masters) != len(self.names):
             raise ValueError(f"masters must go with names ({len(self.names)}), got {len(masters)}")
-        taken = sparse.csr_array((n, 0)) if self.taken_over is None else self.taken_over
-        taken = sparse.csr_array(checks.sparse_matrix("taken_over", taken, (n, None)))
-        if not taken.data.min(initial=0.0) >= 0:
-            raise ValueError(f"taken_over must be >= 0, got {taken.data.min():.6g}")
+        taken = sparse.csr_array((n, 0))
+        if self.taken_over is not None:
+            taken = sparse.csr_array(checks.sparse_matrix("taken_over", self.taken_over, (n, None)))
+            if not taken.data.min(initial=0.0) >= 0:
+                raise ValueError(f"taken_over must be >= 0, got {taken.data.min():.6g}")
         for name, value in (
             ("taken_over", taken),
             ("normals", normals),

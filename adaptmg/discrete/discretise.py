@@ -381,7 +381,7 @@ def contact_data(
         for name in ("normals", "weights", "gaps")
     )
     taken = _joined([(part.nodes, part.taken_over) for part in parts], mesh.n_nodes)
-    taken = sparse.csr_array((len(nodes), mesh.n_nodes)) if taken is None else taken[nodes]
+    taken = None if taken is None else taken[nodes]
     if held.inclined is not None:
         rubbed = np.intersect1d(nodes, held.inclined.nodes[held.inclined.moving])
         if len(rubbed):

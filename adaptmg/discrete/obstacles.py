@@ -61,13 +61,14 @@ def in_front_of(
         )
     free = free_normals(problem, mesh, k, nodes, normals, held)
     kept = (np.linalg.norm(free, axis=1) > TANGENTIAL) & (owner[nodes] == k)
-    carries, silent = np.zeros((2, mesh.n_nodes), dtype=bool)
-    carries[nodes[kept]] = True
-    silent[nodes] = tied[nodes] >= 0
-    taken = taken_over(surface, carries, problem.axisymmetric, silent)
     weights = (surface.lumped(problem.axisymmetric) + tied)[nodes[kept]]
     distances = gaps[kept]
-    if taken.nnz:
+    taken = None
+    if not kept.all():  # on few meshes
+        carries, silent = np.zeros((2, mesh.n_nodes), dtype=bool)
+        carries[nodes[kept]] = True
+        silent[nodes] = tied[nodes] >= 0
+        taken = taken_over(surface, carries, problem.axisymmetric, silent)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[kept]])
         distances = distances + taken[:, nodes] @ gaps
     normals, gaps = along_free(free[kept], normals[kept], distances)
@@ -76,8 +77,8 @@ def in_front_of(
         normals,
         weights,
         gaps,
-        coupling=-taken if taken.nnz else None,
-        taken_over=taken if taken.nnz else None,
+        coupling=None if taken is None or not taken.nnz else -taken,
+        taken_over=taken,
     )
 
 
@@ -193,7 +194,7 @@ def with_motions(
     problem: ContactProblem,
     mesh: MeshArrays,
     nodes: np.ndarray,
-    taken: sparse.csr_array,
+    taken: sparse.csr_array | None,
     boundary: np.ndarray,
     reference: np.ndarray | None,
 ) -> np.ndarray | None:
@@ -205,9 +206,10 @@ def with_motions(
             own = boundary == k
             empty = np.zeros((len(nodes), mesh.dim))
             reference = empty if reference is None else reference.copy()
-            beside = np.unique(taken[own].indices)
             reference[own] += obstacle.motion(mesh.points[nodes[own]])
-            reference[own] += taken[own][:, beside] @ obstacle.motion(mesh.points[beside])
+            if taken is not None:
+                beside = np.unique(taken[own].indices)
+                reference[own] += taken[own][:, beside] @ obstacle.motion(mesh.points[beside])
     return reference
 
 
@@ -237,7 +239,8 @@ def moved(
         outward = slave_normals(mesh.surface(boundary), held)[nodes]
         direct, gap = facing_obstacle(obstacle, boundary, points, outward)
         at = np.searchsorted(nodes, contact.nodes[own])
-        taken = contact.taken_over[own][:, nodes]
+        taken = contact.taken_over[own]
+        taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(own), len(nodes)))
         normals[own], gaps[own] = along_free(
             held.free_part(contact.nodes[own], direct[at]), direct[at], gap[at] + taken @ gap
         )
