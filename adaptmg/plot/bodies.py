@@ -20,7 +20,14 @@ from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table
 from adaptmg.plot import style
-from adaptmg.plot.surfaces import Lines, ShadedSurface, finish_axes, sharp_edges, view_of
+from adaptmg.plot.surfaces import (
+    Lines,
+    ShadedSurface,
+    finish_axes,
+    sharp_edges,
+    solid_axes,
+    view_of,
+)
 from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
 
@@ -65,7 +72,7 @@ def mesh(drawn: MeshArrays, ax: Axes | None = None, *, contact: Sequence[str] = 
     ax = style.canvas(ax, (5.4, 5.0), drawn.dim)
     _draw_mesh(ax, drawn, contact)
     style.entitle(ax, f"{drawn.n_nodes} nodes, {len(drawn.elements)} elements")
-    return ax.figure
+    return style.figure_of(ax)
 
 
 @style.styled
@@ -101,7 +108,7 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
             ax.set_axis_off()
         elif k % 4:
             ax.set_ylabel("")
-    return axes[0].figure
+    return style.figure_of(axes[0])
 
 
 def _draw_mesh(ax: Axes, drawn: MeshArrays, contact: Sequence[str]) -> None:
@@ -198,14 +205,13 @@ def deformation(
         *style.state_lines(present),
     ]
     if isinstance(colors, Coloring):
-        above = colors.values.max() > 1.001 * colors.norm.vmax
-        bar = ax.figure.colorbar(
+        bar = style.figure_of(ax).colorbar(
             ScalarMappable(colors.norm, "viridis"),
             ax=ax,
             label=colors.label,
             shrink=0.75,
             pad=0.05 * result.dim - 0.06,
-            extend="max" if above else "neither",
+            extend="max" if colors.clipped else "neither",
         )
         bar.outline.set_visible(False)
         style.legend_below(ax, handles)
@@ -221,7 +227,7 @@ def deformation(
             bbox_to_anchor=(1.01, 1.0),
             borderaxespad=0.0,
         )
-    return ax.figure
+    return style.figure_of(ax)
 
 
 def _names(mesh: MeshArrays, bodies: Sequence[str] | None) -> tuple[str, ...]:
@@ -257,6 +263,7 @@ class Coloring(NamedTuple):
     nodal: bool
     label: str  # of the colour bar
     norm: Normalize
+    clipped: bool = False  # whether values lie above the scale
 
 
 def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | list[str]:
@@ -272,6 +279,7 @@ def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | li
             False,
             f"von Mises stress [MPa], maximum {style.number(largest)}",
             Normalize(0.0, top),
+            clipped=largest > 1.001 * top,
         )
     if displacement:
         values = np.linalg.norm(result.displacement, axis=1)
@@ -360,14 +368,14 @@ def draw_bodies(
             if points is not None:
                 ax.add_collection(
                     LineCollection(
-                        points[facets],
+                        list(points[facets]),
                         color=color,
                         linewidth=width,
                         zorder=3,
                         capstyle="projecting",
                     )
                 )
-        halves = style.halves(now[facets[marked]])
+        halves = list(style.halves(now[facets[marked]]))
         for color, width in (("white", 4.2), (inks[codes[marked].ravel()], 2.8)):
             ax.add_collection(
                 LineCollection(halves, color=color, linewidth=width, capstyle="round", zorder=4)
@@ -389,6 +397,7 @@ def draw_bodies(
         if before is not None:
             outlines.insert(0, Lines(before[edges], style.GREY, 0.9))
         ax.add_artist(ShadedSurface(now[facets], rgba, lines, (*outlines, *strokes)))
+        ax = solid_axes(ax)
         finish_axes(ax, scale * corners, unit)
         if len(names or mesh.bodies) == 1:
             view_of(ax, now[facets[marked]])
@@ -415,7 +424,7 @@ def _fill(
     if valued and colors.nodal:
         nodes, corners = np.unique(elements, return_inverse=True)
         ax.tripcolor(
-            Triangulation(*points[nodes].T, corners.reshape(elements.shape)),
+            Triangulation(points[nodes, 0], points[nodes, 1], corners.reshape(elements.shape)),
             colors.values[nodes],
             shading="gouraud",
             norm=colors.norm,
@@ -428,7 +437,7 @@ def _fill(
         fills = _rgba(colors, mesh, shown)
     ax.add_collection(
         PolyCollection(
-            points[elements],
+            list(points[elements]),
             facecolor=fills,
             edgecolor=edge,
             linewidth=width,

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
 from adaptmg.plot import style
+from adaptmg.problem import Contact, ContactPair
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
@@ -33,7 +34,10 @@ _AROUND = 0.5
 
 @style.styled
 def contact(
-    result: Result, axes: Sequence[Axes] | None = None, *, boundary: object = None
+    result: Result,
+    axes: Sequence[Axes] | None = None,
+    *,
+    boundary: str | Contact | ContactPair | None = None,
 ) -> Figure:
     r"""Draw pressure, friction, gap and slip on contact boundaries, between two bodies on the slave
     surface of a pair.
@@ -87,7 +91,7 @@ def contact(
             title = f"{style.plain(result.problem_name)}: {title}"
         drawn[0].set_title(title, pad=8 if solid else 22)
         drawn[0].figure.align_ylabels()
-    figure = panels[0][0].get_figure(root=True)
+    figure = style.figure_of(panels[0][0])
     if len(names) > 1:
         figure.suptitle(style.plain(result.problem_name), fontsize=11)
     return figure
@@ -186,7 +190,8 @@ def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
         high = float(values.max())
         if high - low > 1e-9 * reference:
             shown = draw_map(ax, flat, values, Normalize(low, high))
-            ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label).outline.set_visible(False)
+            bar = style.figure_of(ax).colorbar(shown, ax=ax, shrink=0.8, label=label)
+            bar.outline.set_visible(False)
         else:
             draw_map(ax, flat, 0 * values, Normalize(0.0, 1.0))
             ax.set_title(f"{label.rpartition(' [')[0]} = 0", fontsize=9.5)
@@ -327,9 +332,11 @@ def draw_map(ax: Axes, flat: Flat, values: np.ndarray, norm: Normalize) -> Scala
     """Draw nodal values in colours."""
     _finish(ax, flat)
     if not len(flat.triangles):
-        return ax.scatter(*flat.points.T, c=values, s=18, cmap="viridis", norm=norm)
+        return ax.scatter(
+            flat.points[:, 0], flat.points[:, 1], c=values, s=18, cmap="viridis", norm=norm
+        )
     return ax.tripcolor(
-        Triangulation(*flat.points.T, flat.triangles),
+        Triangulation(flat.points[:, 0], flat.points[:, 1], flat.triangles),
         values,
         cmap="viridis",
         shading="gouraud",
@@ -342,10 +349,14 @@ def _draw_states(ax: Axes, flat: Flat, states: np.ndarray) -> None:
     """Draw the nodes in the colours of their states over the triangles; the legend counts them."""
     if len(flat.triangles):
         ax.triplot(
-            Triangulation(*flat.points.T, flat.triangles), color="#c9ced5", linewidth=0.4, zorder=1
+            Triangulation(flat.points[:, 0], flat.points[:, 1], flat.triangles),
+            color="#c9ced5",
+            linewidth=0.4,
+            zorder=1,
         )
     ax.scatter(
-        *flat.points.T,
+        flat.points[:, 0],
+        flat.points[:, 1],
         c=[style.STATE_INKS[int(s)] for s in states],
         zorder=2,
         edgecolors=style.INK,
@@ -371,11 +382,13 @@ def _finish(ax: Axes, flat: Flat) -> None:
     ax.set(aspect="equal" if flat.equal else "auto", xlabel=flat.labels[0], ylabel=flat.labels[1])
 
 
-def chosen_boundaries(result: Result, boundary: object = None) -> tuple[str, ...]:
+def chosen_boundaries(
+    result: Result, boundary: str | Contact | ContactPair | None = None
+) -> tuple[str, ...]:
     """Return the contact boundaries to draw: one, by its name or as a Contact or ContactPair, or
     all with nodes."""
     contact = result.contact
-    name = getattr(boundary, "boundary", boundary)
+    name = boundary.boundary if isinstance(boundary, Contact | ContactPair) else boundary
     names = contact.names if name is None else (checks.choice("boundary", name, contact.names),)
     drawn = tuple(n for n in names if (contact.boundary == contact.names.index(n)).any())
     if not drawn:
@@ -466,7 +479,7 @@ def load_history(
         _draw_steps(
             part,
             [results[k] for k in shown],
-            [f"{against} {style.number(factors[k])}" for k in shown],
+            [f"{against} {style.number(float(factors[k]))}" for k in shown],
             name,
             columns,
         )
@@ -525,10 +538,9 @@ def _draw_curve(
         # up and down: an arrow in the middle of each branch
         for a, b in zip(np.r_[0, turns], np.r_[turns, len(factors) - 1], strict=True):
             k = (a + b) // 2
-            middle = [0.5 * (v[k] + v[k + 1]) for v in (factors, values)]
             ax.annotate(
                 "",
-                middle,
+                (0.5 * (factors[k] + factors[k + 1]), 0.5 * (values[k] + values[k + 1])),
                 (factors[k], values[k]),
                 arrowprops={
                     "arrowstyle": "-|>,head_width=0.35,head_length=0.8",

@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import MaxNLocator
 
 from adaptmg import _checks as checks
 from adaptmg.estimate.loop import Step
@@ -96,8 +98,8 @@ def history(
     if several or len(quantities) > 1:
         ax.legend(loc="upper right")
     if against == "cycle":
-        ax.xaxis.get_major_locator().set_params(integer=True)
-    return ax.figure
+        ax.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=(1, 2, 5, 10)))
+    return style.figure_of(ax)
 
 
 def _chosen(runs: Mapping[str, Result], several: bool) -> list[str]:
@@ -213,7 +215,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
     handles, labels = ax.get_legend_handles_labels()
     entry = dict(zip(labels, handles, strict=True))
     ax.legend(entry.values(), entry, loc="upper left", bbox_to_anchor=(1.0, 1.02))
-    return ax.figure
+    return style.figure_of(ax)
 
 
 @style.styled
@@ -239,8 +241,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     present = set()
     dim = last.result.dim
     goal = last.estimate.signed is not None
-    figure = style.new_figure((10.5, 7.2))
-    figure.get_layout_engine().set(w_pad=0.1)
+    figure = style.new_figure((10.5, 7.2), ConstrainedLayoutEngine(compress=True, w_pad=0.1))
     for k, number in enumerate(sorted({0, len(steps) // 2, len(steps) - 1})):
         ax = _panel(figure, k, dim, f"step {number}: {steps[number].nodes} nodes")
         result = steps[number].result

@@ -7,6 +7,7 @@ proportional to them: those that push end on the boundary, those that pull start
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -16,21 +17,34 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from mpl_toolkits.mplot3d import Axes3D
+from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
+from adaptmg._checks import FieldLike
 from adaptmg.discrete.loads import load_density
 from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
 from adaptmg.plot.bodies import boundary_marks, draw_bodies
-from adaptmg.plot.surfaces import Lines, view_of, viewer
+from adaptmg.plot.surfaces import Lines, solid_axes, view_of, viewer
 from adaptmg.problem import Contact, ContactPair, ContactProblem, StepFile, laws, loads
 
 _CONTACT, _MASTER, _SUPPORT = "#e8833a", "#f2c530", "#4fb38a"
 
 SurfaceLoad = loads.Pressure | loads.Traction
-#: a load, and points, outward normals and tractions (n, dim) on its boundary; or a point and its force
-_Drawn = tuple[SurfaceLoad | loads.PointForce, np.ndarray, np.ndarray, np.ndarray]
+#: points (n, dim), outward normals and tractions there; or one point and its force
+_Vectors = tuple[np.ndarray, np.ndarray, np.ndarray]
+#: tails and vectors (n, dim)
+_Arrows = tuple[np.ndarray, np.ndarray]
+
+
+class _SurfaceLoading(NamedTuple):
+    """A load at points of its boundary."""
+
+    load: SurfaceLoad
+    points: np.ndarray  # (n, dim), m
+    normals: np.ndarray  # (n, dim), outward
+    tractions: np.ndarray  # (n, dim), Pa
 
 
 @style.styled
@@ -74,7 +88,7 @@ def problem(
     ax = style.canvas(ax, size, posed.dim)
     _draw(posed, mesh, ax)
     style.entitle(ax, style.plain(posed.name))
-    return ax.figure
+    return style.figure_of(ax)
 
 
 def _coarse_mesh(posed: ContactProblem) -> MeshArrays:
@@ -96,101 +110,163 @@ def _coarse_mesh(posed: ContactProblem) -> MeshArrays:
 
 
 def _draw(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> None:
-    solid = posed.dim == 3
-    names = "rzθ" if posed.axisymmetric else "xyz"
-    fills = style.body_fills(len(mesh.bodies))
-    uses = _uses(posed)
     extent = float(np.max(np.ptp(mesh.points, axis=0)))
-    scale = style.scaled(style.bounds(mesh.points)[2], "m")[0]
-    places: list[_Drawn] = []
-    for load in (one for one in posed.loads if isinstance(one, SurfaceLoad)):
-        length = mesh.surface(load.boundary).measures.sum()
-        x, normals = _spread(
-            mesh, load.boundary, 24 if solid else max(3, round(12 * length / extent))
-        )
-        places.append((load, x, normals, load_density(load, x[:, None], normals)[:, 0]))
+    loadings = _surface_loadings(posed, mesh, extent)
+    arrows = _arrows([(at.points, at.normals, at.tractions) for at in loadings], extent / 6)
+    arrows += _arrows(_point_forces(posed, mesh), extent / 6)
+    if posed.dim == 3:
+        enlarged: dict[str, int] = {}
+        _draw_solid(posed, mesh, ax, arrows, loadings)
+    else:
+        enlarged = _draw_plane(posed, mesh, ax, arrows, extent)
+    _draw_point_supports(posed, mesh, ax)
+    _legend(posed, ax, mesh, loadings, enlarged)
+
+
+def _axis_names(posed: ContactProblem) -> str:
+    return "rzθ" if posed.axisymmetric else "xyz"
+
+
+def _unit_scale(mesh: MeshArrays) -> float:
+    """Return the factor from m to the unit of the axes."""
+    return style.scaled(style.bounds(mesh.points)[2], "m")[0]
+
+
+def _surface_loadings(
+    posed: ContactProblem, mesh: MeshArrays, extent: float
+) -> list[_SurfaceLoading]:
+    """Return the surface loads at points spread over their boundaries."""
+    loadings = []
+    for load in posed.loads:
+        if isinstance(load, SurfaceLoad):
+            share = mesh.surface(load.boundary).measures.sum() / extent
+            count = 24 if posed.dim == 3 else max(3, round(12 * share))
+            x, normals = _spread(mesh, load.boundary, count)
+            tractions = load_density(load, x[:, None], normals)[:, 0]
+            loadings.append(_SurfaceLoading(load, x, normals, tractions))
+    return loadings
+
+
+def _point_forces(posed: ContactProblem, mesh: MeshArrays) -> list[_Vectors]:
+    """Return the point of each force, the direction there from the middle of the mesh, and the
+    force."""
     middle = mesh.points.mean(axis=0)
-    points = [
-        (load, np.array([load.point]), load.point - middle[None], np.array([load.components]))
+    return [
+        (np.array([load.point]), np.array([load.point]) - middle, np.array([load.components]))
         for load in posed.loads
         if isinstance(load, loads.PointForce)
     ]
-    reach = extent / 6
-    arrows = [
-        (scale * tails, scale * vectors)
-        for tails, vectors in (*_arrows(places, reach), *_arrows(points, reach))
+
+
+def _draw_solid(
+    posed: ContactProblem,
+    mesh: MeshArrays,
+    ax: Axes,
+    arrows: list[_Arrows],
+    loadings: list[_SurfaceLoading],
+) -> None:
+    """Draw bodies with marked boundaries and the arrows of loads, and name the faces seen."""
+    scale = _unit_scale(mesh)
+    strokes = [
+        stroke for tails, vectors in arrows for stroke in _strokes(scale * tails, scale * vectors)
     ]
-    strokes = [stroke for arrow in arrows for stroke in _strokes(*arrow)] if solid else []
     draw_bodies(
         ax,
         mesh,
-        fills,
-        boundary_marks(mesh, {name: color for name, color, _ in uses}) if solid else None,
+        style.body_fills(len(mesh.bodies)),
+        boundary_marks(mesh, {name: color for name, color, _ in _uses(posed)}),
         lines=False,
-        axes=names,
+        axes=_axis_names(posed),
         strokes=[Lines(np.concatenate(strokes), style.BLUE, 1.6, "#8fbfe0")] if strokes else (),
     )
-    for support in (one for one in posed.supports if one.boundary is None):
-        ax.plot(
-            *scale * np.array(support.point),
-            "^",
-            color=_SUPPORT,
-            markeredgecolor=style.INK,
-            markersize=9,
-            zorder=9,
-        )
-    if solid:
-        enlarged: dict[str, int] = {}
-        _name_faces(posed, mesh, ax, scale, [load.boundary for load, *_ in places])
-    else:
-        for boundary, color, _ in (use for use in uses if use[0] in mesh.boundaries):
+    _name_faces(posed, mesh, solid_axes(ax), [loading.load.boundary for loading in loadings])
+
+
+def _draw_plane(
+    posed: ContactProblem, mesh: MeshArrays, ax: Axes, arrows: list[_Arrows], extent: float
+) -> dict[str, int]:
+    """Draw plane bodies, boundaries, obstacles, loads and names; return by boundary how many times
+    its gap is enlarged."""
+    scale = _unit_scale(mesh)
+    fills = style.body_fills(len(mesh.bodies))
+    draw_bodies(ax, mesh, fills, lines=False, axes=_axis_names(posed))
+    for boundary, color, _ in _uses(posed):
+        if boundary in mesh.boundaries:
             ax.add_collection(
                 LineCollection(
-                    scale * mesh.points[mesh.boundary_facets(boundary)],
+                    list(scale * mesh.points[mesh.boundary_facets(boundary)]),
                     color=color,
                     zorder=4,
                     linewidth=2.0 if color == _MASTER else 4.0,
                     capstyle="round",
                 )
             )
-        enlarged = {
-            contact.boundary: _draw_obstacle(ax, contact, mesh, extent, scale)
-            for contact in posed.contact
-            if isinstance(contact, Contact)
-        }
-        for tails, vectors in arrows:
-            ax.quiver(
-                *tails.T,
-                *vectors.T,
-                angles="xy",
-                scale_units="xy",
-                scale=1,
-                color=style.BLUE,
-                units="inches",
-                width=0.02,
-                headwidth=4.5,
-                headlength=5.5,
-                headaxislength=5,
-                zorder=5,
+    enlarged = {
+        contact.boundary: _draw_obstacle(ax, contact, mesh, extent)
+        for contact in posed.contact
+        if isinstance(contact, Contact)
+    }
+    for tails, vectors in arrows:
+        _draw_arrows(ax, scale * tails, scale * vectors)
+    if len(mesh.bodies) == 1:
+        _name_edges(mesh, ax)
+    ax.set_anchor("W")
+    ax.margins(0.06)
+    ax.autoscale_view()
+    return enlarged
+
+
+def _draw_point_supports(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> None:
+    scale = _unit_scale(mesh)
+    for support in posed.supports:
+        if isinstance(support, loads.PointSupport | loads.PointSpring):
+            ax.plot(
+                *scale * np.array(support.point),
+                "^",
+                color=_SUPPORT,
+                markeredgecolor=style.INK,
+                markersize=9,
+                zorder=9,
             )
-            ax.update_datalim(np.concatenate([tails, tails + vectors]))
-        for boundary in mesh.boundaries if len(mesh.bodies) == 1 else ():
-            middle, normal = (part[0] for part in _spread(mesh, boundary, 1))
-            ax.annotate(
-                style.plain(boundary),
-                scale * middle,
-                -9 * normal,
-                textcoords="offset points",
-                color=style.INK,
-                fontsize=8,
-                ha=("left", "center", "right")[round(normal[0]) + 1],
-                va=("bottom", "center", "top")[round(normal[1]) + 1],
-                zorder=6,
-            )
-        ax.set_anchor("W")
-        ax.margins(0.06)
-        ax.autoscale_view()
-    _legend(posed, ax, mesh, fills, names, places, enlarged)
+
+
+def _draw_arrows(ax: Axes, tails: np.ndarray, vectors: np.ndarray) -> None:
+    ax.quiver(
+        tails[:, 0],
+        tails[:, 1],
+        vectors[:, 0],
+        vectors[:, 1],
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        color=style.BLUE,
+        units="inches",
+        width=0.02,
+        headwidth=4.5,
+        headlength=5.5,
+        headaxislength=5,
+        zorder=5,
+    )
+    ax.update_datalim(np.concatenate([tails, tails + vectors]))
+
+
+def _name_edges(mesh: MeshArrays, ax: Axes) -> None:
+    """Write the name of each boundary inside the body, next to the middle of the boundary."""
+    scale = _unit_scale(mesh)
+    for boundary in mesh.boundaries:
+        points, normals = _spread(mesh, boundary, 1)
+        normal = normals[0]
+        ax.annotate(
+            style.plain(boundary),
+            scale * points[0],
+            -9 * normal,
+            textcoords="offset points",
+            color=style.INK,
+            fontsize=8,
+            ha=("left", "center", "right")[round(normal[0]) + 1],
+            va=("bottom", "center", "top")[round(normal[1]) + 1],
+            zorder=6,
+        )
 
 
 def _spread(mesh: MeshArrays, boundary: str, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -210,10 +286,9 @@ def _spread(mesh: MeshArrays, boundary: str, count: int) -> tuple[np.ndarray, np
     ]
 
 
-def _draw_obstacle(
-    ax: Axes, contact: Contact, mesh: MeshArrays, extent: float, scale: float
-) -> int:
+def _draw_obstacle(ax: Axes, contact: Contact, mesh: MeshArrays, extent: float) -> int:
     """Hatch the obstacle in front of a boundary; return how many times the gap is enlarged."""
+    scale = _unit_scale(mesh)
     surface = mesh.surface(contact.boundary)
     points = mesh.points[surface.facets].reshape(-1, 2)
     normals = np.repeat(surface.normals, 2, axis=0)
@@ -229,7 +304,7 @@ def _draw_obstacle(
     behind = front + visible * inward.reshape(-1, 2, 2)
     ax.add_collection(
         PolyCollection(
-            scale * np.concatenate([front, behind[:, ::-1]], axis=1),
+            list(scale * np.concatenate([front, behind[:, ::-1]], axis=1)),
             facecolor="none",
             edgecolor=style.GREY,
             hatch="////",
@@ -237,15 +312,15 @@ def _draw_obstacle(
             zorder=1,
         )
     )
-    ax.add_collection(LineCollection(scale * front, color=style.INK, linewidth=1.2, zorder=3.5))
+    edges = list(scale * front)
+    ax.add_collection(LineCollection(edges, color=style.INK, linewidth=1.2, zorder=3.5))
     return times
 
 
-def _name_faces(
-    posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, scale: float, loaded: list[str]
-) -> None:
+def _name_faces(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: list[str]) -> None:
     """Turn a single body so that contact, which counts three times, and loads show most, and name
     what is seen."""
+    scale = _unit_scale(mesh)
     corners = {name: scale * mesh.points[mesh.boundary_facets(name)] for name in mesh.boundaries}
     if len(mesh.bodies) == 1:
         seen = [corners[name] for name in (*3 * posed.contact_boundaries, *loaded)]
@@ -256,7 +331,7 @@ def _name_faces(
         if mesh.surface(name).normals.mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
             ax.text(
                 *corners[name].mean(axis=(0, 1)),
-                style.plain(name),
+                s=style.plain(name),
                 ha="center",
                 va="center",
                 fontsize=8,
@@ -283,20 +358,18 @@ def _strokes(tails: np.ndarray, arrows: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-def _arrows(places: list[_Drawn], reach: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Tails and vectors (n, dim) for points, normals and tractions of each load, the longest
-    ``reach``."""
+def _arrows(loadings: list[_Vectors], reach: float) -> list[_Arrows]:
+    """Return the arrows of tractions at points with outward normals, the longest ``reach``: those
+    that push end at their point, those that pull start there."""
     largest = max(
-        (float(np.linalg.norm(traction, axis=1).max()) for *_, traction in places), default=0.0
+        (float(np.linalg.norm(traction, axis=1).max()) for *_, traction in loadings), default=0.0
     )
-    arrows = [
-        (x, normals, traction * (reach / largest if largest else 0.0))
-        for _, x, normals, traction in places
-    ]
-    return [
-        (np.where(np.einsum("nd,nd->n", arrow, normals)[:, None] <= 0, x - arrow, x), arrow)
-        for x, normals, arrow in arrows
-    ]
+    arrows = []
+    for points, normals, traction in loadings:
+        vectors = traction * (reach / largest if largest else 0.0)
+        pushes = np.einsum("nd,nd->n", vectors, normals)[:, None] <= 0
+        arrows.append((np.where(pushes, points - vectors, points), vectors))
+    return arrows
 
 
 def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
@@ -329,13 +402,12 @@ def _legend(
     posed: ContactProblem,
     ax: Axes,
     mesh: MeshArrays,
-    fills: Sequence[str],
-    axes: str,
-    places: list[_Drawn],
+    loadings: list[_SurfaceLoading],
     enlarged: dict[str, int],
 ) -> None:
     """List bodies, uses of boundaries and loads under the name of the law; of a single body the
     free boundaries too."""
+    fills = style.body_fills(len(mesh.bodies))
     entries: list[tuple[Artist, str]] = []
     if len(mesh.bodies) > 1:
         entries += [
@@ -352,16 +424,16 @@ def _legend(
                 + (f"\n(gap drawn {times} times)" if times > 1 else ""),
             )
         )
-    acting = [(load, traction) for load, _, _, traction in places if traction.any()]
+    acting = [loading for loading in loadings if loading.tractions.any()]
     entries += [
         (
             Line2D([], [], color=style.BLUE),
-            f"{_surface_text(load, traction)} on {style.quoted(load.boundary)}",
+            f"{_surface_text(load, tractions)} on {style.quoted(load.boundary)}",
         )
-        for load, traction in acting
+        for load, _, _, tractions in acting
     ]
     entries += [
-        (Line2D([], [], color=style.BLUE, linestyle=":"), _volume_text(load, axes))
+        (Line2D([], [], color=style.BLUE, linestyle=":"), _volume_text(load, _axis_names(posed)))
         for load in posed.loads
         if isinstance(load, loads.BodyForce | loads.InitialStrain | loads.Preload)
     ]
@@ -370,7 +442,7 @@ def _legend(
         for load in posed.loads
         if isinstance(load, loads.PointForce)
     ]
-    used = {name for name, *_ in _uses(posed)} | {load.boundary for load, _ in acting}
+    used = {name for name, *_ in _uses(posed)} | {loading.load.boundary for loading in acting}
     if len(mesh.bodies) == 1 and (
         free := [style.quoted(name) for name in mesh.boundaries if name not in used]
     ):
@@ -398,12 +470,16 @@ def _law_text(law: laws.Law) -> str:
     return f"contact ({type(law).__name__})"
 
 
-def _value(value: object, unit: str = "") -> str:
-    """A parameter as text: f(x), or a number with its prefixed unit."""
+def _value(value: FieldLike | ArrayLike, unit: str = "") -> str:
+    """Return a parameter as text: f(x), a number with its prefixed unit, or the largest of nodal
+    values."""
     if callable(value):
         return "f(x)"
-    factor, unit = style.scaled(abs(float(value)), unit) if unit else (1.0, "")
-    return f"{style.number(float(value) * factor)} {unit}".strip()
+    values = np.asarray(value, dtype=float)
+    largest = float(values.max())
+    factor, unit = style.scaled(abs(largest), unit) if unit else (1.0, "")
+    text = f"{style.number(largest * factor)} {unit}".strip()
+    return f"up to {text}" if values.ndim else text
 
 
 def support_text(support: loads.AnySupport, dim: int, axes: str = "xyz") -> str:
@@ -455,9 +531,10 @@ def _volume_text(load: loads.BodyForce | loads.InitialStrain | loads.Preload, ax
             if callable(value) or value != 0
         ]
         return f"initial strain{where}\n{', '.join(parts) or '0'}"
-    if any(map(callable, load.components)):
+    numbers = [value for value in load.components if not callable(value)]
+    if len(numbers) < len(load.components):
         return f"body force f(x){where}"
-    return f"body force {_vector_text(load.components, 'N/m³')}{where}"
+    return f"body force {_vector_text(numbers, 'N/m³')}{where}"
 
 
 def _force_text(load: loads.PointForce, posed: ContactProblem) -> str:

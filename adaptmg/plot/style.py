@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Sequence
+from os import PathLike
+from typing import IO, TYPE_CHECKING, Literal
 
 import matplotlib
 import numpy as np
@@ -17,8 +19,10 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.layout_engine import LayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.mathtext import MathTextParser
+from matplotlib.rcsetup import cycler
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from matplotlib.transforms import ScaledTranslation
 
@@ -26,6 +30,9 @@ from adaptmg import _checks as checks
 from adaptmg._text import printable
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType
 
 INK, GREY = "#1f2328", "#8a9099"
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072b2", "#d55e00", "#009e73", "#b0568f", "#56b4e9"
@@ -42,7 +49,7 @@ BODY_COLORS = (
 )
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#806000", INK)
 
-_STYLE = {
+_STYLE: dict[RcKeyType, object] = {
     "figure.dpi": 120,
     "figure.facecolor": "white",
     "axes.facecolor": "white",
@@ -68,7 +75,7 @@ _STYLE = {
     "lines.markersize": 4.5,
     "mathtext.fontset": "dejavusans",
     "hatch.linewidth": 0.6,
-    "axes.prop_cycle": matplotlib.cycler(color=CYCLE),
+    "axes.prop_cycle": cycler(color=CYCLE),
     "image.cmap": "viridis",
     "axes.axisbelow": True,
     "text.usetex": False,
@@ -83,7 +90,7 @@ _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, 
 class _Picture(Figure):
     """A figure that notebooks show without pyplot; it is saved whole, without empty margins."""
 
-    def savefig(self, fname: object, **options: object) -> None:
+    def savefig(self, fname: str | PathLike[str] | IO[bytes], **options: object) -> None:
         """Save as matplotlib does, by default with ``bbox_inches="tight"``."""
         super().savefig(fname, **{"bbox_inches": "tight", **options})
 
@@ -93,7 +100,10 @@ class _Picture(Figure):
         return buffer.getvalue()
 
 
-def new_figure(size: tuple[float, float], layout: str = "compressed") -> Figure:
+def new_figure(
+    size: tuple[float, float],
+    layout: Literal["compressed", "constrained"] | LayoutEngine = "compressed",
+) -> Figure:
     """Return a figure of ``size`` inches that pyplot does not keep; with subfigures
     "constrained"."""
     figure = _Picture(figsize=size, layout=layout)
@@ -109,6 +119,14 @@ def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
     if (checks.instance("ax", ax, Axes, "matplotlib axes").name == "3d") != (dim == 3):
         raise ValueError(f"ax must be {'three' if dim == 3 else 'two'}-dimensional")
     return ax
+
+
+def figure_of(ax: Axes) -> Figure:
+    """Return the figure that axes belong to; ValueError if they were removed from it."""
+    figure = ax.get_figure(root=True)
+    if figure is None:
+        raise ValueError("ax must belong to a figure, got axes that were removed from theirs")
+    return figure
 
 
 def cells(
@@ -135,14 +153,13 @@ def cells(
 def entitle(ax: Axes, text: str) -> None:
     """Set a title above everything: the labels of three-dimensional axes seen from below run along
     the upper side."""
-    ax.set_title(text, pad=30 if ax.name == "3d" else None)
+    ax.set_title(text, pad=40 if ax.name == "3d" else None)
 
 
 def legend_below(ax: Axes, handles: Sequence[Artist]) -> None:
     """Add a legend below axes and their labels."""
-    below = ScaledTranslation(
-        0, -0.5 if ax.name != "3d" else -0.1, ax.get_figure(root=True).dpi_scale_trans
-    )
+    distance = -0.5 if ax.name != "3d" else -0.1
+    below = ScaledTranslation(0, distance, figure_of(ax).dpi_scale_trans)
     ax.legend(
         handles=handles,
         loc="upper center",
@@ -228,10 +245,10 @@ def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 #: pale enough to draw on
-STATE_COLORS = {OPEN: "#f1f2f4", SLIP: "#fbe3d3", STICK: "#d6e8f5"}
+STATE_COLORS: dict[int, str] = {OPEN: "#f1f2f4", SLIP: "#fbe3d3", STICK: "#d6e8f5"}
 #: strong enough for lines and marks
-STATE_INKS = {OPEN: "#9aa0a8", SLIP: "#e69f00", STICK: "#0072b2"}
-STATE_NAMES = {OPEN: "open", SLIP: "slip", STICK: "stick"}
+STATE_INKS: dict[int, str] = {OPEN: "#9aa0a8", SLIP: "#e69f00", STICK: "#0072b2"}
+STATE_NAMES: dict[int, str] = {OPEN: "open", SLIP: "slip", STICK: "stick"}
 
 
 def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
@@ -242,8 +259,8 @@ def shade(ax: Axes, position: np.ndarray, state: np.ndarray) -> None:
         left = position[a] if a == 0 else 0.5 * (position[a - 1] + position[a])
         right = position[b] if b == len(state) - 1 else 0.5 * (position[b] + position[b + 1])
         ax.axvspan(
-            left,
-            right,
+            float(left),
+            float(right),
             facecolor=STATE_COLORS[int(state[a])],
             edgecolor="none",
             linewidth=0,
@@ -268,7 +285,7 @@ def stated_curve(
     colors = [STATE_INKS[int(code)] for code in state]
     ax.add_collection(
         LineCollection(
-            halves(np.stack([points[:-1], points[1:]], 1)),
+            list(halves(np.stack([points[:-1], points[1:]], 1))),
             colors=np.repeat(colors, 2)[1:-1],
             linewidths=linewidth,
             capstyle="round",

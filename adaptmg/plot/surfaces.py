@@ -20,11 +20,12 @@ from matplotlib.backends.backend_template import RendererTemplate
 from matplotlib.colors import to_rgb
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Bbox
-from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d import Axes3D, axis3d
 
+from adaptmg import _checks as checks
 from adaptmg._numba import kernel
 from adaptmg.mesh.arrays import facet_table
-from adaptmg.plot.style import INK, bounds
+from adaptmg.plot.style import INK, bounds, figure_of
 
 #: pixels of the raster for each pixel of the picture, in each direction
 _FINER = 2
@@ -68,9 +69,7 @@ class ShadedSurface(Artist):
         """Draw into the figure; matplotlib calls this."""
         if not self.get_visible():
             return
-        image, x, y = self.raster(
-            renderer.points_to_pixels(1.0), renderer.get_image_magnification()
-        )
+        image, x, y = self.raster(renderer.get_image_magnification())
         if image.size:
             graphics = renderer.new_gc()
             renderer.draw_image(graphics, x, y, image)
@@ -82,7 +81,7 @@ class ShadedSurface(Artist):
         parts = [self._project(self.corners)[..., :2].reshape(-1, 2)]
         parts += [self._project(line.ends)[..., :2].reshape(-1, 2) for line in self.lines]
         boxes = [Bbox([np.min(part, axis=0), np.max(part, axis=0)]) for part in parts if len(part)]
-        axes = self.axes
+        axes = solid_axes(self.axes)
         if axes._axis3don:
             # labels are placed when they are drawn, here to nowhere
             axes.M = axes.get_proj()
@@ -91,13 +90,15 @@ class ShadedSurface(Artist):
                 boxes += [axis.get_tightbbox(renderer), axis.label.get_window_extent(renderer)]
         return Bbox.union([box for box in boxes if box is not None])
 
-    def raster(self, point: float, magnification: float = 1.0) -> tuple[np.ndarray, float, float]:
+    def raster(self, magnification: float = 1.0) -> tuple[np.ndarray, float, float]:
         """Return the picture in the present view, and the pixel of its lower left corner."""
+        figure = figure_of(solid_axes(self.axes))
+        point = figure.dpi / 72
         finer = _FINER * magnification
         corners = self._project(self.corners)
         lines = [self._project(line.ends) for line in self.lines]
         seen = np.concatenate([part.reshape(-1, 3) for part in (corners, *lines)])
-        frame = self.axes.get_figure(root=True).bbox
+        frame = figure.bbox
         lower = np.floor(np.clip(seen[:, :2].min(axis=0) - 2, 0, (frame.width, frame.height)))
         upper = np.ceil(np.clip(seen[:, :2].max(axis=0) + 2, 0, (frame.width, frame.height)))
         columns, rows = np.round((upper - lower) * magnification).astype(int)
@@ -130,18 +131,19 @@ class ShadedSurface(Artist):
 
     def _project(self, points: np.ndarray) -> np.ndarray:
         """Pixels of the figure and depth (..., 3) of points (..., 3)."""
-        flat = (
-            np.column_stack([points.reshape(-1, 3), np.ones(points.size // 3)])
-            @ np.asarray(self.axes.get_proj()).T
-        )
+        axes = solid_axes(self.axes)
+        homogeneous = np.column_stack([points.reshape(-1, 3), np.ones(points.size // 3)])
+        flat = homogeneous @ np.asarray(axes.get_proj()).T
         flat = flat[:, :3] / flat[:, 3:]
-        flat[:, :2] = self.axes.transData.transform(flat[:, :2])
+        flat[:, :2] = axes.transData.transform(flat[:, :2])
         return flat.reshape(points.shape)
 
     def _shaded(self) -> np.ndarray:
         """Colours (n, 3, 3) darkened where the triangle turns from the light."""
         normals = normals_of(self.corners)
-        towards, up = (viewer(self.axes.elev + more, self.axes.azim) for more in (0.0, 90.0))
+        axes = solid_axes(self.axes)
+        towards = viewer(axes.elev, axes.azim)
+        up = viewer(axes.elev + 90.0, axes.azim)
         light = towards + 0.7 * up - 0.5 * np.cross(up, towards)
         # a triangle seen from behind (the inside of an open surface) is lit like its front
         front = np.where(normals @ towards < 0, -1.0, 1.0)
@@ -233,6 +235,11 @@ _VIEWS = (
 )
 
 
+def solid_axes(ax: object) -> Axes3D:
+    """Return ``ax`` as three-dimensional axes."""
+    return checks.instance("ax", ax, Axes3D, "three-dimensional axes")
+
+
 def view_of(ax: Axes3D, corners: np.ndarray) -> None:
     """Choose the view in which most of some triangles (n, 3, 3) of a body shows; the first view is
     preferred."""
@@ -261,12 +268,13 @@ def finish_axes(ax: Axes3D, points: np.ndarray, unit: str) -> None:
     ):
         getattr(ax, f"set_{name}lim")(low - 0.02 * wide, low + 1.02 * wide)
         getattr(ax, f"set_{name}label")(f"{name} [{unit}]", labelpad=2)
-        axis.pane.set_facecolor("white")
-        axis.pane.set_edgecolor("#dfe3e8")
+        pane = checks.instance("axis", axis, axis3d.Axis).pane
+        pane.set_facecolor("white")
+        pane.set_edgecolor("#dfe3e8")
         axis.set_major_locator(MaxNLocator(nbins=4 if wide > 0.4 * extent.max() else 2))
         axis.set_tick_params(labelsize=8, pad=0)
     ax.grid(False)
-    ax.set_box_aspect(extent, zoom=0.92)
+    ax.set_box_aspect(extent)
     ax.view_init(*_VIEWS[0])
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from made import cube
 from made_bodies import two_bodies, two_solids
+from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 from pictures import words
 
@@ -116,11 +117,15 @@ def test_every_case_is_drawn_with_the_names_of_its_boundaries(name):
             ),
         ),
         (
+            dataclasses.replace(assembly(), law=am.Tresca([1e3, 4e3, 2e3])),
+            ("Tresca limit up to 4 kPa", "gap drawn"),
+        ),
+        (
             dataclasses.replace(assembly(), material=am.Axisymmetric(**STEEL)),
             ("r [mm]", "z [mm]", "$u_z$ = 0", "$u_r$ = 0"),
         ),
     ],
-    ids=["polygon", "bar", "assembly", "axisymmetric"],
+    ids=["polygon", "bar", "assembly", "nodal limits", "axisymmetric"],
 )
 def test_the_legend_states_law_supports_loads_and_enlarged_gaps(posed, expected):
     shown = words(am.plot.problem(posed))
@@ -141,6 +146,12 @@ def test_loads_that_are_zero_are_not_drawn():
     assert "frictionless" not in shown and all(
         name in shown for name in ("'bottom'", "'left'", "'back'", "'top'")
     )
+
+
+def test_a_picture_in_a_subfigure_returns_the_whole_figure():
+    figure = Figure()
+    upper, _ = figure.subfigures(2, 1)
+    assert am.plot.problem(am.cases.greco_bar(), upper.subplots()) is figure
 
 
 def test_arrows_are_proportional_to_tractions_and_end_at_bodies():

@@ -55,6 +55,6 @@ def test_a_surface_shows_the_front_of_a_body_from_any_side():
     ax.set(xlim=(0, 1), ylim=(0, 1), zlim=(0, 1))
     for elevation, azimuth, front in ((0, 0, 1), (0, 180, 0), (0, 90, 3), (90, 0, 5), (-90, 0, 4)):
         ax.view_init(elev=elevation, azim=azimuth)
-        image, _, _ = surface.raster(1.0)
+        image, _, _ = surface.raster()
         middle = image[image.shape[0] // 2, image.shape[1] // 2]
         assert middle[3] == 255 and middle[0] == round(255 * tints[front])
