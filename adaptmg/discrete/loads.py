@@ -260,10 +260,10 @@ def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.nd
     )
 
 
-def _elements(
+def spring_elements(
     mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (n, k) that springs join, and their stiffness (n, k, k, dim, dim), N/m."""
+    """Return the nodes (n, k) that springs join, and their stiffness (n, k, k, dim, dim), N/m."""
     if isinstance(spring, PointSpring):
         own = np.diag([spring.x, spring.y, spring.z][: mesh.dim])
         return np.array([[node_at(mesh, spring.point, spring.body)]]), own[None, None, None]
@@ -287,7 +287,7 @@ def supported_stiffness(
         rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))
         keys = pair_keys(rows, matrix.indices, mesh.n_nodes)
     for spring in springs:
-        cells, blocks = _elements(mesh, spring, is_axisymmetric(material))
+        cells, blocks = spring_elements(mesh, spring, is_axisymmetric(material))
         wanted = pair_keys(cells[:, :, None], cells[:, None, :], mesh.n_nodes)
         np.add.at(
             matrix.data,
@@ -301,7 +301,7 @@ def largest_nodal_stiffness(
     mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
 ) -> float:
     """Return the largest force, N/m, by which a spring resists a unit translation at one node."""
-    cells, blocks = _elements(mesh, spring, axisymmetric)
+    cells, blocks = spring_elements(mesh, spring, axisymmetric)
     forces = np.zeros((mesh.n_nodes, mesh.dim, mesh.dim))
     np.add.at(forces, cells, blocks.sum(axis=2))
     return float(np.linalg.norm(forces, axis=2).max())
@@ -314,7 +314,7 @@ def spring_resultants(
     origin, N m."""
     result: dict[str, list[float]] = {}
     for spring in (one for one in supports if isinstance(one, Spring | PointSpring)):
-        cells, blocks = _elements(mesh, spring, axisymmetric)
+        cells, blocks = spring_elements(mesh, spring, axisymmetric)
         forces = -np.einsum("fabij,fbj->fai", blocks, displacement[cells]).reshape(-1, mesh.dim)
         own = [*forces.sum(axis=0), *moment(mesh.points[cells].reshape(forces.shape), forces)]
         result[spring.place] = (np.array(own) + result.get(spring.place, 0.0)).tolist()

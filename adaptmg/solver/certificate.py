@@ -16,6 +16,7 @@ largest displacement, energies to u'Au: never to a lifted nodal jump."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -45,9 +46,12 @@ class Certificate:
         friction on its bound and opposite to the slip, less that of the claimed friction), 'slip
         along the force' (weighted by force), 'open, touching' (forces at open nodes), 'touching,
         open' (gaps at touching nodes), 'slip, sticking' (slip at sticking nodes), 'balance' (sum of
-        loads and all reactions); of results on meshes also 'stiffness' (the nodal forces of an
-        affine field against its tractions and springs) and 'loads' (force and moment against
-        what is posed), by closed forms that share nothing with the assembly.
+        loads and all reactions). Of results on meshes also what shares nothing with the assembly:
+        'stiffness' (the nodal forces of an affine field against its tractions and springs), 'loads'
+        (force and moment on each body against what is posed), 'measures' (boundary masses of
+        contact nodes against those of their facets), 'bodies' (force and moment of loads, springs,
+        supports, ties and contact on each body, those on masters opposite to those on slaves) and
+        'stresses' (of linear elements, against forces of supports, ties and contact).
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned
         steps: mostly 0 to 10 % too large, seldom too small. Where a solve stopped far below its
@@ -149,12 +153,12 @@ def certify(
     rtol: float = 0.0,
     pressures: np.ndarray = NO_PRESSURES,
     residual: np.ndarray | None = None,
-    posed: tuple[Condition, ...] = (),
+    posed: Posed | None = None,
 ) -> Certificate:
     """Check a displacement and the contact forces and states that go with it; of a problem with
     volumes also their ``pressures``, Pa. An energy error far below ``rtol`` is estimated by two
-    steps. ``residual``: b - A w, if it was computed. ``posed``: lines of what the matrix and
-    the load must contain (:mod:`adaptmg.solver.closed_forms`)."""
+    steps. ``residual``: b - A w, if it was computed. ``posed`` makes the
+    lines that follow from mesh and posed problem (:mod:`adaptmg.solver.closed_forms`)."""
     # what has run away overflows: its lines read inf or nan, and contradict
     with np.errstate(over="ignore", invalid="ignore"):
         evidence = Evidence(
@@ -162,7 +166,7 @@ def certify(
         )
         aggregates = None if bound or problem.fixed.all() else aggregates_of(problem)
         energy, energy_rounding = evidence.energy_error(aggregates, rtol)
-        lines = (*evidence.lines(), *posed)
+        lines = evidence.lines() if posed is None else (*evidence.lines(), *posed(evidence))
     return Certificate(
         lines,
         0.0 if evidence.idle else energy,
@@ -173,6 +177,9 @@ def certify(
         evidence.energy,
     )
 
+
+#: makes lines of what mesh and posed problem say of a displacement
+Posed = Callable[["Evidence"], tuple["Condition", ...]]
 
 _OPEN, _SLIP, _STICK = 0, 1, 2
 #: share of rtol that an energy error far below it has; times the factors of :mod:`adaptmg.solver.energy_error` the
@@ -268,6 +275,8 @@ class Evidence:
         self.gap, self.slip = self._kinematics()
         # what holds ties is as large as it must be; its counterpart on masters is not a violation
         tying = np.where(problem.fixed & ~problem.held, -residual, 0.0)
+        self.tying = tying
+        self.residual = residual
         borne = -residual - tying
         self.unexplained = problem.physical_forces(borne).reshape(shape)
         self.unexplained[self.nodes] -= self.claimed

@@ -35,7 +35,7 @@ from adaptmg.smoother.system import (
     held_tangents,
     local_contact,
 )
-from adaptmg.solver.certificate import Certificate, Condition, certify
+from adaptmg.solver.certificate import Certificate, Posed, certify
 
 if TYPE_CHECKING:
     import pandas
@@ -252,7 +252,7 @@ class Examined:
 class Examiner:
     """Examines displacements of one problem."""
 
-    def __init__(self, discrete: DiscreteProblem, posed: tuple[Condition, ...] = ()) -> None:
+    def __init__(self, discrete: DiscreteProblem, posed: Posed | None = None) -> None:
         self.discrete = discrete
         self.posed = posed
         self.contact, self.frames = local_contact(discrete)

@@ -31,7 +31,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
-from adaptmg.solver.closed_forms import posed_conditions
+from adaptmg.solver.closed_forms import free_bodies
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.load_steps import (
     Controls,
@@ -419,8 +419,8 @@ class PathLoop:
             # two supports that no longer agree should show before the first step is solved
             self.loads[-1].fixed_values(self._factors_at(k))
         finest = grids.finest
-        posed = posed_conditions(grids.problem, finest.mesh_or_none, finest.discrete)
-        self.examiner = Examiner(finest.discrete, posed)
+        self.bodies = free_bodies(_problem_with_names(grids), finest.mesh_or_none, finest.discrete)
+        self.examiner = Examiner(finest.discrete, self.bodies)
         truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
         self.method = TruncatedSteps(cast("Multigrid", solver)) if truncated else _Restarted(solver)
         self.controls = Controls(
@@ -486,7 +486,7 @@ class PathLoop:
             ):  # these move until their forces fit, and may go too far on the way
                 self._check_held(grids, k, motions)
             forces = grids.finest.discrete.load_from_prescribed()
-            run.examiner = self.examiner = Examiner(grids.finest.discrete)
+            run.examiner = self.examiner = Examiner(grids.finest.discrete, self.bodies)
             past = Past(
                 self.levels,
                 self.recent[-1][0],

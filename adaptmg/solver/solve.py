@@ -17,7 +17,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
-from adaptmg.solver.closed_forms import posed_conditions
+from adaptmg.solver.closed_forms import free_bodies
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.multigrid import handed_over
 from adaptmg.solver.outcome import (
@@ -150,8 +150,8 @@ def solve(
     with run.phase("statics"):
         check_statics_of(grids)
     with run.phase("setup"):
-        posed = posed_conditions(grids.problem, grids.finest.mesh_or_none, discrete)
-        run.examiner = examiner = Examiner(discrete, posed)
+        bodies = free_bodies(grids.problem, grids.finest.mesh_or_none, discrete)
+        run.examiner = examiner = Examiner(discrete, bodies)
         warn_of_several_solutions(grids)
         advise_on_problem(grids.problem, grids.finest.mesh_or_none)
     outcome = handed_over(
