@@ -63,9 +63,9 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
             "mesh has no history: onto_domain moves the nodes that adaptmg.mesh.bisect made"
         )
     known = {name: own for name, own in surfaces_of(domain).items() if name in mesh.boundaries}
-    sides = [(own, *_new_nodes(mesh, name, n_old)) for name, own in known.items()]
-    if all(one.plane for own, nodes, _ in sides for one in own if len(nodes)):
+    if all(surface.plane for own in known.values() for surface in own):
         return mesh
+    sides = [(own, *_new_nodes(mesh, name, n_old)) for name, own in known.items()]
     depth = _depth(mesh.refinement.parents, n_old)
     stays = np.zeros(mesh.n_nodes, dtype=bool)
     near = None

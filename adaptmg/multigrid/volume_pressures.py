@@ -88,8 +88,10 @@ class VolumePressures:
     def advance(self, unknowns: np.ndarray, pressures: np.ndarray) -> float:
         """Step towards the pressures of corrected unknowns, in place; returns the energy of the
         step, N m."""
-        missed = self.missed(unknowns, pressures)
         volumes = self.volumes
+        if not len(volumes):
+            return 0.0
+        missed = self.missed(unknowns, pressures)
         change = missed / (volumes.compliance + 1 / volumes.modulus)
         energy = float(np.einsum("i,i,i->", volumes.areas, missed, change))
         pressures += (self.CAUTIOUS if self._cautious else 1.0) * change
