@@ -1,7 +1,9 @@
 """Hierarchies: constructors, the table, other problems, levels that come and go; and what is
 refused."""
 
+import gc
 import pickle
+import weakref
 from dataclasses import replace
 from functools import cache
 from importlib import import_module
@@ -15,7 +17,6 @@ from refused import refused
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg._on_demand import OnDemand
 
 BAR, JOINT = am.cases.greco_bar(), am.cases.dovetail()
 COARSE = am.mesh.structured(BAR.domain, 4)
@@ -247,14 +248,22 @@ def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
         with pytest.raises(AssertionError, match="without being asked"):
             asked()
     monkeypatch.undo()
-    assert am.Hierarchy.uniform(BAR, divisions=(2, 4, 8)).finest.mesh.source.nv == 81
-    assert isinstance(discrete.__dict__["near_nullspace"], OnDemand)
-    assert discrete.near_nullspace is discrete.near_nullspace and discrete.near_nullspace.shape == (
-        162,
-        3,
-    )
+    finest = am.Hierarchy.uniform(BAR, divisions=(2, 4, 8)).finest
+    discrete = finest.discrete
+    assert finest.mesh.source.nv == 81
+    assert discrete.near_nullspace is discrete.near_nullspace
+    assert discrete.near_nullspace.shape == (162, 3)
     back = pickle.loads(pickle.dumps(am.Hierarchy.uniform(BAR, divisions=(2, 4, 8))))
     np.testing.assert_array_equal(back.finest.discrete.near_nullspace, discrete.near_nullspace)
+
+
+def test_a_solve_keeps_no_problem_alive():
+    grids = am.Hierarchy.uniform(BAR, divisions=(2, 4, 8))
+    am.solve(grids)
+    alive = [weakref.ref(level.discrete) for level in grids]
+    del grids
+    gc.collect()
+    assert [problem() for problem in alive] == [None] * 3
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._on_demand import OnDemand
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
 from adaptmg.discrete.coordinates import held_slaves
@@ -127,7 +126,7 @@ def discretise(
         "coordinates": mesh.points,
         "bodies": bodies,
         "law": _nodal_law(problem, mesh, contact),
-        "near_nullspace": OnDemand(partial(_motions, mesh, problem.axisymmetric)),
+        "motions": partial(rigid_motions, mesh, problem.axisymmetric),
         "inclined": held.inclined,
         "ties": tuple(
             (tie.slave, tie.master, part.nodes)
@@ -250,12 +249,6 @@ def rediscretise(
         check_size("load", np.abs(load).max())
         parts["load"] = bounded("load", load, (old.n_dofs,))
     return old.posing(**parts)
-
-
-def _motions(mesh: MeshArrays, axisymmetric: bool, discrete: DiscreteProblem) -> np.ndarray:
-    motions = rigid_motions(mesh, axisymmetric)
-    motions.flags.writeable = False
-    return motions
 
 
 def _contact(

@@ -254,4 +254,4 @@ def moved(
         slip_reference=reference,
         allow_interference=True,
     )
-    return discrete.facing(new) if turned else discrete.posing(contact=new)
+    return discrete.restructured(contact=new) if turned else discrete.posing(contact=new)

@@ -14,8 +14,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from functools import cached_property, partial, wraps
+from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,6 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._checks import indices_frozen
-from adaptmg._on_demand import ABSENT, OnDemand, Token, Value, made_on_demand, remembered
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     ContactNodes,
@@ -41,8 +40,30 @@ from adaptmg.discrete.supports import Inclined
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import Law, check_law
 
+Value = TypeVar("Value")
+Others = ParamSpec("Others")
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+
+class Computed(dict):
+    """Values that functions have computed from a problem, by function; pickled without them."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Computed, ()
+
+
+def _rigid_motions(problem: DiscreteProblem) -> np.ndarray | None:
+    """Return the rigid motions of a problem to which none were given; None without coordinates."""
+    if problem._motions is not None:
+        motions = problem._motions()
+    elif problem.coordinates is not None:
+        motions = rigid_body_modes(problem.coordinates)
+    else:
+        return None
+    motions.flags.writeable = False
+    return motions
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, init=False)
 class DiscreteProblem(Unknowns):
     """A contact problem as arrays; every solver takes it.
 
@@ -88,11 +109,11 @@ class DiscreteProblem(Unknowns):
     fixed: np.ndarray
     law: Law
     contact: ContactNodes
-    fixed_values: np.ndarray = ABSENT
+    fixed_values: np.ndarray
     coordinates: np.ndarray | None = None
-    near_nullspace: np.ndarray | Any = (
-        None  # Any: only problems without coordinates need the test for None
-    )
+    # computed when it is first read, unless it is given; Any: only problems without coordinates
+    # need the test for None
+    near_nullspace: np.ndarray | Any = cached_property(_rigid_motions)  # noqa: RUF009
     name: str = "discrete problem"
     coupling: Coupling | None = None  # says that all of the above is in relative coordinates
     bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
@@ -103,45 +124,104 @@ class DiscreteProblem(Unknowns):
     )
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray], ...] = ()
-    volumes: Volumes = ABSENT  # groups of nodes whose mean volume strains add to the stiffness
+    volumes: Volumes  # groups of nodes whose mean volume strains add to the stiffness
 
-    if TYPE_CHECKING:
-        _structure: ClassVar[Token]  # of each object, set by _complete; no field
+    # of each object, and no fields: ``assembled`` sets the first, ``_complete`` the others
+    _motions: ClassVar[Callable[[], np.ndarray] | None] = None
+    _computed: ClassVar[Computed]
+    _structure: ClassVar[Computed]
 
-        def __init__(
-            self,
-            *,
-            matrix: sparse.sparray | sparse.spmatrix,
-            load: ArrayLike,
-            fixed: ArrayLike,
-            law: Law,
-            contact: ContactNodes,
-            fixed_values: ArrayLike | None = None,
-            coordinates: ArrayLike | None = None,
-            near_nullspace: ArrayLike | None = None,
-            name: str = "discrete problem",
-            coupling: Coupling | None = None,
-            bodies: Mapping[str, np.ndarray] | None = None,
-            strain_free: tuple[np.ndarray, float] | None = None,
-            inclined: Inclined | None = None,
-            volumes: Volumes | None = None,
-        ) -> None: ...
+    def __init__(
+        self,
+        *,
+        matrix: sparse.sparray | sparse.spmatrix,
+        load: ArrayLike,
+        fixed: ArrayLike,
+        law: Law,
+        contact: ContactNodes,
+        fixed_values: ArrayLike | None = None,
+        coordinates: ArrayLike | None = None,
+        near_nullspace: ArrayLike | None = None,
+        name: str = "discrete problem",
+        coupling: Coupling | None = None,
+        bodies: Mapping[str, np.ndarray] | None = None,
+        strain_free: tuple[np.ndarray, float] | None = None,
+        inclined: Inclined | None = None,
+        ties: tuple[tuple[str, str, np.ndarray], ...] = (),
+        volumes: Volumes | None = None,
+    ) -> None:
+        checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
+        check_law("law", law)
+        checks.boundary_name("name", name)
+        dim = contact.dim
+        blocks = checked_matrix(matrix, dim)
+        n = blocks.shape[0]
+        contact.check_nodes(n // dim)
+        contact.check_name_contact()
+        fixed_dofs = checked_mask("fixed", fixed, n)
+        values = np.zeros(n) if fixed_values is None else fixed_values
+        if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
+            # at free dofs anything may stand, NaN too
+            values = np.where(fixed_dofs, values, 0.0)
+        values = np.where(fixed_dofs, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
+        values.flags.writeable = False
+        self.__dict__.update(
+            matrix=indices_frozen(blocks),
+            load=bounded("load", load, (n,)),
+            fixed=fixed_dofs,
+            fixed_values=values,
+            law=law,
+            contact=contact,
+            coordinates=coordinates,
+            name=name,
+            coupling=coupling,
+            bodies=bodies,
+            strain_free=strain_free,
+            inclined=inclined,
+            ties=ties,
+            volumes=Volumes.none(n // dim, dim) if volumes is None else volumes,
+        )
+        if coordinates is not None:
+            shape = (n // dim, dim)
+            self.__dict__["coordinates"] = bounded("coordinates", coordinates, shape, checks.VAST)
+        if near_nullspace is not None:
+            modes = bounded("near_nullspace", near_nullspace, (n, None))
+            if not modes.any():
+                raise ValueError(
+                    "near_nullspace holds no mode: give the rigid-body motions, a column each, or None"
+                )
+            self.__dict__["near_nullspace"] = modes
+        if bodies is not None:
+            self.__dict__["bodies"] = checked_bodies(bodies, n // dim)
+        if volumes is not None:
+            checks.instance("volumes", volumes, Volumes, "Volumes(...)")
+            checks.sparse_matrix("volumes.rows", volumes.rows, (len(volumes), n))
+        if inclined is not None:
+            checks.instance("inclined", inclined, Inclined, "Inclined, as discretise makes it")
+        if coupling is not None:
+            checks.instance(
+                "coupling", coupling, Coupling, "a Coupling: use DiscreteProblem.coupled"
+            )
+            if (coupling.fixed & ~fixed_dofs).any():
+                raise ValueError(
+                    "coupling was made for other fixed dofs: use DiscreteProblem.coupled"
+                )
+        self._check_fixed_at_contact()
+        self._complete()
 
     @classmethod
     def assembled(cls, weights: sparse.csr_array | None = None, **parts: Any) -> DiscreteProblem:
         """Return the problem of the package's own assembly, whose arrays nobody writes and which is
         not searched for what a user's may have wrong; with ``weights`` as of :meth:`coupled`.
-        ``near_nullspace`` is
-        :class:`~adaptmg._on_demand.OnDemand`."""
+        ``motions`` returns ``near_nullspace`` in displacements, where that is not given."""
         if weights is not None:
             parts = _in_relative_coordinates(weights, parts)
         if parts.get("inclined") is not None:
             parts = parts["inclined"].of_problem(parts)
+        motions = parts.pop("motions", None)
+        matrix = indices_frozen(parts["matrix"])
         result = cls.__new__(cls)
-        result.__dict__.update(
-            {one.name: parts.get(one.name, one.default) for one in fields(cls)},
-            matrix=indices_frozen(parts["matrix"]),
-        )
+        result.__dict__.update(parts, matrix=matrix, _motions=motions)
         result._complete()
         return result
 
@@ -161,7 +241,7 @@ class DiscreteProblem(Unknowns):
         given = checks.sparse_matrix("weights", weights, (self.n_nodes, self.n_nodes))
         rows = sparse.csr_array(given, dtype=np.float64)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs
         _check_row_sums(rows)
-        return self.assembled(rows, **{one.name: self.__dict__[one.name] for one in fields(self)})
+        return self.assembled(rows, **{one.name: getattr(self, one.name) for one in fields(self)})
 
     def __repr__(self) -> str:
         return shortened(
@@ -219,13 +299,13 @@ class DiscreteProblem(Unknowns):
     def posing(self, **parts: object) -> DiscreteProblem:
         """Return the same with other parts (load, law, ...), which have been checked."""
         result = copy.copy(self)
-        for name, value in parts.items():
-            object.__setattr__(result, name, value)
+        result.__dict__.update(parts, _computed=Computed())
         return result
 
-    def facing(self, contact: ContactNodes) -> DiscreteProblem:
-        """Return the same with contact in other directions."""
-        result = self.posing(contact=contact)
+    def restructured(self, **parts: object) -> DiscreteProblem:
+        """Return the same with other parts of which some belong to the structure (matrix, fixed
+        dofs, contact nodes, normals)."""
+        result = self.posing(**parts)
         result._check_fixed_at_contact()
         result._complete()
         return result
@@ -247,67 +327,12 @@ class DiscreteProblem(Unknowns):
                 "am.FullMultigrid(), am.Multigrid(correction=am.Truncated()) or am.ActiveSet()"
             )
 
-    def __post_init__(self) -> None:
-        checks.instance("contact", self.contact, ContactNodes, "ContactNodes(...)")
-        check_law("law", self.law)
-        checks.boundary_name("name", self.name)
-        dim = self.contact.dim
-        matrix = checked_matrix(self.matrix, dim)
-        n = matrix.shape[0]
-        self.contact.check_nodes(n // dim)
-        self.contact.check_name_contact()
-        fixed = checked_mask("fixed", self.fixed, n)
-        values = np.zeros(n) if self.fixed_values is None else self.fixed_values
-        if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
-            values = np.where(fixed, values, 0.0)  # at free dofs anything may stand, NaN too
-        values = np.where(fixed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
-        values.flags.writeable = False
-        arrays = {
-            "matrix": indices_frozen(matrix),
-            "load": bounded("load", self.load, (n,)),
-            "fixed": fixed,
-            "fixed_values": values,
-        }
-        if self.coordinates is not None:
-            arrays["coordinates"] = bounded(
-                "coordinates", self.coordinates, (n // dim, dim), checks.VAST
-            )
-        modes = self.__dict__["near_nullspace"]
-        if modes is None and self.coordinates is not None:
-            modes = OnDemand(_own_modes)
-        if modes is not None and not isinstance(modes, OnDemand):
-            modes = bounded("near_nullspace", modes, (n, None))
-            if not modes.any():
-                raise ValueError(
-                    "near_nullspace holds no mode: give the rigid-body motions, a column each, or None"
-                )
-        arrays["near_nullspace"] = modes
-        if self.bodies is not None:
-            arrays["bodies"] = checked_bodies(self.bodies, n // dim)
-        for name, value in arrays.items():
-            object.__setattr__(self, name, value)
-        if self.volumes is not None:
-            checks.instance("volumes", self.volumes, Volumes, "Volumes(...)")
-            checks.sparse_matrix("volumes.rows", self.volumes.rows, (len(self.volumes), n))
-        if self.inclined is not None:
-            checks.instance("inclined", self.inclined, Inclined, "Inclined, as discretise makes it")
-        if self.coupling is not None:
-            checks.instance(
-                "coupling", self.coupling, Coupling, "a Coupling: use DiscreteProblem.coupled"
-            )
-        if self.coupling is not None and (self.coupling.fixed & ~fixed).any():
-            raise ValueError("coupling was made for other fixed dofs: use DiscreteProblem.coupled")
-        self._check_fixed_at_contact()
-        self._complete()
-
     def _complete(self) -> None:
-        """Check what the user's functions return, and mark the structure; see
+        """Check what the user's functions return, and start a structure; see
         :func:`remembered_of_structure`."""
         check_size("load", largest_entry(self.load))
         check_bounds(self.law, len(self.contact))
-        if self.volumes is None:
-            object.__setattr__(self, "volumes", Volumes.none(self.n_nodes, self.dim))
-        object.__setattr__(self, "_structure", Token())
+        self.__dict__.update(_structure=Computed(), _computed=Computed())
 
     def _check_fixed_at_contact(self) -> None:
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
@@ -338,13 +363,37 @@ class DiscreteProblem(Unknowns):
         return self.n_dofs // self.dim
 
 
+def remembered(
+    function: Callable[Concatenate[DiscreteProblem, Others], Value],
+) -> Callable[Concatenate[DiscreteProblem, Others], Value]:
+    """Make a function compute once for each problem, to which its other arguments belong;
+    exceptions are not remembered."""
+
+    @wraps(function)
+    def remembering(
+        problem: DiscreteProblem, *others: Others.args, **named: Others.kwargs
+    ) -> Value:
+        if function not in problem._computed:
+            problem._computed[function] = function(problem, *others, **named)
+        return problem._computed[function]
+
+    return remembering
+
+
 def remembered_of_structure(
     function: Callable[[DiscreteProblem], Value],
 ) -> Callable[[DiscreteProblem], Value]:
     """Make a function compute once for all problems that share matrix, fixed dofs, contact nodes and
     normals: those of :meth:`DiscreteProblem.posing`. Load, law, prescribed values and slips must not
     matter to it."""
-    return remembered(function, of=lambda problem: problem._structure)
+
+    @wraps(function)
+    def remembering(problem: DiscreteProblem) -> Value:
+        if function not in problem._structure:
+            problem._structure[function] = function(problem)
+        return problem._structure[function]
+
+    return remembering
 
 
 def _check_row_sums(weights: sparse.csr_array) -> None:
@@ -368,11 +417,6 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
             "its part"
         )
     coupling = Coupling(weights, parts["fixed"], parts.get("inclined"))
-    modes = parts["near_nullspace"]
-    if isinstance(modes, OnDemand):
-        modes = OnDemand(partial(_relative_modes, modes))
-    elif modes is not None:
-        modes = coupling.relative(modes)
     load = coupling.relative_forces(parts["load"])
     strain_free = parts.get("strain_free")
     load.flags.writeable = False
@@ -385,27 +429,21 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
         for *_, nodes in parts["ties"]:
             tied[nodes] = True
         parts = parts | {"fixed": tied.reshape(-1)}
+    if parts.get("motions") is not None:
+        parts = parts | {"motions": partial(_relative_motions, coupling, parts["motions"])}
+    if parts.get("near_nullspace") is not None:
+        parts = parts | {"near_nullspace": coupling.relative(parts["near_nullspace"])}
     return parts | {
         "matrix": coupling.transformed(parts["matrix"]),
         "load": load,
-        "near_nullspace": modes,
         "coupling": coupling,
         "strain_free": strain_free,
         "volumes": volumes,
     }
 
 
-def _relative_modes(modes: OnDemand, problem: DiscreteProblem) -> np.ndarray:
-    return cast("Coupling", problem.coupling).relative(cast("np.ndarray", modes.make(problem)))
-
-
-def _own_modes(problem: DiscreteProblem) -> np.ndarray:
-    return rigid_body_modes(cast("np.ndarray", problem.coordinates))
-
-
-DiscreteProblem.near_nullspace = made_on_demand(
-    "near_nullspace", "Rigid-body modes (n_dofs, k), or None."
-)
+def _relative_motions(coupling: Coupling, motions: Callable[[], np.ndarray]) -> np.ndarray:
+    return coupling.relative(motions())
 
 
 def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:

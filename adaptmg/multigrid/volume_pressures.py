@@ -24,14 +24,12 @@ as many digits of the pressures as it has itself."""
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg._checks import indices_frozen
-from adaptmg._on_demand import Token
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.multigrid.linear_cycle import least_weights
@@ -134,15 +132,9 @@ def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
     whole = sparse.bsr_array(
         problem.matrix + 0.5 * (added + added.T), blocksize=problem.matrix.blocksize
     )
-    result = copy.copy(problem)
-    parts = {
-        "matrix": indices_frozen(whole.sorted_indices()),
-        "volumes": Volumes.none(problem.n_nodes, problem.dim),
-        "_structure": Token(),
-    }
-    for name, value in parts.items():
-        object.__setattr__(result, name, value)
-    return result, kappa
+    matrix = indices_frozen(whole.sorted_indices())
+    none = Volumes.none(problem.n_nodes, problem.dim)
+    return problem.restructured(matrix=matrix, volumes=none), kappa
 
 
 class Augmented:

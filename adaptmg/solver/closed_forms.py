@@ -33,11 +33,10 @@ from math import factorial
 
 import numpy as np
 
-from adaptmg._on_demand import remembered
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
 from adaptmg.discrete.moduli import body_materials, columns, moduli
-from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.problem import DiscreteProblem, remembered
 from adaptmg.discrete.supports import node_at
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
@@ -344,11 +343,14 @@ def free_bodies(
     problem: ContactProblem | None, mesh: MeshArrays | None, discrete: DiscreteProblem
 ) -> FreeBodies | None:
     """Return the bodies of a discretised problem, None of one without a mesh."""
-    return None if problem is None or mesh is None else _remembered((problem, mesh, discrete))
+    return None if problem is None or mesh is None else _free_bodies(discrete, problem, mesh)
 
 
-#: once for each discrete problem
-_remembered = remembered(lambda posed: FreeBodies.of(*posed), of=lambda posed: posed[2])
+@remembered
+def _free_bodies(
+    discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays
+) -> FreeBodies:
+    return FreeBodies.of(problem, mesh, discrete)
 
 
 def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarray | None:

@@ -29,10 +29,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from adaptmg._on_demand import remembered
 from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.loads import largest_nodal_stiffness
-from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.factorisation import condense_problem

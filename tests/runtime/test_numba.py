@@ -1,12 +1,10 @@
 """Kernels: their options, where no cache can be written, and what is said and counted while they
 are compiled."""
 
-import gc
 import os
 import shutil
 import subprocess
 import sys
-import weakref
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,6 @@ import pytest
 
 import adaptmg as am
 from adaptmg._numba import compiling_seconds, inner_kernel, kernel
-from adaptmg._on_demand import remembered
 
 ROOT = Path(am.__file__).parent
 
@@ -87,18 +84,3 @@ def test_long_compiling_is_announced_once_stored_kernels_never(package):
     long = "import adaptmg._numba as n\nn._COMPILING.here.seconds = 100.0\n"
     assert run(long + TREE).startswith("adaptmg: compiling kernels (first use")
     assert run(long + TREE) == ""
-
-
-def test_a_value_is_computed_once_and_keeps_no_object_alive():
-    class Thing:
-        pass
-
-    calls = []
-    function = remembered(lambda thing: calls.append(id(thing)))
-    one, other = Thing(), Thing()
-    assert [function(one), function(one), function(other)] == [None] * 3
-    assert calls == [id(one), id(other)]
-    gone = weakref.ref(one)
-    del one
-    gc.collect()
-    assert gone() is None
