@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import combinations, pairwise, product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
@@ -16,7 +17,7 @@ from adaptmg._checks import shape_of
 from adaptmg._numba import clock, compiling_seconds
 from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.discretise import changed_parts, rediscretise, same
+from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.sides import with_sides
 from adaptmg.level import (
@@ -24,6 +25,7 @@ from adaptmg.level import (
     check_coarse_to_fine,
     joined,
     level_of,
+    level_under,
     meshed_domain,
     need_domain,
     the_transfer,
@@ -347,6 +349,20 @@ class Hierarchy:
         return self.levels[-1]
 
     @property
+    def posed(self) -> Posed | None:
+        """Return the problem on the finest mesh; None of a hierarchy that comes from matrices."""
+        return self.posed_on(self.finest)
+
+    def posed_on(self, level: Level) -> Posed | None:
+        """Return the problem on the mesh of one of the levels, if there are both."""
+        mesh = level.mesh_or_none
+        if self.problem is None or mesh is None or level.discrete_or_none is None:
+            return None
+        posed = level.posed
+        alike = posed is not None and posed.problem is self.problem
+        return posed if alike else Posed(self.problem, mesh)
+
+    @property
     def discretised(self) -> bool:
         """Return whether every level poses the contact problem; else only ``Truncated`` without
         nested start serves."""
@@ -428,7 +444,7 @@ class Hierarchy:
             domain is not None
             and other is not None
             and other is not domain
-            and not same(other, domain)
+            and not _same(other, domain)
         ):
             raise ValueError(
                 f"problem has another domain, {checks.shown(other)}, than these meshes, "
@@ -450,11 +466,8 @@ class Hierarchy:
                 f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
                 f"contact on {', '.join(filter(None, boundaries))}: use Hierarchy.graded or from_meshes"
             )
-        changed = changed_parts(problem, self.problem)
-        levels = [
-            level.posing(discrete=rediscretise(problem, level.mesh, level.discrete, changed))
-            for level in self.levels
-        ]
+        changed = _changed_parts(problem, self.problem)
+        levels = [level_under(problem, level, changed) for level in self.levels]
         assembled = clock()
         alike = [
             touches_alike(a.discrete, b.discrete) for a, b in zip(self.levels, levels, strict=True)
@@ -633,3 +646,35 @@ def _label(value: object) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{body}: {_label(part)}" for body, part in value.items()) + "}"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
+    """Return names of the parts but laws that may have other values than ``before``; functions may
+    return others."""
+    surfaces = [
+        tuple(replace(one, law=None) for one in posed.contact) for posed in (problem, before)
+    ]
+    return frozenset({"contact"} if not _same(*surfaces) else ()) | frozenset(
+        name
+        for name in ("material", "supports", "loads", "elements", "ties")
+        if not _same(getattr(problem, name), getattr(before, name))
+    )
+
+
+_PLAIN = (type(None), bool, int, float, str, np.number, Path)
+
+
+def _same(a: object, b: Any) -> bool:
+    """Return whether parts have the same values; functions and objects of other modules may change
+    unseen."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b)
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if isinstance(a, Mapping):
+        return list(a) == list(b) and all(_same(a[key], b[key]) for key in a)
+    if is_dataclass(a) and type(a).__module__.startswith("adaptmg."):
+        return all(_same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
+    return isinstance(a, _PLAIN) and bool(a == b)

@@ -17,6 +17,7 @@ from adaptmg import _checks as checks
 from adaptmg._checks import indices_frozen, shape_of
 from adaptmg._on_demand import ABSENT, made_on_demand
 from adaptmg._text import brief
+from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem import Assembly, ContactProblem, Cracked, PointForce, PointSpring, PointSupport
@@ -45,6 +46,8 @@ class Level:
     surface_prolongation : csr_array or None
         With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for
         corrections that need it (:mod:`adaptmg.transfer.contact`).
+    posed : Posed or None
+        What ``discrete`` was made of: a contact problem on the mesh.
 
     Examples
     --------
@@ -59,6 +62,7 @@ class Level:
     prolongation: sparse.csr_array = ABSENT
     galerkin: sparse.bsr_array | None = None
     surface_prolongation: sparse.csr_array | None = None
+    posed: Posed | None = None
 
     if TYPE_CHECKING:
 
@@ -69,6 +73,7 @@ class Level:
             prolongation: sparse.csr_array | None = None,
             galerkin: sparse.bsr_array | None = None,
             surface_prolongation: sparse.csr_array | None = None,
+            posed: Posed | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -213,9 +218,19 @@ def the_transfer(transfer: Transfer | None) -> Transfer:
 
 def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
     """Return the problem on a mesh."""
-    from adaptmg.discrete.discretise import discretise
+    from adaptmg.discrete.discretise import assembled
 
-    return Level(discretise(problem, mesh), mesh)
+    posed = Posed.of(problem, mesh)
+    return Level(assembled(posed), mesh, posed=posed)
+
+
+def level_under(problem: ContactProblem, level: Level, changed: frozenset[str]) -> Level:
+    """Return a level under a problem that differs in the parts ``changed`` and in the law."""
+    from adaptmg.discrete.discretise import reassembled
+
+    before = None if changed - {"loads"} else level.posed
+    posed = Posed.of(problem, level.mesh) if before is None else before.under(problem)
+    return level.posing(discrete=reassembled(posed, level.discrete, changed), posed=posed)
 
 
 def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:

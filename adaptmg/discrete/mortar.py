@@ -55,10 +55,9 @@ doi:10.1016/j.cma.2010.11.004 (over the covered part).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy import sparse
@@ -67,10 +66,11 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces, covered_parts
 from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.mesh.step import exact_surfaces
 from adaptmg.mesh.surfaces import Curved, Revolved
-from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.surfaces import ContactPair
+
+if TYPE_CHECKING:
+    from adaptmg.discrete.posed import Posed
 
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
@@ -122,44 +122,44 @@ def slave_normals(slave: Surface, held: HeldNodes) -> np.ndarray:
     return normals
 
 
-def exact_of(problem: ContactProblem) -> dict[str, list[Revolved]]:
-    """Return the exact surfaces, by boundary, of the pairs of a problem that its domain knows."""
-    pairs = [one for one in problem.contact if isinstance(one, ContactPair)]
-    names = [name for pair in pairs for name in (pair.slave, pair.master)]
-    return exact_surfaces(problem.domain, names) if names else {}
+def spread(
+    parts: Sequence[tuple[np.ndarray, sparse.csr_array | None]], n_nodes: int
+) -> sparse.csr_array | None:
+    """Return the matrix (n_nodes, n_nodes) of rows (n, n_nodes) that belong to nodes (n,), None if
+    there are no rows."""
+    present = [(nodes, rows) for nodes, rows in parts if rows is not None]
+    if not present:
+        return None
+    rows = np.concatenate([np.repeat(nodes, np.diff(rows.indptr)) for nodes, rows in present])
+    columns = np.concatenate([rows.indices for _, rows in present])
+    values = np.concatenate([rows.data for _, rows in present])
+    return sparse.csr_array((values, (rows, columns)), shape=(n_nodes, n_nodes))
 
 
-def sides_of(
-    mesh: MeshArrays, pair: ContactPair, exact: Mapping[str, Sequence[Revolved]]
+def curved(
+    mesh: MeshArrays, sides: tuple[Surface, Surface], exact: Sequence[Sequence[Revolved] | None]
 ) -> tuple[Surface, Surface]:
     """Return slave and master, with their exact surfaces where both are known: the heights of chords
     that match cancel, and those of one side alone are gaps."""
-    names = pair.slave, pair.master
-    slave, master = map(mesh.surface, names)
-    surfaces = [surface for name in names for surface in exact.get(name, ())]
-    if not all(map(exact.get, names)) or all(surface.plane for surface in surfaces):
-        return slave, master
+    slave, master = exact
+    if not slave or not master or all(surface.plane for surface in (*slave, *master)):
+        return sides
     one, other = (
-        Curved(mesh.points, side.facets, exact[name], mesh.refinement is not None)
-        for name, side in zip(names, (slave, master), strict=True)
+        Curved(mesh.points, side.facets, surfaces, mesh.refinement is not None)
+        for surfaces, side in zip((slave, master), sides, strict=True)
     )
     # else the mesh was moved away from the domain
     known = all(np.median(side.nearest) >= 0 for side in (one, other))
-    return (one, other) if known else (slave, master)
+    return (one, other) if known else sides
 
 
 def pair_interface(
-    mesh: MeshArrays,
-    pair: ContactPair,
-    *,
-    held: HeldNodes,
-    excluded: np.ndarray,
-    axisymmetric: bool,
-    exact: Mapping[str, Sequence[Revolved]] = MappingProxyType({}),
+    posed: Posed, pair: ContactPair, sides: tuple[Surface, Surface], excluded: np.ndarray
 ) -> MortarInterface:
-    """Return the interface of a pair; gaps are those between the ``exact`` surfaces, by boundary, that
-    are known."""
-    slave, master = sides_of(mesh, pair, exact)
+    """Return the interface of a pair with these sides; ``excluded`` nodes carry no multiplier."""
+    mesh = posed.mesh
+    axisymmetric = posed.problem.axisymmetric
+    slave, master = sides
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
         nothing = sparse.csr_array((0, mesh.n_nodes))
         return MortarInterface(
@@ -167,7 +167,8 @@ def pair_interface(
         )
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
-        surfaces = Surfaces(slave, master, slave_normals(slave, held), excluded, axisymmetric)
+        normals = slave_normals(slave, posed.held)
+        surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
         interface = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little
         hanging = interface.nodes[
@@ -187,7 +188,8 @@ def pair_interface(
                 f"gap of {what}", pair.gap, mesh.points[silent]
             )
     if not pair.allow_interference:
-        tolerance = np.full(len(gaps), (_KNOWN if exact else _ROUNDING) * surfaces.size)
+        known = isinstance(slave, Curved)
+        tolerance = np.full(len(gaps), (_KNOWN if known else _ROUNDING) * surfaces.size)
         if pair.gap is None:
             tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
             # the surfaces themselves must overlap, and not only a mean of their distance with

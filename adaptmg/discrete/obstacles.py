@@ -11,43 +11,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.mortar import MortarInterface, slave_normals, taken_over
+from adaptmg.discrete.mortar import MortarInterface, taken_over
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.supports import HeldNodes, held_directions
-from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.discrete.supports import TANGENTIAL
+from adaptmg.problem.contact_problem import Contact
 from adaptmg.problem.surfaces import ContactPair, Moving, Obstacle, Rigid
 
+if TYPE_CHECKING:
+    from adaptmg.discrete.posed import Posed
+
 _ROUNDING = 1e-12  # of the size of a body: a negative gap below this is rounding, not interference
-TANGENTIAL = 1e-8  # a component of a unit normal below this is none
 _TURNED = 1e-14  # normals that turn by less than this do not
 
 
-def in_front_of(
-    contact: Contact,
-    problem: ContactProblem,
-    mesh: MeshArrays,
-    surfaces: list[Surface],
-    owner: np.ndarray,
-    k: int,
-    held: HeldNodes,
-    tied: np.ndarray,
-) -> MortarInterface:
-    """Return the nodes of contact boundary k in front of a rigid obstacle. ``tied`` (n_nodes,)
-    is the boundary mass that nodes get from others by ties, or give away, < 0."""
-    surface = surfaces[k]
-    nodes = surfaces[k].nodes
-    try:
-        averaged = slave_normals(surface, held)[nodes]
-    except ValueError as error:
-        raise ValueError(f"contact boundary {contact.boundary!r}: {error}") from error
+def in_front_of(posed: Posed, k: int) -> MortarInterface:
+    """Return the nodes of contact boundary k in front of a rigid obstacle."""
+    problem = posed.problem
+    mesh = posed.mesh
+    contact = cast("Contact", problem.contact[k])
+    surface = posed.surfaces[contact.boundary]
+    nodes = surface.nodes
+    tied = posed.tie_masses
     normals, gaps = facing_obstacle(
-        contact.obstacle, contact.boundary, mesh.points[nodes], averaged
+        contact.obstacle, contact.boundary, mesh.points[nodes], posed.outward[k]
     )
     gaps = np.array(gaps, dtype=np.float64)
     if gaps.min(initial=0.0) < 0:
@@ -59,8 +51,8 @@ def in_front_of(
             f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
             "allow_interference=True for an interference fit"
         )
-    free = free_normals(problem, mesh, k, nodes, normals, held)
-    kept = (np.linalg.norm(free, axis=1) > TANGENTIAL) & (owner[nodes] == k)
+    free = free_normals(posed, k, normals)
+    kept = (np.linalg.norm(free, axis=1) > TANGENTIAL) & (posed.untied[nodes] == k)
     weights = (surface.lumped(problem.axisymmetric) + tied)[nodes[kept]]
     distances = gaps[kept]
     taken = None
@@ -83,36 +75,32 @@ def in_front_of(
 
 
 def check_held(
-    problem: ContactProblem,
-    mesh: MeshArrays,
+    posed: Posed,
     discrete: DiscreteProblem,
     factors: Mapping[str, float] | None = None,
     places: Mapping[int, Moving] | None = None,
 ) -> None:
     """Raise ValueError if supports hold nodes in a load step inside an obstacle, in its place of
     this step."""
-    held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
-    moved = discrete.fixed_values.reshape(mesh.points.shape).copy()
+    points = posed.mesh.points
+    moved = discrete.fixed_values.reshape(points.shape).copy()
     if discrete.inclined is not None:
         moved[discrete.inclined.nodes] += discrete.inclined.prescribed(factors or {})
-    for k, contact in enumerate(problem.contact):
+    for k, contact in enumerate(posed.problem.contact):
         if contact.allow_interference or isinstance(contact, ContactPair):
             continue
         obstacle = (places or {}).get(k, _first(contact))
         if not moved.any() and not isinstance(obstacle, Moving):
             continue
-        nodes = mesh.surface(contact.boundary).nodes
-        outward = slave_normals(mesh.surface(contact.boundary), held)
-        normals, gaps = facing_obstacle(
-            obstacle, contact.boundary, mesh.points[nodes], outward[nodes]
-        )
-        free = held.free_part(nodes, normals)
+        nodes = posed.surfaces[contact.boundary].nodes
+        normals, gaps = facing_obstacle(obstacle, contact.boundary, points[nodes], posed.outward[k])
+        free = posed.held.free_part(nodes, normals)
         along = np.einsum("nd,nd->n", normals, moved[nodes])
         # where a part of the normal is held a motion along it, either way, would change the gap
         over = np.where(_held_in_part(free, normals), np.abs(along), along - gaps)
         over[(free == normals).all(axis=1)] = 0.0
         i = int(np.argmax(over))
-        if over[i] > _ROUNDING * (np.abs([along[i], gaps[i]]).max() + mesh.sides.max()):
+        if over[i] > _ROUNDING * (np.abs([along[i], gaps[i]]).max() + posed.mesh.sides.max()):
             raise ValueError(
                 f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {over[i]:.6g} "
                 "m inside its obstacle: move the support less, or the obstacle"
@@ -151,31 +139,24 @@ def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return (np.linalg.norm(free, axis=1) > TANGENTIAL) & (free != normals).any(axis=1)
 
 
-def free_normals(
-    problem: ContactProblem,
-    mesh: MeshArrays,
-    k: int,
-    nodes: np.ndarray,
-    normals: np.ndarray,
-    held: HeldNodes,
-) -> np.ndarray:
-    """Return the normals (n, dim) at nodes on contact boundary k without their parts along what
+def free_normals(posed: Posed, k: int, normals: np.ndarray) -> np.ndarray:
+    """Return the normals (n, dim) at the nodes of contact boundary k without their parts along what
     supports hold there.
 
     ValueError if a support on the boundary itself holds a part of them: what is meant is then
     something else."""
-    boundary = problem.contact[k].boundary
-    own = [one for one in problem.supports if one.boundary == boundary]
-    for name, directions in held_directions(mesh, own).items():
-        clash = np.abs(normals @ directions.T).max(axis=1) > TANGENTIAL
-        if clash.any():
-            i = int(np.argmax(clash))
-            raise ValueError(
-                f"the support on {name!r} fixes a component with a part normal to contact boundary "
-                f"{boundary!r}, at node {nodes[i]} {tuple(mesh.points[nodes[i]].tolist())}: contact could "
-                "never open there; free that component, or name another boundary"
-            )
-    return held.free_part(nodes, normals)
+    boundary = posed.problem.contact[k].boundary
+    nodes = posed.surfaces[boundary].nodes
+    directions = posed.directions.get(boundary, normals[:0])
+    clash = (np.abs(normals @ directions.T) > TANGENTIAL).any(axis=1)
+    if clash.any():
+        i = int(np.argmax(clash))
+        raise ValueError(
+            f"the support on {boundary!r} fixes a component with a part normal to contact boundary "
+            f"{boundary!r}, at node {nodes[i]} {tuple(posed.mesh.points[nodes[i]].tolist())}: contact could "
+            "never open there; free that component, or name another boundary"
+        )
+    return posed.held.free_part(nodes, normals)
 
 
 def may_overlap(contact: Contact | ContactPair) -> bool:
@@ -191,32 +172,25 @@ def _first(contact: Contact) -> Obstacle:
 
 
 def with_motions(
-    problem: ContactProblem,
-    mesh: MeshArrays,
-    nodes: np.ndarray,
-    taken: sparse.csr_array | None,
-    boundary: np.ndarray,
-    reference: np.ndarray | None,
-) -> np.ndarray | None:
-    """Return the slip reference (n_contact, dim) of contact nodes with how obstacles move, None
-    where nothing does."""
-    for k, contact in enumerate(problem.contact):
+    posed: Posed, nodes: np.ndarray, taken: sparse.csr_array | None, boundary: np.ndarray
+) -> np.ndarray:
+    """Return the slip reference (n_contact, dim) of contact nodes: how obstacles move."""
+    points = posed.mesh.points
+    reference = np.zeros((len(nodes), posed.mesh.dim))
+    for k, contact in enumerate(posed.problem.contact):
         obstacle = None if isinstance(contact, ContactPair) else _first(contact)
         if isinstance(obstacle, Moving):
             own = boundary == k
-            empty = np.zeros((len(nodes), mesh.dim))
-            reference = empty if reference is None else reference.copy()
-            reference[own] += obstacle.motion(mesh.points[nodes[own]])
+            reference[own] += obstacle.motion(points[nodes[own]])
             if taken is not None:
                 beside = np.unique(taken[own].indices)
-                reference[own] += taken[own][:, beside] @ obstacle.motion(mesh.points[beside])
+                reference[own] += taken[own][:, beside] @ obstacle.motion(points[beside])
     return reference
 
 
 def moved(
+    posed: Posed,
     discrete: DiscreteProblem,
-    problem: ContactProblem,
-    mesh: MeshArrays,
     now: Mapping[int, Moving],
     before: Mapping[int, Moving],
 ) -> DiscreteProblem:
@@ -224,26 +198,21 @@ def moved(
 
     Slip counts from where they were ``before``.
     """
-    if not now:
-        return discrete
-    held = HeldNodes(discrete.held.reshape(mesh.points.shape), discrete.inclined)
     contact = discrete.contact
     normals = contact.normals.copy()
     gaps = contact.gaps.copy()
     reference = contact.slip_reference.copy()
     for k, obstacle in now.items():
         own = np.flatnonzero(contact.boundary == k)
-        boundary = problem.contact[k].boundary
-        nodes = mesh.surface(boundary).nodes
-        points = mesh.points[nodes]
-        outward = slave_normals(mesh.surface(boundary), held)[nodes]
-        direct, gap = facing_obstacle(obstacle, boundary, points, outward)
+        boundary = posed.problem.contact[k].boundary
+        nodes = posed.surfaces[boundary].nodes
+        points = posed.mesh.points[nodes]
+        direct, gap = facing_obstacle(obstacle, boundary, points, posed.outward[k])
         at = np.searchsorted(nodes, contact.nodes[own])
         taken = contact.taken_over[own]
         taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(own), len(nodes)))
-        normals[own], gaps[own] = along_free(
-            held.free_part(contact.nodes[own], direct[at]), direct[at], gap[at] + taken @ gap
-        )
+        free = posed.held.free_part(contact.nodes[own], direct[at])
+        normals[own], gaps[own] = along_free(free, direct[at], gap[at] + taken @ gap)
         motion = obstacle.motion(points) - before[k].motion(points)
         reference[own] += motion[at] + taken @ motion
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _TURNED

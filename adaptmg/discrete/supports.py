@@ -16,7 +16,7 @@ other, and solvers need not know of them. D has the size of the diagonal blocks.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, cast
 
@@ -25,7 +25,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._checks import narrowed
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.loads import (
     AnySupport,
     FieldLike,
@@ -39,6 +39,7 @@ from adaptmg.problem.loads import (
 _AT_POINT = 1e-9  # of the size of the mesh: nodes nearer to a point lie at it
 _ALONG_AXIS = 1e-9  # of the cosine with an axis or a mean normal; of prescribed values
 _PARALLEL = 1e-6  # directions that differ by less count as one
+TANGENTIAL = 1e-8  # a component of a unit normal below this is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,11 +198,18 @@ def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -
     return int(near[0])
 
 
-def supported_nodes(mesh: MeshArrays, support: AnySupport) -> np.ndarray:
+def surfaces_of(mesh: MeshArrays, names: Iterable[str | None]) -> dict[str, Surface]:
+    """Return the surfaces of some boundaries by name, each once."""
+    return {name: mesh.surface(name) for name in dict.fromkeys(names) if name}
+
+
+def supported_nodes(
+    mesh: MeshArrays, support: AnySupport, surfaces: Mapping[str, Surface]
+) -> np.ndarray:
     """Return the nodes (n,) that a support or spring holds."""
     if isinstance(support, PointSupport | PointSpring):
         return np.array([node_at(mesh, support.point, support.body)])
-    return mesh.surface(support.boundary).nodes
+    return surfaces[support.boundary].nodes
 
 
 class Held(NamedTuple):
@@ -210,20 +218,25 @@ class Held(NamedTuple):
     support: AnySupport
     direction: np.ndarray  # (dim,)
     axis: int | None  # None: it is not an axis
-    value: FieldLike  # m
+    nodes: np.ndarray  # (n,) int
+    values: np.ndarray  # (n,): prescribed along it, m
+    constant: bool  # whether they are the same on all meshes, and no function of position
 
 
-def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
+def held_by(
+    mesh: MeshArrays, supports: Sequence[AnySupport], surfaces: Mapping[str, Surface]
+) -> list[Held]:
     """Return the directions that supports hold: components, and normals of plane boundaries."""
     axes = np.eye(mesh.dim)
     result = []
     for one in supports:
+        directions: list[tuple[np.ndarray, int | None, FieldLike]] = []
         components = list(one.components(mesh.dim))
         normal = (
             0.0 if isinstance(one, Symmetry) else one.normal if isinstance(one, Support) else None
         )
         if normal is not None:
-            normals = mesh.surface(cast("str", one.boundary)).normals  # with a normal, no point
+            normals = surfaces[cast("str", one.boundary)].normals  # with a normal, no point
             direction = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
             if not (normals @ direction).min() > 1 - _ALONG_AXIS:
                 raise ValueError(
@@ -232,7 +245,7 @@ def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
                 )
             axis = int(np.argmax(np.abs(direction)))
             if np.abs(direction[axis]) <= 1 - _ALONG_AXIS:
-                result.append(Held(one, direction, None, normal))
+                directions.append((direction, None, normal))
             elif components[axis] is not None:
                 raise ValueError(
                     f"the support on {one.boundary!r} prescribes {'xyz'[axis]}, which is its normal "
@@ -240,17 +253,26 @@ def held_by(mesh: MeshArrays, supports: Sequence[AnySupport]) -> list[Held]:
                 )
             else:
                 components[axis] = times(normal, np.sign(direction[axis]))
-        result += [
-            Held(one, axes[k], k, value) for k, value in enumerate(components) if value is not None
+        directions += [
+            (axes[k], k, value) for k, value in enumerate(components) if value is not None
         ]
+        if not directions:
+            continue
+        nodes = supported_nodes(mesh, one, surfaces)
+        for direction, axis, value in directions:
+            component = "" if axis is None else f"{'xyz'[axis]} of "
+            name = f"{component}the support on {one.place!r}"
+            values = checks.field(name, value, mesh.points[nodes])
+            result.append(Held(one, direction, axis, nodes, values, not callable(value)))
     return result
 
 
-def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[str, np.ndarray]:
+def held_directions(holds: Sequence[Held]) -> dict[str, np.ndarray]:
     """Return by boundary the orthonormal directions (k, dim) along which supports hold it."""
     by_boundary: dict[str, list[np.ndarray]] = {}
-    for one in held_by(mesh, [support for support in supports if support.boundary is not None]):
-        by_boundary.setdefault(cast("str", one.support.boundary), []).append(one.direction)
+    for one in holds:
+        if one.support.boundary is not None:
+            by_boundary.setdefault(one.support.boundary, []).append(one.direction)
     result = {}
     for name, directions in by_boundary.items():
         result[name] = np.array(sorted({tuple(direction.tolist()) for direction in directions}))
@@ -260,38 +282,33 @@ def held_directions(mesh: MeshArrays, supports: Sequence[AnySupport]) -> dict[st
     return result
 
 
-def inclined_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> Inclined | None:
+def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined | None:
     """Return the nodes that supports hold along directions other than axes; ValueError where values
     contradict."""
-    held = held_by(mesh, supports)
-    if all(one.axis is not None for one in held):
+    oblique = [one.nodes for one in holds if one.axis is None]
+    if not oblique:
         return None
-    nodes = np.unique(
-        np.concatenate([supported_nodes(mesh, one.support) for one in held if one.axis is None])
-    )
-    rows = np.zeros((len(nodes), len(held), mesh.dim))
-    values = np.zeros((len(nodes), len(held)))
-    for k, one in enumerate(held):
-        own = np.intersect1d(supported_nodes(mesh, one.support), nodes)
-        at = np.searchsorted(nodes, own)
+    nodes = np.unique(np.concatenate(oblique))
+    rows = np.zeros((len(nodes), len(holds), points.shape[1]))
+    values = np.zeros((len(nodes), len(holds)))
+    for k, one in enumerate(holds):
+        _, at, own = np.intersect1d(nodes, one.nodes, return_indices=True)
         rows[at, k] = one.direction
-        values[at, k] = checks.field(
-            f"the support on {one.support.place!r}", one.value, mesh.points[own]
-        )
+        values[at, k] = one.values[own]
     inverse = np.linalg.pinv(rows, rcond=_PARALLEL)
     left = np.einsum("nsd,ndt,nt->ns", rows, inverse, values) - values
     wrong = np.abs(left).max(axis=1) > _ALONG_AXIS * np.abs(values).max()
     if wrong.any():
         i = int(np.argmax(wrong))
         names = dict.fromkeys(
-            repr(held[k].support.place) for k in np.flatnonzero(rows[i].any(axis=1))
+            repr(holds[k].support.place) for k in np.flatnonzero(rows[i].any(axis=1)).tolist()
         )
         raise ValueError(
             f"the supports on {', '.join(names)} contradict each other at their common node {nodes[i]} "
-            f"{tuple(mesh.points[nodes[i]].tolist())}: give them values that agree, or free one"
+            f"{tuple(points[nodes[i]].tolist())}: give them values that agree, or free one"
         )
     moved: dict[str, np.ndarray] = {}
-    for k, one in enumerate(held):
+    for k, one in enumerate(holds):
         name = one.support.path_name
         moved[name] = moved.get(name, 0.0) + inverse[:, :, k] * values[:, k, None]
     return Inclined(
@@ -299,43 +316,46 @@ def inclined_supports(mesh: MeshArrays, supports: Sequence[AnySupport]) -> Incli
     )
 
 
+def held_components(points: np.ndarray, holds: Sequence[Held]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mask and the values (n_nodes, dim), m, zero where free, of the components that
+    supports hold; without those of nodes that they hold along other directions, see
+    :func:`inclined_supports`. ValueError for two values of one component."""
+    fixed = np.zeros(points.shape, dtype=bool)
+    values = np.zeros(points.shape)
+    origin = np.zeros(points.shape, dtype=np.int64)  # of fixed ones
+    for k, one in enumerate(holds):
+        d = one.axis
+        if d is None:
+            continue
+        nodes = one.nodes
+        clash = fixed[nodes, d] & (values[nodes, d] != one.values)
+        if clash.any():
+            node = int(nodes[np.argmax(clash)])
+            here = one.values[np.argmax(clash)]
+            other = holds[int(origin[node, d])].support.place
+            raise ValueError(
+                f"supports on {other!r} and {one.support.place!r} prescribe different {'xyz'[d]} "
+                f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
+                f"{tuple(points[node].tolist())}: give both the same value or free one"
+            )
+        fixed[nodes, d] = True
+        values[nodes, d] = one.values
+        origin[nodes, d] = k
+    for one in holds:
+        if one.axis is None:
+            fixed[one.nodes] = False
+            values[one.nodes] = 0.0
+    return fixed, values
+
+
 def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.ndarray, np.ndarray]:
     """Return the mask (n_dofs,) and values (n_dofs,), m, zero where free, of the prescribed dofs;
-    without those of nodes that supports hold along other directions, see :func:`inclined_supports`.
+    without those of nodes that supports hold along directions that are no axes.
 
     Where two supports meet, they must agree or prescribe different components. ValueError for a
     boundary or point the mesh does not have, a z component in 2D, two values for one dof, or
     functions with values that are not finite."""
-    size = checks.instance("mesh", mesh, MeshArrays).points.size
-    mask = np.zeros(size, dtype=bool)
-    all_values = np.zeros(size)
-    fixed, values = (array.reshape(mesh.points.shape) for array in (mask, all_values))
-    origin = np.zeros(mesh.points.shape, dtype=np.int64)  # of fixed ones
-    held = held_by(mesh, supports)
-    for k, one in enumerate(held):
-        if one.axis is None:
-            continue
-        nodes = supported_nodes(mesh, one.support)
-        d = one.axis
-        prescribed = checks.field(
-            f"{'xyz'[d]} of the support on {one.support.place!r}", one.value, mesh.points[nodes]
-        )
-        clash = fixed[nodes, d] & (values[nodes, d] != prescribed)
-        if clash.any():
-            node = int(nodes[np.argmax(clash)])
-            here = prescribed[np.argmax(clash)]
-            other = held[origin[node, d]].support.place
-            raise ValueError(
-                f"supports on {other!r} and {one.support.place!r} prescribe different {'xyz'[d]} "
-                f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
-                f"{tuple(mesh.points[node].tolist())}: give both the same value or free one"
-            )
-        fixed[nodes, d] = True
-        values[nodes, d] = prescribed
-        origin[nodes, d] = k
-    for one in held:
-        if one.axis is None:
-            nodes = supported_nodes(mesh, one.support)
-            fixed[nodes] = False
-            values[nodes] = 0.0
-    return mask, all_values
+    points = checks.instance("mesh", mesh, MeshArrays).points
+    surfaces = surfaces_of(mesh, (one.boundary for one in supports))
+    fixed, values = held_components(points, held_by(mesh, supports, surfaces))
+    return fixed.reshape(-1), values.reshape(-1)

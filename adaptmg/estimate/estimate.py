@@ -59,8 +59,7 @@ from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.loads import body_elements, foundation, load_density
 from adaptmg.discrete.stress import displacement_gradient, recovered
-from adaptmg.discrete.supports import held_directions
-from adaptmg.estimate.stress_fields import ElementStress, Posed, contact_tractions, posed
+from adaptmg.estimate.stress_fields import ElementStress, Solved, contact_tractions, solved
 from adaptmg.geometry.quadrature import integration
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Surface
@@ -349,7 +348,7 @@ class Residual:
         per metre of thickness); elements at a :class:`adaptmg.PointForce`, whose energy is
         infinite, are left out. TypeError or ValueError without problem, mesh or materials, for a
         result of another mesh, other loads, or not finite."""
-        this = posed(hierarchy, result)
+        this = solved(hierarchy, result)
         volume = volume_squares(this.stress, this.problem.loads, this.young)
         free, touching = boundary_squares(this)
         complementarity, friction = condition_squares(this)
@@ -371,7 +370,7 @@ class Residual:
         )
 
 
-def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
+def boundary_squares(this: Solved) -> tuple[np.ndarray, np.ndarray]:
     """Return squares (n_elements,) on boundaries without and on those with contact, N m."""
     mesh = this.mesh
     stress = this.stress
@@ -379,7 +378,7 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     touching = contact_tractions(mesh, this.result, stress.axisymmetric)
     plain = np.zeros(len(mesh.elements))
     contact = np.zeros(len(mesh.elements))
-    supports = held_directions(mesh, this.problem.supports)
+    supports = this.posed.directions
     for k, name in enumerate(mesh.boundaries):
         here = mesh.facet_labels == k
         outside = near.outer[here]
@@ -418,7 +417,7 @@ def boundary_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
 _STILL = 1e-12
 
 
-def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
+def condition_squares(this: Solved) -> tuple[np.ndarray, np.ndarray]:
     """Return squares (n_elements,) from complementarity and from friction, N m. At the nodes the
     conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction at its
     limit against the slip where there is one. What a solver leaves of them is algebraic error;
@@ -461,7 +460,7 @@ def condition_squares(this: Posed) -> tuple[np.ndarray, np.ndarray]:
     return complementarity, friction
 
 
-def _friction(this: Posed, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _friction(this: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Limits (n,) of the friction and its tractions (n, dim), Cartesian, which obey the law for the
     slip, Pa."""
     contact = this.result.contact
@@ -482,7 +481,7 @@ def _padded(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 
-def jump_squares(this: Posed) -> np.ndarray:
+def jump_squares(this: Solved) -> np.ndarray:
     """Return squares (n_elements,), N m; half of each facet to each of its elements, with that
     element's modulus."""
     mesh, stress, (one, other), facets = (
@@ -579,7 +578,7 @@ class Recovery:
         :class:`adaptmg.PointForce` are left out. TypeError and ValueError as of
         :meth:`adaptmg.Residual.indicate`.
         """
-        this = posed(hierarchy, result)
+        this = solved(hierarchy, result)
         squares = this.regular * recovered_energy(
             this.stress, *recovered(this.mesh, this.stress.values)
         )

@@ -35,7 +35,7 @@ from adaptmg._threads import one_blas_thread
 from adaptmg.estimate.adjoint import AdjointSolution, adjoint_system, error_spaces
 from adaptmg.estimate.estimate import Estimate
 from adaptmg.estimate.quantities import Functional, GoalView, Quantity, checked_functionals
-from adaptmg.estimate.stress_fields import posed
+from adaptmg.estimate.stress_fields import solved
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem import ContactProblem
 from adaptmg.smoother.system import ContactState as State
@@ -167,7 +167,7 @@ class Goal:
         :meth:`adaptmg.Residual.indicate`, where a point, boundary or pair of a quantity does not exist, where elements
         are smoothed (estimates were -1 to 3 times the error), and where of several quantities one
         is zero; numpy.linalg.LinAlgError if the adjoint matrix is singular."""
-        this = posed(hierarchy, result)
+        this = solved(hierarchy, result)
         need_linear(this.problem)
         view = GoalView.of(this)
         functionals = [one for item in self.quantities for one in checked_functionals(view, item)]

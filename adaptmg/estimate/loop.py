@@ -35,7 +35,8 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.discretise import load_steps
+from adaptmg.discrete.named_loads import load_steps
+from adaptmg.discrete.posed import Posed
 from adaptmg.estimate.engines import Engine, divisible, sound_mesh
 from adaptmg.estimate.estimate import AnyEstimate, Estimate, Indicator, Mark, estimate_of, marks_of
 from adaptmg.estimate.goal import GoalEstimate
@@ -586,15 +587,15 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     problem = hierarchy.problem
     finest = hierarchy.finest
     factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
-    loads = load_steps(problem, finest.mesh, finest.discrete)
     discrete = finest.discrete
+    loads = load_steps(cast("Posed", hierarchy.posed), discrete)
     reference = discrete.contact.slip_reference
     if k > 0:
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
-    posed = finest.posing(discrete=loads.step(discrete, factors, reference))
-    return replace(
-        hierarchy, levels=(*hierarchy.levels[:-1], posed), problem=step_problem(problem, factors)
-    )
+    step = step_problem(problem, factors)
+    discrete = loads.step(discrete, factors, reference)
+    levels = (*hierarchy.levels[:-1], finest.posing(discrete=discrete))
+    return replace(hierarchy, levels=levels, problem=step)
 
 
 def _path_estimate(
@@ -642,7 +643,9 @@ def loop_fingerprint(
 ) -> dict[str, object]:
     """Return the fingerprint of a loop that begins with a hierarchy, with its options by name:
     indicator, mark, engine, ..."""
-    loads = [load_steps(start.problem, level.mesh, level.discrete) for level in start.levels]
+    loads = [
+        load_steps(cast("Posed", start.posed_on(level)), level.discrete) for level in start.levels
+    ]
     factors = {} if load_path is None else load_path.resolved(start.problem)
     # the problem itself, since another law or gap may differ only between the nodes of the first
     # mesh; references only document it

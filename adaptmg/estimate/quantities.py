@@ -26,7 +26,7 @@ from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.discretise import discretise
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.estimate.adjoint import LinearisedContact, linearised_contact
-from adaptmg.estimate.stress_fields import Posed
+from adaptmg.estimate.stress_fields import Solved
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays, Refinement
 from adaptmg.mesh.bisection import refined
@@ -52,11 +52,11 @@ class GoalView:
     coarse: GoalView | None = None  # of the mesh whose edges are halved
 
     @classmethod
-    def of(cls, posed: Posed) -> GoalView:
+    def of(cls, solved: Solved) -> GoalView:
         """Return the view of a result."""
-        u = posed.result.displacement
-        state = np.asarray(posed.result.contact.state).astype(int)
-        return cls(posed.problem, posed.mesh, u, linearised_contact(posed.discrete, u, state))
+        u = solved.result.displacement
+        state = np.asarray(solved.result.contact.state).astype(int)
+        return cls(solved.problem, solved.mesh, u, linearised_contact(solved.discrete, u, state))
 
     @property
     def discrete(self) -> DiscreteProblem:

@@ -25,12 +25,11 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_vector, supported_stiffness
+from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.supports import held_by, supported_nodes
 from adaptmg.estimate.estimate import Recovery
-from adaptmg.estimate.stress_fields import posed
+from adaptmg.estimate.stress_fields import solved
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.result import Result
 from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
@@ -74,7 +73,7 @@ class Reference:
     def of(cls, hierarchy: Hierarchy, result: Result) -> Reference:
         """Return that of a result on the finest mesh of a hierarchy, solved far below the errors to
         be measured."""
-        this = posed(hierarchy, result)
+        this = solved(hierarchy, result)
         if this.problem.elements == "smoothed":
             raise ValueError(
                 "a reference must have linear elements, whose energy is that of their strains: solve "
@@ -85,7 +84,7 @@ class Reference:
         on_body = {}
         constants = {}
         forces = _exerted(this.discrete, result)
-        prescribed = _constants(this.problem, mesh)
+        prescribed = _constants(this.posed)
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
         # just inside one of the elements at each node: the faces of a crack lie at one place
@@ -184,12 +183,12 @@ def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
     return forces
 
 
-def _constants(problem: ContactProblem, mesh: MeshArrays) -> np.ndarray:
+def _constants(posed: Posed) -> np.ndarray:
     """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same
     on all meshes, m. NaN elsewhere: of a function of position a coarse mesh has its own
     interpolant."""
-    result = np.full(mesh.points.shape, np.nan)
-    for one in held_by(mesh, problem.supports):
-        if one.axis is not None and not callable(one.value):
-            result[supported_nodes(mesh, one.support), one.axis] = one.value
+    result = np.full(posed.mesh.points.shape, np.nan)
+    for one in posed.holds:
+        if one.axis is not None and one.constant:
+            result[one.nodes, one.axis] = one.values
     return result

@@ -26,11 +26,12 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.loads import load_vector
-from adaptmg.discrete.moduli import Moduli, body_materials, isotropic
+from adaptmg.discrete.moduli import Moduli, isotropic
+from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.sides import TieForces
 from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.discrete.supports import node_at
+from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys
 from adaptmg.problem.contact_problem import ContactProblem
@@ -178,13 +179,22 @@ _ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
-    """A result with the problem, mesh and matrix it belongs to."""
+class Solved:
+    """A result with what was posed and the matrix it belongs to."""
 
-    problem: ContactProblem
-    mesh: MeshArrays
+    posed: Posed
     discrete: DiscreteProblem
     result: Result
+
+    @property
+    def problem(self) -> ContactProblem:
+        """The problem."""
+        return self.posed.problem
+
+    @property
+    def mesh(self) -> MeshArrays:
+        """Its mesh."""
+        return self.posed.mesh
 
     @cached_property
     def stress(self) -> ElementStress:
@@ -192,7 +202,7 @@ class Posed:
         data = self.result.stress_data
         if data is None:
             data = StressData.of(
-                self.mesh, self.problem.material, self.problem.loads, self.problem.elements
+                self.mesh, self.posed.materials, self.problem.loads, self.problem.elements
             )
         return element_stress(self.mesh, self.result.displacement, data)
 
@@ -204,9 +214,7 @@ class Posed:
     @cached_property
     def young(self) -> np.ndarray:
         """Young's modulus of each element (n_elements,), Pa."""
-        of_bodies = np.array(
-            [one.young for one in body_materials(self.mesh, self.problem.material)]
-        )
+        of_bodies = np.array([one.young for one in self.posed.materials])
         return of_bodies[self.mesh.element_body]
 
     @cached_property
@@ -279,17 +287,17 @@ class Posed:
             )
 
 
-def posed(hierarchy: Hierarchy, result: Result) -> Posed:
+def solved(hierarchy: Hierarchy, result: Result) -> Solved:
     """Return a result on the finest mesh of a hierarchy, checked to belong to it."""
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
     checks.instance("result", result, Result, "a Result")
-    if hierarchy.problem is None or hierarchy.finest.mesh_or_none is None:
+    posed = hierarchy.posed
+    if posed is None:
         raise ValueError(
             "hierarchy has no ContactProblem or no mesh (it comes from matrices): make it by "
             "Hierarchy.uniform, graded or from_meshes"
         )
-    mesh = hierarchy.finest.mesh
-    discrete = hierarchy.finest.discrete
+    mesh = posed.mesh
     own = result.mesh
     if own is not mesh and not (
         np.array_equal(own.elements, mesh.elements) and np.array_equal(own.points, mesh.points)
@@ -304,7 +312,7 @@ def posed(hierarchy: Hierarchy, result: Result) -> Posed:
             f"result.displacement must be finite, got {result.displacement[i]} at node {i}: the solver "
             f"ended with {result.status.name}"
         )
-    this = Posed(hierarchy.problem, mesh, discrete, result)
+    this = Solved(posed, hierarchy.finest.discrete, result)
     this.check_loads()
     return this
 

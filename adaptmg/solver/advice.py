@@ -17,13 +17,12 @@ import numpy as np
 
 from adaptmg._text import warn_user
 from adaptmg.discrete.loads import check_loads
-from adaptmg.discrete.moduli import body_materials
-from adaptmg.discrete.mortar import chord_heights, exact_of, sides_of
-from adaptmg.discrete.sides import STIFFER, stiffness_ratio, young_of
+from adaptmg.discrete.mortar import chord_heights
+from adaptmg.discrete.posed import Posed
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.sides import STIFFER
 from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
-from adaptmg.level import Level
-from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem import Contact, ContactPair, ContactProblem, InitialStrain, Plane, PlaneStress
+from adaptmg.problem import Contact, ContactPair, InitialStrain, Plane, PlaneStress
 from adaptmg.smoother.system import OPEN
 from adaptmg.solver.result import Result
 
@@ -78,18 +77,20 @@ def advise(kind: str, text: str, category: type[Warning] = UserWarning) -> None:
     warn_user(text, category)
 
 
-def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -> None:
+def advise_on_problem(posed: Posed | None) -> None:
     """Warn of slaves on the wrong side, of elements that lock, and of lengths that are not in m;
     ValueError for loads that the mesh does not see."""
-    if problem is None or mesh is None:
+    if posed is None:
         return
+    problem = posed.problem
+    mesh = posed.mesh
+    materials = posed.materials
     check_loads(mesh, problem.loads)
-    materials = body_materials(mesh, problem.material)
     for pair in problem.contact if len(mesh.bodies) > 1 else ():
-        if (
-            isinstance(pair, ContactPair)
-            and (ratio := stiffness_ratio(problem, mesh, pair)) >= STIFFER
-        ):
+        if not isinstance(pair, ContactPair):
+            continue
+        ratio = posed.young(pair.slave) / posed.young(pair.master)
+        if ratio >= STIFFER:
             advise(
                 "sides",
                 f"contact pair ({pair.slave!r}, {pair.master!r}): the slave is {ratio:.3g} times stiffer "
@@ -121,29 +122,23 @@ def advise_on_problem(problem: ContactProblem | None, mesh: MeshArrays | None) -
 
 
 def advise_on_chords(
-    problem: ContactProblem | None, level: Level, results: Sequence[Result]
+    posed: Posed | None, discrete: DiscreteProblem, results: Sequence[Result]
 ) -> None:
     """Warn of pairs whose curved surfaces are not known, where chords are as high as gaps or press."""
-    discrete = level.discrete
-    mesh = level.mesh_or_none
-    if problem is None or mesh is None or discrete.coupling is None:
+    if posed is None or discrete.coupling is None:
         return
     peaks = np.max([result.contact.pressure for result in results], axis=0, initial=0.0)
     contact = discrete.contact
-    exact = exact_of(problem)
-    for k, pair in enumerate(problem.contact):
+    for k, pair in enumerate(posed.problem.contact):
         own = (contact.boundary == k) & (peaks > 0)
         if not isinstance(pair, ContactPair) or pair.gap is not None or not own.any():
             continue
         nodes = contact.nodes[own]
         facing = discrete.coupling.weights[nodes]
-        touching = np.zeros(mesh.n_nodes, dtype=bool)
+        touching = np.zeros(discrete.n_nodes, dtype=bool)
         touching[nodes] = touching[facing.indices] = True
         heights, lengths = np.concatenate(
-            [
-                chord_heights(side)[:, touching[side.facets].all(axis=1)]
-                for side in sides_of(mesh, pair, exact)
-            ],
+            [chord_heights(side)[:, touching[side.facets].all(axis=1)] for side in posed.sides[k]],
             axis=1,
         )
         round_ones = (FLAT * lengths < 4 * heights) & (4 * heights < CORNER * lengths)
@@ -153,7 +148,7 @@ def advise_on_chords(
         height = heights[highest]
         length = lengths[highest]
         gap = np.average(np.abs(contact.gaps[own]), weights=contact.weights[own])
-        series = 1 / sum(1 / young_of(problem, mesh, name) for name in (pair.slave, pair.master))
+        series = 1 / (1 / posed.young(pair.slave) + 1 / posed.young(pair.master))
         excess = PRESSED * series * height / length / max(EXCESS * peaks[own].max(), 1e-300)
         if height > CHORDS * gap or excess > 1:
             size = length * min(np.sqrt(CHORDS * gap / height), 1 / excess)
@@ -166,16 +161,16 @@ def advise_on_chords(
             )
 
 
-def advise_on_results(problem: ContactProblem | None, results: Sequence[Result]) -> None:
+def advise_on_results(posed: Posed | None, results: Sequence[Result]) -> None:
     """Warn of bodies that cannot meet in any of these steps, of large strains and of large
     slips."""
     results = [result for result in results if result.status.ok]
     if results:
         _advise_on_contact(results)
     for result in results:
-        if problem is not None and result.mesh_or_none is not None:
-            _advise_on_strains(problem, result.mesh, result)
-            _advise_on_slips(problem, result.mesh, result)
+        if posed is not None:
+            _advise_on_strains(posed, result)
+            _advise_on_slips(posed, result)
 
 
 def _advise_on_contact(results: Sequence[Result]) -> None:
@@ -205,8 +200,10 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
             )
 
 
-def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
-    materials = body_materials(mesh, problem.material)
+def _advise_on_strains(posed: Posed, result: Result) -> None:
+    problem = posed.problem
+    mesh = posed.mesh
+    materials = posed.materials
     volume = mesh.volumes
     if problem.axisymmetric:
         volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
@@ -236,13 +233,14 @@ def _advise_on_strains(problem: ContactProblem, mesh: MeshArrays, result: Result
         )
 
 
-def _advise_on_slips(problem: ContactProblem, mesh: MeshArrays, result: Result) -> None:
+def _advise_on_slips(posed: Posed, result: Result) -> None:
+    mesh = posed.mesh
     contact = result.contact
-    for k, posed in enumerate(problem.contact):
-        if isinstance(posed, Contact) and isinstance(posed.obstacle, Plane):
+    for k, one in enumerate(posed.problem.contact):
+        if isinstance(one, Contact) and isinstance(one.obstacle, Plane):
             continue  # it is the same everywhere
         at = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
-        facets = mesh.boundary_facets(posed.boundary)
+        facets = posed.surfaces[one.boundary].facets
         corners = mesh.points[facets]
         element = np.zeros(mesh.n_nodes)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -254,7 +252,7 @@ def _advise_on_slips(problem: ContactProblem, mesh: MeshArrays, result: Result) 
             i = int(np.argmax(slip - most))
             advise(
                 "slip",
-                f"contact {posed.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "
+                f"contact {one.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "
                 "m), but the theory is one of small slips: each point stays opposite to where it was. Move or load "
                 "the bodies less, or pose the problem in the position to which they slid",
             )

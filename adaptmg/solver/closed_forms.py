@@ -36,6 +36,7 @@ import numpy as np
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
 from adaptmg.discrete.moduli import body_materials, columns, moduli
+from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem, remembered
 from adaptmg.discrete.supports import node_at
 from adaptmg.mesh.arrays import MeshArrays, Surface
@@ -339,18 +340,14 @@ class FreeBodies:
         return _resultants(places, forces[here], self.arm, body[here], len(self.compared))
 
 
-def free_bodies(
-    problem: ContactProblem | None, mesh: MeshArrays | None, discrete: DiscreteProblem
-) -> FreeBodies | None:
+def free_bodies(posed: Posed | None, discrete: DiscreteProblem) -> FreeBodies | None:
     """Return the bodies of a discretised problem, None of one without a mesh."""
-    return None if problem is None or mesh is None else _free_bodies(discrete, problem, mesh)
+    return None if posed is None else _free_bodies(discrete, posed)
 
 
 @remembered
-def _free_bodies(
-    discrete: DiscreteProblem, problem: ContactProblem, mesh: MeshArrays
-) -> FreeBodies:
-    return FreeBodies.of(problem, mesh, discrete)
+def _free_bodies(discrete: DiscreteProblem, posed: Posed) -> FreeBodies:
+    return FreeBodies.of(posed.problem, posed.mesh, discrete)
 
 
 def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarray | None:

@@ -25,7 +25,7 @@ from adaptmg._on_demand import ABSENT
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.sides import TieForces, tie_forces
+from adaptmg.discrete.ties import TieForces, tie_forces
 from adaptmg.smoother.conditions import natural_at_nodes, states
 from adaptmg.smoother.system import (
     OPEN,

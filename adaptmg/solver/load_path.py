@@ -23,12 +23,12 @@ from adaptmg import _checks as checks
 from adaptmg._files import make_folder
 from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.discretise import LoadSteps, load_steps, whole_load
+from adaptmg.discrete.named_loads import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.obstacles import check_held, moved
+from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
@@ -360,7 +360,7 @@ def solve_path(
         results.append(result)
     if len(results) < len(path):
         warn_of_several_solutions(grids)
-        advise_on_problem(grids.problem, grids.finest.mesh_or_none)
+        advise_on_problem(grids.posed)
     for k in range(len(results), len(path)):
         result = loop.step(k, progress if callable(progress) else None)
         result = replace(result, choice=choice, mesh=result.mesh_or_none)
@@ -376,8 +376,8 @@ def solve_path(
             steps.put(k, _stored(k, result), loop.coarse)
         if callback is not None:
             callback(k, result)
-    advise_on_results(grids.problem, results)
-    advise_on_chords(grids.problem, grids.finest, results)
+    advise_on_results(grids.posed, results)
+    advise_on_chords(grids.posed, grids.finest.discrete, results)
     return PathResult(tuple(results), loop.factors, mark, len(path))
 
 
@@ -413,19 +413,19 @@ class PathLoop:
         self.grids = grids
         self.path = path
         self.solver = solver
-        self.factors = path.resolved(_problem_with_names(grids))
-        self.loads = _loads(grids)
+        self.posed = _posed_with_names(grids)
+        problem = None if self.posed[-1] is None else grids.problem
+        self.factors = path.resolved(problem)
+        self.loads = _loads(grids, self.posed)
         for k in range(len(path)):
             # two supports that no longer agree should show before the first step is solved
             self.loads[-1].fixed_values(self._factors_at(k))
         finest = grids.finest
-        self.bodies = free_bodies(_problem_with_names(grids), finest.mesh_or_none, finest.discrete)
+        self.bodies = free_bodies(self.posed[-1], finest.discrete)
         self.examiner = Examiner(finest.discrete, self.bodies)
         truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
         self.method = TruncatedSteps(cast("Multigrid", solver)) if truncated else _Restarted(solver)
-        self.controls = Controls(
-            grids.problem if _problem_with_names(grids) else None, grids.finest
-        )
+        self.controls = Controls(problem, grids.finest)
         #: displacements of the last step on the levels; the method has those of coarse ones, or they are interpolated
         self.levels = [
             np.zeros(level.discrete.n_dofs)
@@ -518,15 +518,11 @@ class PathLoop:
             ) from error
 
     def _check_held(self, grids: Hierarchy, k: int, motions: Mapping[str, np.ndarray]) -> None:
-        if self.controls.problem is not None:
+        posed = self.posed[-1]
+        if posed is not None:
             factors = self._loading(k, motions)
-            check_held(
-                self.controls.problem,
-                grids.finest.mesh,
-                grids.finest.discrete,
-                factors,
-                self.controls.placed(factors, motions),
-            )
+            places = self.controls.placed(factors, motions)
+            check_held(posed, grids.finest.discrete, factors, places)
 
     def report(self, k: int, result: Result) -> str:
         """Return how a step ended, as text."""
@@ -591,17 +587,16 @@ class PathLoop:
         levels = []
         places = self.controls.placed(factors, motions)
         offset = len(self.grids) - len(self.levels)
-        for number, (level, loads) in enumerate(zip(self.grids.levels, self.loads, strict=True)):
+        parts = zip(self.grids.levels, self.loads, self.posed, strict=True)
+        for number, (level, loads, posed) in enumerate(parts):
             if loads is not None and number >= offset:
                 problem = level.discrete
                 reference = level.discrete.contact.slip_reference
                 if len(self.recent) > 1:
                     reference = problem.at_contact(self.levels[number - offset])
                 step = loads.step(problem, factors, reference)
-                if places:
-                    step = moved(
-                        step, self.controls.problem, level.mesh, places, self.controls.places
-                    )
+                if posed is not None and places:
+                    step = moved(posed, step, places, self.controls.places)
                 level = level.posing(discrete=step)
             levels.append(level)
         return Hierarchy(
@@ -635,23 +630,23 @@ class PathLoop:
         return last + ratio * (last - earlier)
 
 
-def _problem_with_names(grids: Hierarchy) -> ContactProblem | None:
+def _posed_with_names(grids: Hierarchy) -> list[Posed | None]:
+    """What is posed on each level; None on all unless every discretised one has a mesh."""
+    posed = [grids.posed_on(level) for level in grids.levels]
     named = all(
-        level.mesh_or_none is not None
-        for level in grids.levels
-        if level.discrete_or_none is not None
+        one is not None or level.discrete_or_none is None
+        for one, level in zip(posed, grids.levels, strict=True)
     )
-    return grids.problem if named else None
+    return posed if named else [None] * len(posed)
 
 
-def _loads(grids: Hierarchy) -> list[LoadSteps | None]:
+def _loads(grids: Hierarchy, posed: Sequence[Posed | None]) -> list[LoadSteps | None]:
     """Loads and supports one by one on each level; None where a level is only a space."""
-    named = _problem_with_names(grids) is not None
     return [
         None
         if level.discrete_or_none is None
-        else load_steps(grids.problem, level.mesh, level.discrete)
-        if named
         else whole_load(level.discrete)
-        for level in grids.levels
+        if one is None
+        else load_steps(one, level.discrete)
+        for one, level in zip(posed, grids.levels, strict=True)
     ]

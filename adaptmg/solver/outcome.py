@@ -21,7 +21,6 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import held_directions
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
@@ -77,7 +76,8 @@ def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy
     if not factorisable(level.discrete, FACTORISED):
         with suppress(ValueError):  # nothing to coarsen
             made = Hierarchy.algebraic(level.discrete)
-            levels = (*made.levels[:-1], replace(made.finest, mesh=level.mesh_or_none))
+            finest = replace(made.finest, mesh=level.mesh_or_none, posed=level.posed)
+            levels = (*made.levels[:-1], finest)
             made = replace(made, levels=levels, problem=grids.problem)
             return made, Multigrid(), why + "multigrid on coarse spaces made from its matrix"
     return grids, ActiveSet(), why + "the active set method"
@@ -211,15 +211,16 @@ def result_of(
             volume_energy=0.5 * volumes.energy(pressures),
         )
     mesh = cast("Any", grids.finest.mesh_or_none)
-    problem = grids.problem
+    posed = grids.posed
     supports = {}
     springs = {}
-    if problem is not None and grids.finest.mesh_or_none is not None:
-        supports = {
-            name: rows.tolist() for name, rows in held_directions(mesh, problem.supports).items()
-        }
+    if posed is not None:
+        supports = {name: rows.tolist() for name, rows in posed.directions.items()}
         springs = spring_resultants(
-            mesh, problem.supports, examined.displacement, problem.axisymmetric
+            posed.mesh,
+            posed.problem.supports,
+            examined.displacement,
+            posed.problem.axisymmetric,
         )
     status = _confirmed(
         outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")

@@ -19,9 +19,9 @@ from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.moduli import Moduli, as_tensors
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.sides import TieForces
 from adaptmg.discrete.stress import StressData, von_mises
 from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
+from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, certify

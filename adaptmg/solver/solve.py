@@ -150,24 +150,24 @@ def solve(
     with run.phase("statics"):
         check_statics_of(grids)
     with run.phase("setup"):
-        bodies = free_bodies(grids.problem, grids.finest.mesh_or_none, discrete)
+        bodies = free_bodies(grids.posed, discrete)
         run.examiner = examiner = Examiner(discrete, bodies)
         warn_of_several_solutions(grids)
-        advise_on_problem(grids.problem, grids.finest.mesh_or_none)
+        advise_on_problem(grids.posed)
     outcome = handed_over(
         checked_outcome(solver.run(grids, run, first), solver, discrete), grids, run
     )
     with run.phase("result"):
-        problem = grids.problem
-        mesh = grids.finest.mesh_or_none
-        stress_data = (
-            None
-            if problem is None or mesh is None
-            else StressData.of(mesh, problem.material, problem.loads, problem.elements)
-        )
+        posed = grids.posed
+        stress_data = None
+        if posed is not None:
+            problem = posed.problem
+            stress_data = StressData.of(
+                posed.mesh, posed.materials, problem.loads, problem.elements
+            )
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
-        advise_on_results(problem, [result])
-        advise_on_chords(problem, grids.finest, [result])
+        advise_on_results(posed, [result])
+        advise_on_chords(posed, discrete, [result])
     _LOG.info(
         "%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)",
         result.problem_name,

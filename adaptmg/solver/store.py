@@ -37,7 +37,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, opened, read_bytes, write_bytes
 from adaptmg._text import printable
-from adaptmg.discrete.discretise import LoadSteps
+from adaptmg.discrete.named_loads import LoadSteps
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.fingerprint import value_parts
 

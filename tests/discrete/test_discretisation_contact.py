@@ -10,7 +10,7 @@ from refused import refused
 from simplex_meshes import disk
 
 import adaptmg as am
-from adaptmg.discrete.discretise import contact_data
+from adaptmg.discrete.posed import Posed
 
 SQUARE, CUBE = am.Rectangle(width=2.0, height=1.0), am.Box(width=2.0, depth=1.0, height=1.0)
 PLATE, BLOCK = am.mesh.structured(SQUARE, 4), am.mesh.structured(CUBE, (4, 3, 2))
@@ -45,7 +45,7 @@ class TestContactNodes:
         [(plane_problem(), PLATE, 2.0), (solid_problem(), BLOCK, 2.0)],
     )
     def test_flat_boundary(self, problem, mesh, measure):
-        nodes = contact_data(problem, mesh)[0]
+        nodes = Posed.of(problem, mesh).contact
         np.testing.assert_array_equal(nodes.nodes, mesh.boundary_nodes("bottom"))
         np.testing.assert_allclose(
             nodes.normals, np.tile([0.0] * (mesh.dim - 1) + [-1.0], (len(nodes), 1))
@@ -57,18 +57,18 @@ class TestContactNodes:
     @pytest.mark.parametrize("rings", [2, 8])
     def test_curved_boundary(self, rings):
         mesh, n = disk(rings), 6 * rings
-        nodes = contact_data(
+        nodes = Posed.of(
             plane_problem(contact=am.Contact("all", TOUCHING), loads=(), supports=()), mesh
-        )[0]
+        ).contact
         np.testing.assert_allclose(nodes.normals, mesh.points[nodes.nodes], atol=1e-12)
         assert nodes.weights.sum() == pytest.approx(2 * n * np.sin(np.pi / n))
 
     def test_gaps(self):
         # the plane through (0, -1) rising at 45 degrees is met along its own normal
         plane = am.Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
-        nodes = contact_data(
+        nodes = Posed.of(
             plane_problem(contact=am.Contact("bottom", plane), supports=()), PLATE
-        )[0]
+        ).contact
         np.testing.assert_allclose(nodes.normals, np.tile([[1.0, -1.0]], (5, 1)) / np.sqrt(2))
         np.testing.assert_allclose(nodes.gaps, (3.0 - PLATE.points[nodes.nodes, 0]) / np.sqrt(2))
         _, behind = am.Plane((0.0, -1.0), (0.0, 2.0)).contact(
@@ -81,12 +81,12 @@ class TestContactNodes:
             (lambda x: 0.5 - x[:, 0], True, -1.5),
         ):
             contact = am.Contact("bottom", am.GapFunction(gap), allow_interference=interference)
-            assert contact_data(plane_problem(contact=contact), PLATE)[0].gaps.min() == least
+            assert Posed.of(plane_problem(contact=contact), PLATE).contact.gaps.min() == least
 
     @pytest.mark.parametrize("order", [("bottom", "right"), ("right", "bottom")])
     def test_common_node_belongs_to_the_boundary_named_first(self, order):
         contact = tuple(am.Contact(name, TOUCHING) for name in order)
-        nodes = contact_data(plane_problem(contact=contact, loads=(), supports=()), PLATE)[0]
+        nodes = Posed.of(plane_problem(contact=contact, loads=(), supports=()), PLATE).contact
         assert nodes.names == order
         corner = np.flatnonzero((PLATE.points[nodes.nodes] == [2.0, 0.0]).all(axis=1))[0]
         assert nodes.boundary[corner] == 0
@@ -102,7 +102,7 @@ class TestContactNodes:
         labels[(labels == 0) & (centre[:, 0] > 1)] = 4
         mesh = replace(PLATE, facet_labels=labels, boundaries=(*PLATE.boundaries, "bottom 2"))
         contact = (am.Contact("bottom 2", FLOOR), am.Contact("bottom", FLOOR))
-        nodes = contact_data(plane_problem(contact=contact), mesh)[0]
+        nodes = Posed.of(plane_problem(contact=contact), mesh).contact
         np.testing.assert_array_equal(nodes.boundary, [1, 1, 0, 0, 0])
         np.testing.assert_allclose(nodes.weights, [0.25, 0.5, 0.25, 0.5, 0.25])
         # the node before the common one takes over the half edge of its boundary
@@ -115,9 +115,9 @@ class TestContactNodes:
         points = np.column_stack([radius * np.sin(angle), -radius * np.cos(angle)])
         points[flat.boundary_nodes("left"), 0] = 0.0
         mesh = replace(flat, points=points)
-        nodes = contact_data(plane_problem(contact=am.Contact("bottom", TOUCHING), loads=()), mesh)[
-            0
-        ]
+        nodes = Posed.of(
+            plane_problem(contact=am.Contact("bottom", TOUCHING), loads=()), mesh
+        ).contact
         np.testing.assert_allclose(nodes.normals[:-1], mesh.points[nodes.nodes][:-1], atol=1e-12)
 
 
@@ -171,7 +171,7 @@ DEEP = am.GapFunction(lambda x: np.full(len(x), -0.1))
 )
 def test_refusals(changes, message):
     with pytest.raises(ValueError, match=message):
-        contact_data(plane_problem(**changes), CRACKED)
+        _ = Posed.of(plane_problem(**changes), CRACKED).contact
 
 
 class TestDiscretise:
@@ -185,7 +185,7 @@ class TestDiscretise:
         contact = am.discretise(plane_problem(), PLATE, slip_reference=displacement).contact
         np.testing.assert_array_equal(contact.slip_reference, displacement[contact.nodes])
         with pytest.raises(ValueError, match=r"slip_reference must have shape \(\d+, 2\)"):
-            contact_data(plane_problem(), PLATE, slip_reference=displacement[:3])
+            am.discretise(plane_problem(), PLATE, slip_reference=displacement[:3])
         # laws become nodal
         tresca = am.discretise(plane_problem(law=am.Tresca(lambda x: 1e3 * (1 + x[:, 0]))), PLATE)
         np.testing.assert_allclose(
@@ -430,7 +430,7 @@ def test_a_cylinder_that_touches_a_block_does_not_overlap_it(at_the_end, pair):
         )
         mesh = am.mesh.graded(domain, {"round": size, "block": 1.7 * size}, pair)
         if not sunk:
-            assert contact_data(problem, mesh)[0].gaps.min() >= 0
+            assert Posed.of(problem, mesh).contact.gaps.min() >= 0
             continue
         with pytest.raises(ValueError, match="overlap by up to"):
-            contact_data(problem, mesh)
+            _ = Posed.of(problem, mesh).contact

@@ -11,7 +11,6 @@ from refused import refused
 from saddle import Parts
 
 import adaptmg as am
-from adaptmg.discrete.supports import inclined_supports
 from adaptmg.solver.statics import check_statics
 
 PRESSURE, STIFF, E = 5e5, 1e9, 1e8
@@ -211,8 +210,13 @@ test_refused = refused(
         "prescribes x, which is its normal displacement, twice",
     ),
     (
-        lambda: inclined_supports(
-            sheared(2, 0)[0], [am.Support("left", normal=1e-3), am.Support("bottom", x=0, y=0)]
+        lambda: am.Hierarchy.from_meshes(
+            replace(
+                on_springs(am.PlaneStress),
+                domain=None,
+                supports=[am.Support("left", normal=1e-3), am.Support("bottom", x=0, y=0)],
+            ),
+            sheared(2, 0)[:1],
         ),
         "supports on 'left', 'bottom' contradict each other at their common node 0",
     ),

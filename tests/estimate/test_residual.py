@@ -9,15 +9,16 @@ import pytest
 from made import cube, result_on, square
 
 import adaptmg as am
+from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.stress import StressData
 from adaptmg.estimate import stress_fields
 from adaptmg.estimate.estimate import condition_squares
-from adaptmg.estimate.stress_fields import Posed, neighbours
+from adaptmg.estimate.stress_fields import Solved, neighbours
 
 EXACT = am.FullMultigrid(rtol=1e-10)
 
 
-def made(mesh: am.MeshArrays) -> Posed:
+def made(mesh: am.MeshArrays) -> Solved:
     """Made-up contact on 'bottom' of a square or cube."""
     dim, kind = mesh.dim, am.PlaneStrain if mesh.dim == 2 else am.Solid
     problem = am.ContactProblem(
@@ -26,7 +27,7 @@ def made(mesh: am.MeshArrays) -> Posed:
         contact=am.Contact("bottom", am.Plane((0.0,) * dim, tuple(np.eye(dim)[dim - 1]))),
     )
     result = result_on(mesh, stress_data=StressData.of(mesh, problem.material))
-    return Posed(problem, mesh, SimpleNamespace(law=problem.law), result)
+    return Solved(Posed(problem, mesh), SimpleNamespace(law=problem.law), result)
 
 
 @pytest.mark.parametrize("mesh", [square(6), cube(3)], ids=["2D", "3D"])

@@ -1,0 +1,165 @@
+r"""Load steps have nodal loads and prescribed displacements by name, so that every step is a
+combination of them:
+
+.. math:: b_k = \sum_j \lambda_{kj}\, b_j, \qquad u_{\mathrm{fixed},k} = \lambda_{kj}\, u_{\mathrm{fixed},j}
+   \text{ on support } j .
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from adaptmg.discrete.loads import load_vector
+from adaptmg.discrete.posed import Posed
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.stress import StressData
+from adaptmg.discrete.supports import held_components
+from adaptmg.discrete.ties import jump_of
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.load_path import DEFAULT
+from adaptmg.problem.loads import InitialStrain, Preload
+from adaptmg.problem.surfaces import Periodic
+
+
+@dataclass(frozen=True, eq=False)
+class LoadSteps:
+    """Loads and prescribed displacements of one mesh, by the names that a load path knows."""
+
+    n_dofs: int
+    loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
+    prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
+    # what stresses follow from before initial strains; Any: None without a problem, and so without strains
+    stress: StressData | Any = None
+    strains: Mapping[str, np.ndarray] = field(
+        default_factory=dict
+    )  # dict of str to (n_elements, 3)
+    strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
+    mesh: MeshArrays | Any = None  # Any: as of stress
+
+    def stress_data(self, factors: Mapping[str, float]) -> StressData | Any:
+        """Return what the stresses of a step follow from."""
+        if not self.strains:
+            return self.stress
+        return replace(
+            self.stress,
+            initial_strain=sum(factors[name] * strain for name, strain in self.strains.items()),
+        )
+
+    def step(
+        self, discrete: DiscreteProblem, factors: Mapping[str, float], slip_reference: np.ndarray
+    ) -> DiscreteProblem:
+        """Return the problem of a load step; slips count from ``slip_reference`` (n_contact, dim),
+        m."""
+        volumes = discrete.volumes
+        if len(volumes) and self.strains:
+            data = self.stress_data(factors)
+            volumes = volumes.expanding(self.mesh, data.initial_strain, data.axisymmetric)
+        return discrete.with_step(
+            self.load(factors),
+            self.fixed_values(factors),
+            slip_reference,
+            self.strain_free(factors),
+            factors,
+            volumes,
+        )
+
+    def strain_free(self, factors: Mapping[str, float]) -> tuple[np.ndarray, float] | None:
+        """Return ``strain_free`` of a step, see :class:`DiscreteProblem`."""
+        if not self.strains:
+            return None
+        load = sum(
+            (factors[name] * load for name, load in self.strain_loads.items()),
+            np.zeros(self.n_dofs),
+        )
+        return load, self.stress_data(factors).suppressed(self.mesh)
+
+    def load(self, factors: Mapping[str, float]) -> np.ndarray:
+        """Return the nodal forces (n_dofs,) of a step, N."""
+        result = np.zeros(self.n_dofs)
+        for name, load in self.loads.items():
+            if factors[name]:
+                result += factors[name] * load
+        return result
+
+    def fixed_values(self, factors: Mapping[str, float]) -> np.ndarray:
+        """Return the prescribed displacement (n_dofs,) of a step, zero at free dofs, m."""
+        result = np.zeros(self.n_dofs)
+        owner = np.full(self.n_dofs, -1)
+        for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
+            scaled = factors.get(name, 1.0) * values
+            clash = (owner[dofs] >= 0) & ~np.isclose(result[dofs], scaled, rtol=1e-12, atol=0.0)
+            if clash.any():
+                dof = int(dofs[np.argmax(clash)])
+                other = list(self.prescribed)[owner[dof]]
+                raise ValueError(
+                    f"the factors of {other!r} and {name!r} prescribe different displacements, "
+                    f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
+                    "give both the same factors"
+                )
+            result[dofs] = scaled
+            owner[dofs] = k
+        return result
+
+
+def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
+    """Return the loads and supports of a discretised problem one by one."""
+    problem = posed.problem
+    mesh = posed.mesh
+    loads = {}
+    strains = {}
+    strain_loads = {}
+    for name in dict.fromkeys(load.path_name for load in problem.loads):
+        named = [
+            load.shortening(mesh.dim) if isinstance(load, Preload) else load
+            for load in problem.loads
+            if load.path_name == name
+        ]
+        forces = load_vector(mesh, named, posed.materials, problem.elements)
+        loads[name] = discrete.relative_forces(forces)
+        if own := [load for load in named if isinstance(load, InitialStrain)]:
+            strains[name] = StressData.of(mesh, posed.materials, own).initial_strain
+            strain_loads[name] = discrete.relative_forces(
+                load_vector(mesh, own, posed.materials, problem.elements)
+            )
+    return LoadSteps(
+        discrete.n_dofs,
+        loads,
+        _prescribed(posed),
+        StressData.of(mesh, posed.materials, elements=problem.elements),
+        strains,
+        strain_loads,
+        mesh,
+    )
+
+
+def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return by name the dofs (n,) that supports and ties prescribe, and their values (n,), m."""
+    points = posed.mesh.points
+    result = {}
+    for name in dict.fromkeys(one.path_name for one in posed.problem.supports):
+        own = [one for one in posed.holds if one.support.path_name == name]
+        fixed, values = held_components(points, own)
+        result[name] = np.flatnonzero(fixed), values[fixed]
+    held = posed.held
+    for tie, part in zip(posed.problem.ties, posed.ties, strict=True):
+        if isinstance(tie, Periodic) and tie.jump is not None:
+            free = ~held.fixed[part.nodes]
+            dofs = (points.shape[1] * part.nodes[:, None] + np.arange(points.shape[1]))[free]
+            jumps = jump_of(tie, part.nodes, held)[free]
+            before = result.get(tie.path_name, (dofs[:0], jumps[:0]))
+            result[tie.path_name] = tuple(map(np.append, before, (dofs, jumps)))
+    return result
+
+
+def whole_load(discrete: DiscreteProblem) -> LoadSteps:
+    """Return all loads and prescribed displacements of a problem without names, as one."""
+    dofs = np.flatnonzero(discrete.fixed)
+    inclined = discrete.inclined
+    load = discrete.load if inclined is None else inclined.load
+    return LoadSteps(
+        discrete.n_dofs, {DEFAULT: load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])}
+    )

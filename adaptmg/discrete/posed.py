@@ -1,0 +1,391 @@
+r"""Posed: a contact problem on one mesh, with what is said of each node of its boundaries.
+
+All that a problem says of boundaries is resolved here once: surfaces by name, materials by body,
+the sides of pairs, the directions that supports hold with their values, what is tied, and one row
+for each node of a boundary that a support, a contact or a tie names:
+
+===========  ==========================================================================
+column       a row holds
+===========  ==========================================================================
+nodes        the number of the node, ascending
+role         what the node does: see :class:`Role`
+owner        the number of the contact or tie that the node belongs to; -1 of none
+normals      at contact nodes the unit normal along which the gap counts
+gaps         the initial gap, m
+weights      the boundary mass
+taken_over   what it takes over from nodes without a condition, over its own mass
+===========  ==========================================================================
+
+A node on two contact boundaries belongs to the one named first: its normal is averaged, and what it
+faces is found, there. Where a node i of a boundary carries none of its conditions, as it belongs to
+another one, is held or tied, those next to it take over its part (crosspoints, B. Wohlmuth, SIAM J.
+Numer. Anal. 38, 2000, doi:10.1137/S0036142999350929): with the shares :math:`E_{ji}`, which sum to 1
+over the contact nodes j of the boundary,
+
+.. math:: u_{n,j} + \sum_i \frac{E_{ji} w_i}{w_j}\, u_i \cdot n_j \le g_j + \sum_i \frac{E_{ji} w_i}{w_j}\, g_i ,
+
+so that the multipliers add up to one and constant pressures are exact. The displacement :math:`u_i`
+enters as that of a master does. Where a tied node follows contact nodes in front of obstacles, its
+mass goes to these.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _checks as checks
+from adaptmg.discrete.contact_nodes import ContactNodes, check_bounds
+from adaptmg.discrete.coordinates import held_slaves
+from adaptmg.discrete.elasticity import nodes_of_pieces
+from adaptmg.discrete.moduli import body_materials
+from adaptmg.discrete.mortar import MortarInterface, curved, pair_interface, slave_normals, spread
+from adaptmg.discrete.obstacles import free_normals, in_front_of, may_overlap, with_motions
+from adaptmg.discrete.sides import with_sides, young_of
+from adaptmg.discrete.supports import (
+    TANGENTIAL,
+    Held,
+    HeldNodes,
+    held_by,
+    held_components,
+    held_directions,
+    inclined_supports,
+    supported_nodes,
+    surfaces_of,
+)
+from adaptmg.discrete.ties import jump_of, masses_of_ties, tie_interfaces
+from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.step import exact_surfaces
+from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.laws import Elastic, Law, NodalLaw, check_law
+from adaptmg.problem.surfaces import ContactPair
+
+
+class Role(IntEnum):
+    """What a node of a boundary does; the first that applies, from the last one on."""
+
+    HELD = 0  # supports or springs alone act on it, or nothing where it lost its part to others
+    MASTER = 1  # nodes of another body may face it
+    OBSTACLE = 2  # it carries a condition in front of a rigid obstacle
+    SLAVE = 3  # it carries a condition on another body
+    TIED = 4  # it follows another body
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The rows of the boundary table (n), and what each node of the mesh follows."""
+
+    nodes: np.ndarray  # (n,) int, ascending
+    role: np.ndarray  # (n,) int
+    owner: np.ndarray  # (n,) int
+    normals: np.ndarray  # (n, dim)
+    gaps: np.ndarray  # (n,), m
+    weights: np.ndarray  # (n,)
+    taken_over: sparse.csr_array | None  # (n, n_nodes)
+    follows: sparse.csr_array | None  # (n_nodes, n_nodes): weights of what slaves face
+
+    @property
+    def touching(self) -> np.ndarray:
+        """Which rows (n,) bool carry a contact condition."""
+        return (self.role == Role.OBSTACLE) | (self.role == Role.SLAVE)
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A problem on one mesh; all that follows is computed when it is first read."""
+
+    problem: ContactProblem
+    mesh: MeshArrays
+
+    @classmethod
+    def of(cls, problem: ContactProblem, mesh: MeshArrays) -> Posed:
+        """Return the problem on a mesh, checked, with the sides of its pairs chosen."""
+        checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+        checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
+        if mesh.dim != problem.dim:
+            raise ValueError(
+                f"the mesh is {mesh.dim}D, the problem {problem.name!r} {problem.dim}D"
+            )
+        problem = with_sides(problem, mesh)
+        problem.check_boundaries(mesh.boundaries)
+        problem.check_bodies(mesh.bodies)
+        return cls(problem, mesh)
+
+    def under(self, problem: ContactProblem) -> Posed:
+        """Return the same under another law, or other loads."""
+        problem.check_boundaries(self.mesh.boundaries)
+        problem.check_bodies(self.mesh.bodies)
+        result = copy.copy(self)
+        object.__setattr__(result, "problem", problem)
+        return result
+
+    @cached_property
+    def surfaces(self) -> Mapping[str, Surface]:
+        """The surfaces that contacts, ties and supports name."""
+        problem = self.problem
+        supported = (support.boundary for support in problem.supports)
+        return surfaces_of(
+            self.mesh, (*problem.pair_boundaries, *problem.tied_boundaries, *supported)
+        )
+
+    @cached_property
+    def sides(self) -> Mapping[int, tuple[Surface, Surface]]:
+        """Slave and master of each pair, by its number, exact where the domain knows both."""
+        pairs = {
+            k: (one.slave, one.master)
+            for k, one in enumerate(self.problem.contact)
+            if isinstance(one, ContactPair)
+        }
+        names = [name for pair in pairs.values() for name in pair]
+        exact = exact_surfaces(self.problem.domain, names) if names else {}
+        return {
+            k: curved(
+                self.mesh,
+                (self.surfaces[slave], self.surfaces[master]),
+                (exact.get(slave), exact.get(master)),
+            )
+            for k, (slave, master) in pairs.items()
+        }
+
+    @cached_property
+    def materials(self) -> tuple[Elastic, ...]:
+        """The materials in the order of the bodies."""
+        return body_materials(self.mesh, self.problem.material)
+
+    def young(self, boundary: str) -> float:
+        """Return the smallest Young's modulus of the bodies with a boundary, Pa."""
+        return young_of(self.mesh, self.materials, self.surfaces[boundary].nodes)
+
+    @cached_property
+    def bodies(self) -> Mapping[str, np.ndarray]:
+        """The nodes of each body by name."""
+        mesh = self.mesh
+        if len(mesh.bodies) == 1:
+            return {mesh.bodies[0]: np.arange(mesh.n_nodes)}
+        result = {}
+        for k, name in enumerate(mesh.bodies):
+            used = np.zeros(mesh.n_nodes, dtype=bool)
+            used[mesh.elements[mesh.element_body == k]] = True
+            result[name] = np.flatnonzero(used)
+        return result
+
+    @cached_property
+    def holds(self) -> Sequence[Held]:
+        """The directions that supports hold, with nodes and values."""
+        return held_by(self.mesh, self.problem.supports, self.surfaces)
+
+    @cached_property
+    def directions(self) -> Mapping[str, np.ndarray]:
+        """By boundary the orthonormal directions (k, dim) along which supports hold it."""
+        return held_directions(self.holds)
+
+    @cached_property
+    def _components(self) -> tuple[np.ndarray, np.ndarray]:
+        return held_components(self.mesh.points, self.holds)
+
+    @cached_property
+    def held(self) -> HeldNodes:
+        """Along which directions supports hold the nodes."""
+        fixed, _ = self._components
+        return HeldNodes(fixed, inclined_supports(self.mesh.points, self.holds))
+
+    @cached_property
+    def prescribed(self) -> np.ndarray:
+        """The displacement (n_nodes, dim) of held components and jump of tied nodes, m; 0 elsewhere."""
+        _, values = self._components
+        result = values.copy()
+        for tie, part in zip(self.problem.ties, self.ties, strict=True):
+            result[part.nodes] += jump_of(tie, part.nodes, self.held)
+        return result
+
+    @cached_property
+    def nodes(self) -> np.ndarray:
+        """The nodes (n,), ascending, of which contacts, ties, supports or springs say something."""
+        mentioned = np.zeros(self.mesh.n_nodes, dtype=bool)
+        for name in (*self.problem.pair_boundaries, *self.problem.tied_boundaries):
+            mentioned[self.surfaces[name].nodes] = True
+        for support in self.problem.supports:
+            mentioned[supported_nodes(self.mesh, support, self.surfaces)] = True
+        return np.flatnonzero(mentioned)
+
+    def check_held(self) -> None:
+        """Raise ValueError if a body, with those glued to it, has neither a support nor a surface in
+        contact."""
+        for piece in nodes_of_pieces(self.mesh):
+            if not np.isin(self.nodes, piece).any():
+                name = next(
+                    name
+                    for name, nodes in self.bodies.items()
+                    if len(nodes) and np.isin(nodes[0], piece)
+                )
+                raise ValueError(
+                    f"nothing holds body {name!r}: no support and no contact is on its boundaries; give it a "
+                    "support or a contact pair, or leave it out"
+                )
+
+    @cached_property
+    def ties(self) -> Sequence[MortarInterface]:
+        """The tied slave nodes of each tie."""
+        return tie_interfaces(self)
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """The number of the contact (n_nodes,) that a node may carry a condition of; -1 of none."""
+        owner = np.full(self.mesh.n_nodes, -1)
+        for k, name in reversed([*enumerate(self.problem.contact_boundaries)]):
+            owner[self.surfaces[name].nodes] = k
+        return owner
+
+    @cached_property
+    def untied(self) -> np.ndarray:
+        """``owner`` without tied nodes."""
+        owner = self.owner.copy()
+        for tie in self.ties:
+            owner[tie.nodes] = -1
+        return owner
+
+    @cached_property
+    def tie_masses(self) -> np.ndarray:
+        """Boundary masses (n_nodes,) that contact nodes get by ties, or give away, < 0."""
+        return masses_of_ties(self)
+
+    @cached_property
+    def outward(self) -> Sequence[np.ndarray]:
+        """The normals (n, dim) at the nodes of each contact boundary."""
+        result = []
+        for name in self.problem.contact_boundaries:
+            surface = self.surfaces[name]
+            try:
+                result.append(slave_normals(surface, self.held)[surface.nodes])
+            except ValueError as error:
+                raise ValueError(f"contact boundary {name!r}: {error}") from error
+        return result
+
+    @cached_property
+    def rows(self) -> Rows:
+        """The rows of all nodes of which something is said; slave nodes that supports hold along a
+        surface with friction carry no condition."""
+        excluded = np.empty(0, dtype=np.int64)
+        while True:  # each pass excludes further nodes
+            rows = self._rows(excluded)
+            contact = self._contact_nodes(rows)
+            if rows.follows is None:
+                return rows
+            held = self.held
+            law = nodal_law(self, contact)
+            lone = held_slaves(
+                contact.nodes, rows.follows, held.fixed.reshape(-1), law, held.inclined
+            )
+            if not len(lone):
+                return rows
+            for k in np.unique(contact.boundary[lone]):
+                if any(one.boundary == contact.names[k] for one in self.problem.supports):
+                    raise ValueError(
+                        f"a support holds slave {contact.names[k]!r} along its surface, where friction "
+                        "acts: exchange slave and master of the pair"
+                    )
+            excluded = np.union1d(excluded, contact.nodes[lone])
+
+    def _rows(self, excluded: np.ndarray) -> Rows:
+        problem = self.problem
+        nodes = self.nodes
+        n = len(nodes)
+        role = np.full(n, Role.HELD, dtype=np.int64)
+        owner = np.full(n, -1)
+        normals = np.zeros((n, self.mesh.dim))
+        gaps = np.zeros(n)
+        weights = np.zeros(n)
+        masters = {*problem.masters, *(tie.master for tie in problem.ties)} - {""}
+        for name in masters:
+            role[np.searchsorted(nodes, self.surfaces[name].nodes)] = Role.MASTER
+        parts = [self._touching(k, excluded) for k in range(len(problem.contact))]
+        for k, part in enumerate(parts):
+            at = np.searchsorted(nodes, part.nodes)
+            role[at] = Role.SLAVE if problem.masters[k] else Role.OBSTACLE
+            owner[at] = k
+            normals[at] = part.normals
+            gaps[at] = part.gaps
+            weights[at] = part.weights
+        for k, part in enumerate(self.ties):
+            at = np.searchsorted(nodes, part.nodes)
+            role[at] = Role.TIED
+            owner[at] = k
+            weights[at] = part.weights
+        n_nodes = self.mesh.n_nodes
+        taken = spread([(part.nodes, part.taken_over) for part in parts], n_nodes)
+        taken = None if taken is None else taken[nodes]
+        coupled = [(part.nodes, part.coupling) for part in (*parts, *self.ties)]
+        follows = spread(coupled, n_nodes)
+        return Rows(nodes, role, owner, normals, gaps, weights, taken, follows)
+
+    def _touching(self, k: int, excluded: np.ndarray) -> MortarInterface:
+        """The nodes of contact boundary k that carry its condition, without ``excluded`` slave nodes."""
+        contact = self.problem.contact[k]
+        if not isinstance(contact, ContactPair):
+            return in_front_of(self, k)
+        surface = self.surfaces[contact.slave]
+        mine = surface.nodes
+        free = free_normals(self, k, self.outward[k])
+        partly = np.linalg.norm(free, axis=1) < 1 - TANGENTIAL
+        without = mine[partly | (self.untied[mine] != k) | np.isin(mine, excluded)]
+        return pair_interface(self, contact, self.sides[k], without)
+
+    def _contact_nodes(self, rows: Rows) -> ContactNodes:
+        problem = self.problem
+        own = rows.touching
+        nodes = rows.nodes[own]
+        owner = rows.owner[own]
+        taken = None if rows.taken_over is None else rows.taken_over[own]
+        inclined = self.held.inclined
+        if inclined is not None:
+            rubbed = np.intersect1d(nodes, inclined.nodes[inclined.moving])
+            if len(rubbed):
+                raise ValueError(
+                    f"a support moves contact node {rubbed[0]} "
+                    f"{tuple(self.mesh.points[rubbed[0]].tolist())} along the normal of its boundary, not "
+                    "an axis: turn the geometry, or end one of the boundaries before the other begins"
+                )
+        return ContactNodes(
+            nodes=nodes,
+            normals=rows.normals[own],
+            gaps=rows.gaps[own],
+            weights=rows.weights[own],
+            boundary=owner,
+            slip_reference=with_motions(self, nodes, taken, owner),
+            allow_interference=any(map(may_overlap, problem.contact)),
+            names=problem.contact_boundaries,
+            masters=problem.masters,
+            taken_over=taken,
+        )
+
+    @cached_property
+    def contact(self) -> ContactNodes:
+        """The nodes that carry contact conditions, in ascending order."""
+        return self._contact_nodes(self.rows)
+
+
+def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
+    """Return the law of a problem at contact nodes."""
+    problem = posed.problem
+    points = posed.mesh.points[contact.nodes]
+    laws = [problem.law if one.law is None else one.law for one in problem.contact]
+    if all(one is problem.law for one in laws):
+        law = problem.law.at_nodes(points, contact.weights)
+        check_law("law", law)  # a user's own may return anything
+        return law
+    bounds = np.zeros((2, len(contact)))
+    for k, one in enumerate(laws):
+        own = contact.boundary == k
+        if not own.any():
+            continue
+        law = one.at_nodes(points[own], contact.weights[own])
+        check_law("law", law)
+        check_bounds(law, int(own.sum()))
+        bounds[:, own] = law.bounds(int(own.sum()))
+    return NodalLaw(*bounds)

@@ -1,0 +1,192 @@
+r"""Ties: boundaries that move together.
+
+A tied slave node follows the combination of master nodes that it faces, in all components: its
+relative displacement (:mod:`adaptmg.discrete.coordinates`) is fixed to zero, on every level. It is
+contact that sticks and never opens. Where surfaces lie on each other constant stresses pass
+exactly, and rigid motions strain nothing; across a gap g a rotation
+:math:`\omega` strains by :math:`\omega \times g`. What the slave bears at node j is the force
+:math:`\lambda_j = (\hat A w - \hat b)_j` of its relative displacement; the master bears :math:`-W^T \lambda`. Along
+what a support holds of a slave node the support takes its part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg._text import warn_user
+from adaptmg.discrete.coordinates import Coupling, Unknowns
+from adaptmg.discrete.mortar import MortarInterface, pair_interface, spread
+from adaptmg.discrete.supports import TANGENTIAL, HeldNodes
+from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.problem.surfaces import ContactPair, Periodic, Tied
+
+if TYPE_CHECKING:
+    from adaptmg.discrete.posed import Posed
+
+_OFFSET = 1e-6  # of the size of the mesh: how far a partner on the other side of a cell may lie off its place
+
+
+@dataclass(frozen=True, eq=False)
+class TieForces:
+    """Forces that ties exert on both bodies."""
+
+    node: np.ndarray  # (n,) int
+    force: np.ndarray  # (n, dim), N
+    boundary: np.ndarray  # (n,) int: index into names
+    names: tuple[str, ...]  # of the slave and the master of each tie
+
+    def on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nodes and forces on one boundary."""
+        own = np.isin(self.boundary, [k for k, name in enumerate(self.names) if name == boundary])
+        return self.node[own], self.force[own]
+
+    def total(self, n_nodes: int) -> np.ndarray:
+        """Return the forces (n_nodes, dim) of all ties."""
+        result = np.zeros((n_nodes, self.force.shape[1]))
+        np.add.at(result, self.node, self.force)
+        return result
+
+
+def tie_interfaces(posed: Posed) -> list[MortarInterface]:
+    """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what
+    supports hold in all directions is not tied."""
+    held = posed.held
+    taken = np.all(held.fixed, axis=1)
+    if held.inclined is not None:  # a support that moves such a node prescribes it
+        taken[held.inclined.nodes[held.inclined.moving]] = True
+    parts: list[MortarInterface] = []
+    for tie in posed.problem.ties:
+        slave, master = posed.surfaces[tie.slave], posed.surfaces[tie.master]
+        if isinstance(tie, Periodic):
+            parts.append(_periodic(tie, posed.mesh, slave.nodes, master.nodes, taken, held.fixed))
+            taken[parts[-1].nodes] = True
+            continue
+        pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
+        try:
+            excluded = slave.nodes[taken[slave.nodes]]
+            parts.append(pair_interface(posed, pair, (slave, master), excluded))
+        except ValueError as error:
+            raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
+        if tie.reach is None:
+            _warn_of_gaps(tie, slave, np.abs(parts[-1].gaps).max(initial=0.0))
+        taken[parts[-1].nodes] = True
+    return parts
+
+
+def _warn_of_gaps(tie: Tied, slave: Surface, apart: float) -> None:
+    """Warn of surfaces that are farther apart than an element, as where a body is misplaced."""
+    if apart > np.ptp(slave.points[slave.facets], axis=1).max():
+        warn_user(
+            f"tie {tie.slave!r} on {tie.master!r}: the surfaces are up to {apart:.3g} m apart, more than an "
+            "element, and rotations strain the bodies by that distance. Check their positions (m), or give "
+            "reach= where it is meant"
+        )
+
+
+def _periodic(
+    tie: Periodic,
+    mesh: MeshArrays,
+    slave: np.ndarray,
+    master: np.ndarray,
+    taken: np.ndarray,
+    fixed: np.ndarray,
+) -> MortarInterface:
+    """Nodes of a side of a cell, each with its partner on the other one."""
+    points = mesh.points
+    size = mesh.sides.max()
+    middle = [
+        0.5 * (points[side].max(axis=0) + points[side].min(axis=0)) for side in (slave, master)
+    ]
+    shift = middle[0] - middle[1]
+    from scipy.spatial import cKDTree  # a first solve without it starts sooner
+
+    # scipy-stubs: of several points
+    found = cKDTree(points[master]).query(points[slave] - shift)
+    away, partner = cast("tuple[np.ndarray, np.ndarray]", found)
+    if len(slave) != len(master) or away.max() > _OFFSET * size:
+        i = int(np.argmax(away))
+        raise ValueError(
+            f"periodic sides {tie.master!r} and {tie.slave!r} do not match: {len(master)} and "
+            f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
+            f"lies {away[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
+        )
+    alone = (fixed[slave] & ~fixed[master[partner]]).any(axis=1)
+    if alone.any():
+        i = int(np.argmax(alone))
+        raise ValueError(
+            f"a support holds node {slave[i]} {tuple(points[slave[i]].tolist())} of periodic side "
+            f"{tie.slave!r}, and not its partner, which would move apart from it: hold the partner at "
+            f"{tuple(points[master[partner[i]]].tolist())}, which this node follows"
+        )
+    free = ~taken[slave]
+    slave = slave[free]
+    partner = master[partner[free]]
+    rows = sparse.csr_array(
+        (np.ones(len(slave)), partner, np.arange(len(slave) + 1)), shape=(len(slave), len(points))
+    )
+    return MortarInterface(
+        slave, np.zeros((len(slave), mesh.dim)), np.ones(len(slave)), np.zeros(len(slave)), rows
+    )
+
+
+def jump_of(tie: Tied | Periodic, nodes: np.ndarray, held: HeldNodes) -> np.ndarray:
+    """Return the relative displacement (n, dim) of tied nodes, m, zero along what supports hold."""
+    jump = getattr(tie, "jump", None) or (0.0,) * held.fixed.shape[1]
+    return held.free_part(nodes, np.broadcast_to(jump, (len(nodes), len(jump))))
+
+
+def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
+    """Return the forces of the ties of a problem with the residual A w - b (n_dofs,), N; None
+    without ties."""
+    if not problem.ties:
+        return None
+    at = residual.reshape(-1, problem.dim)
+    held = problem.held.reshape(-1, problem.dim)
+    nodes = []
+    forces = []
+    boundary = []
+    names = []
+    for slave, master, tied in problem.ties:
+        own = np.where(held[tied], 0.0, at[tied])
+        own = own if problem.inclined is None else problem.inclined.free_part(tied, own)
+        # ties are rows of a coupling
+        rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
+        facing = np.unique(rows.indices)
+        nodes += [tied, facing]
+        forces += [own, -(rows.T @ own)[facing]]
+        boundary += [np.full(len(tied), len(names)), np.full(len(facing), len(names) + 1)]
+        names += [slave, master]
+    return TieForces(*map(np.concatenate, (nodes, forces, boundary)), names=tuple(names))
+
+
+def masses_of_ties(posed: Posed) -> np.ndarray:
+    """Return boundary masses (n_nodes,) in front of obstacles that tied nodes give, < 0, and contact
+    nodes that these follow, over tied ones too, take."""
+    masses = np.zeros(posed.mesh.n_nodes)
+    takes = np.zeros(posed.mesh.n_nodes)
+    if not posed.ties:
+        return masses
+    for k, contact in enumerate(posed.problem.contact):
+        if isinstance(contact, ContactPair):
+            continue
+        surface = posed.surfaces[contact.boundary]
+        own = surface.nodes[posed.owner[surface.nodes] == k]
+        free = posed.held.free_part(own, surface.node_normals[own])
+        takes[own] = np.linalg.norm(free, axis=1) > TANGENTIAL
+        masses[own] = surface.lumped(posed.problem.axisymmetric)[own]
+    tied = np.unique(np.concatenate([tie.nodes for tie in posed.ties]))
+    takes[tied] = 0.0
+    followed = spread([(tie.nodes, tie.coupling) for tie in posed.ties], len(masses))
+    step = cast("sparse.csr_array", followed).maximum(0.0).T  # ties have weights
+    reached = sparse.csr_array(step.shape)
+    path = step
+    for _ in posed.ties:
+        reached = reached + sparse.diags_array(takes) @ path
+        path = step @ sparse.diags_array(1 - takes) @ path
+    total = reached.sum(axis=0)
+    masses = np.where(total > 0, masses, 0.0)
+    return reached @ np.divide(masses, total, out=np.zeros_like(masses), where=total > 0) - masses
