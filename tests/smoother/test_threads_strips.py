@@ -109,6 +109,32 @@ def test_a_sweep_over_strips_is_gauss_seidel_in_their_order(seed, compiled, monk
     np.testing.assert_allclose(rest, f - matrix @ u, atol=1e-9 * np.abs(f).max())
 
 
+def test_what_a_large_matrix_has_set_aside_is_made_again(monkeypatch):
+    monkeypatch.undo()
+    case = am.cases.greco_block()
+    discrete = am.discretise(case, am.mesh.structured(case.domain, 26))
+    halves = split(discrete.matrix, discrete.fixed, symmetric=True)
+    sweeps = []
+    for _ in range(2):
+        u, kept = np.zeros((2, discrete.n_dofs))
+        lower = halves.lower_arrays
+        halves.sweep(
+            split_matrix.gauss_seidel,
+            False,
+            *lower,
+            *halves.no_half,
+            halves.inverse,
+            discrete.load,
+            u,
+            kept,
+        )
+        sweeps.append(u)
+        assert halves.set_aside(discrete.matrix, discrete.fixed)
+        assert not len(halves.lower) and not len(halves.inverse)
+    assert sweeps[0].any()
+    np.testing.assert_array_equal(*sweeps)
+
+
 @pytest.mark.parametrize("case", ["plane", "solid", "independent", "two bodies"])
 def test_bits_do_not_depend_on_the_number_of_threads(case, monkeypatch):
     grids = {

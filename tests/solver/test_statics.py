@@ -123,6 +123,18 @@ FALLING = {
         plate(loads=(), supports=LEFT),
         "nothing presses the body against its obstacle: a translation along y",
     ),
+    # there is no load with which limits of friction could be compared
+    **{
+        f"no load, between walls that bear {limit:g} Pa": (
+            plate(
+                law=am.Tresca(limit),
+                loads=(),
+                contact=tuple(am.Contact(name, TOUCHING) for name in ("bottom", "left", "right")),
+            ),
+            "nothing presses the body against its obstacle: a translation along y",
+        )
+        for limit in (1e-9, 1.0, 1e9)
+    },
     "squeezed": (
         plate(law=am.Coulomb(0.5), loads=(am.Pressure("left", 1.0), am.Pressure("right", 1.0))),
         "nothing presses the body",
