@@ -64,7 +64,6 @@ Kept = TypeVar("Kept")
 #: forces are met to this multiple of rtol
 ACCURACY = 10.0
 _MOST = 40  # contact problems in a step on a level
-_GROWTH = 4.0  # of the depth of an obstacle, in a step of the iteration
 _DIFFERENCE = 0.02  # of the size of the unknowns so far
 _UNRESISTED = 1e-5  # of the largest stiffness
 # unknowns of the level on which motions are found first; cycles of 17 problems (weight, cooling, moving
@@ -643,8 +642,6 @@ class Search(Generic[Kept]):
             if fresh and np.abs(along[~resisted]).max(initial=0.0) > 1e-3:
                 raise nothing_resists(self.parts)
             change = -right[resisted].T @ (along[resisted] / stiffnesses[resisted])
-            short = min(1.0, _GROWTH * reach / max(np.abs(change).max(), _TINY))
-            change *= short
             most = max(np.abs(trial.missed).max(), trial.result.rtol)
             new = self.at(trial.values + change, trial, _LOOSE * most)
             left_over = np.abs(new.missed).max()
@@ -652,7 +649,7 @@ class Search(Generic[Kept]):
                 trial = self.at(guide.nearer(trial.values, trial.missed), None)
                 guide = None
                 continue
-            if not fresh and short == 1.0 and left_over > 0.9 * most:
+            if not fresh and left_over > 0.9 * most:
                 jacobian = None
                 continue
             update = new.missed - trial.missed - jacobian @ change
