@@ -342,15 +342,6 @@ class Posed:
         nodes = rows.nodes[own]
         owner = rows.owner[own]
         taken = None if rows.taken_over is None else rows.taken_over[own]
-        inclined = self.held.inclined
-        if inclined is not None:
-            rubbed = np.intersect1d(nodes, inclined.nodes[inclined.moving])
-            if len(rubbed):
-                raise ValueError(
-                    f"a support moves contact node {rubbed[0]} "
-                    f"{tuple(self.mesh.points[rubbed[0]].tolist())} along the normal of its boundary, not "
-                    "an axis: turn the geometry, or end one of the boundaries before the other begins"
-                )
         return ContactNodes(
             nodes=nodes,
             normals=rows.normals[own],
@@ -367,7 +358,17 @@ class Posed:
     @cached_property
     def contact(self) -> ContactNodes:
         """The nodes that carry contact conditions, in ascending order."""
-        return self._contact_nodes(self.rows)
+        contact = self._contact_nodes(self.rows)
+        inclined = self.held.inclined
+        if inclined is not None:
+            rubbed = np.intersect1d(contact.nodes, inclined.nodes[inclined.moving])
+            if len(rubbed):
+                raise ValueError(
+                    f"a support moves contact node {rubbed[0]} "
+                    f"{tuple(self.mesh.points[rubbed[0]].tolist())} along the normal of its boundary, not "
+                    "an axis: turn the geometry, or end one of the boundaries before the other begins"
+                )
+        return contact
 
 
 def nodal_law(posed: Posed, contact: ContactNodes) -> Law:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from bodies import EXACT, bar_on_block, in_the_corner
 from refused import refused
-from simplex_meshes import disk
 
 import adaptmg as am
 from adaptmg.discrete.posed import Posed
@@ -54,15 +53,6 @@ class TestContactNodes:
         assert nodes.weights @ mesh.points[nodes.nodes, 0] == pytest.approx(measure)
         assert not nodes.gaps.any() and nodes.names == ("bottom",) and not nodes.boundary.any()
 
-    @pytest.mark.parametrize("rings", [2, 8])
-    def test_curved_boundary(self, rings):
-        mesh, n = disk(rings), 6 * rings
-        nodes = Posed.of(
-            plane_problem(contact=am.Contact("all", TOUCHING), loads=(), supports=()), mesh
-        ).contact
-        np.testing.assert_allclose(nodes.normals, mesh.points[nodes.nodes], atol=1e-12)
-        assert nodes.weights.sum() == pytest.approx(2 * n * np.sin(np.pi / n))
-
     def test_gaps(self):
         # the plane through (0, -1) rising at 45 degrees is met along its own normal
         plane = am.Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
@@ -95,18 +85,6 @@ class TestContactNodes:
         # the edge round the corner does not face the obstacle: half an edge of the first boundary
         # is the mass
         assert nodes.weights[corner] == pytest.approx(0.25 if order[0] == "bottom" else 0.125)
-
-    def test_each_of_two_boundaries_has_its_whole_measure(self):
-        centre = PLATE.points[PLATE.facets].mean(axis=1)
-        labels = PLATE.facet_labels.copy()
-        labels[(labels == 0) & (centre[:, 0] > 1)] = 4
-        mesh = replace(PLATE, facet_labels=labels, boundaries=(*PLATE.boundaries, "bottom 2"))
-        contact = (am.Contact("bottom 2", FLOOR), am.Contact("bottom", FLOOR))
-        nodes = Posed.of(plane_problem(contact=contact), mesh).contact
-        np.testing.assert_array_equal(nodes.boundary, [1, 1, 0, 0, 0])
-        np.testing.assert_allclose(nodes.weights, [0.25, 0.5, 0.25, 0.5, 0.25])
-        # the node before the common one takes over the half edge of its boundary
-        np.testing.assert_allclose(nodes.measures, [0.25, 0.75, 0.25, 0.5, 0.25])
 
     def test_symmetry_planes_take_the_tilt_out_of_the_normal(self):
         """A quarter of a ring with radii 1 (bottom) and 1/2, from x = 0 (left) on."""
