@@ -8,12 +8,9 @@ import pytest
 from scipy import sparse
 
 import adaptmg as am
-from adaptmg.multigrid.linear_cycle import CoarseFactors
 from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
 from adaptmg.multigrid.split_matrix import split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.multigrid.truncated_step import _eliminated
-from adaptmg.smoother import factorisation
 from adaptmg.smoother.factorisation import FACTORISED
 from adaptmg.solver import multigrid
 from adaptmg.solver.projected import ProjectedRun
@@ -173,9 +170,9 @@ def test_nothing_takes_over_where_arithmetic_ends():
     assert not result.fallback and result.residual < 1e-11 and result.rtol < 1e-11
 
 
-def test_a_large_coarsest_grid_is_factorised_sparse(monkeypatch):
-    monkeypatch.setattr(CoarseFactors, "DENSE", 0)
-    grids = am.Hierarchy.graded(am.cases.greco_block(), (12e-3, 9e-3, 6.5e-3), contact_ratio=2)
+def test_a_large_coarsest_grid_is_factorised_sparse():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (28, 56))
+    assert grids[0].discrete.n_dofs > 1500
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     result = am.solve(grids, am.FullMultigrid(), reference=exact)
     assert not result.fallback and result.cycles <= 15 and result.history["true_error"][-1] < 3e-8
@@ -380,19 +377,18 @@ def test_null_combinations_do_not_depend_on_units():
     assert null_combinations(np.zeros((0, 4))).shape == (4, 4)
 
 
-@pytest.mark.parametrize("dense", [0, 300])
-def test_coarse_functions_that_no_fine_node_tells_apart_are_eliminated(dense, monkeypatch):
-    monkeypatch.setattr(factorisation, "_DENSE", dense)
-    rng = np.random.default_rng(4)
-    half, P = rng.normal(size=(24, 24)), rng.uniform(size=(12, 5))
-    twice = np.column_stack([P[:, :4], 0.5 * P[:, 4], 0.5 * P[:, 4]])
-    nodes, load, found = np.array([0, 2]), rng.normal(size=24), []
-    for nodal in (P, twice):
-        whole = np.kron(nodal, np.eye(2))
-        matrix = sparse.bsr_array(whole.T @ (half @ half.T) @ whole, blocksize=(2, 2))
-        parts = _eliminated(matrix, np.zeros(len(matrix.toarray()), dtype=bool), nodes, None)
-        particular, reduced = parts.reduce(whole.T @ load)
-        unknowns = np.linalg.solve(parts.matrix, reduced)
-        found.append((parts.matrix, whole @ parts.complete(particular, unknowns)))
-    for one, other in zip(*found, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-6 * np.abs(one).max())
+@pytest.mark.parametrize("divisions", [(4, 8, 16), (16, 32)])
+def test_coarse_functions_that_no_fine_node_tells_apart_change_nothing(divisions):
+    """The last function of the coarsest level is there twice, each by half."""
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions)
+    first, *others = (level.prolongation for level in grids.levels[1:])
+    halves = 0.5 * first[:, [-1, -1]]
+    twice = sparse.csr_array(sparse.hstack([first[:, :-1], halves]))
+    plain, doubled = (
+        am.solve(am.Hierarchy.from_prolongations(grids.finest.discrete, [one, *others]))
+        for one in (first, twice)
+    )
+    assert doubled.cycles == plain.cycles and not doubled.fallback
+    np.testing.assert_allclose(
+        doubled.displacement, plain.displacement, atol=1e-7 * np.abs(plain.displacement).max()
+    )

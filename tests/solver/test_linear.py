@@ -12,7 +12,6 @@ from scipy.sparse.linalg import splu
 from smoother_problems import network
 
 import adaptmg as am
-from adaptmg.smoother import factorisation
 from adaptmg.smoother.factorisation import condense, condense_problem, nested_dissection, node_graph
 from adaptmg.solver.active_set import local_near_nullspace
 
@@ -130,17 +129,16 @@ def test_work_is_that_of_products_and_cycles():
     )
 
 
-def test_rigid_body_modes_pay_and_few_iterations_show(monkeypatch):
+def test_rigid_body_modes_pay_and_a_residual_that_stays_shows():
     matrix, load, modes = glued_system(bar(32))
     constants = np.tile(np.eye(2), (len(load) // 2, 1)) * modes.any(axis=1)[:, None]
     counts = [
         am.AMG().setup(matrix, b).solve(load, rtol=1e-8).iterations for b in (modes, constants)
     ]
     assert counts[0] <= 18 and counts[1] >= 1.3 * counts[0]
-    monkeypatch.setattr(am.AMG, "MAX_ITERATIONS", 2)
     for symmetric in (True, False):
-        solution = am.AMG().setup(matrix, modes, symmetric=symmetric).solve(load, rtol=1e-10)
-        assert not solution.converged and solution.residual > 1e-10 and solution.iterations <= 3
+        solution = am.AMG().setup(matrix, modes, symmetric=symmetric).solve(load, rtol=1e-30)
+        assert not solution.converged and 1e-30 < solution.residual < 1e-8
 
 
 def contact_dofs(local: am.smoother.LocalProblem) -> np.ndarray:
@@ -174,19 +172,21 @@ def copies(one: am.DiscreteProblem, n: int) -> am.DiscreteProblem:
     )
 
 
+#: below and above 300 dofs, beyond which factors are sparse
 PROBLEMS = {
     "bar": lambda: bar(6),
+    "large bar": lambda: bar(14),
     "block": lambda: bar(3, am.cases.greco_block(plane_strain=False)),
+    "large block": lambda: bar(5, am.cases.greco_block(plane_strain=False)),
     "network": lambda: network(3, "coulomb", fixed_tangent=True).discrete,
-    "three bodies": lambda: copies(bar(3), 3),
-    "no coordinates": lambda: replace(bar(6), coordinates=None),
+    "bodies": lambda: copies(bar(3), 3),
+    "many bodies": lambda: copies(bar(3), 12),
+    "no coordinates": lambda: replace(bar(14), coordinates=None),
 }
 
 
-@pytest.mark.parametrize("dense", [0, 10**6])
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_condensation_and_recovery_are_those_of_dense_algebra(name, dense, monkeypatch):
-    monkeypatch.setattr(factorisation, "_DENSE", dense)
+def test_condensation_and_recovery_are_those_of_dense_algebra(name):
     local = am.smoother.local_system(PROBLEMS[name]())
     condensed, (schur, load) = condense(local), dense_condensation(local)
     for matrix in (condensed.matrix, condensed.problem.system.matrix.toarray()):
@@ -198,37 +198,30 @@ def test_condensation_and_recovery_are_those_of_dense_algebra(name, dense, monke
     unknowns = np.random.default_rng(0).normal(size=len(load)) * 1e-5
     unknowns[condensed.problem.system.fixed] = 0.0
     full = condensed.recover(unknowns)
-    rest, forces = (
-        local.load - local.system.matrix @ full,
-        np.abs(local.system.matrix) @ np.abs(full),
-    )
+    rest = local.load - local.system.matrix @ full
+    forces = np.abs(local.system.matrix) @ np.abs(full)
     away = np.setdiff1d(np.arange(len(full)), contact_dofs(local))
     assert np.array_equal(condensed.restrict(full), unknowns)
     assert np.abs(rest[away]).max() < 1e-13 * forces.max()
-    assert (
-        np.abs(
-            condensed.restrict(rest) - condensed.problem.load + condensed.matrix @ unknowns
-        ).max()
-        < 1e-12 * forces.max()
-    )
+    left = condensed.restrict(rest) - condensed.problem.load + condensed.matrix @ unknowns
+    assert np.abs(left).max() < 1e-12 * forces.max()
 
 
-@pytest.mark.parametrize("dense", [0, 10**6])
-def test_a_body_that_nothing_holds_is_refused_or_left_out(dense, monkeypatch):
-    monkeypatch.setattr(factorisation, "_DENSE", dense)
+@pytest.mark.parametrize("n", [2, 12])
+def test_a_body_that_nothing_holds_is_refused_or_left_out(n):
     held = bar(3)
-    both = copies(held, 2)
+    bodies = copies(held, n)
     of_held = {name: getattr(held.contact, name) for name in ("nodes", "normals", "gaps")}
-    loose = replace(
-        both, fixed=np.r_[held.fixed, np.zeros_like(held.fixed)], contact=am.ContactNodes(**of_held)
-    )
+    fixed = bodies.fixed & (np.arange(bodies.n_dofs) < bodies.n_dofs - held.n_dofs)
+    loose = replace(bodies, fixed=fixed, contact=am.ContactNodes(**of_held))
     lenient = condense_problem(loose, lenient=True)
     for refuses in (condense_problem, lambda problem: condense(am.smoother.local_system(problem))):
         with pytest.raises(ValueError, match="singular even with all contact dofs fixed"):
             refuses(loose)
     alone = condense(am.smoother.local_system(held)).matrix
     np.testing.assert_allclose(lenient.matrix, alone, atol=1e-13 * np.abs(alone).max())
-    assert len(lenient.factors.order) == both.n_dofs - 3
+    # the others, whose contact nodes are free now, can rise
+    assert len(lenient.factors.order) == bodies.n_dofs - 3 - (n - 2)
 
 
 @pytest.mark.parametrize("seed", range(3))
