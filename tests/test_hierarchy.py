@@ -236,7 +236,7 @@ def test_nothing_is_made_that_nobody_asked_for(monkeypatch):
         raise AssertionError("made without being asked for")
 
     for name in (
-        "mesh.arrays.ngsolve_mesh",
+        "mesh.netgen_worker.ngsolve_mesh",
         "mesh.soundness.facet_table",
         "discrete.discretise.rigid_motions",
     ):

@@ -222,6 +222,8 @@ class MeshArrays:
     def source(self) -> ngsolve.Mesh:
         """Return a straight ngsolve.Mesh with the same node and element numbers, built when it is
         first read, neither saved nor pickled."""
+        from adaptmg.mesh.netgen_worker import ngsolve_mesh
+
         return ngsolve_mesh(self)
 
     @property
@@ -481,41 +483,6 @@ def sound_by_construction(
     result = trusted(mesh)
     result.__dict__.update(apart=True, lattices=lattices)
     return result
-
-
-def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
-    """Return the mesh for NGSolve, with the same numbers of nodes, elements and facets; bodies
-    become materials. It has no geometry, so that it stays straight when it is refined."""
-    import netgen.meshing
-    import ngsolve
-
-    elements = mesh.elements
-    dim = mesh.dim
-    result = netgen.meshing.Mesh(dim=dim)
-    result.AddPoints(np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - dim)))))
-    for i in range(len(mesh.bodies if dim == 2 else mesh.boundaries)):
-        result.Add(
-            netgen.meshing.FaceDescriptor(
-                surfnr=i + 1, domin=i + 1 if dim == 2 else 1, domout=0, bc=i + 1
-            )
-        )
-    for i, name in enumerate(mesh.bodies):
-        result.SetMaterial(i + 1, name)
-    if dim == 3:
-        # Netgen counts the other orientation of tetrahedra as positive
-        elements = np.ascontiguousarray(elements[:, [0, 1, 3, 2]])
-    result.AddElements(dim=dim, index=1, data=elements, base=0)
-    result.AddElements(dim=dim - 1, index=1, data=mesh.facets, base=0)
-    volume, surface = (
-        (result.Elements2D(), result.Elements1D())
-        if dim == 2
-        else (result.Elements3D(), result.Elements2D())
-    )
-    volume.NumPy()["index"] = mesh.element_body + 1
-    surface.NumPy()["index"] = mesh.facet_labels + 1
-    for i, name in enumerate(mesh.boundaries):
-        result.SetBCName(i, name)
-    return ngsolve.Mesh(result)
 
 
 #: by dimension: node numbers are of 32 bits, and the three of a facet must fit into 63

@@ -117,7 +117,7 @@ def bisect(
     fine = refined(
         mesh, marked, None if passes is None else checks.integer("passes", passes, 1)
     ).mesh
-    parents = np.array(fine.refinement.parents, dtype=np.int64)
+    parents = _parents(fine).astype(np.int64)
     parents[: mesh.n_nodes] = np.arange(mesh.n_nodes)[:, None]
     return fine, parents
 
@@ -194,7 +194,7 @@ def _touching(mesh: MeshArrays, names: Sequence[str]) -> np.ndarray:
     near = np.zeros(mesh.n_nodes, dtype=bool)
     for name in names:
         near[mesh.boundary_nodes(name)] = True
-    return near[mesh.elements].any(axis=1)
+    return np.any(near[mesh.elements], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -210,13 +210,9 @@ def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> 
     if passes is None:
         return _once(mesh, marked, True)
     result = _once(mesh, marked, False)
-    generation = (
-        np.zeros(len(mesh.elements), np.int16)
-        if mesh.refinement is None
-        else mesh.refinement.generation
-    )
+    generation = _generations(mesh)
     for _ in range(passes - 1):
-        late = result.mesh.refinement.generation - generation[result.origin] < passes
+        late = _generations(result.mesh) - generation[result.origin] < passes
         rest = marked[result.origin] & late
         if not rest.any():
             break
@@ -266,6 +262,13 @@ def _parents(mesh: MeshArrays) -> np.ndarray:
     return np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
 
 
+def _generations(mesh: MeshArrays) -> np.ndarray:
+    """Return how many bisections since the initial mesh lead to each element."""
+    if mesh.refinement is not None:
+        return mesh.refinement.generation
+    return np.zeros(len(mesh.elements), dtype=np.int16)
+
+
 def _rows(mesh: MeshArrays) -> np.ndarray:
     """The elements as rows, labelled if the mesh was never bisected."""
     n, corners = mesh.elements.shape
@@ -275,15 +278,15 @@ def _rows(mesh: MeshArrays) -> np.ndarray:
         turn = _TURNS[corners][_longest(mesh.points, cells)]
         cells = np.take_along_axis(cells, turn, axis=1)
         sides = np.take_along_axis(sides, turn, axis=1)
-        generation = marks = np.zeros(n, dtype=np.int32)
+        marks = np.zeros(n, dtype=np.int32)
         if corners == 4:
             marks = 3 * _longest(mesh.points, cells[:, 1:]) + _longest(
                 mesh.points, cells[:, [0, 2, 3]]
             )
     else:
         marks = mesh.refinement.marks
-        generation = mesh.refinement.generation
-    return np.column_stack([cells, sides, marks, generation, np.arange(n)]).astype(np.int32)
+    table = [cells, sides, marks, _generations(mesh), np.arange(n)]
+    return np.column_stack(table).astype(np.int32)
 
 
 def _sides(mesh: MeshArrays) -> np.ndarray:

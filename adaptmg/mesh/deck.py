@@ -49,7 +49,7 @@ _TYPES = (
 _ORDER = {"line3": (0, 2, 1), "hexahedron27": (*range(20), 26, 24, 25, 22, 21, 23, 20)}
 #: the comment that Gmsh writes before elements, which it calls after the entities of its geometry
 _OF_GMSH = "******* E L E M E N T S"
-_REFUSED = dict.fromkeys(
+_REFUSED: dict[str, str] = dict.fromkeys(
     ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM"),
     "nodes and elements that the solver generates or moves are not read; write them out",
 )

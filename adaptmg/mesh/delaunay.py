@@ -101,7 +101,7 @@ def _inside(
     joined = across >= 0
     starts = np.append(0, np.cumsum(joined.sum(axis=1)))
     graph = sparse.csr_array(
-        (np.ones(starts[-1]), across[joined], starts), shape=(len(elements),) * 2
+        (np.ones(starts[-1]), across[joined], starts), shape=(len(elements), len(elements))
     )
     n_parts, part = connected_components(graph, directed=False)
     inside = np.zeros(n_parts, dtype=bool)

@@ -46,10 +46,10 @@ from adaptmg.mesh.sizes import (
 )
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.step import step_solids
-from adaptmg.mesh.structured import body_centred, boundaries_of, merged, per_body
+from adaptmg.mesh.structured import body_centred, boundaries_of, merged, of_one_body, per_body
 from adaptmg.mesh.triangulate import triangulated
 from adaptmg.problem.combined_domains import Assembly
-from adaptmg.problem.plane_domains import Box, Domain
+from adaptmg.problem.plane_domains import Box, Domain, Outline
 from adaptmg.problem.solid_domains import SolidDomain, StepFile
 
 _LOG = logging.getLogger(__name__)
@@ -119,46 +119,31 @@ def graded(
     >>> mesh.dim
     2
     """
-    domain = in_edges(domain)
+    shape = _meshed(domain)
     names = checks.items("contact_boundaries", contact_boundaries, str, "names of boundaries")
-    parts = parts_of(domain)
-    choices = [
-        f"{body}.{name}" for body, part in parts.items() for name in part.boundaries
-    ] or domain.boundaries
     for name in names:
-        if name not in choices:
+        if name not in shape.boundaries:
             raise ValueError(
                 f"contact_boundaries: boundary {name!r} does not exist; "
-                f"the boundaries are {', '.join(dict.fromkeys(choices))}"
+                f"the boundaries are {', '.join(dict.fromkeys(shape.boundaries))}"
             )
-    if parts:
-        sizes, ratios, gradings = (
-            per_body(what, value, list(parts))
-            for what, value in (
-                ("size", size),
-                ("contact_ratio", contact_ratio),
-                ("grading", grading),
-            )
-        )
-        mine = {body: boundaries_of(body, names) for body in parts}
-        if names and not isinstance(contact_ratio, Mapping):
-            ratios = {body: ratio if mine[body] else 1.0 for body, ratio in ratios.items()}
-        return swept(
-            merged(
-                {
-                    body: graded(
-                        part, sizes[body], mine[body], ratios[body], gradings[body], mesher=mesher
-                    )
-                    for body, part in parts.items()
-                }
-            )
-        )
+    if isinstance(shape, Assembly):
+        sizes = per_body("size", size, shape.bodies)
+        ratios = per_body("contact_ratio", contact_ratio, shape.bodies)
+        gradings = per_body("grading", grading, shape.bodies)
+        meshes = {}
+        for body, part in shape.parts.items():
+            near = boundaries_of(body, names)
+            fine = near or not names or isinstance(contact_ratio, Mapping)
+            ratio = ratios[body] if fine else 1.0
+            meshes[body] = graded(part, sizes[body], near, ratio, gradings[body], mesher=mesher)
+        return swept(merged(meshes))
     size = checks.positive("size", size)
     ratio = _ratio(contact_ratio)
     if ratio > 1 and not names:
         raise ValueError(f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty")
     return _graded_body(
-        domain,
+        shape,
         size,
         names if ratio > 1 else (),
         size / ratio,
@@ -167,18 +152,14 @@ def graded(
     )
 
 
-def parts_of(domain: Domain) -> Mapping[str, Domain]:
-    """Return the bodies of an assembly or of a STEP file by their names, none of another domain."""
-    return (
-        domain.parts
-        if isinstance(domain, Assembly)
-        else step_solids(domain)
-        if isinstance(domain, StepFile)
-        else {}
-    )
+def _meshed(domain: Domain) -> Outline | Box | SolidDomain | Assembly:
+    """Return a domain as it is meshed: a plane one in edges, a STEP file as the assembly of its
+    solids."""
+    shape = in_edges(domain)
+    return Assembly(parts=step_solids(shape)) if isinstance(shape, StepFile) else shape
 
 
-def _ratio(value: float) -> float:
+def _ratio(value: object) -> float:
     ratio = checks.number("contact_ratio", value)
     if not ratio >= 1:
         raise ValueError(
@@ -188,7 +169,12 @@ def _ratio(value: float) -> float:
 
 
 def _graded_body(
-    domain: Domain, size: float, names: tuple[str, ...], near: float, grading: float, mesher: str
+    domain: Outline | Box | SolidDomain,
+    size: float,
+    names: tuple[str, ...],
+    near: float,
+    grading: float,
+    mesher: str,
 ) -> MeshArrays:
     """See :func:`graded`; one body, checked arguments, and the size along the boundaries."""
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
@@ -214,7 +200,7 @@ def _graded_body(
     return plane_mesh(domain, field, size, near, names, grading, 1 if names else 0)
 
 
-def _own(domain: Domain, field: SizeField, growth: float | None = None) -> MeshArrays | None:
+def _own(domain: Outline | Box, field: SizeField, growth: float | None = None) -> MeshArrays | None:
     """The mesh of a plane domain or a box, None if triangulation fails."""
     try:
         if isinstance(domain, Box):
@@ -286,49 +272,46 @@ def sized(
     >>> mesh.n_nodes > 10
     True
     """
-    domain = in_edges(domain)
-    if parts := parts_of(domain):
-        fields, limits = (
-            per_body(what, value, list(parts))
-            for what, value in (("size_function", size_function), ("max_size", max_size))
-        )
+    shape = _meshed(domain)
+    if isinstance(shape, Assembly):
+        fields = per_body("size_function", size_function, shape.bodies)
+        limits = per_body("max_size", max_size, shape.bodies)
         return swept(
             merged(
                 {
                     body: sized(part, fields[body], limits[body], grading=grading, mesher=mesher)
-                    for body, part in parts.items()
+                    for body, part in shape.parts.items()
                 }
             )
         )
-    max_size = checks.positive("max_size", max_size)
+    function = of_one_body("size_function", size_function)
+    largest = checks.positive("max_size", max_size)
     mesher = checks.choice("mesher", mesher, MESHERS)
     grading = growth(grading)
-    if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
-        return solid_mesh(
-            domain, SolidSizes(max_size, grading=grading, function=size_function), mesher
-        )
+    solid = SolidSizes(largest, grading=grading, function=function)
+    if isinstance(shape, SolidDomain) or (isinstance(shape, Box) and mesher == "netgen"):
+        return solid_mesh(shape, solid, mesher)
 
     def limited(x: np.ndarray) -> np.ndarray:
-        return np.minimum(sizes_at(size_function, x), max_size)
+        return np.minimum(sizes_at(function, x), largest)
 
     if mesher == "own":
-        if domain.dim == 2:
-            refuse_too_many(guessed_nodes(2, domain.area, max_size), domain)
+        if isinstance(shape, Outline):
+            refuse_too_many(guessed_nodes(2, shape.area, largest), shape)
             # a look at the field shows whether it asks for too much
-            look = max(max_size, float((domain.upper - domain.lower).max()) / 16)
-            if (coarse := _own(domain, lambda x: np.full(len(x), look))) is not None:
-                refuse_too_many(expected_nodes(coarse, too_large(coarse, limited)[1]), domain)
-        if (mesh := _own(domain, limited, grading)) is not None:
+            look = max(largest, float((shape.upper - shape.lower).max()) / 16)
+            if (coarse := _own(shape, lambda x: np.full(len(x), look))) is not None:
+                refuse_too_many(expected_nodes(coarse, too_large(coarse, limited)[1]), shape)
+        if (mesh := _own(shape, limited, grading)) is not None:
             return mesh
-    if isinstance(domain, Box):
-        solid = SolidSizes(max_size, grading=grading, function=size_function)
-        return solid_mesh(domain, solid, "netgen")
-    return plane_mesh(domain, limited, max_size, None, (), grading, 2)
+    if isinstance(shape, Box):
+        return solid_mesh(shape, solid, "netgen")
+    return plane_mesh(shape, limited, largest, None, (), grading, 2)
 
 
 def gradings_of(
     sizes: Sequence[float | Mapping[str, float]], coarsest: float
-) -> list[float | dict[str, float]]:
+) -> Sequence[float | dict[str, float]]:
     """Return the gradings of levels, coarse to fine, which make their size fields multiples of the
     first."""
     checks.positive("grading", coarsest)
@@ -337,11 +320,10 @@ def gradings_of(
         # levels whose sizes rise are refused once they are meshed
         return coarsest * min(checks.positive("size", size) / checks.positive("size", first), 1.0)
 
-    bodies = next((tuple(size) for size in sizes if isinstance(size, Mapping)), None)
-    if bodies is None:
-        return [of(size, sizes[0]) for size in sizes]
+    bodies = next((tuple(size) for size in sizes if isinstance(size, Mapping)), ("",))
     tables = [per_body("size", size, bodies) for size in sizes]
-    return [{body: of(table[body], tables[0][body]) for body in bodies} for table in tables]
+    gradings = [{body: of(table[body], tables[0][body]) for body in bodies} for table in tables]
+    return gradings if bodies != ("",) else [table[""] for table in gradings]
 
 
 def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[float, ...], float]:
@@ -357,9 +339,9 @@ def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[flo
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
     """Return the area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of
     each boundary."""
-    domain = in_edges(domain)
-    if parts := parts_of(domain):
-        apart = {body: measures(part) for body, part in parts.items()}
+    shape = _meshed(domain)
+    if isinstance(shape, Assembly):
+        apart = {body: measures(part) for body, part in shape.parts.items()}
         return (
             [volume for volumes, _ in apart.values() for volume in volumes],
             {
@@ -368,9 +350,9 @@ def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
                 for name, length in lengths.items()
             },
         )
-    if domain.dim == 2:
-        area, lengths = boundary_measures(domain)
+    if isinstance(shape, Outline):
+        area, lengths = boundary_measures(shape)
         return [area], lengths
     with netgen() as worker:
-        shape = built_shape(worker, domain)
-    return [shape.volume * shape.scale**3], {}
+        solid = built_shape(worker, shape)
+    return [solid.volume * solid.scale**3], {}

@@ -10,6 +10,7 @@ other: it starts in 0.4 s, which loading NGSolve here would take as well, and st
 from __future__ import annotations
 
 import atexit
+import io
 import os
 import pickle
 import subprocess
@@ -20,6 +21,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from adaptmg import _checks as checks
 
 #: by dimension, seconds of the processor: for the shape, and for each node (twenty times in 2D, five
 #: times in 3D what Netgen takes)
@@ -66,6 +69,8 @@ class Netgen:
             stderr=subprocess.DEVNULL,
             env=environment,
         )
+        self.requests = checks.instance("stdin", self.process.stdin, io.BufferedWriter)
+        self.answers = checks.instance("stdout", self.process.stdout, io.BufferedReader)
 
     @property
     def alive(self) -> bool:
@@ -91,9 +96,9 @@ class Netgen:
 
         threading.Thread(target=watch, daemon=True).start()
         try:
-            pickle.dump((function, arguments), self.process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
-            self.process.stdin.flush()
-            well, answer = pickle.load(self.process.stdout)
+            pickle.dump((function, arguments), self.requests, protocol=pickle.HIGHEST_PROTOCOL)
+            self.requests.flush()
+            well, answer = pickle.load(self.answers)
         except (EOFError, OSError, pickle.UnpicklingError):
             self.end()
             if late.is_set():
@@ -123,7 +128,7 @@ class Netgen:
     def end(self) -> None:
         """Kill the process."""
         self.process.kill()
-        for pipe in (self.process.stdin, self.process.stdout):
+        for pipe in (self.requests, self.answers):
             with suppress(OSError):
                 pipe.close()
         self.process.wait()

@@ -25,6 +25,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -336,10 +337,10 @@ class Shape:
     cracks: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
-def built_shape(worker: Netgen, domain: SolidDomain | Box | StepSolid) -> Shape:
+def built_shape(worker: Netgen, domain: SolidDomain | Box) -> Shape:
     """Build the OCC solid of a domain."""
     if isinstance(domain, StepSolid):
-        path = domain.file.path
+        path = Path(domain.file.path)
         unit = domain.file.unit
         try:
             (_, *tables), lower, scale = worker(
@@ -347,11 +348,13 @@ def built_shape(worker: Netgen, domain: SolidDomain | Box | StepSolid) -> Shape:
             )
         except NetgenFails as error:
             raise ValueError(f"{str(path)!r} cannot be read as a STEP file: {error}") from error
-        return Shape(list(domain.faces), *tables, unit * lower, unit * scale)
+        return Shape(list(domain.faces), *tables, lower=unit * lower, scale=unit * scale)
     lower, scale = extent(domain)
     try:
         shape = Shape(
-            *worker("build_shape", domain, lower, scale, seconds=limit_s(0, 3)), lower, scale
+            *worker("build_shape", domain, lower, scale, seconds=limit_s(0, 3)),
+            lower=lower,
+            scale=scale,
         )
     except NetgenFails as error:
         raise ValueError(
@@ -373,9 +376,7 @@ def built_shape(worker: Netgen, domain: SolidDomain | Box | StepSolid) -> Shape:
     )
 
 
-def solid_mesh(
-    domain: SolidDomain | Box | StepSolid, sizes: SolidSizes, mesher: str = "own"
-) -> MeshArrays:
+def solid_mesh(domain: SolidDomain | Box, sizes: SolidSizes, mesher: str = "own") -> MeshArrays:
     """Mesh a solid with straight tetrahedra: one body, with the boundaries of the domain of which a
     face is left. Plane faces normal to an axis have all nodes at the same coordinate, which is
     exact up to 14 digits; nodes of curved faces lie on them within 1e-7 of the extent (on the
@@ -399,7 +400,9 @@ def solid_mesh(
     return swept(trusted(replace(mesh, facet_labels=labels, boundaries=order), mesh.sound))
 
 
-def _at_rest(domain: Domain) -> tuple[Domain, np.ndarray, np.ndarray]:
+def _at_rest(
+    domain: SolidDomain | Box,
+) -> tuple[SolidDomain | Box, np.ndarray, np.ndarray]:
     """The solid along its own axes, and the rotation and shift from there. Netgen cuts space along
     the axes: of slim bars that lie obliquely its elements have a tenth of the angles."""
     if isinstance(domain, Moved):
@@ -442,7 +445,7 @@ def _unit_mesh(
     drafts = [
         (factor, 1.0) for factor in _FACTORS if surfaces is not None and nodes > _LEAST * factor**3
     ]
-    why: Exception | None = None
+    why: Exception = NetgenFails("it was not asked")
     best: MeshArrays | None = None
     for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
         try:

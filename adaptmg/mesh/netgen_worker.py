@@ -3,6 +3,8 @@
 :mod:`adaptmg.mesh.netgen_guard` runs this file as a script, without the package ``adaptmg.mesh``, so that neither numba
 nor scipy is loaded. A request is the name of a function and its arguments; a shape or mesh stays
 for the next request."""
+# Netgen and OCC are compiled without type information
+# pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
 
@@ -30,11 +32,15 @@ from netgen.occ import Dir, Face, OCCGeometry, Pnt, Solid, TopoDS_Shape, Vec, X,
 
 from adaptmg._machine import limit_memory, memory
 from adaptmg.problem.combined_domains import Combination, Common, Cracked, Cut
-from adaptmg.problem.plane_domains import Box, Outline
+from adaptmg.problem.plane_domains import Box, Domain, Outline
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, SolidDomain
 
 if TYPE_CHECKING:
     import meshio
+    import ngsolve
+    from numpy.typing import ArrayLike
+
+    from adaptmg.mesh.arrays import MeshArrays
 
 Tables = tuple[
     np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]
@@ -99,13 +105,47 @@ def tables(
         facets, label = _cut(surface)
         faces = np.array([face.bc for face in mesh.FaceDescriptors()], dtype=np.int64) - 1
         label = faces[_indices("the face descriptor", label, len(faces))]
-    if boundaries is None:
+    if boundaries is None or bodies is None:
         # a number far beyond the elements is a damaged one
         boundaries = [mesh.GetBCName(i).strip() for i in range(min(label.max() + 1, len(label)))]
         bodies = [mesh.GetMaterial(i + 1).strip() for i in range(min(body.max() + 1, len(body)))]
     _indices("the boundary number", label, len(boundaries))
     _indices("the material number", body, len(bodies))
     return points, elements, facets, label, boundaries, body, bodies
+
+
+def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
+    """Return the mesh for NGSolve, with the same numbers of nodes, elements and facets; bodies
+    become materials. It has no geometry, so that it stays straight when it is refined."""
+    import ngsolve
+
+    elements = mesh.elements
+    dim = mesh.dim
+    result = netgen.meshing.Mesh(dim=dim)
+    result.AddPoints(np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - dim)))))
+    for i in range(len(mesh.bodies if dim == 2 else mesh.boundaries)):
+        result.Add(
+            netgen.meshing.FaceDescriptor(
+                surfnr=i + 1, domin=i + 1 if dim == 2 else 1, domout=0, bc=i + 1
+            )
+        )
+    for i, name in enumerate(mesh.bodies):
+        result.SetMaterial(i + 1, name)
+    if dim == 3:
+        # Netgen counts the other orientation of tetrahedra as positive
+        elements = np.ascontiguousarray(elements[:, [0, 1, 3, 2]])
+    result.AddElements(dim=dim, index=1, data=elements, base=0)
+    result.AddElements(dim=dim - 1, index=1, data=mesh.facets, base=0)
+    volume, surface = (
+        (result.Elements2D(), result.Elements1D())
+        if dim == 2
+        else (result.Elements3D(), result.Elements2D())
+    )
+    volume.NumPy()["index"] = mesh.element_body + 1
+    surface.NumPy()["index"] = mesh.facet_labels + 1
+    for i, name in enumerate(mesh.boundaries):
+        result.SetBCName(i, name)
+    return ngsolve.Mesh(result)
 
 
 def _cut(table: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -420,8 +460,8 @@ def _samples(face: Face) -> np.ndarray:
     return np.concatenate([found[:, :, 0], normals], axis=2)
 
 
-def _shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> TopoDS_Shape:
-    def place(p: np.ndarray) -> Pnt:
+def _shape(domain: Domain, origin: np.ndarray, scale: float) -> TopoDS_Shape:
+    def place(p: ArrayLike) -> Pnt:
         return Pnt(*((np.asarray(p, dtype=np.float64) - origin) / scale))
 
     if isinstance(domain, Combination):

@@ -66,11 +66,12 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     if all(surface.plane for own in known.values() for surface in own):
         return mesh
     sides = [(own, *_new_nodes(mesh, name, n_old)) for name, own in known.items()]
-    depth = _depth(mesh.refinement.parents, n_old)
+    parents = mesh.refinement.parents
+    depth = _depth(parents, n_old)
     stays = np.zeros(mesh.n_nodes, dtype=bool)
     near = None
     for _ in range(_MAX_TRIES):
-        points = _moved(mesh, sides, depth, stays, n_old)
+        points = _moved(mesh, parents, sides, depth, stays, n_old)
         moved = (points != mesh.points).any(axis=1)
         if near is None:
             near = np.flatnonzero(moved[mesh.elements].any(axis=1))
@@ -111,12 +112,16 @@ def _depth(parents: np.ndarray, n_old: int) -> np.ndarray:
 
 
 def _moved(
-    mesh: MeshArrays, sides: list, depth: np.ndarray, stays: np.ndarray, n_old: int
+    mesh: MeshArrays,
+    parents: np.ndarray,
+    sides: list,
+    depth: np.ndarray,
+    stays: np.ndarray,
+    n_old: int,
 ) -> np.ndarray:
     """The points, each new node after its parents: on the surfaces of the one or two boundaries that
     it lies on."""
     points = mesh.points.copy()
-    parents = mesh.refinement.parents
     surfaces = [one for own, *_ in sides for one in own]
     near = _ROUNDING * float(np.ptp(points, axis=0).max())
     for level in range(1, int(depth.max()) + 1):

@@ -12,7 +12,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
@@ -74,7 +74,7 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     return from_file(_file("mesh", mesh))
 
 
-def _is_ngsolve(mesh: object) -> bool:
+def _is_ngsolve(mesh: object) -> TypeGuard[ngsolve.Mesh]:
     """Return whether it is an ngsolve.Mesh; NGSolve is not loaded for the question."""
     module = sys.modules.get("ngsolve")
     return module is not None and isinstance(mesh, module.Mesh)

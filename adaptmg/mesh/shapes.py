@@ -142,20 +142,27 @@ def facets_of(kind: str) -> tuple[tuple[str, Corners], ...]:
     for corners in FACETS[KINDS[kind][0]]:
         k = len(corners)
         ring = list(zip(corners, corners[1:] + corners[:1], strict=True))[: 1 if k == 2 else k]
-        between = [_middle(kind, *edge) for edge in ring] + [_middle(kind, *corners)] * (k == 4)
-        local = (*corners, *(node for node in between if node is not None))
+        local = (*corners, *(node for edge in ring for node in _between(kind, *edge)))
+        if k == 4:
+            local += _between(kind, *corners)
         result.append((kind_of({2: "line", 3: "triangle", 4: "quad"}[k], len(local)), local))
     return tuple(result)
 
 
-def _middle(kind: str, *corners: int) -> int | None:
-    """The node halfway between corners of an edge, a diagonal, or a face; None if there is none."""
-    found = [
+def _between(kind: str, *corners: int) -> Corners:
+    """Return the node halfway between corners of an edge, a diagonal or a face, if the kind has
+    one."""
+    nodes = [
         _CORNERS[KINDS[kind][0]] + i
         for i, ends in enumerate(middles(kind))
         if set(corners) <= set(ends)
     ]
-    return corners[0] if len(set(corners)) == 1 else found[0] if found else None
+    return tuple(nodes[:1])
+
+
+def _middle(kind: str, first: int, second: int) -> int:
+    """Return the node halfway between two corners, which is there, or the only one."""
+    return first if first == second else _between(kind, first, second)[0]
 
 
 Parts = list[tuple[tuple[Corners, ...], Corners]]

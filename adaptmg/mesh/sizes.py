@@ -58,7 +58,11 @@ BOX_SIDES = {
 }
 
 
-def in_edges(domain: Domain) -> Domain:
+#: domains as they are meshed: plane ones in edges
+MeshedDomain = Outline | Box | SolidDomain | Assembly | StepFile
+
+
+def in_edges(domain: Domain) -> MeshedDomain:
     """Return a plane domain as the outline that is meshed; every other domain itself; TypeError for
     what is none."""
     if isinstance(domain, Box | StepFile | Assembly) or (
@@ -78,17 +82,18 @@ def distance_to_boundaries(
 ) -> np.ndarray:
     """Return the distance of points to the nearest of some boundaries of a plane domain or a
     box."""
-    domain = in_edges(domain)
-    distance = np.full(len(points), np.inf)
-    for i, name in enumerate(domain.boundaries):
-        if name in boundaries and isinstance(domain, Box):
-            axis, end = BOX_SIDES[name]
-            distance = np.minimum(
-                distance, np.abs(points[:, axis] - (domain.lower, domain.upper)[end][axis])
-            )
-        elif name in boundaries:
-            distance = np.minimum(distance, domain.edge(i).distance(points))
-    return distance
+    if isinstance(domain, Box):
+        sides = [BOX_SIDES[name] for name in boundaries]
+        corners = (domain.lower, domain.upper)
+        distances = [np.abs(points[:, axis] - corners[end][axis]) for axis, end in sides]
+    else:
+        outline = domain.outline
+        distances = [
+            outline.edge(i).distance(points)
+            for i, name in enumerate(outline.boundaries)
+            if name in boundaries
+        ]
+    return np.min(distances, axis=0, initial=np.inf)
 
 
 def extent(domain: Domain) -> tuple[np.ndarray, float]:
@@ -109,7 +114,7 @@ def boundary_measures(domain: Outline | Box) -> tuple[float, dict[str, float]]:
     return domain.area, result
 
 
-def growth(value: float) -> float:
+def growth(value: object) -> float:
     """Return a checked grading."""
     grading = checks.positive("grading", value)
     if not grading <= 1:

@@ -58,7 +58,7 @@ def opened(
         for cell in (table.first, table.second)
     )
     part = connected_components(
-        sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(cells.size,) * 2)
+        sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(cells.size, cells.size))
     )[1]
     node = cells.ravel()
     pairs, number = np.unique(

@@ -50,7 +50,7 @@ _NONE = np.empty((0, 3, 3))
 
 def step_solids(domain: StepFile) -> dict[str, StepSolid]:
     """Return the chosen solids of a file by their names."""
-    path = domain.path
+    path = Path(domain.path)
     checks.fits("path", _BYTES_PER_BYTE * file_size("path", path), f"reading {str(path)!r}")
     if path.suffix.lower() not in (".step", ".stp"):
         raise ValueError(f"path: {str(path)!r} is not a .step or .stp file")
@@ -72,7 +72,10 @@ def step_solids(domain: StepFile) -> dict[str, StepSolid]:
     for name in (*named, *(name for own in faces for name in own)):
         checks.boundary_name(f"a name in {str(path)!r}", name)
     contents = _renamed(domain, _distinct(named), faces)
-    chosen = range(len(named)) if domain.solids is None else _chosen(domain, named, list(contents))
+    entries = domain.solids
+    chosen = (
+        range(len(named)) if entries is None else _chosen(domain, entries, named, list(contents))
+    )
     bodies = list(contents.items())
     return {bodies[k][0]: StepSolid(domain, k, bodies[k][1]) for k in chosen}
 
@@ -81,11 +84,13 @@ def _plain(name: str) -> str:
     return name.replace(".", "_")
 
 
-def _chosen(domain: StepFile, named: Sequence[str], bodies: Sequence[str]) -> list[int]:
+def _chosen(
+    domain: StepFile, entries: Sequence[str], named: Sequence[str], bodies: Sequence[str]
+) -> list[int]:
     """The numbers of the solids that a domain chooses, by their names in the file or those of its
     bodies."""
     chosen: list[int] = []
-    for entry in domain.solids:
+    for entry in entries:
         same = [k for k, name in enumerate(named) if name == _plain(entry)]
         same = same or [k for k, name in enumerate(bodies) if name == _plain(entry)]
         base, _, number = entry.rpartition(".")
@@ -352,7 +357,7 @@ def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: floa
     # corners lie on round faces, centroids of their triangles do not; plane faces may have all
     # corners on their rims
     places = face.triangles.mean(axis=1)[:, None] if face.kind == "plane" else face.triangles
-    path = solid.file.path
+    path = Path(solid.file.path)
     unit = solid.file.unit
     try:
         near = worker(

@@ -95,9 +95,7 @@ def _parts(
             "structured grids are made of a Rectangle or a Box, or an Assembly of them, got "
             f"{checks.described(domain)}; graded meshes other domains (Hierarchy.graded)"
         )
-    if isinstance(divisions, Mapping):
-        raise TypeError(f"divisions may name bodies for an Assembly only, got {divisions!r}")
-    return {"": (domain, _divisions(divisions, domain.dim))}
+    return {"": (domain, _divisions(of_one_body("divisions", divisions), domain.dim))}
 
 
 #: sides of cells over each other from which cycles are many: bar and block take 8 and 10 with 1 : 1, 12 and 14 with 2,
@@ -148,7 +146,10 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
     corners = np.arange(np.prod(shape + 1)).reshape(shape + 1)
     centres = corners.size + np.arange(np.prod(shape)).reshape(shape)
     places = np.concatenate(
-        [np.indices(shape + 1).reshape(3, -1).T, np.indices(shape).reshape(3, -1).T + 0.5]
+        [
+            np.indices(corners.shape).reshape(3, -1).T,
+            np.indices(centres.shape).reshape(3, -1).T + 0.5,
+        ]
     )
     elements = []
     facets = {}
@@ -167,7 +168,7 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
         ]
         for end in (0, -1):
             halves = [
-                np.stack(around[[0, k, k + 1], ..., end], axis=-1).reshape(-1, 3) for k in (1, 2)
+                np.moveaxis(around[[0, k, k + 1], ..., end], 0, -1).reshape(-1, 3) for k in (1, 2)
             ]
             elements += [np.column_stack([half, centre[..., end].ravel()]) for half in halves]
             facets[axis, -end] = np.concatenate(halves)
@@ -220,17 +221,15 @@ def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
     """One number of cells for each axis."""
-    if (
-        isinstance(divisions, str)
-        or not hasattr(divisions, "__len__")
-        or getattr(divisions, "shape", None) == ()
-    ):
-        divisions = (divisions,) * dim
-    if len(divisions) != dim:
+    several = not isinstance(divisions, str) and getattr(divisions, "shape", None) != ()
+    numbers = (
+        tuple(divisions) if several and isinstance(divisions, Iterable) else (divisions,) * dim
+    )
+    if len(numbers) != dim:
         raise ValueError(
             f"divisions must be one integer or {dim} of them, got {checks.shown(divisions)}"
         )
-    counts = tuple(checks.integer("divisions", n, 1, 2**31) for n in divisions)
+    counts = tuple(checks.integer("divisions", n, 1, 2**31) for n in numbers)
     nodes = math.prod(n + 1 for n in counts)
     if nodes > MOST_NODES[dim]:
         raise ValueError(
@@ -356,6 +355,13 @@ def per_body(
             f"{name} names {', '.join(map(repr, value))}"
         )
     return {body: value[body] for body in bodies}
+
+
+def of_one_body(name: str, value: Value | Mapping[str, Value]) -> Value:
+    """Return an argument that names no bodies; TypeError otherwise."""
+    if isinstance(value, Mapping):
+        raise TypeError(f"{name} may name bodies for an Assembly only, got {value!r}")
+    return value
 
 
 def boundaries_of(body: str, names: Sequence[str]) -> tuple[str, ...]:

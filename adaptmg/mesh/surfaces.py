@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg.mesh.arrays import MeshArrays, Surface, pair_keys, trusted
 from adaptmg.mesh.soundness import least_angle
@@ -109,12 +110,12 @@ class Revolved:
         return np.where(hit, far, 0.0)
 
 
-def plane_through(point: Sequence[float], normal: Sequence[float]) -> Revolved:
+def plane_through(point: ArrayLike, normal: ArrayLike) -> Revolved:
     """Return the plane through a point that is normal to a unit vector."""
     return Revolved(np.array(point), np.array(normal), np.array([0.0, 1.0]), 0.0, True)
 
 
-def round_about(origin: Sequence[float], axis: Sequence[float], radius: float) -> Revolved:
+def round_about(origin: ArrayLike, axis: ArrayLike, radius: float) -> Revolved:
     """Return the cylinder of a radius about a unit vector as axis."""
     return Revolved(np.array(origin), np.array(axis), np.array([1.0, 0.0]), radius, True)
 

@@ -8,7 +8,7 @@ import numpy as np
 from hostile_table import Hostile, each, labelled
 
 import adaptmg as am
-from adaptmg.mesh.arrays import ngsolve_mesh
+from adaptmg.mesh.netgen_worker import ngsolve_mesh
 
 SQUARE = am.mesh.structured(am.Rectangle(width=1, height=1), 3)
 CUBE = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
