@@ -55,6 +55,43 @@ def test_steps_are_few_and_fewer_from_coarser_grids(friction, most):
     assert {level for level, _, _ in cold.path} == {3}
 
 
+def test_band_round_a_drum_slips_as_the_belt_equation_has_it():
+    # pulled at both ends it slips towards each of them, from a point where friction turns round
+    friction = 0.2
+    thickness = 0.01
+    pulls = np.array([1.0, 1.8]) * 1e6
+    angle = np.random.default_rng(5).uniform(0, 2 * np.pi)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    away = np.array([-along[1], along[0]])
+    outer = 1 + thickness
+    band = am.Outline(
+        vertices=tuple(
+            tuple(map(float, x))
+            for x in (outer * along, outer * away, -outer * along, -along, away, along)
+        ),
+        boundaries=("outer", "outer", "low", "inner", "inner", "high"),
+        arcs=dict.fromkeys((0, 1, 3, 4), (0.0, 0.0)),
+    )
+    problem = am.ContactProblem(
+        domain=band,
+        contact=am.Contact("inner", am.GapFunction(lambda x: np.zeros(len(x)))),
+        law=am.Coulomb(friction),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        loads=tuple(
+            am.Traction(end, tuple(-pull * away))
+            for end, pull in zip(("low", "high"), pulls, strict=True)
+        ),
+    )
+    band_grids = am.Hierarchy.graded(problem, (thickness, 0.75 * thickness), contact_ratio=1)
+    ends = pulls * thickness
+    least = np.sqrt(ends.prod()) * np.exp(-friction * np.pi / 2)
+    expected = (ends.sum() - 2 * least) / friction
+    for solver, cycles in ((None, 60), (am.ActiveSet(), 30)):
+        result = am.solve(band_grids, solver)
+        assert result.cycles <= cycles
+        assert result.contact.force_n.sum() == pytest.approx(expected, rel=2e-3)
+
+
 def test_work_of_direct_steps_is_a_residual_each():
     result = am.solve(grids("bar, friction 1"), am.ActiveSet(start="held"))
     assert result.work_units == pytest.approx(result.cycles + 1) and result.timings["factorise"] > 0
