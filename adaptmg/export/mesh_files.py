@@ -27,6 +27,7 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder, read_bytes, waiting_folder, write_bytes
@@ -91,7 +92,10 @@ def _gmsh(mesh: MeshArrays, points: np.ndarray) -> bytes:
 
     dim = mesh.dim
     solid, face = (("triangle", "line"), ("tetra", "triangle"))[dim - 2]
-    tags = [mesh.element_body.astype(np.int32) + 1, mesh.facet_labels.astype(np.int32) + 1]
+    tags: list[ArrayLike] = [
+        mesh.element_body.astype(np.int32) + 1,
+        mesh.facet_labels.astype(np.int32) + 1,
+    ]
     names = {name: np.array([k + 1, dim - 1]) for k, name in enumerate(mesh.boundaries)}
     if common := sorted(set(names).intersection(mesh.bodies)):
         raise ValueError(f"a boundary and a body are both called {', '.join(common)}: rename one")
@@ -179,14 +183,14 @@ def vtk_series(
     results = checks.items("results", results, Result)
     if not results:
         raise ValueError("results is empty: a series needs at least one step")
-    times = np.arange(len(results), dtype=float) if times is None else checks.vector("times", times)
-    if len(times) != len(results):
+    moments = np.arange(len(results)) if times is None else checks.vector("times", times)
+    if len(moments) != len(results):
         raise ValueError(
-            f"times must have one value a result: {len(results)} results, {len(times)} times"
+            f"times must have one value a result: {len(results)} results, {len(moments)} times"
         )
-    if (np.diff(times) <= 0).any():
+    if (np.diff(moments) <= 0).any():
         raise ValueError(
-            f"times must increase strictly, got {times.tolist()}: give pseudo-times, or leave times out"
+            f"times must increase strictly, got {moments.tolist()}: give pseudo-times, or leave times out"
         )
     target = checks.file_path("path", path)
     if target.suffix != ".pvd":
@@ -207,7 +211,7 @@ def vtk_series(
             _write(result, waiting / name)
         for name in names:
             os.replace(waiting / name, target.parent / name)
-    write_bytes(target, _collection(names, times))
+    write_bytes(target, _collection(names, moments))
     for name in set(listed).difference(names):
         (target.parent / name).unlink(missing_ok=True)
     return target
@@ -235,20 +239,21 @@ def _write(result: Result, path: Path) -> None:
     import meshio
 
     mesh = checks.instance("result", result, Result).mesh
-    cells = {"body": [mesh.element_body]}
+    cells: dict[str, list[ArrayLike]] = {"body": [mesh.element_body]}
     if result.stress_data is not None:
         cells |= {"stress": [result.stress()], "von_mises": [result.von_mises()]}
-    points = {
+    points: dict[str, ArrayLike] = {
         "displacement": _three(result.displacement),
         "reaction": _three(result.reaction),
-    } | _contact_data(result)
+        **_contact_data(result),
+    }
     raw = meshio.Mesh(
         _three(mesh.points),
         [("triangle" if mesh.dim == 2 else "tetra", mesh.elements)],
         points,
         cells,
     )
-    meshio.vtu.write(path, raw, compression=None, header_type="UInt64")
+    meshio.write(path, raw, "vtu", compression=None, header_type="UInt64")
 
 
 def _contact_data(result: Result) -> dict[str, np.ndarray]:

@@ -119,7 +119,7 @@ def columns_of(
 ) -> list[Column]:
     """Return the columns of a table; ValueError where units or formats name others."""
     return [
-        Column(*worded(name, (units or {}).get(name)), numeric(column), texts)
+        Column(*worded(str(name), (units or {}).get(str(name))), numeric(column), texts)
         for (name, column), texts in zip(
             frame.items(), cells(frame, units, formats)[1], strict=True
         )
@@ -356,9 +356,12 @@ class Report:
         :func:`adaptmg.export.report.picture_of` is taken unchanged.
         """
         parts = self._sections[-1].parts
-        if not parts or parts[-1][0] != "pictures":
-            parts.append(("pictures", []))
-        parts[-1][1].append(picture_of(figure, caption))
+        picture = picture_of(figure, caption)
+        pictures = parts[-1][1] if parts else None
+        if isinstance(pictures, list):
+            pictures.append(picture)
+        else:
+            parts.append(("pictures", [picture]))
 
     def made(self, **facts: str) -> None:
         """Add facts on the origin of the page (seeds, command) next to versions, machine and
@@ -471,7 +474,7 @@ def study_report(
     )
     page = Report(str(table.attrs.get("study") or "Study"), f"{counted}. {summary}".strip())
 
-    def add(frame: pd.DataFrame, caption: str, **options: str | bool) -> None:
+    def add(frame: pd.DataFrame, caption: str, csv: str, open: bool = False) -> None:
         frame = frame.copy()
         for name in frame.select_dtypes(exclude="number"):
             frame[name] = pd.Series(
@@ -484,15 +487,15 @@ def study_report(
                 frame.index,
                 dtype=object,
             )
-        page.table(frame, caption, units={k: v for k, v in units.items() if k in frame}, **options)
+        known = {name: unit for name, unit in units.items() if name in frame}
+        page.table(frame, caption, units=known, csv=csv, open=open)
 
     page.section("Results")
     axis = axes_of_study(done, parameters) if len(done) else None
-    for result in drawn if axis else ():
-        page.figure(
-            curves(done, axis, result, units.get(result, ""), units.get(axis.along, "")),
-            caption(axis, result),
-        )
+    for result in map(str, drawn):
+        if axis is not None:
+            drawing = curves(done, axis, result, units.get(result, ""), units.get(axis.along, ""))
+            page.figure(drawing, caption(axis, result))
     add(table.drop(columns=error, errors="ignore"), "All runs", csv=csv, open=True)
     failed = table[table[error].fillna("").astype(str) != ""] if error in table else table.head(0)
     if len(failed):
@@ -530,9 +533,11 @@ def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None
         return None
     shared = [name for name in varied if counts[name] < len(table)]
     numeric = [name for name in shared or varied if numbers(table[name]) is not None]
-    along = max(numeric or shared or varied, key=counts.get)
+    along = max(numeric or shared or varied, key=counts.__getitem__)
     others = [name for name in varied if name != along and counts[name] <= _LINES]
-    return Axis(along, max(others, key=counts.get, default=""), bool(shared) or len(varied) == 1)
+    return Axis(
+        along, max(others, key=counts.__getitem__, default=""), bool(shared) or len(varied) == 1
+    )
 
 
 @styled
@@ -544,12 +549,12 @@ def curves(
     ax = figure.subplots()
     position = numbers(table[axis.along])
     named = position is None
-    if named:
+    if position is None:
         position = _keys(table[axis.along]).map(_name)
     data = pd.DataFrame(
         {
             "x": position.to_numpy(),
-            "y": numbers(table[result]).to_numpy(),
+            "y": table[result].astype(float).to_numpy(),
             "line": _keys(table[axis.lines]).to_numpy() if axis.lines else "",
         }
     )
@@ -566,7 +571,7 @@ def curves(
             median,
             color=color,
             linestyle="-" if joined else "",
-            label=f"{plain(worded(axis.lines)[0])} = {_name(line)}",
+            label=f"{plain(worded(axis.lines)[0])} = {_name(str(line))}",
             marker="o" if len(median) <= _MARKED else "" if joined else ".",
         )
         if len(part) > len(median) and joined:
