@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast, get_args
 
 import numpy as np
 from scipy import sparse
@@ -356,6 +356,7 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
     boundary or point the mesh does not have, a z component in 2D, two values for one dof, or
     functions with values that are not finite."""
     points = checks.instance("mesh", mesh, MeshArrays).points
+    supports = checks.items("supports", supports, get_args(AnySupport), "supports")
     surfaces = surfaces_of(mesh, (one.boundary for one in supports))
     fixed, values = held_components(points, held_by(mesh, supports, surfaces))
     return fixed.reshape(-1), values.reshape(-1)

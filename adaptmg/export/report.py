@@ -287,6 +287,8 @@ class Report:
         _text("title", title, empty=False)
         if table is not None and figure is not None:
             raise ValueError("card takes a table or a figure, not both: make two cards")
+        if table is None and not units is formats is None:
+            raise ValueError("units and formats are those of a table, and the card has none")
         self._cards.append(
             {
                 "title": title,

@@ -419,7 +419,8 @@ def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
 
 def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike:
     array = checks.real_array(value)
-    if array is None:
+    # an array may be that of no contact nodes
+    if array is None or not (array.size or isinstance(value, np.ndarray)):
         raise TypeError(
             f"{name} must be a number, a function of position or an array, got {checks.described(value)}"
         )

@@ -15,7 +15,7 @@ Friction acts on the slip relative to the obstacle, :math:`u_t - U_t`, from step
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Protocol, cast
@@ -27,9 +27,8 @@ from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name, Size, Value
 from adaptmg._text import brief
 from adaptmg.problem.laws import Law, check_law
-from adaptmg.problem.loads import Acting, point, times
+from adaptmg.problem.loads import Acting, Point, point, times
 
-Numbers = Annotated[Sequence[float], lambda name, value: tuple(checks.vector(name, value).tolist())]
 OwnLaw = Annotated[Law, check_law]
 Coordinates = Annotated[np.ndarray, point]
 _NO_ROTATION = cast("np.ndarray", 0.0)  # an array once it is checked
@@ -505,7 +504,7 @@ class Periodic(_Sides, Acting):
     master: Name
     slave: Name
     _: KW_ONLY
-    jump: Numbers | None = None
+    jump: Point | None = None
     name: Name | None = None
     _amounts = ("jump",)
 

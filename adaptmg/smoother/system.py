@@ -21,6 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import (
     DiscreteProblem,
@@ -165,6 +166,7 @@ class LocalProblem:
 def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) -> LocalProblem:
     """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs. ``system``: that
     of a problem which shares matrix, fixed dofs and contact nodes with it."""
+    checks.instance("problem", problem, DiscreteProblem)
     nodes, (frames, fixed) = problem.contact.nodes, frames_and_fixed(problem)
     load = rotate(problem.load_from_prescribed(), frames, nodes)
     load[fixed] = 0.0
@@ -173,6 +175,7 @@ def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) ->
         matrix = without_fixed(_rotated(problem.matrix, frames, nodes), fixed, copy=False)
         system = LocalSystem.from_matrix(matrix, fixed, nodes)
         turn_held(system.diagonal, system.nodes, nodal)
+    checks.instance("system", system, LocalSystem)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
 
 

@@ -223,6 +223,7 @@ class Result:
 
         Without ``problem``: what was found when the problem was solved; with it that is checked
         again, and ``bound`` bounds the energy error by a sparse factorisation."""
+        checks.flag("bound", bound)
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
             if len(self.pressures) != len(problem.volumes):

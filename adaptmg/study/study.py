@@ -277,7 +277,14 @@ class Study:
             with self._store.claims_of(owner), executor as execute:
                 runs = execute(task, self._claimed(todo, owner))
                 self._compute(runs, code, len(todo), progress, throw)
-        return self._table(code, False)
+        table = self._table(code, False)
+        done = table[table.attrs["columns"]["status"]] == "done"
+        if isinstance(cost, str) and done.any() and cost not in table:
+            raise ValueError(
+                f"cost must name a parameter or a result, got {cost!r}"
+                f"{checks.suggestion(cost, map(str, table.columns))}; the runs are stored"
+            )
+        return table
 
     def table(self, details: bool = False) -> pd.DataFrame:
         """Return the runs in the store, without computing any: one row a run in the order of the
@@ -479,11 +486,7 @@ def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
     are done."""
     if cost is None:
         return todo
-    if not (callable(cost) or isinstance(cost, str)):
-        raise TypeError(
-            f"cost must be a function of a point, or the name of a column, got {checks.described(cost)}"
-        )
-
+    checks.function_or("cost", cost, checks.boundary_name)
     stored = [record.results for _, record in todo.values() if record and record.results]
     named = {"seconds"}.union(*stored, *(point for point, _ in todo.values()))
     if stored and isinstance(cost, str) and cost not in named:

@@ -136,6 +136,8 @@ def cells(
             raise ValueError(
                 f"{what} names columns the table does not have: {unknown}; it has {names}"
             )
+        for name, text in mapping.items():
+            checks.instance(f"{what}[{name!r}]", text, str, "a text")
     headers = [
         f"{_line(name)} [{_line(units[name])}]" if units.get(name) else _line(name)
         for name in names

@@ -10,6 +10,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread, seeded
+from adaptmg.discrete.contact_nodes import checked_mask
 
 _SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
 
@@ -146,11 +147,11 @@ def without_fixed(
     """Return the matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal;
     the pattern stays."""
     dim = checks.instance("matrix", matrix, sparse.bsr_array).blocksize[0]
-    if copy:
+    if checks.flag("copy", copy):
         matrix = sparse.bsr_array(
             (matrix.data.copy(), matrix.indices, matrix.indptr), shape=matrix.shape
         )
-    free = (~fixed).astype(np.float64).reshape(-1, dim)
+    free = (~checked_mask("fixed", fixed, matrix.shape[0])).astype(np.float64).reshape(-1, dim)
     held: np.ndarray = ~np.all(free, axis=1)
     rows = np.repeat(np.arange(len(free)), np.diff(matrix.indptr))
     # few blocks are touched
@@ -177,6 +178,8 @@ def aggregated_prolongations(
     checks.integer("max_coarse", max_coarse, minimum=1)
     if near_nullspace is None:
         near_nullspace = np.tile(np.eye(dim), (matrix.shape[0] // dim, 1))
+    checks.array("near_nullspace", near_nullspace, (matrix.shape[0], None))
+    fixed = checked_mask("fixed", fixed, matrix.shape[0])
     modes = np.where(fixed[:, None], 0.0, near_nullspace)
     with one_blas_thread(), seeded():
         made = pyamg.smoothed_aggregation_solver(

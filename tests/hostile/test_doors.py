@@ -310,6 +310,10 @@ def damaged():
     return nodal
 
 
+def solved(discrete=False):
+    return grids().finest.discrete if discrete else am.solve(grids())
+
+
 def computed():
     study = am.Study(square, {"n": [1]})
     study.run(progress=False)
@@ -326,6 +330,21 @@ def computed():
         (lambda: am.discrete.stiffness(mesh(), am.PlaneStrain(**ELASTIC), "nobody"), "elements"),
         (lambda: am.Hierarchy.graded(bar(), sizes=(20e-3,), grading=True), "grading"),
         (lambda: computed().run(rerun=True, cost="nobody"), "cost must be a function, or the name"),
+        (lambda: am.Study(square, {"n": [1]}).run(progress=False, cost="nobody"), "cost must name"),
+        (lambda: am.Periodic("left", "right", jump=[]), "jump must have 2 or 3"),
+        (lambda: am.Coulomb([]), "friction must be a number"),
+        (lambda: am.Tresca([]), "limit must be a number"),
+        (lambda: am.study.as_text({"n": [1]}, units={"n": 3}), r"units\['n'\] must be a text"),
+        (lambda: am.export.Report("a", "b").card("c", units=3), "units and formats are those of"),
+        (lambda: solved().certificate(bound=None), "bound must be True or False"),
+        (lambda: am.smoother.local_system(solved(True), 3), "system must be LocalSystem"),
+        (lambda: am.discrete.fixed_dofs(mesh(), 3), "supports must be a sequence"),
+        (lambda: am.transfer.without_fixed(solved(True).matrix, [1]), "fixed must be a boolean"),
+        (
+            lambda: am.transfer.aggregated_prolongations(solved(True).matrix, None, [1], 9),
+            "fixed must be a boolean",
+        ),
+        (lambda: meshes.structured(am.Rectangle(width=1, height=1), dict), "divisions must be"),
         (lambda: computed().load({}), "row must have all parameters"),
         (lambda: am.DiscreteProblem(**posed(inclined=True)), "inclined"),
         (lambda: am.cases.get([]), "name must be a string"),
