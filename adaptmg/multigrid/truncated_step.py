@@ -167,7 +167,7 @@ class TruncatedStep:
             self._frozen = frozen
             self._uniform = []
         if not self._uniform and changed <= self.FEW:
-            self._uniform = [self._of_uniform(whole, one) for one in pressures.uniform()]
+            self._uniform = [self._of_uniform(whole, one) for one in pressures.uniform]
         return StepState(changed, residual, float(np.sqrt(reactions)), energy)
 
     def correct(self, shorten: bool = False) -> float:

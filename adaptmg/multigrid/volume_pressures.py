@@ -53,6 +53,8 @@ class VolumePressures:
             shape=volumes.rows.shape,
         )
         self.volumes = replace(volumes, rows=rows, expansion=0.0)
+        #: for each body the pressures (n_groups,) that are 1 in it
+        self.uniform = [(volumes.body == k).astype(float) for k in np.unique(volumes.body)]
         self.pose(problem)
 
     def pose(self, problem: DiscreteProblem) -> None:
@@ -70,10 +72,6 @@ class VolumePressures:
         """Return what volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed
         values."""
         return self.volumes.missed(unknowns, pressures) + self._prescribed
-
-    def uniform(self) -> list[np.ndarray]:
-        """Return for each body the pressures (n_groups,) that are 1 in it."""
-        return [(self.volumes.body == k).astype(float) for k in np.unique(self.volumes.body)]
 
     def forces_missed(self, missed: np.ndarray) -> float:
         """Return the sum of squares of the same as forces, N^2."""
