@@ -111,10 +111,8 @@ def _add(
 ) -> None:
     """Add the nodal forces of one load on ``cells`` to ``result`` (n_nodes, dim)."""
     rule, points, weights = integration(mesh.points, cells, measures, axisymmetric)
-    nodal = np.einsum(
-        "cq,qk,cqd->ckd", weights, rule, load_density(load, points, normals), optimize=True
-    )
-    np.add.at(result, cells, nodal)
+    forces = weights[:, :, None] * load_density(load, points, normals)
+    np.add.at(result, cells, rule.T @ forces)
 
 
 def check_loads(mesh: MeshArrays, loads: Sequence[Load]) -> None:

@@ -24,7 +24,7 @@ on all meshes tried)."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import sparse
@@ -74,6 +74,7 @@ class Volumes:
     expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
 
     @classmethod
+    @lru_cache(maxsize=32)  # of its levels a hierarchy asks again and again: .1 ms each
     def none(cls, n_nodes: int, dim: int) -> Volumes:
         """Return no groups, of a problem whose matrix holds the whole stiffness."""
         return cls(

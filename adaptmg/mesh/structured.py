@@ -126,8 +126,9 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
         for lower, upper, n in zip(domain.lower, domain.upper, counts, strict=True)
     ]
     cells = _cells(counts, np.arange(counts[-1]))
-    elements = _moved(_simplices(counts), cells)
-    facets, labels = _boundary(domain.boundaries, counts)
+    simplices = _simplices(counts)
+    elements = _moved(simplices, cells)
+    facets, labels = _boundary(domain.boundaries, counts, simplices)
     points = np.empty((math.prod(n + 1 for n in counts), dim))
     for k, side in enumerate(sides):
         # x fastest: the last axis goes first in the lattice
@@ -201,13 +202,15 @@ def _strides(counts: tuple[int, ...]) -> np.ndarray:
     return np.cumprod([1, *(n + 1 for n in counts[:-1])]).astype(np.int32)
 
 
-def _boundary(names: Sequence[str], counts: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _boundary(
+    names: Sequence[str], counts: tuple[int, ...], simplices: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Outward facets and their labels: side by side, along each in the order of the nodes. Those of
-    one cell are moved along the side."""
+    one cell, cut into ``simplices``, are moved along the side."""
     dim = len(counts)
     strides = _strides(counts)
     facets = []
-    every = element_facets(_simplices(counts)).reshape(-1, dim)
+    every = element_facets(simplices).reshape(-1, dim)
     for name in names:
         axis, end = BOX_SIDES[name]
         axis = min(axis, dim - 1)
