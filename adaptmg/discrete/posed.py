@@ -217,8 +217,10 @@ class Posed:
     def check_held(self) -> None:
         """Raise ValueError if a body, with those glued to it, has neither a support nor a surface in
         contact."""
+        mentioned = np.zeros(self.mesh.n_nodes, dtype=bool)
+        mentioned[self.nodes] = True
         for piece in nodes_of_pieces(self.mesh):
-            if not np.isin(self.nodes, piece).any():
+            if not mentioned[piece].any():
                 name = next(
                     name
                     for name, nodes in self.bodies.items()
@@ -274,9 +276,9 @@ class Posed:
         excluded = np.empty(0, dtype=np.int64)
         while True:  # each pass excludes further nodes
             rows = self._rows(excluded)
-            contact = self._contact_nodes(rows)
             if rows.follows is None:
                 return rows
+            contact = self._contact_nodes(rows)
             held = self.held
             law = nodal_law(self, contact)
             lone = held_slaves(

@@ -148,7 +148,7 @@ def between_levels(
     above = coarse_problem.contact
     surface = relative
     # others are held: no coarse bound limits what they would pass to fine contact nodes
-    passes = coarse_problem.fixed.reshape(-1, coarse.dim).all(axis=1)
+    passes = np.array(coarse_problem.fixed.reshape(-1, coarse.dim).all(axis=1))
     passes[above.nodes] = True
     takes = np.diff(contact.taken_over.indptr) > 0
     for k, (nodes, rows) in enumerate(slave_rows):
