@@ -2,26 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from smoother_problems import tresca_energy
 
 import adaptmg as am
-from adaptmg.multigrid.cycle import MultigridCycle, correction_levels, project
+from adaptmg.multigrid.cycle import MultigridCycle, correction_levels
 from adaptmg.solver.record import Run
-
-
-@pytest.fixture(scope="module")
-def hierarchies():
-    bar, block = am.cases.greco_bar(law=am.Tresca(3e7)), am.cases.greco_block(law=am.Tresca(3e7))
-    return {
-        "nested": am.Hierarchy.uniform(bar, divisions=(2, 4, 8)),
-        "graded": am.Hierarchy.graded(bar, sizes=(20e-3, 10e-3, 5e-3), contact_ratio=2),
-        "L2": am.Hierarchy.graded(
-            bar, sizes=(10e-3, 5e-3), contact_ratio=2, transfer=am.PseudoL2()
-        ),
-        "block": am.Hierarchy.uniform(block, divisions=(1, 2, 4)),
-    }
 
 
 def cycle_of(grids, **options):
@@ -40,43 +24,9 @@ def cycle_of(grids, **options):
     return cycle, am.smoother.local_system(grids.finest.discrete), run
 
 
-@pytest.mark.parametrize("name", ["nested", "graded", "L2", "block"])
-@settings(max_examples=8, deadline=None)
-@given(
-    seed=st.integers(0, 10_000),
-    shape=st.sampled_from(["V", "W", "F"]),
-    sweeps=st.sampled_from([(0, 1), (2, 0)]),
-)
-def test_tresca_energy_never_rises(hierarchies, name, seed, shape, sweeps):
-    grids = hierarchies[name]
-    pre, post = sweeps
-    options = am.Cycle(shape=shape, pre=pre, post=post)
-    cycle, local, _ = cycle_of(grids, options=options, coarse=am.CoarseSolve(rtol=0.3))
-    level = len(grids) - 1
-    random = np.random.default_rng(seed)
-    w = random.normal(scale=1e-4, size=local.system.n_dofs) * ~local.system.fixed
-    project(local, w)
-    before = tresca_energy(local, w)
-    for _ in range(3):
-        cycle.correct(level, local.contact, w, local.residual(w))
-        after = tresca_energy(local, w)
-        assert after <= before + 1e-13 * abs(before)
-        cycle.smooth(level, local.contact, local.load, w, 1)
-        before = tresca_energy(local, w)
-    normal = w.reshape(-1, local.system.dim)[local.system.nodes, 0]
-    assert (normal <= local.contact.gap + 1e-15).all()
-
-
-def test_corrections_vanish_at_the_solution_unless_frozen():
-    """The paper's frozen slip and limit move the solution: its mode stalls."""
+def test_the_frozen_slip_and_limit_of_the_paper_move_the_solution():
+    """Its mode stalls, and says so."""
     grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
-    exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
-    for correction in (am.Monotone(), am.PaperCorrection(slip="minmod", limit="summed")):
-        cycle, local, _ = cycle_of(grids, correction=correction, coarse=am.CoarseSolve(rtol=1e-12))
-        w = local.to_local(exact.displacement)
-        moved = w.copy()
-        cycle.correct(1, local.contact, moved, local.residual(w))
-        assert np.abs(moved - w).max() < 1e-12 * np.abs(w).max()
     result = am.solve(
         grids,
         am.FullMultigrid(
@@ -87,7 +37,7 @@ def test_corrections_vanish_at_the_solution_unless_frozen():
             coarse=am.CoarseSolve(rtol=1e-10),
         ),
         throw=False,
-        reference=exact,
+        reference=am.solve(grids, am.ActiveSet(rtol=1e-12)),
     )
     assert result.status is am.Status.STALLED
     assert result.history["true_error"][-1] > 1e-4
@@ -122,8 +72,9 @@ def test_hand_counted_work():
             ]
 
 
-def test_coarse_solve_meets_its_tolerance(hierarchies):
-    local = am.smoother.local_system(hierarchies["nested"][1].discrete)
+def test_coarse_solve_meets_its_tolerance():
+    bar = am.cases.greco_bar(law=am.Tresca(3e7))
+    local = am.smoother.local_system(am.Hierarchy.uniform(bar, (4,)).finest.discrete)
     exact, found = np.zeros((2, local.system.n_dofs))
     run = Run(unit=local.system.nonzeros)
     am.CoarseSolve(rtol=1e-13, omega=1.0, max_sweeps=20_000).solve(

@@ -16,7 +16,7 @@ from adaptmg.multigrid.linear_cycle import CoarseFactors, least_weights
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.split_matrix import restrict, split
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.multigrid.truncation import Truncation
+from adaptmg.multigrid.truncation import Truncation, find_slots
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.system import CLOSED, SLIPS
 
@@ -46,6 +46,29 @@ def test_the_lower_half_of_a_symmetric_matrix_is_enough(dim):
         np.testing.assert_allclose(
             halves.inverse.reshape(blocks.shape), np.linalg.inv(blocks), rtol=1e-12
         )
+
+
+@pytest.mark.parametrize("dim", [1, 2])
+def test_slots_are_those_of_the_blocks_that_a_matrix_has(dim):
+    matrix = random_matrix(np.random.default_rng(5), dim, 30)
+    halves = split(matrix, np.zeros(matrix.shape[0], dtype=bool))
+    rows, columns = np.divmod(np.arange(900), 30)
+    slots = np.empty(900, dtype=np.int64)
+    find_slots(
+        rows,
+        columns,
+        halves.lower_indptr,
+        halves.lower_indices,
+        halves.upper_indptr,
+        halves.upper_indices,
+        halves.strips.rank,
+        slots,
+    )
+    blocks = matrix.toarray().reshape(30, dim, 30, dim).transpose(0, 2, 1, 3).reshape(900, -1)
+    there = blocks.any(axis=1)
+    np.testing.assert_array_equal(slots >= 0, there)
+    found = halves.at_slots(slots[there]).reshape(-1, dim**2)
+    np.testing.assert_allclose(found, blocks[there], rtol=1e-15)
 
 
 def test_inverse_blocks_leave_out_vanishing_entries():

@@ -62,6 +62,7 @@ def test_a_method_gets_nested_start_history_work_and_certificate(bar, exact):
     # ten passes a step, and one for the residual after it
     passes = np.diff(result.history["work_units"])
     np.testing.assert_allclose(passes, 11.0)
+    assert result.path[-result.cycles :] == [(2, "smooth", 1)] * result.cycles
     from_zero = am.solve(bar, Sweeps(start_cycles=0))
     assert from_zero.cycles > result.cycles and from_zero.start_work_units == 0
     given = am.solve(bar, Sweeps(), start=exact)
