@@ -31,7 +31,7 @@ from adaptmg.level import (
     the_transfer,
     touches_alike,
 )
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.problem import Assembly, Box, Contact, ContactProblem, Rectangle
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class Hierarchy:
             shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
                 shape = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
-            prolongation = vars(fine)["prolongation"]
+            prolongation = fine.prolongation_or_none
             other = fine.surface_prolongation
             for name, matrix in (
                 ("prolongation", prolongation),
@@ -355,7 +355,7 @@ class Hierarchy:
 
     def posed_on(self, level: Level) -> Posed | None:
         """Return the problem on the mesh of one of the levels, if there are both."""
-        mesh = level.mesh_or_none
+        mesh = level.mesh
         if self.problem is None or mesh is None or level.discrete_or_none is None:
             return None
         posed = level.posed
@@ -401,7 +401,7 @@ class Hierarchy:
         begin = clock()
         self._need_meshes("append")
         fine = as_mesh(mesh)
-        check_coarse_to_fine([self.finest.mesh, fine])
+        check_coarse_to_fine([need_mesh(self.finest), fine])
         meshed = clock()
         new = level_of(self.problem, fine)
         assembled = clock()
@@ -450,13 +450,13 @@ class Hierarchy:
                 f"problem has another domain, {checks.shown(other)}, than these meshes, "
                 f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform"
             )
-        problem = with_sides(problem, self.finest.mesh)
+        problem = with_sides(problem, need_mesh(self.finest))
         boundaries, asked = (
             (*posed.contact_boundaries, *posed.masters, *posed.tied_boundaries)
             for posed in (self.problem, problem)
         )
         if boundaries != asked and _exchanged(self.problem) == _exchanged(problem):
-            meshes = [level.mesh for level in self.levels]
+            meshes = [need_mesh(level) for level in self.levels]
             return replace(
                 self.from_meshes(problem, meshes, self.transfer, self.contact_rows),
                 origin=self.origin,
@@ -512,7 +512,7 @@ class Hierarchy:
 
     def _need_meshes(self, what: str) -> None:
         if self.problem is None or any(
-            level.mesh_or_none is None or level.discrete_or_none is None for level in self.levels
+            level.mesh is None or level.discrete_or_none is None for level in self.levels
         ):
             raise ValueError(
                 f"{what}: these levels ({self.origin}) are not made of meshes of a ContactProblem; make "

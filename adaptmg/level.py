@@ -15,11 +15,10 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._checks import indices_frozen, shape_of
-from adaptmg._on_demand import ABSENT, made_on_demand
-from adaptmg._text import brief
+from adaptmg._text import shortened
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.problem import Assembly, ContactProblem, Cracked, PointForce, PointSpring, PointSupport
 from adaptmg.problem.plane_domains import Domain, with_vertex
 
@@ -27,26 +26,25 @@ if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Level:
     """One grid.
 
-    Attributes
+    Parameters
     ----------
-    discrete : DiscreteProblem
-        The problem discretised on this grid. Where only a coarse space is known (given as None),
-        reading it raises ValueError, as reading an absent mesh or prolongation does;
-        ``discrete_or_none`` and ``mesh_or_none`` do not.
-    mesh : MeshArrays
-    prolongation : csr_array
+    discrete : DiscreteProblem or None
+        The problem discretised on this grid; None where only a coarse space is known.
+    mesh : MeshArrays, optional
+        None if the level comes from matrices; see :func:`adaptmg.mesh.need_mesh`.
+    prolongation : csr_array, optional
         Nodal values from the next coarser level (n_nodes, n_nodes coarse), or, between coarse
         spaces, its dofs (n_dofs, n_dofs coarse); the coarsest level has none.
-    galerkin : bsr_array or None
+    galerkin : bsr_array, optional
         The matrix of a coarse space without a discrete problem.
-    surface_prolongation : csr_array or None
+    surface_prolongation : csr_array, optional
         With bodies in contact: the prolongation whose contact rows are >= 0 with sums 1, for
         corrections that need it (:mod:`adaptmg.transfer.contact`).
-    posed : Posed or None
+    posed : Posed, optional
         What ``discrete`` was made of: a contact problem on the mesh.
 
     Examples
@@ -56,72 +54,71 @@ class Level:
     (25, 9)
     """
 
-    # the first three may be given as None; reading them then raises (properties below the class)
-    discrete: DiscreteProblem
-    mesh: MeshArrays = ABSENT
-    prolongation: sparse.csr_array = ABSENT
-    galerkin: sparse.bsr_array | None = None
-    surface_prolongation: sparse.csr_array | None = None
-    posed: Posed | None = None
+    discrete_or_none: DiscreteProblem | None
+    mesh: MeshArrays | None
+    prolongation_or_none: sparse.csr_array | None
+    galerkin: sparse.bsr_array | None
+    surface_prolongation: sparse.csr_array | None
+    posed: Posed | None
 
-    if TYPE_CHECKING:
-
-        def __init__(
-            self,
-            discrete: DiscreteProblem | None,
-            mesh: MeshArrays | None = None,
-            prolongation: sparse.csr_array | None = None,
-            galerkin: sparse.bsr_array | None = None,
-            surface_prolongation: sparse.csr_array | None = None,
-            posed: Posed | None = None,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        discrete = self.discrete_or_none
-        mesh = self.mesh_or_none
+    def __init__(
+        self,
+        discrete: DiscreteProblem | None,
+        mesh: MeshArrays | None = None,
+        prolongation: sparse.csr_array | None = None,
+        galerkin: sparse.bsr_array | None = None,
+        surface_prolongation: sparse.csr_array | None = None,
+        posed: Posed | None = None,
+    ) -> None:
         if discrete is not None:
             checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem or None")
-        elif not isinstance(self.galerkin, sparse.bsr_array):
+        elif not isinstance(galerkin, sparse.bsr_array):
             raise TypeError(
                 "galerkin must be a bsr_array without a discrete problem, got "
-                f"{checks.described(self.galerkin)}"
+                f"{checks.described(galerkin)}"
             )
-        if self.galerkin is not None:
-            rows, columns = shape_of(checks.sparse_matrix("galerkin", self.galerkin))
+        if galerkin is not None:
+            rows, columns = shape_of(checks.sparse_matrix("galerkin", galerkin))
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
-            object.__setattr__(self, "galerkin", indices_frozen(self.galerkin))
+            galerkin = indices_frozen(galerkin)
         if mesh is not None:
             checks.instance(
                 "mesh", mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts"
             )
-        for name in ("prolongation", "surface_prolongation"):
-            value = self.__dict__[name]
-            if value is not None:
-                value = checks.sparse_matrix(name, value)
-                as_csr = isinstance(value, sparse.csr_array) and value.dtype == np.float64
-                value = value if as_csr else sparse.csr_array(value).astype(np.float64, copy=False)
-                object.__setattr__(self, name, indices_frozen(value))
+        self.__dict__.update(
+            discrete_or_none=discrete,
+            mesh=mesh,
+            prolongation_or_none=_checked_csr("prolongation", prolongation),
+            galerkin=galerkin,
+            surface_prolongation=_checked_csr("surface_prolongation", surface_prolongation),
+            posed=posed,
+        )
 
-    __repr__ = brief
+    def __repr__(self) -> str:
+        return shortened(f"Level of {self.n_nodes} nodes: {self.discrete_or_none}, {self.mesh}")
 
     def posing(self, **parts: object) -> Level:
-        """Return the level with other parts (the data of a load step, a prolongation), which have
-        been checked."""
+        """Return the level with other parts, which have been checked, by the names that they have
+        when a level is made."""
         result = copy.copy(self)
-        for name, value in parts.items():
-            object.__setattr__(result, name, value)
+        result.__dict__.update({_FIELDS.get(name, name): part for name, part in parts.items()})
         return result
 
     @property
-    def discrete_or_none(self) -> DiscreteProblem | None:
-        """Return ``discrete``, None of a coarse space without one."""
-        return self.__dict__["discrete"]
+    def discrete(self) -> DiscreteProblem:
+        """Return the problem discretised on this grid; ValueError for a coarse space without
+        one."""
+        if self.discrete_or_none is None:
+            raise ValueError("this level is only a coarse space, without a discrete problem")
+        return self.discrete_or_none
 
     @property
-    def mesh_or_none(self) -> MeshArrays | None:
-        """Return ``mesh``, None of a level that comes from matrices."""
-        return self.__dict__["mesh"]
+    def prolongation(self) -> sparse.csr_array:
+        """Return the prolongation from the next coarser level; ValueError on the coarsest."""
+        if self.prolongation_or_none is None:
+            raise ValueError("the coarsest level has no prolongation")
+        return self.prolongation_or_none
 
     @property
     def contact_prolongation(self) -> sparse.csr_array:
@@ -188,19 +185,17 @@ def _nodal(name: str, value: ArrayLike, rows: int) -> np.ndarray:
     return checks.array(name, value, (rows, *[None] * (np.ndim(value) - 1)))
 
 
-Level.discrete = made_on_demand(
-    "discrete",
-    "Return the problem discretised on this grid.",
-    "this level is only a coarse space, without a discrete problem",
-)
-Level.mesh = made_on_demand(
-    "mesh", "Return its MeshArrays.", "this level has no mesh: it comes from matrices"
-)
-Level.prolongation = made_on_demand(
-    "prolongation",
-    "Return the prolongation from the next coarser level.",
-    "the coarsest level has no prolongation",
-)
+#: fields of a level by the names of the arguments that they come from, if these differ
+_FIELDS = {"discrete": "discrete_or_none", "prolongation": "prolongation_or_none"}
+
+
+def _checked_csr(name: str, matrix: object) -> sparse.csr_array | None:
+    if matrix is None:
+        return None
+    checked = checks.sparse_matrix(name, matrix)
+    if not isinstance(checked, sparse.csr_array) or checked.dtype != np.float64:
+        checked = sparse.csr_array(checked).astype(np.float64, copy=False)
+    return indices_frozen(checked)
 
 
 def the_transfer(transfer: Transfer | None) -> Transfer:
@@ -229,7 +224,7 @@ def level_under(problem: ContactProblem, level: Level, changed: frozenset[str]) 
     from adaptmg.discrete.discretise import reassembled
 
     before = None if changed - {"loads"} else level.posed
-    posed = Posed.of(problem, level.mesh) if before is None else before.under(problem)
+    posed = Posed.of(problem, need_mesh(level)) if before is None else before.under(problem)
     return level.posing(discrete=reassembled(posed, level.discrete, changed), posed=posed)
 
 
@@ -257,7 +252,12 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
     from adaptmg.transfer.contact import between_levels
 
     rows = between_levels(
-        transfer, below.mesh, above.mesh, below.discrete, above.discrete, contact_rows
+        transfer,
+        need_mesh(below),
+        need_mesh(above),
+        below.discrete,
+        above.discrete,
+        contact_rows,
     )
     return above.posing(
         prolongation=indices_frozen(rows.prolongation),

@@ -104,9 +104,10 @@ def sized(problem: am.ContactProblem, size: float, count: int) -> list[am.MeshAr
 
 def mean_on(result: am.Result, boundary: str, component: int) -> float:
     """Mean displacement of a boundary, m."""
-    surface = result.mesh.surface(boundary)
+    mesh = am.mesh.need_mesh(result)
+    surface = mesh.surface(boundary)
     weights = np.bincount(
-        surface.facets.reshape(-1), np.repeat(surface.measures, result.dim), result.mesh.n_nodes
+        surface.facets.reshape(-1), np.repeat(surface.measures, result.dim), mesh.n_nodes
     )
     return float(weights @ result.displacement[:, component] / weights.sum())
 
@@ -189,7 +190,7 @@ def family(
         meshes = [am.mesh.structured(problem.domain, first * 2**k) for k in range(count)]
         return problem, meshes, lambda result: at_points(result, problem)
     if case == "Hertz":
-        return HERTZ, [level.mesh for level in graded(HERTZ, count)], deflection_error
+        return HERTZ, [am.mesh.need_mesh(level) for level in graded(HERTZ, count)], deflection_error
     if case == "roller":
         problem = half_cylinder(
             0.025,
@@ -207,7 +208,7 @@ def family(
     grids = cantilever(20, count)
     return (
         grids.problem,
-        [level.mesh for level in grids.levels],
+        [am.mesh.need_mesh(level) for level in grids.levels],
         lambda result: abs(mean_on(result, "top", 1) / bent(count + 1) - 1),
     )
 

@@ -34,7 +34,7 @@ def overview() -> Figure:
     left, right = above.subfigures(1, 2, width_ratios=(1.5, 2.2))
     am.plot.problem(problem, left.subplots())
     for k, ax in zip((0, 2, 4), right.subplots(1, 3), strict=True):
-        am.plot.mesh(grids[k].mesh, ax, contact=("bottom",))
+        am.plot.mesh(am.mesh.need_mesh(grids[k]), ax, contact=("bottom",))
         ax.set_title(f"level {k}: {grids[k].n_nodes} nodes")
         ax.set_axis_off()
     left, right = below.subfigures(1, 2)
@@ -67,7 +67,7 @@ def adaptive() -> Figure:
     figure, axes = plt.subplots(1, 2, figsize=(9.6, 5.6), layout="constrained")
     for ax, engine in zip(axes, ENGINES, strict=True):
         *_, (grids, _, _) = solutions("dovetail", engine, 4000)
-        am.plot.mesh(grids.finest.mesh, ax)
+        am.plot.mesh(am.mesh.need_mesh(grids.finest), ax)
         ax.set_title(f"{engine}, {grids.finest.n_nodes} nodes")
     return figure
 

@@ -55,8 +55,8 @@ def run(dim: int, levels: int, transfer: str) -> dict:
     row = {"build_ms": 1e3 * (time.process_time() - begin)}
     hierarchy = am.Hierarchy.from_meshes(problem, meshes, TRANSFERS[transfer])
     affine = max(
-        float(np.abs(fine.prolongation @ coarse.mesh.points - fine.mesh.points).max())
-        for coarse, fine in pairwise(hierarchy.levels)
+        float(np.abs(level.prolongation @ coarse.points - fine.points).max())
+        for level, (coarse, fine) in zip(hierarchy.levels[1:], pairwise(meshes), strict=True)
     ) / float(np.ptp(meshes[0].points))
     row |= {
         "nodes": hierarchy.finest.n_nodes,

@@ -301,7 +301,7 @@ def test_indices_that_kernels_follow_cannot_be_written():
         am.Hierarchy.graded(JOINT, (12e-3, 6e-3)),
     )
     for level in (*grids.levels, *made.levels, single, *bodies.levels):
-        for matrix in (level.matrix, vars(level)["prolongation"], level.surface_prolongation):
+        for matrix in (level.matrix, level.prolongation_or_none, level.surface_prolongation):
             for array in () if matrix is None else (matrix.indices, matrix.indptr):
                 assert array.dtype == np.int32
                 with pytest.raises(ValueError, match="read-only"):
@@ -314,7 +314,7 @@ def same(a: am.Hierarchy, b: am.Hierarchy) -> bool:
 
     def bits(level):
         discrete, contact = level.discrete, level.discrete.contact
-        matrices = (level.matrix, vars(level)["prolongation"], level.surface_prolongation)
+        matrices = (level.matrix, level.prolongation_or_none, level.surface_prolongation)
         arrays = [
             getattr(one, part, None) for one in matrices for part in ("indptr", "indices", "data")
         ] + [

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.cases.paper import constant_friction
+from adaptmg.mesh.arrays import need_mesh
 
 if TYPE_CHECKING:
     from adaptmg.estimate.reference_error import EnergyError
@@ -192,7 +193,7 @@ class TransitionField:
         from adaptmg.estimate.reference_error import EnergyError
         from adaptmg.geometry.quadrature import quadrature_points, simplex_rule
 
-        mesh = result.mesh
+        mesh = need_mesh(result)
         rule, weights = simplex_rule(2, points)
         at = quadrature_points(mesh.points, mesh.elements, rule)
         exact = self.stress(at.reshape(-1, 2)).reshape(*at.shape[:2], 3)

@@ -262,7 +262,7 @@ def _checked(problem: ContactProblem, start: Hierarchy, transfer: Transfer | Non
         )
     if transfer is not None:
         raise ValueError("transfer: the hierarchy start has one; make it with that transfer")
-    without = [k for k, level in enumerate(start.levels) if level.mesh_or_none is None]
+    without = [k for k, level in enumerate(start.levels) if level.mesh is None]
     if without:
         raise ValueError(
             f"start: levels {without} of the hierarchy have no mesh; make it from meshes"

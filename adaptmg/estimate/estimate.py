@@ -62,7 +62,7 @@ from adaptmg.discrete.stress import displacement_gradient, recovered
 from adaptmg.estimate.stress_fields import ElementStress, Solved, contact_tractions, solved
 from adaptmg.geometry.quadrature import integration
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.arrays import MeshArrays, Surface, need_mesh
 from adaptmg.problem.loads import BodyForce, Load, Pressure, Spring, Traction
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.solver.result import Result
@@ -203,7 +203,7 @@ class Indicator(Protocol[AnyEstimate]):
 def estimate_of(indicator: Indicator, hierarchy: Hierarchy, result: Result) -> Estimate:
     """Return the estimate of an indicator, of the elements of the finest mesh."""
     return estimate_for(
-        hierarchy.finest.mesh,
+        need_mesh(hierarchy.finest),
         indicator.indicate(hierarchy, result),
         f"what the indicator {checks.shown(indicator)} returns",
     )

@@ -41,7 +41,7 @@ from adaptmg.estimate.engines import Engine, divisible, sound_mesh
 from adaptmg.estimate.estimate import AnyEstimate, Estimate, Indicator, Mark, estimate_of, marks_of
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays, Refinement, sound_by_construction
+from adaptmg.mesh.arrays import MeshArrays, Refinement, need_mesh, sound_by_construction
 from adaptmg.mesh.bisection import with_refinement
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
@@ -341,7 +341,7 @@ class AdaptiveLoop:
         engine = self.parts.engine
         problem = self.first.problem
         with self.clock.phase("mesh"):
-            mesh = last.hierarchy.finest.mesh
+            mesh = need_mesh(last.hierarchy.finest)
             estimate = self._steering(last)
             marked = marks_of(self.parts.mark, estimate)
             if not marked.any():
@@ -443,8 +443,8 @@ class AdaptiveLoop:
                     result,
                     StoredStep(
                         estimate,
-                        [level.mesh for level in hierarchy.levels],
-                        result.mesh.refinement,
+                        [need_mesh(level) for level in hierarchy.levels],
+                        need_mesh(result).refinement,
                         numbers,
                         timings,
                         path,
@@ -464,7 +464,7 @@ class AdaptiveLoop:
 
     def _restored(self, number: int, step: Stored) -> Step:
         stored: StoredStep = step.more
-        own = with_refinement(step.value.mesh, stored.history)
+        own = with_refinement(need_mesh(step.value), stored.history)
         last = self.done[-1] if self.done else None
         hierarchy = restored(
             self.first if last is None else last.hierarchy, [*stored.levels[:-1], own]
@@ -535,7 +535,7 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarch
     the size ratio asks for them."""
     between = cast("Any", getattr(engine, "intermediate", None))
     for _ in range(MOST_BETWEEN if callable(between) else 0):
-        finest = hierarchy.finest.mesh
+        finest = need_mesh(hierarchy.finest)
         if size_ratio(finest, mesh) <= RATIO:
             break
         middle = between(hierarchy.problem, finest, mesh)
@@ -560,7 +560,7 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
         this = hierarchy[level]
         if (
             finer.n_nodes < CLOSE * this.n_nodes
-            and size_ratio(hierarchy[level - 1].mesh, finer.mesh) <= THINNED
+            and size_ratio(need_mesh(hierarchy[level - 1]), need_mesh(finer)) <= THINNED
         ):
             hierarchy = hierarchy.without(level)
     return hierarchy
@@ -668,7 +668,7 @@ def restored(before: Hierarchy, meshes: Sequence[MeshArrays]) -> Hierarchy:
     """Return the hierarchy of a stored step, which has these meshes, made of that of the step
     before."""
     stored = [_key(mesh) for mesh in meshes]
-    there = [_key(level.mesh) for level in before.levels]
+    there = [_key(need_mesh(level)) for level in before.levels]
     for key, mesh in zip(stored, meshes, strict=True):
         if key not in there:
             before = before.append(sound_by_construction(check_mesh(mesh)))

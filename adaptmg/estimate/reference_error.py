@@ -30,6 +30,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.estimate.estimate import Recovery
 from adaptmg.estimate.stress_fields import solved
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import need_mesh
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.result import Result
 from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
@@ -103,7 +104,7 @@ class Reference:
 
     def against(self, result: Result) -> float:
         """Return a(u, u_h) of a result, N m."""
-        mesh = result.mesh
+        mesh = need_mesh(result)
         u = result.displacement
         product = float(
             load_vector(mesh, self.problem.loads, self.problem.material) @ u.reshape(-1)
@@ -140,7 +141,7 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
         "reference", reference, Reference, "a Reference, or a hierarchy and a result on it"
     )
     checks.instance("result", result, Result, "a Result")
-    mesh = result.mesh
+    mesh = need_mesh(result)
     if set(mesh.bodies) != set(reference.points):
         raise ValueError(
             f"result has the bodies {', '.join(mesh.bodies)}, the reference "

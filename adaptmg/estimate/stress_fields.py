@@ -33,7 +33,7 @@ from adaptmg.discrete.stress import StressData, hoop_strain
 from adaptmg.discrete.supports import node_at
 from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys
+from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys, need_mesh
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import PointForce
 from adaptmg.solver.examine import ContactResult, energy_norm, euclidean_norm
@@ -298,7 +298,7 @@ def solved(hierarchy: Hierarchy, result: Result) -> Solved:
             "Hierarchy.uniform, graded or from_meshes"
         )
     mesh = posed.mesh
-    own = result.mesh
+    own = need_mesh(result)
     if own is not mesh and not (
         np.array_equal(own.elements, mesh.elements) and np.array_equal(own.points, mesh.points)
     ):

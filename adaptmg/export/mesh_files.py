@@ -33,7 +33,7 @@ from adaptmg import _checks as checks
 from adaptmg._files import make_folder, read_bytes, waiting_folder, write_bytes
 from adaptmg._text import printable
 from adaptmg.discrete.coordinates import from_frames
-from adaptmg.mesh.arrays import MeshArrays, element_facets, facet_keys
+from adaptmg.mesh.arrays import MeshArrays, element_facets, facet_keys, need_mesh
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.solver.result import Result
 
@@ -238,7 +238,7 @@ def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
 def _write(result: Result, path: Path) -> None:
     import meshio
 
-    mesh = checks.instance("result", result, Result).mesh
+    mesh = need_mesh(checks.instance("result", result, Result))
     cells: dict[str, list[ArrayLike]] = {"body": [mesh.element_body]}
     if result.stress_data is not None:
         cells |= {"stress": [result.stress()], "von_mises": [result.von_mises()]}

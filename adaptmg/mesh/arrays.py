@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -445,6 +445,30 @@ def edge_lengths(corners: np.ndarray) -> np.ndarray:
 def longest_edges(corners: np.ndarray) -> np.ndarray:
     """Return the longest edge (n,) of each of some simplices."""
     return edge_lengths(corners).max(axis=0)
+
+
+class HasMesh(Protocol):
+    """A level of a hierarchy, or a result: its mesh is None if it comes from matrices."""
+
+    @property
+    def mesh(self) -> MeshArrays | None: ...
+
+
+def need_mesh(owner: HasMesh) -> MeshArrays:
+    """Return the mesh of a level or of a result; ValueError if it has none.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.mesh.need_mesh(grids.finest).n_nodes
+    25
+    """
+    if owner.mesh is None:
+        raise ValueError(
+            f"this {type(owner).__name__.lower()} has no mesh, as it comes from matrices: pose the "
+            "problem on meshes (Hierarchy.uniform, graded or from_meshes)"
+        )
+    return owner.mesh
 
 
 def trusted(mesh: MeshArrays, sound: bool = True) -> MeshArrays:

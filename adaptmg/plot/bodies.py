@@ -18,7 +18,7 @@ from matplotlib.tri import Triangulation
 
 from adaptmg import _checks as checks
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table
+from adaptmg.mesh.arrays import MeshArrays, facet_keys, facet_table, need_mesh
 from adaptmg.plot import style
 from adaptmg.plot.surfaces import (
     Lines,
@@ -89,19 +89,19 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
     2
     """
     levels = checks.instance("hierarchy", hierarchy, Hierarchy).levels
-    without = [k for k, level in enumerate(levels) if level.mesh_or_none is None]
+    without = [k for k, level in enumerate(levels) if level.mesh is None]
     if without:
         raise ValueError(f"levels {without} have no mesh to draw: make the hierarchy from meshes")
-    dim = hierarchy.finest.mesh.dim
+    dim = need_mesh(hierarchy.finest).dim
     if axes is None:
         columns = min(len(hierarchy), 4)
         figure = style.new_figure((3.1 * columns, 3.3 * -(-len(hierarchy) // columns)))
         axes = style.cells(figure, len(hierarchy), columns, dim=dim)
     axes = style.axes_of(axes, len(hierarchy))
     for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
-        _draw_mesh(style.canvas(ax, (1, 1), dim), level.mesh, level.discrete.contact.names)
+        _draw_mesh(style.canvas(ax, (1, 1), dim), need_mesh(level), level.discrete.contact.names)
         ax.set_title(
-            f"level {k}: {level.mesh.n_nodes} nodes, {len(level.discrete.contact)} contact",
+            f"level {k}: {need_mesh(level).n_nodes} nodes, {len(level.discrete.contact)} contact",
             fontsize=9.5,
         )
         if dim == 3:
@@ -169,7 +169,7 @@ def deformation(
     >>> len(am.plot.deformation(result, amplify=10, stress=True).axes)  # with a colour bar
     2
     """
-    mesh = checks.instance("result", result, Result).mesh  # which raises without one
+    mesh = need_mesh(checks.instance("result", result, Result))
     for name, value in (("stress", stress), ("displacement", displacement), ("states", states)):
         checks.flag(name, value)
     if lines is not None:
@@ -241,7 +241,7 @@ def _names(mesh: MeshArrays, bodies: Sequence[str] | None) -> tuple[str, ...]:
 def _automatic_factor(result: Result) -> float:
     """A round factor that draws the largest displacement as about 5 % of the size, and bodies
     hardly over each other; 1 if nothing moves."""
-    size = style.bounds(result.mesh.points)[2]
+    size = style.bounds(need_mesh(result).points)[2]
     largest = float(np.linalg.norm(result.displacement, axis=1).max())
     if not largest > 1e-12 * size:
         return 1.0
@@ -290,7 +290,7 @@ def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | li
             f"displacement |u| [{unit}]",
             Normalize(0.0, factor * float(values.max()) or 1.0),
         )
-    return style.body_fills(len(result.mesh.bodies))
+    return style.body_fills(len(need_mesh(result).bodies))
 
 
 class Marks(NamedTuple):

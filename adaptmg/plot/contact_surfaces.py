@@ -22,6 +22,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
+from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.plot import style
 from adaptmg.problem import Contact, ContactPair
 from adaptmg.smoother.system import OPEN, SLIP, STICK
@@ -218,7 +219,7 @@ def flattened(result: Result, boundary: str) -> Flat:
     if not np.isfinite(x).all():
         raise ValueError("this result has no coordinates: give the DiscreteProblem its coordinates")
     triangles = np.zeros((0, 3), dtype=int)
-    if result.mesh_or_none is not None:
+    if result.mesh is not None:
         place = np.full(result.mesh.n_nodes, -1)
         place[c.node[index]] = np.arange(len(index))
         triangles = place[result.mesh.boundary_facets(boundary)]
@@ -276,14 +277,18 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
     """Return the connected parts of a contact boundary; parts without contact nodes separate
     them."""
     c = result.contact
-    mesh = result.mesh_or_none
+    mesh = result.mesh
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
     if not np.isfinite(c.x[index]).all():
         return [Line(index, np.arange(len(index), dtype=float), "contact node")]
     extent = np.ptp(c.x[index], axis=0)
     axis = int(np.argmax(extent))
     scale, unit = style.scaled(float(extent[axis]), "m")
-    parts = [(index, c.x[index, axis])] if mesh is None else _parts(result, boundary, index)
+    parts = (
+        [(index, c.x[index, axis])]
+        if mesh is None
+        else _parts(mesh, result.contact, boundary, index)
+    )
     if mesh is None or extent.min() <= 1e-9 * extent[axis]:
         ordered = [nodes[np.argsort(c.x[nodes, axis])] for nodes, _ in parts]
         label = f"{style.axis_names(result)[axis]} [{unit}]"
@@ -293,14 +298,16 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
     return [Line(nodes, scale * (arc - begin), label) for nodes, arc in parts]
 
 
-def _parts(result: Result, boundary: str, index: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def _parts(
+    mesh: MeshArrays, contact: ContactResult, boundary: str, index: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Contact nodes of each part, with arc lengths along the whole boundary."""
-    points = result.mesh.points
-    place = np.full(result.mesh.n_nodes, -1)
-    place[result.contact.node[index]] = index
+    points = mesh.points
+    place = np.full(mesh.n_nodes, -1)
+    place[contact.node[index]] = index
     parts = []
     begin = 0.0
-    for line in polylines(result.mesh.boundary_facets(boundary)):
+    for line in polylines(mesh.boundary_facets(boundary)):
         lengths = np.linalg.norm(np.diff(points[line], axis=0), axis=1)
         arc = begin + np.concatenate([[0.0], np.cumsum(lengths)])
         begin = arc[-1]

@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from adaptmg import _checks as checks
 from adaptmg.estimate.loop import Step
+from adaptmg.mesh.arrays import need_mesh
 from adaptmg.plot import style
 from adaptmg.plot.bodies import Coloring, draw_bodies, state_marks
 from adaptmg.solver.result import Result
@@ -245,8 +246,9 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     for k, number in enumerate(sorted({0, len(steps) // 2, len(steps) - 1})):
         ax = _panel(figure, k, dim, f"step {number}: {steps[number].nodes} nodes")
         result = steps[number].result
-        marks = state_marks(result.mesh, result.contact)
-        present |= draw_bodies(ax, result.mesh, style.body_fills(len(result.mesh.bodies)), marks)
+        mesh = need_mesh(result)
+        marks = state_marks(mesh, result.contact)
+        present |= draw_bodies(ax, mesh, style.body_fills(len(mesh.bodies)), marks)
     figure.legend(
         handles=style.state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5
     )
@@ -257,7 +259,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
         max(1e-4 * largest, parts.min(initial=0.5 * largest, where=parts > 0)), largest, clip=True
     )
     ax = _panel(figure, 3, dim, f"indicator, step {last.number}")
-    draw_bodies(ax, last.result.mesh, Coloring(parts, False, "", norm), lines=False)
+    draw_bodies(ax, need_mesh(last.result), Coloring(parts, False, "", norm), lines=False)
     label = r"$|\eta_E|^{1/2}$ of the goal" if goal else r"$\eta_E$ [$\sqrt{\mathrm{N\,m}}$]"
     figure.colorbar(ScalarMappable(norm, "viridis"), ax=ax, shrink=0.8, label=label)
     nodes = np.array([step.nodes for step in steps], dtype=float)

@@ -249,7 +249,7 @@ def _results(store: StepStore, steps: int) -> list[tuple[Result, list[np.ndarray
             f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "
             "remove it"
         )
-    return [(replace(step.value, mesh=stored[0].value.mesh_or_none), step.more) for step in stored]
+    return [(replace(step.value, mesh=stored[0].value.mesh), step.more) for step in stored]
 
 
 class StepNotConverged(NotConverged):
@@ -363,7 +363,7 @@ def solve_path(
         advise_on_problem(grids.posed)
     for k in range(len(results), len(path)):
         result = loop.step(k, progress if callable(progress) else None)
-        result = replace(result, choice=choice, mesh=result.mesh_or_none)
+        result = replace(result, choice=choice)
         if progress is True:
             say(loop.report(k, result))
         results.append(result)
@@ -458,7 +458,6 @@ class PathLoop:
             result, (grids, forces, coarse) = self._solve(k, motions, None, progress, 0.0)
         result = replace(
             result,
-            mesh=result.mesh_or_none,
             motions={name: motion.tolist() for name, motion in motions.items()},
         )
         self.controls.take(factors, motions)
@@ -578,7 +577,7 @@ class PathLoop:
             grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
         )
         # all forces vanish: a relative residual would be rounding over nothing
-        return replace(result, status=Status.CONVERGED, residual=0.0, mesh=result.mesh_or_none)
+        return replace(result, status=Status.CONVERGED, residual=0.0)
 
     def _posed(self, k: int, motions: Mapping[str, np.ndarray]) -> Hierarchy:
         """The hierarchy with loads, prescribed values, places of obstacles and slip references of a

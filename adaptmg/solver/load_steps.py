@@ -41,6 +41,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
+from adaptmg.mesh.arrays import need_mesh
 from adaptmg.multigrid.cycle import NestedStart
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_step import TruncatedStep
@@ -308,7 +309,7 @@ class Controls:
         result: list[_Unknowns] = []
         if not self.rigid and not self.bolts:
             return result
-        mesh = self.level.mesh
+        mesh = need_mesh(self.level)
         discrete = self.level.discrete
         stiffness = float(
             np.abs(discrete.matrix.data[:, range(discrete.dim), range(discrete.dim)]).max()
@@ -395,7 +396,7 @@ class Controls:
                 have = np.array(
                     [
                         cut_force(
-                            result.mesh,
+                            need_mesh(result),
                             cast("StressData", result.stress_data),
                             result.displacement,
                             bolt,
@@ -430,7 +431,7 @@ class Controls:
                 np.abs(found.missed).max(),
                 len(search.spent),
             )
-            result = replace(result, status=Status.LIMIT, mesh=result.mesh_or_none)
+            result = replace(result, status=Status.LIMIT)
         spent = [*guide.spent, *search.spent]
         timings = {
             name: sum(one.timings.get(name, 0.0) for one in spent)
@@ -441,7 +442,6 @@ class Controls:
             cycles=sum(one.cycles for one in search.spent),
             work_units=sum(one.work_units for one in spent),
             timings=timings,
-            mesh=result.mesh_or_none,
         )
         return result, found.kept, self.taken(parts, found.values * search.sizes)
 

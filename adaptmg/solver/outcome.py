@@ -76,7 +76,7 @@ def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy
     if not factorisable(level.discrete, FACTORISED):
         with suppress(ValueError):  # nothing to coarsen
             made = Hierarchy.algebraic(level.discrete)
-            finest = replace(made.finest, mesh=level.mesh_or_none, posed=level.posed)
+            finest = made.finest.posing(mesh=level.mesh, posed=level.posed)
             levels = (*made.levels[:-1], finest)
             made = replace(made, levels=levels, problem=grids.problem)
             return made, Multigrid(), why + "multigrid on coarse spaces made from its matrix"
@@ -210,7 +210,7 @@ def result_of(
             pressure=volumes.of_elements(pressures),
             volume_energy=0.5 * volumes.energy(pressures),
         )
-    mesh = cast("Any", grids.finest.mesh_or_none)
+    mesh = grids.finest.mesh
     posed = grids.posed
     supports = {}
     springs = {}

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
-from adaptmg._on_demand import ABSENT, made_on_demand
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.moduli import Moduli, as_tensors
@@ -23,7 +22,7 @@ from adaptmg.discrete.stress import StressData, von_mises
 from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
 from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, certify
 from adaptmg.solver.examine import ContactResult, advice_on_patches
 from adaptmg.solver.record import Status
@@ -81,9 +80,9 @@ class Result:
         none did.
     choice : str
         Why the solver was taken, where :func:`adaptmg.solve` chose one for one mesh; else empty.
-    mesh : MeshArrays
-        Finest mesh (without its NGSolve source after loading); ValueError if the result comes from
-        a bare DiscreteProblem.
+    mesh : MeshArrays or None
+        Finest mesh; None if the result comes from a bare DiscreteProblem, see
+        :func:`adaptmg.mesh.need_mesh`.
     start_work_units : float
         The part of ``work_units`` spent before the first cycle on the finest level (nested start).
     versions : dict of str to str
@@ -134,7 +133,7 @@ class Result:
     levels: list[dict[str, float]]
     problem_name: str
     solver_name: str
-    mesh: MeshArrays = ABSENT
+    mesh: MeshArrays | None = None
     start_work_units: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
     stress_data: StressData | None = None
@@ -149,11 +148,6 @@ class Result:
 
     #: of the columns of stresses and strains
     COMPONENTS: ClassVar[tuple[str, ...]] = ("xx", "yy", "zz", "xy", "yz", "xz")
-
-    @property
-    def mesh_or_none(self) -> MeshArrays | None:
-        """Return ``mesh``, None of a result that comes from a bare DiscreteProblem."""
-        return self.__dict__["mesh"]
 
     @property
     def method(self) -> str:
@@ -183,7 +177,7 @@ class Result:
         >>> am.solve(am.Hierarchy.graded(am.cases.hertz_cylinder())).advice
         ()
         """
-        mesh = self.mesh_or_none
+        mesh = self.mesh
         return () if mesh is None else tuple(advice_on_patches(self.contact, mesh))
 
     def __repr__(self) -> str:
@@ -191,7 +185,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         return in_html_lines(str(self)) + (
-            html_table(self.pairs()) if self.mesh_or_none is not None else ""
+            html_table(self.pairs()) if self.mesh is not None else ""
         )
 
     def __str__(self) -> str:
@@ -250,13 +244,15 @@ class Result:
         outside it."""
         location = self._located(points)
         return np.einsum(
-            "nk,nkd->nd", location.weights, self.displacement[self.mesh.elements[location.element]]
+            "nk,nkd->nd",
+            location.weights,
+            self.displacement[need_mesh(self).elements[location.element]],
         )
 
     def _located(self, points: ArrayLike) -> Location:
         from adaptmg.transfer import PointLocator
 
-        mesh = self.mesh
+        mesh = need_mesh(self)
         one = getattr(points, "ndim", 0) == 1 or (
             isinstance(points, (list, tuple)) and not any(map(np.ndim, points))
         )
@@ -294,7 +290,7 @@ class Result:
             Pa; ValueError without mesh or materials, at a point outside the mesh, or for nodes
             without ``recovered``.
         """
-        return self._values(self._data().tensors(self.mesh, self.displacement), at, recovered)
+        return self._values(self._data().tensors(need_mesh(self), self.displacement), at, recovered)
 
     def strain(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
         """Return the strain (n, 6), initial strains included: xx, yy, zz, xy, yz, xz; arguments as
@@ -302,7 +298,7 @@ class Result:
 
         xy is half of the change of the angle. zz is the strain through the thickness (0 in plane
         strain), in axisymmetry the hoop strain."""
-        return self._values(self._data().strains(self.mesh, self.displacement), at, recovered)
+        return self._values(self._data().strains(need_mesh(self), self.displacement), at, recovered)
 
     def von_mises(self, at: str | ArrayLike = "elements", *, recovered: bool = False) -> np.ndarray:
         """Return the von Mises stress (n,), Pa, of :meth:`stress`, whose arguments it takes."""
@@ -354,7 +350,7 @@ class Result:
                 "have K_I and K_II here"
             )
         return stress_intensity(
-            self.mesh,
+            need_mesh(self),
             self.displacement,
             data,
             checks.boundary_name("crack", crack),
@@ -369,7 +365,7 @@ class Result:
 
         The potential of loads and friction is not part of it.
         """
-        return self._data().energy(self.mesh, self.displacement)
+        return self._data().energy(need_mesh(self), self.displacement)
 
     @property
     def contact_area(self) -> float:
@@ -399,7 +395,7 @@ class Result:
     def _extent(self, own: np.ndarray) -> np.ndarray:
         """Of the contact nodes that the mask ``own`` chooses."""
         c = self.contact
-        mesh = self.mesh
+        mesh = need_mesh(self)
         closed = np.isin(np.arange(mesh.n_nodes), c.node[own & c.closed])
         points = [mesh.points[closed]]
         for k in np.unique(c.boundary[own]):
@@ -437,7 +433,7 @@ class Result:
             row |= c.counts(own) | {f"area [{area}]": c.measures[own & c.closed].sum()}
             for what, unit, letters, values in (
                 ("force", force, axes, on_it.force),
-                ("moment", moment, about, np.atleast_1d(on_it.moment)),
+                ("moment", moment, about, np.atleast_1d(cast("np.ndarray", on_it.moment))),
                 ("half_width", "m", axes, self._extent(own)),
             ):
                 row |= {
@@ -468,7 +464,7 @@ class Result:
         return float(work[first]) if first < len(work) else float("inf")
 
     def _data(self) -> StressData:
-        if self.stress_data is None or self.mesh_or_none is None:
+        if self.stress_data is None or self.mesh is None:
             raise ValueError(
                 "this result has no materials to compute stresses from (it comes from a bare "
                 "DiscreteProblem): replace its mesh and stress_data=StressData.of(mesh, material)"
@@ -489,10 +485,11 @@ class Result:
                     "at='nodes' needs recovered=True: the elements of a node have different values"
                 )
             return values if location is None else values[location.element]
-        cells, nodal = fit(self.mesh, values)
+        mesh = need_mesh(self)
+        cells, nodal = fit(mesh, values)
         if location is not None:
             return np.einsum("nk,nkc->nc", location.weights, nodal[cells[location.element]])
-        return nodal[: self.mesh.n_nodes] if at == "nodes" else nodal[cells].mean(axis=1)
+        return nodal[: mesh.n_nodes] if at == "nodes" else nodal[cells].mean(axis=1)
 
     def resultant(self, boundary: str = "contact", about: np.ndarray | None = None) -> Resultant:
         """Return force, N, and moment, N m, on the body through a boundary; about a point (dim,),
@@ -504,14 +501,14 @@ class Result:
         slave and master of a pair balance to rounding; their moments up to the lever between the
         two discrete surfaces: 1e-8 to 1e-4 of force times size on curved ones, across whose gap the
         mortar transmits each force without regard to its arm."""
-        mesh = self.mesh_or_none
+        mesh = self.mesh
         checks.instance("boundary", boundary, str, "a string")
         at_point = mesh is not None and boundary in self.springs and boundary not in mesh.boundaries
         nodes, forces = (
             (np.empty(0, int), np.zeros((0, self.dim))) if at_point else self._forces_on(boundary)
         )
         if mesh is None:
-            return Resultant(forces.sum(axis=0), ABSENT)
+            return Resultant(forces.sum(axis=0), None)
         about = np.zeros(self.dim) if about is None else checks.vector("about", about, self.dim)
         tied = () if self.ties is None else self.ties.names
         touches = boundary in ("contact", *self.contact.names, *self.contact.masters, *tied)
@@ -554,7 +551,7 @@ class Result:
                 np.concatenate([c.node[own], c.master_node[others], node]),
                 np.concatenate([c.force[own], c.master_force[others], force]),
             )
-        if self.mesh_or_none is None:
+        if self.mesh is None:
             raise ValueError(f"boundary {boundary!r} is not known; known are 'contact', {c.names}")
         nodes = self.mesh.boundary_nodes(boundary)
         of_contact = np.zeros_like(self.reaction)
@@ -571,7 +568,7 @@ class Result:
         carries: of several supports that hold one direction the measures at the node decide."""
         n, (own, total) = len(self.reaction), np.zeros((2, len(nodes), self.dim, self.dim))
         for name, directions in self.supports.items():
-            surface = self.mesh.surface(name)
+            surface = need_mesh(self).surface(name)
             span = np.array(directions).T @ np.array(directions)
             at = np.bincount(
                 surface.facets.ravel(), np.repeat(surface.measures, self.dim), minlength=n
@@ -593,7 +590,7 @@ class Result:
         or damaged, or a later step of a load path, which :meth:`PathResult.load` reads."""
         stored = read(path, KINDS)
         step = stored.part_of.get("step")
-        if step and stored.value.mesh_or_none is None:
+        if step and stored.value.mesh is None:
             folder = os.path.dirname(path) or "."
             raise ValueError(
                 f"{os.fspath(path)} is step {step} of a load path, whose mesh is in its first step: "
@@ -601,13 +598,6 @@ class Result:
             )
         return stored.value
 
-
-Result.mesh = made_on_demand(
-    "mesh",
-    "The finest mesh.",
-    "this result has no mesh (it comes from a bare "
-    "DiscreteProblem): its .displacement and .contact need none",
-)
 
 #: what the file of a result holds
 KINDS = (
@@ -625,16 +615,11 @@ KINDS = (
 
 @dataclass(frozen=True, eq=False)
 class Resultant:
-    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); no moment without
-    a mesh."""
+    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); the moment is None
+    without a mesh."""
 
     force: np.ndarray
-    moment: np.ndarray | float
-
-
-Resultant.moment = made_on_demand(
-    "moment", "N m (2D: N).", "a result without a mesh has forces, but no moments"
-)
+    moment: np.ndarray | float | None
 
 
 def label(option: object) -> str:

@@ -109,7 +109,7 @@ def _too_soft(grids: Hierarchy) -> str:
     surely count."""
     level = grids.finest
     problem = grids.problem
-    if problem is None or level.mesh_or_none is None:
+    if problem is None or level.mesh is None:
         return ""
     least = _SOFTEST * np.abs(level.discrete.matrix.data).max()
     words = ""

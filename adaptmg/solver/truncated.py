@@ -397,7 +397,7 @@ class TruncatedRun:
         """Richardson's share of the last change of the solution that the next level will add:
         discretisation errors fall like 1/n on uniform plane grids of n nodes. 0 elsewhere."""
         levels = self.hierarchy.levels[number - 1 : number + 2] if number > 0 else ()
-        meshes = [level.mesh_or_none for level in levels]
+        meshes = [level.mesh for level in levels]
         if len(meshes) < 3 or not all(
             mesh is not None and mesh.dim == 2 and mesh.lattices for mesh in meshes
         ):

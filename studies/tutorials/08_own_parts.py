@@ -28,7 +28,8 @@ class TwoSweeps:  # a smoother: twice the built-in one
 
 class NearContact:  # an indicator: large where y is small
     def indicate(self, hierarchy, result):
-        height = hierarchy.finest.mesh.points[hierarchy.finest.mesh.elements].mean(axis=1)[:, 1]
+        mesh = hierarchy.finest.mesh
+        height = mesh.points[mesh.elements].mean(axis=1)[:, 1]
         return am.Estimate(squares=np.exp(-height / 5e-3), norm=1e3)
 
 
@@ -40,6 +41,6 @@ am.plot.history(am.solve(grids, am.FullMultigrid(correction=am.Monotone(), smoot
 *_, last = am.adapt(
     am.cases.greco_bar(), start=10e-3, indicator=NearContact(), engine=am.Bisect(), max_nodes=1500
 )
-am.plot.mesh(last.hierarchy.finest.mesh)
+am.plot.mesh(am.mesh.need_mesh(last.result))
 # %%
 # **Next:** the same solve with ``am.L2()``. **It depends on** the bar in ten lines.

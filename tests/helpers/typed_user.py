@@ -35,9 +35,8 @@ def solve() -> float:
         am.plot.history({"a": result}, against="cycle").savefig("history.png", dpi=100)
         print(result.status.name, result.history["residual"][-1], result.certificate().energy_error)
     result = am.solve(grids, am.FullMultigrid(rtol=1e-6))
-    moved = (
-        result.displacement[result.mesh.boundary_nodes("left")] + result.resultant("left").moment
-    )
+    mesh = am.mesh.need_mesh(result)
+    moved = result.displacement[mesh.boundary_nodes("left")] + result.resultant("left").force
     print(
         grids.finest.discrete.matrix.nnz,
         grids[1].prolongation.nnz,

@@ -181,7 +181,7 @@ RESULTS = {
 
 def arguments(kind):
     """Arguments that a public dataclass takes."""
-    names = [field.name for field in dataclasses.fields(kind) if field.init]
+    names = inspect.signature(kind).parameters
     right = {name: FIELDS[name] for name in names if name in FIELDS} | OWN.get(kind, {})
     return {name: value for name, value in right.items() if value is not None}
 
