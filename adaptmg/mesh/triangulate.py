@@ -20,10 +20,16 @@ import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.predicates import turn
-from adaptmg.mesh.arrays import MeshArrays, trusted
+from adaptmg.mesh.arrays import MeshArrays, signed_measures, trusted
 from adaptmg.mesh.delaunay import BATCH, Untriangulated, insert, of_boundary, walk
 from adaptmg.mesh.improve import improve_triangles
-from adaptmg.mesh.sizes import MAX_BISECTIONS, NODES_PER_CELL, refuse_too_many, unreachable
+from adaptmg.mesh.sizes import (
+    MAX_BISECTIONS,
+    MAX_NODES,
+    NODES_PER_CELL,
+    refuse_too_many,
+    unreachable,
+)
 from adaptmg.mesh.slits import opened
 from adaptmg.problem.plane_domains import Domain, Outline
 from adaptmg.problem.plane_edges import Arc
@@ -269,8 +275,12 @@ def _filled(
                 if not _limit(points, elements[:n_elements], sizes, growth):
                     break
         cells = _look(points, sizes, elements[:n_elements], n_read, settled)
-        # triangles between nodes of a fine rim have its sizes, though those inside may be far larger
-        if n_read > 0:
+        # triangles between nodes of a fine rim have its sizes, though those inside may be far larger: of
+        # many cells they are read there, too
+        if n_read > 0 and NODES_PER_CELL[2] * cells > MAX_NODES[2]:
+            corners = elements[:n_elements]
+            inside = field(points[corners].mean(axis=1))
+            cells = float(np.sum(signed_measures(points, corners) / inside**2))
             refuse_too_many(NODES_PER_CELL[2] * cells, domain)
         n_read = n
         for most in range(n_read + BATCH, room + BATCH, BATCH):
