@@ -54,7 +54,10 @@ class ActiveSet:
         changes), which bounds the error of the iterate before it, and, times 10, for the relative
         natural residual. Where initial strains act, relative to u without what expands freely.
     max_steps : int
-        Steps at most, in all solves.
+        Steps at most, in all solves. In a step of a load path that finds motions of
+        :class:`adaptmg.Rigid` obstacles or :class:`adaptmg.Preload` no contact problem begins after
+        so many in all of them together, so that the step ends with less than twice as many
+        (and those that tighten a bolt until it pulls).
     nested_start : bool
         Solve on the coarser levels first, each from the solution of the level below.
 

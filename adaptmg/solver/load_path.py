@@ -394,9 +394,9 @@ class _Restarted:
     def run(
         self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
     ) -> tuple[Outcome, None]:
-        if not past.given:
+        if not (past.given or past.near):
             return self.first.run(hierarchy, run, None), None
-        start = better_start(examiner, past, run)
+        start = past.extrapolated if past.near else better_start(examiner, past, run)
         return self.later.run(hierarchy, run, start), None
 
     def hold(self, rtol: float) -> None:
@@ -435,6 +435,14 @@ class PathLoop:
         #: the solutions of the last two steps, and the forces that led there
         self.recent = [(np.zeros(finest.discrete.n_unknowns), np.zeros(finest.discrete.n_dofs))]
 
+    @property
+    def _limit(self) -> float:
+        """The cycles, steps or sweeps that the solver may take."""
+        limits = (
+            getattr(self.solver, name, None) for name in ("max_cycles", "max_steps", "max_sweeps")
+        )
+        return next((limit for limit in limits if limit is not None), np.inf)
+
     def described(self, k: int) -> str:
         """Return the factors of a step as text."""
         return ", ".join(f"{name}={factor:g}" for name, factor in self._factors_at(k).items())
@@ -452,6 +460,7 @@ class PathLoop:
                 parts,
                 lambda motions, near, loose: self._solve(k, motions, near, progress, loose),
                 partial(self._posed, k),
+                self._limit,
             )
             self._check_held(grids, k, motions)
         else:

@@ -411,18 +411,23 @@ class Controls:
         parts: Sequence[_Unknowns],
         solve: Solve[Kept],
         posed: Callable[[dict[str, np.ndarray]], Hierarchy],
+        limit: float,
     ) -> tuple[Result, Kept, dict[str, np.ndarray]]:
         """Return the result, what is kept of it, and the motions with which the forces are as
         prescribed. Cycles are those of all contact problems on the finest level, work and seconds
-        those of guides, too."""
-        search = Search(self, parts, solve)
+        those of guides, too. No contact problem begins there after ``limit`` cycles, from where
+        every bolt pulls on."""
+        search = Search(self, parts, solve, limit)
         guide = Guide(self, parts, posed)
         values = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
         values = guide.pressed(values / search.sizes)
-        if len(guide.parts) < len(parts):
-            found = search.run(search.pulled(search.at(values, None, _LOOSE)), None)
-        else:
-            found = search.run(search.at(values, None, guide.loose), guide)
+        try:
+            if len(guide.parts) < len(parts):
+                found = search.run(search.pulled(search.at(values, None, _LOOSE)), None)
+            else:
+                found = search.run(search.at(values, None, guide.loose), guide)
+        except _Exhausted:
+            found = search.last
         result = found.result
         if result.status.ok and not search.reached(found):
             _LOG.warning(
@@ -439,7 +444,7 @@ class Controls:
         }
         result = replace(
             result,
-            cycles=sum(one.cycles for one in search.spent),
+            cycles=search.cycles,
             work_units=sum(one.work_units for one in spent),
             timings=timings,
         )
@@ -591,19 +596,32 @@ class _Trial(Generic[Kept]):
     loosened: bool
 
 
+class _Exhausted(Exception):
+    """The contact problems of a step have taken all cycles of its solver."""
+
+
 class Search(Generic[Kept]):
     """The search for motions on the finest level; ``solve`` takes motions, a result near theirs and
-    the tolerance that suffices."""
+    the tolerance that suffices. ``last`` is the last trial."""
 
-    def __init__(self, controls: Controls, parts: Sequence[_Unknowns], solve: Solve[Kept]) -> None:
+    last: _Trial[Kept]
+
+    def __init__(
+        self, controls: Controls, parts: Sequence[_Unknowns], solve: Solve[Kept], limit: float
+    ) -> None:
         self.controls = controls
         self.parts = parts
         self.solve = solve
+        self.limit = limit
+        #: cycles after which no contact problem begins
+        self.budget = np.inf
         self.sizes = np.concatenate([part.sizes for part in parts])
         self.spent: list[Result] = []
 
     def at(self, values: np.ndarray, near: _Trial[Kept] | None, loose: float = 0.0) -> _Trial[Kept]:
         """Return the contact problem with the unknowns at some values."""
+        if self.cycles >= self.budget:
+            raise _Exhausted
         motions = self.controls.taken(self.parts, values * self.sizes)
         # a bolt shortened too far pulls with many times its force
         loose = min(loose, _LOOSE)
@@ -611,7 +629,13 @@ class Search(Generic[Kept]):
         self.spent.append(result)
         missed = self.controls.missed(self.parts, result)
         _LOG.debug("motions %s miss their forces by %s of their size", motions, missed)
-        return _Trial(values, missed, result, kept, result.rtol == loose)
+        self.last = _Trial(values, missed, result, kept, result.rtol == loose)
+        return self.last
+
+    @property
+    def cycles(self) -> int:
+        """Return the cycles of all contact problems so far."""
+        return sum(one.cycles for one in self.spent)
 
     def reached(self, trial: _Trial[Kept]) -> bool:
         """Return whether the forces are as prescribed."""
@@ -623,6 +647,7 @@ class Search(Generic[Kept]):
         values where that does not lead to the solution."""
         reach = 1.0
         jacobian = None
+        self.budget = self.cycles - trial.result.cycles + self.limit
         while trial.result.status.ok and not self.reached(trial) and len(self.spent) < _MOST:
             fresh = jacobian is None and guide is None
             if fresh:

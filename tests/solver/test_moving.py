@@ -143,6 +143,20 @@ def test_a_pad_bears_tangential_force_on_a_surface_that_stretches(n, share):
     np.testing.assert_allclose(moved.resultant("top").force, force, atol=1e-5 * PRESS)
 
 
+@pytest.mark.parametrize(
+    "limited",
+    [lambda n: am.FullMultigrid(max_cycles=n), lambda n: am.ActiveSet(max_steps=n)],
+    ids=["cycles", "steps"],
+)
+def test_the_limit_of_a_solver_is_that_of_all_contact_problems_of_a_step(limited):
+    grids = pad(40, force=(-0.15 * PRESS, -PRESS))
+    enough = am.solve(grids, limited(60)).cycles
+    assert enough <= 40
+    limit = enough - 3
+    result = am.solve(grids, limited(limit), throw=False)
+    assert result.status is am.Status.LIMIT and limit <= result.cycles < enough
+
+
 @pytest.mark.parametrize("solvable", [1, 4])
 def test_motions_are_found_where_guides_are_singular(solvable, monkeypatch):
     """All contact problems with unknown motions but the first ones fail."""
