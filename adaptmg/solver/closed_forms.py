@@ -29,17 +29,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from math import factorial
 
 import numpy as np
 
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
-from adaptmg.discrete.moduli import body_materials, columns, moduli
+from adaptmg.discrete.moduli import as_tensors, body_materials, columns, moduli
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem, remembered
 from adaptmg.discrete.supports import node_at
-from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Axisymmetric, Elastic
 from adaptmg.problem.loads import (
@@ -238,7 +237,7 @@ class FreeBodies:
     #: (dim,) from places on the slave to those on the master, m, where it is known
     masters: list[tuple[int, np.ndarray | None]]
     compared: np.ndarray  # (n_bodies, k) bool
-    near: Blocks | None  # linear elements at nodes that supports, ties or contact hold
+    near: Elements | None  # linear elements at nodes that supports, ties or contact hold
     known: tuple[Condition, ...]  # that do not depend on the displacement
 
     @classmethod
@@ -295,9 +294,8 @@ class FreeBodies:
         rounding = evidence.rounding * np.sqrt(len(self.points))
         lines = [*self.known, _condition("bodies", missed, scale, rounding, limit=0.0)]
         if self.near is not None:
-            cells, blocks = self.near
             discrete = evidence.problem
-            np.add.at(stretched, cells, _spring_forces(cells, blocks, evidence.u))
+            np.add.at(stretched, self.near.cells, self.near.forces(evidence.u))
             found = discrete.physical_forces(discrete.load - evidence.residual)
             held = discrete.fixed.reshape(stretched.shape).any(axis=1)
             held[evidence.nodes] = True
@@ -364,33 +362,48 @@ def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarr
     return ((other[0] - one[0]) @ normal) * normal
 
 
-def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Blocks:
-    """Return the linear elements at nodes that supports, ties or contact hold, and their stiffness
-    V B'CB."""
-    dim = mesh.dim
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """Linear elements, by their facets."""
+
+    cells: np.ndarray  # (n, dim + 1) int
+    sides: np.ndarray  # (n, dim + 1, dim): measure times gradient of each shape function
+    measures: np.ndarray  # (n,): m^2 or m^3
+    tensors: np.ndarray  # (n, k, k): stress columns of strain columns, Pa
+    radii: np.ndarray | None  # (n,): in axisymmetry, m
+
+    def forces(self, displacement: np.ndarray) -> np.ndarray:
+        """Return the forces (n, dim + 1, dim) of the stresses of a displacement (n_nodes, dim), N."""
+        moved = displacement[self.cells]
+        dim = moved.shape[2]
+        gradient = np.swapaxes(moved, 1, 2) @ self.sides / self.measures[:, None, None]
+        strain = np.zeros((len(moved), 3, 3))
+        strain[:, :dim, :dim] = 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
+        if self.radii is not None:
+            strain[:, 2, 2] = moved[:, :, 0].mean(axis=1) / self.radii
+        of_strain = columns(strain, self.tensors.shape[1])
+        stress = as_tensors(np.einsum("nij,nj->ni", self.tensors, of_strain))
+        forces = self.sides @ stress[:, :dim, :dim]
+        if self.radii is not None:
+            forces[:, :, 0] += (self.measures * stress[:, 2, 2] / (3 * self.radii))[:, None]
+            forces *= 2 * np.pi * self.radii[:, None, None]
+        return forces
+
+
+def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Elements:
+    """Return the linear elements at nodes that supports, ties or contact hold."""
     held = discrete.fixed.reshape(mesh.points.shape).any(axis=1)
     held[discrete.contact.nodes] = True
     # by corner: 26 us at 8192 triangles in place of 145
     here = np.flatnonzero(held.take(mesh.elements.T).any(axis=0))
     cells = mesh.elements[here]
-    corners = mesh.points[cells]
-    inverse = np.linalg.inv(np.concatenate([np.ones((*cells.shape, 1)), corners], axis=2))
-    measures = 1 / (np.abs(np.linalg.det(inverse)) * factorial(dim))
-    # strains by element, corner and component of the displacement that makes them
-    strain = np.zeros((*corners.shape, 3, 3))
-    for i in range(dim):
-        strain[:, :, i, i, :dim] = 0.5 * np.swapaxes(inverse[:, 1:], 1, 2)
-    strain += np.swapaxes(strain, 3, 4)
-    if problem.axisymmetric:
-        radii = corners[:, :, 0].mean(axis=1)
-        measures *= 2 * np.pi * radii
-        strain[:, :, 0, 2, 2] = 1 / (3 * radii[:, None])
+    # the facet opposite a corner: 6 ms at 36k nodes in space, where blocks B'CB took 52
+    facets = element_facets(cells).reshape(-1, mesh.dim)
+    outward = Surface(mesh.points, facets).vectors.reshape(*cells.shape, mesh.dim)
+    radii = mesh.points[cells, 0].mean(axis=1) if problem.axisymmetric else None
     own = moduli(mesh, body_materials(mesh, problem.material))
-    size = own.table.shape[1]
-    rows = columns(strain.reshape(-1, 3, 3), size).reshape(len(cells), -1, size)
-    blocks = measures[:, None, None] * (rows @ own.table[own.rows[here]] @ np.swapaxes(rows, 1, 2))
-    shape = (len(cells), dim + 1, dim, dim + 1, dim)
-    return cells, blocks.reshape(shape).swapaxes(2, 3)
+    tensors = own.table[own.rows[here]]
+    return Elements(cells, -outward / mesh.dim, mesh.volumes[here], tensors, radii)
 
 
 def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Condition:
