@@ -101,3 +101,24 @@ def test_galerkin_matrices_are_discretised_ones_on_nested_meshes():
         free = ~a.system.fixed
         difference = (a.system.matrix - b.system.matrix).toarray()[np.ix_(free, free)]
         assert np.abs(difference).max() < 1e-12 * np.abs(b.system.data).max()
+
+
+def test_prolongations_in_contact_frames_keep_normal_and_tangent_apart():
+    """On a round surface, whose normals turn, and on a block that supports hold."""
+    for grids in (
+        am.Hierarchy.graded(am.cases.hertz_cylinder(), (4e-3, 2e-3), 3),
+        am.Hierarchy.uniform(am.cases.greco_block(), (2, 4)),
+    ):
+        coarse, fine = (am.smoother.local_system(level.discrete) for level in grids.levels)
+        (P,) = am.multigrid.local_prolongations(grids, [coarse, fine])
+        dense = P.toarray()
+        assert not dense[fine.system.fixed].any() and not dense[:, coarse.system.fixed].any()
+        dim = fine.system.dim
+        blocks = dense.reshape(fine.system.n_nodes, dim, coarse.system.n_nodes, dim)
+        at = blocks[fine.system.nodes][:, :, coarse.system.nodes]
+        assert not at[:, 0, :, 1:].any() and not at[:, 1:, :, 0].any()
+        weights = grids.finest.contact_prolongation.toarray()
+        expected = weights[np.ix_(fine.system.nodes, coarse.system.nodes)]
+        np.testing.assert_allclose(
+            np.linalg.norm(at[:, 0, :, 0], axis=0), np.linalg.norm(expected, axis=0)
+        )

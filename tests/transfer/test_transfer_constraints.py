@@ -47,11 +47,7 @@ def test_monotone_guarantee(seed, dim, one_way):
     stick = rng.random(n_fine) < 0.15
     slip[stick] = 0
     sets = am.transfer.supports(P)
-    bound, reference, force = (
-        am.transfer.smallest_gap(sets, opening),
-        am.transfer.minmod_slip(sets, slip, stick),
-        am.transfer.summed_limit(sets, limit),
-    )
+    bound, reference, force = am.Monotone().transport(sets, opening, slip, limit, None)
     for scale in (1e-3, 1.0, 1e3):
         normal = np.minimum(
             np.where(np.isfinite(bound), bound, 0), scale * rng.standard_normal(n_coarse)
