@@ -41,8 +41,8 @@ def written(text: str = SCRIPT) -> str:
 
 
 @pytest.fixture(autouse=True)
-def modules(monkeypatch):
-    monkeypatch.setattr(sys, "path", list(sys.path))
+def modules(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(tmp_path)  # the path is restored in the end
     yield
     sys.modules.pop("bar", None)
 

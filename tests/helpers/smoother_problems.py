@@ -109,3 +109,13 @@ def tresca_energy(problem: am.smoother.LocalProblem, w: np.ndarray) -> float:
 def expand(P, dim):
     """kron(P, I): from nodes to dofs, component by component."""
     return sparse.csr_array(sparse.kron(P, np.eye(dim)))
+
+
+class Idle:
+    """A linear correction that corrects nothing."""
+
+    def setup(self, matrices, prolongations):
+        return self
+
+    def solve(self, rhs):
+        return np.zeros_like(rhs)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import sparse
+from smoother_problems import Idle
 
 import adaptmg as am
 from adaptmg.multigrid.rigid_motions import RigidMotions, null_combinations
@@ -83,17 +84,7 @@ def test_a_body_that_nearly_slides_takes_few_cycles(dim, law, held, divisions):
         assert result.history["true_error"][-1] < 1e-7
 
 
-class Nothing:
-    """A linear correction that corrects nothing."""
-
-    def setup(self, matrices, prolongations):
-        return self
-
-    def solve(self, rhs):
-        return np.zeros_like(rhs)
-
-
-class Noise(Nothing):
+class Noise(Idle):
     """A linear correction that undoes what the smoothing gains."""
 
     def setup(self, matrices, prolongations):
@@ -107,7 +98,7 @@ class Noise(Nothing):
 
 
 #: cycles that only smooth
-SMOOTHING = am.Multigrid(correction=am.Truncated(correct=Nothing(), recombine=0))
+SMOOTHING = am.Multigrid(correction=am.Truncated(correct=Idle(), recombine=0))
 
 
 @pytest.fixture

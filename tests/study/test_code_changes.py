@@ -29,6 +29,7 @@ BOTH = re.compile(r"<<(.*?)\|>(.*?)>>", re.DOTALL)
 def load(tmp_path, monkeypatch):
     """Write the files of a script and load it, without any of a script before."""
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.syspath_prepend(tmp_path)  # and taken out in the end
     before, path, turn = set(sys.modules), list(sys.path), iter(range(10))
 
     def forget():
@@ -48,7 +49,7 @@ def load(tmp_path, monkeypatch):
             file = folder / name.strip()
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(body, encoding="utf-8")
-        monkeypatch.setattr(sys, "path", [str(folder), *path])
+        sys.path[:] = [str(folder), *path]
         importlib.invalidate_caches()
         monkeypatch.chdir(folder)
         return importlib.import_module("script")

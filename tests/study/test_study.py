@@ -21,9 +21,12 @@ GRID = {"sweeps": [1, 2, 3], "friction": [0.0, 1.0]}
 
 
 @pytest.fixture(autouse=True)
-def fresh(monkeypatch):
+def machine(monkeypatch):
+    """The versions of the libraries here, which a test may change."""
     CALLS.clear()
-    monkeypatch.setattr(execute, "environment", lambda: {"python": "3", "numpy": "1"})
+    versions = {"python": "3", "numpy": "1"}
+    monkeypatch.setattr(execute, "environment", versions.copy)
+    return versions
 
 
 def case(sweeps, friction=0.3):
@@ -104,14 +107,14 @@ def test_rows_before_an_end_are_stored(tmp_path, how):
     assert study.table()["status"].tolist() == ["done", "done", ended, "missing"]
 
 
-def test_a_changed_function_or_version_makes_rows_stale(tmp_path, monkeypatch):
+def test_a_changed_function_or_version_makes_rows_stale(tmp_path, machine):
     path = tmp_path / "s.sqlite"
     sweep(case, {"sweeps": [1, 2]}, path, name="one").run(progress=False)
     changed = sweep(another, {"sweeps": [1, 2]}, path, name="one")
     assert changed.table()["status"].tolist() == ["stale", "stale"]
     assert changed.run(progress=False)["work"].tolist() == [0.0, 0.0]
     assert changed.table()["status"].tolist() == ["done", "done"]
-    monkeypatch.setattr(execute, "environment", lambda: {"python": "3", "numpy": "2", "new": "3"})
+    machine.update(numpy="2", new="3")
     assert changed.status().reasons == {"package numpy 1 -> 2": 2, "package new is new": 2}
     assert "stale: package new is new (2)" in repr(changed.status())
 
