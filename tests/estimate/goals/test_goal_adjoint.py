@@ -11,7 +11,7 @@ from bodies import bar_on_block
 import adaptmg as am
 from adaptmg.estimate.adjoint import adjoint_system
 from adaptmg.estimate.quantities import GoalView
-from adaptmg.estimate.stress_fields import posed
+from adaptmg.estimate.stress_fields import solved
 
 EXACT = am.ActiveSet(rtol=1e-13)
 
@@ -40,7 +40,7 @@ def solved(name):
 
 
 def view_of(hierarchy, result):
-    return GoalView.of(posed(hierarchy, result))
+    return GoalView.of(solved(hierarchy, result))
 
 
 def quantities(hierarchy):
