@@ -15,7 +15,6 @@ from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.smoother.factorisation import FACTORISED
 from adaptmg.solver import multigrid
 from adaptmg.solver.projected import ProjectedRun
-from adaptmg.solver.truncated import TruncatedIteration
 
 
 def nearly_sliding(dim, law, held):
@@ -167,15 +166,6 @@ def test_a_large_coarsest_grid_is_factorised_sparse():
     exact = am.solve(grids, am.ActiveSet(rtol=1e-12))
     result = am.solve(grids, am.FullMultigrid(), reference=exact)
     assert not result.fallback and result.cycles <= 15 and result.history["true_error"][-1] < 3e-8
-
-
-def test_one_wild_start_sets_no_tolerance():
-    problem = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4,)).finest.discrete
-    watch = TruncatedIteration(None, problem, "discretisation", 100)
-    watch.size = 1.0
-    for change in (1e-2, 1e3):
-        watch.take_discretisation_error(change)
-        assert watch.rtol == pytest.approx(min(0.1 * change / np.sqrt(3), 1e-2))
 
 
 @pytest.mark.parametrize(("pull", "ratio", "finest"), [(-2e7, 25, 12), (5e7, 100, 16)])

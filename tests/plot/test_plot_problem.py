@@ -11,7 +11,6 @@ from matplotlib.quiver import Quiver
 from pictures import words
 
 import adaptmg as am
-from adaptmg.plot.posed_problem import _spread
 from adaptmg.plot.surfaces import ShadedSurface
 
 STEEL = {"young": 2e11, "poisson": 0.3}
@@ -165,15 +164,6 @@ def test_arrows_are_proportional_to_tractions_and_end_at_bodies():
     np.testing.assert_allclose(np.linalg.norm(tips, axis=1), 10.0, rtol=1e-3)
     directions = -np.stack([arc.U, arc.V], 1) / np.hypot(arc.U, arc.V)[:, None]
     np.testing.assert_allclose(directions, tips / np.linalg.norm(tips, axis=1)[:, None], atol=0.03)
-
-
-def test_points_are_spread_over_all_edges_of_a_boundary():
-    mesh = am.mesh.graded(
-        am.Polygon(vertices=((0, 0), (1, 0), (1, 1), (0, 1)), boundaries=("a", "b", "a", "b")), 0.3
-    )
-    points, normals = _spread(mesh, "a", 2)
-    np.testing.assert_allclose(points, [[0.5, 0], [0.5, 1]], atol=1e-15)
-    np.testing.assert_allclose(normals, [[0, -1], [0, 1]], atol=1e-15)
 
 
 def test_solids_are_drawn_on_a_mesh():

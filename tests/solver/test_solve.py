@@ -13,7 +13,7 @@ from made import result_on
 import adaptmg as am
 from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.solver.aggregates import aggregates_of
-from adaptmg.solver.iterate import Measured, StopTest, iterate
+from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.statics import critical_friction
 
@@ -147,75 +147,6 @@ def test_a_force_at_a_corner_belongs_to_its_supports(law, tmp_path):
 def test_bad_input_is_refused(bar, make, error, message):
     with pytest.raises(error, match=message):
         make(bar[0])
-
-
-class Halving:
-    """Residuals and changes that fall by ``factor``; gives up after ``gives_up`` cycles."""
-
-    def __init__(self, factor=0.5, gives_up=None):
-        self.factor, self.gives_up, self.cycles = factor, gives_up, -1
-
-    def step(self):
-        self.cycles += 1
-        if self.cycles == self.gives_up:
-            return am.Status.CYCLING
-        size = self.factor**self.cycles
-        return Measured(
-            self.cycles, size, forces=1.0, size=1.0, change=size if self.cycles else None
-        )
-
-
-def test_error_and_residual_end_it():
-    method, stop, run = Halving(), StopTest(1e-3, 100), Run(unit=1)
-    assert iterate(method, stop, run) is am.Status.CONVERGED
-    # with a rate of a half the error that remains is the last change
-    assert (
-        method.cycles == 10
-        and stop.error_estimate == pytest.approx(0.5**10)
-        and stop.rate == pytest.approx(0.5)
-    )
-    assert [row["cycle"] for row in run.history] == list(range(11))
-
-
-@pytest.mark.parametrize(
-    ("method", "limit", "status", "cycles"),
-    [
-        (Halving(), 4, am.Status.LIMIT, 4),
-        (Halving(gives_up=3), 100, am.Status.CYCLING, 3),
-        (Halving(1.0), 1000, am.Status.STALLED, StopTest.PATIENCE + 1),
-        (Halving(100.0), 100, am.Status.DIVERGED, 7),
-        (Halving(np.nan), 100, am.Status.DIVERGED, 1),
-    ],
-)
-def test_what_else_ends_it(method, limit, status, cycles):
-    assert iterate(method, StopTest(1e-3, limit)) is status
-    assert method.cycles == cycles
-
-
-@pytest.mark.parametrize(("last", "status"), [(0.0, am.Status.CONVERGED), (2.0, am.Status.LIMIT)])
-def test_at_the_limit_of_cycles_the_certificate_decides(last, status):
-    """After a refusal the test asks for more than rtol, and the cycles may end before."""
-    answers = [3.0, last]
-    assert (
-        iterate(Halving(), StopTest(1e-3, 11, lambda rtol: answers.pop(0))) is status
-        and not answers
-    )
-
-
-def test_an_estimate_that_was_refuted_is_believed_by_its_factor_less():
-    """The true error is three times what the changes tell; the certificate knows it."""
-    method, asked = Halving(), []
-
-    def shortfall(rtol):
-        asked.append(method.cycles)
-        excess = 3 * 0.5**method.cycles / rtol
-        return excess if excess > 1 else 0.0
-
-    stop = StopTest(1e-3, 100, shortfall)
-    assert iterate(method, stop) is am.Status.CONVERGED
-    # 3 / 2^k is below 1e-3 from k = 12 on, and nothing is asked between
-    assert asked == [10, 12]
-    assert 3 * 0.5**12 <= stop.error_estimate <= 1e-3
 
 
 @pytest.mark.parametrize("make", [am.cases.greco_bar, am.cases.greco_block])
