@@ -5,22 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._on_demand import ABSENT
 from adaptmg._text import brief
 from adaptmg.problem.contact_problem import CONTACT
 from adaptmg.problem.laws import Law
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ContactNodes(checks.Checked):
+@dataclass(frozen=True, eq=False, init=False)
+class ContactNodes:
     """Nodes that may touch an obstacle.
 
     Parameters
@@ -56,93 +53,77 @@ class ContactNodes(checks.Checked):
     2
     """
 
-    nodes: Annotated[np.ndarray, partial(checks.array, shape=(None,), integer=True)]
+    nodes: np.ndarray
     normals: np.ndarray
     gaps: np.ndarray
-    weights: np.ndarray = ABSENT
-    slip_reference: np.ndarray = ABSENT
-    allow_interference: checks.Flag = False
-    boundary: np.ndarray = ABSENT
-    names: Annotated[tuple[str, ...], checks.strings] = ("contact",)
-    masters: tuple[str, ...] = ABSENT
-    taken_over: sparse.csr_array = ABSENT
+    weights: np.ndarray
+    slip_reference: np.ndarray
+    allow_interference: bool
+    boundary: np.ndarray
+    names: tuple[str, ...]
+    masters: tuple[str, ...]
+    taken_over: sparse.csr_array
 
-    __repr__ = brief
-    if TYPE_CHECKING:
-
-        def __init__(
-            self,
-            *,
-            nodes: ArrayLike,
-            normals: ArrayLike,
-            gaps: ArrayLike,
-            weights: ArrayLike | None = None,
-            slip_reference: ArrayLike | None = None,
-            allow_interference: bool = False,
-            boundary: ArrayLike | None = None,
-            names: tuple[str, ...] = ("contact",),
-            masters: tuple[str, ...] | None = None,
-            taken_over: sparse.sparray | sparse.spmatrix | None = None,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        n = len(self.nodes)
-        if len(np.unique(self.nodes)) < n or self.nodes.min(initial=0) < 0:
+    def __init__(
+        self,
+        *,
+        nodes: ArrayLike,
+        normals: ArrayLike,
+        gaps: ArrayLike,
+        weights: ArrayLike | None = None,
+        slip_reference: ArrayLike | None = None,
+        allow_interference: bool = False,
+        boundary: ArrayLike | None = None,
+        names: tuple[str, ...] = ("contact",),
+        masters: tuple[str, ...] | None = None,
+        taken_over: sparse.sparray | sparse.spmatrix | None = None,
+    ) -> None:
+        numbers = checks.array("nodes", nodes, (None,), integer=True)
+        checks.flag("allow_interference", allow_interference)
+        slaves = checks.strings("names", names)
+        n = len(numbers)
+        if len(np.unique(numbers)) < n or numbers.min(initial=0) < 0:
             raise ValueError("nodes must be distinct and >= 0")
-        normals = bounded("normals", self.normals, (n, None), 2.0)
-        if normals.shape[1] not in (2, 3):
-            raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
-        lengths = np.linalg.norm(normals, axis=1)
-        if np.abs(lengths - 1).max(initial=0.0) > 1e-6:
-            i = int(np.argmax(np.abs(lengths - 1)))
+        directions = _unit_normals(normals, n)
+        distances = bounded("gaps", gaps, (n,), checks.VAST)
+        if not allow_interference and distances.min(initial=0.0) < 0:
+            i = int(np.argmin(distances))
             raise ValueError(
-                f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}"
-            )
-        normals = normals / lengths[:, None]
-        normals.flags.writeable = False
-        gaps = bounded("gaps", self.gaps, (n,), checks.VAST)
-        if not self.allow_interference and gaps.min(initial=0.0) < 0:
-            i = int(np.argmin(gaps))
-            raise ValueError(
-                f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
+                f"gaps must be >= 0, got {distances[i]:.6g} at contact node {i}; "
                 "for an interference fit say allow_interference=True"
             )
-        weights = bounded("weights", np.ones(n) if self.weights is None else self.weights, (n,))
-        if not weights.min(initial=1.0) >= SMALLEST:
+        masses = bounded("weights", np.ones(n) if weights is None else weights, (n,))
+        if not masses.min(initial=1.0) >= SMALLEST:
             raise ValueError(
-                f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}"
+                f"weights must be > 0, and at least {SMALLEST:g}, got {masses.min():.6g}"
             )
-        reference = np.zeros_like(normals) if self.slip_reference is None else self.slip_reference
-        boundary = np.zeros(n, dtype=np.int64) if self.boundary is None else self.boundary
-        boundary = checks.array("boundary", boundary, (n,), integer=True)
-        if not ((boundary >= 0) & (boundary < len(self.names))).all():
-            raise ValueError(f"boundary must index names ({len(self.names)} given), got {boundary}")
-        masters = (
-            ("",) * len(self.names)
-            if self.masters is None
-            else tuple(
-                item and checks.boundary_name(f"masters[{i}]", item)
-                for i, item in enumerate(checks.listed("masters", self.masters, "names"))
-            )
-        )
-        if len(masters) != len(self.names):
-            raise ValueError(f"masters must go with names ({len(self.names)}), got {len(masters)}")
+        reference = np.zeros_like(directions) if slip_reference is None else slip_reference
+        places = np.zeros(n, dtype=np.int64) if boundary is None else boundary
+        places = checks.array("boundary", places, (n,), integer=True)
+        if not ((places >= 0) & (places < len(slaves))).all():
+            raise ValueError(f"boundary must index names ({len(slaves)} given), got {places}")
+        faced = ("",) * len(slaves) if masters is None else _checked_masters(masters)
+        if len(faced) != len(slaves):
+            raise ValueError(f"masters must go with names ({len(slaves)}), got {len(faced)}")
         taken = sparse.csr_array((n, 0))
-        if self.taken_over is not None:
-            taken = sparse.csr_array(checks.sparse_matrix("taken_over", self.taken_over, (n, None)))
+        if taken_over is not None:
+            taken = sparse.csr_array(checks.sparse_matrix("taken_over", taken_over, (n, None)))
             if not taken.data.min(initial=0.0) >= 0:
                 raise ValueError(f"taken_over must be >= 0, got {taken.data.min():.6g}")
-        for name, value in (
-            ("taken_over", taken),
-            ("normals", normals),
-            ("gaps", gaps),
-            ("weights", weights),
-            ("boundary", boundary),
-            ("slip_reference", bounded("slip_reference", reference, normals.shape, checks.VAST)),
-            ("masters", masters),
-        ):
-            object.__setattr__(self, name, value)
+        self.__dict__.update(
+            nodes=numbers,
+            normals=directions,
+            gaps=distances,
+            weights=masses,
+            slip_reference=bounded("slip_reference", reference, directions.shape, checks.VAST),
+            allow_interference=bool(allow_interference),
+            boundary=places,
+            names=slaves,
+            masters=faced,
+            taken_over=taken,
+        )
+
+    __repr__ = brief
 
     def check_name_contact(self) -> None:
         """Raise ValueError if one of several names is "contact", which stands for all contact
@@ -172,6 +153,29 @@ class ContactNodes(checks.Checked):
     def measures(self) -> np.ndarray:
         """Return the weights (n,) with what contact nodes take over."""
         return self.weights * (1 + self.taken_over.sum(axis=1))
+
+
+def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:
+    """Return the normals (n, dim) of contact nodes, read-only, of length 1 to rounding."""
+    normals = bounded("normals", value, (n, None), 2.0)
+    if normals.shape[1] not in (2, 3):
+        raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
+    lengths = np.linalg.norm(normals, axis=1)
+    if np.abs(lengths - 1).max(initial=0.0) > 1e-6:
+        i = int(np.argmax(np.abs(lengths - 1)))
+        raise ValueError(
+            f"normals must have length 1; that of contact node {i} has length {lengths[i]:.6g}"
+        )
+    normals = normals / lengths[:, None]
+    normals.flags.writeable = False
+    return normals
+
+
+def _checked_masters(value: object) -> tuple[str, ...]:
+    return tuple(
+        checks.boundary_name(f"masters[{i}]", name) if name else ""
+        for i, name in enumerate(checks.listed("masters", value, "names"))
+    )
 
 
 # entries of matrices and nodal forces beyond these come from no physical problem: energies leave

@@ -18,7 +18,6 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
-from adaptmg._on_demand import ABSENT
 from adaptmg._text import shortened
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ _LABELS = ("facet_labels", "element_body")
 _SIZE, _MANY, _VIEW = 480, 20_000, np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 
 
-def _frozen(name: str, array: np.ndarray, dtype: type) -> np.ndarray:
+def _frozen(name: str, array: ArrayLike, dtype: type) -> np.ndarray:
     """A read-only copy; node numbers are not rounded from floats, nor wrapped from more than 32
     bits."""
     if (
@@ -67,7 +66,7 @@ class Refinement:
     generation: np.ndarray  # (n_elements,) int16: how many bisections lead to the element
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class MeshArrays:
     """A mesh of triangles or tetrahedra with named boundaries.
 
@@ -125,42 +124,36 @@ class MeshArrays:
     facets: np.ndarray
     facet_labels: np.ndarray
     boundaries: tuple[str, ...]
-    element_body: np.ndarray = ABSENT
-    bodies: tuple[str, ...] = ("body",)
+    element_body: np.ndarray
+    bodies: tuple[str, ...]
     sound: bool = field(default=False, init=False, repr=False)
     apart: bool = field(default=False, init=False, repr=False)
     refinement: Refinement | None = field(default=None, init=False, repr=False)
     lattices: tuple[tuple[int, ...], ...] = field(default=(), init=False, repr=False)
     notes: tuple[str, ...] = field(default=(), init=False, repr=False)
 
-    if TYPE_CHECKING:
-
-        def __init__(
-            self,
-            points: ArrayLike,
-            elements: ArrayLike,
-            facets: ArrayLike,
-            facet_labels: ArrayLike,
-            boundaries: tuple[str, ...],
-            element_body: ArrayLike | None = None,
-            bodies: tuple[str, ...] = ("body",),
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        for name, dtype in (
-            ("points", np.float64),
-            ("elements", np.int32),
-            ("facets", np.int32),
-            ("facet_labels", np.int32),
-        ):
-            object.__setattr__(self, name, _frozen(name, getattr(self, name), dtype))
-        body = self.element_body
-        if body is None:
-            body = np.zeros(len(self.elements), dtype=np.int32)
-            body.flags.writeable = False
-        object.__setattr__(self, "element_body", _frozen("element_body", body, np.int32))
-        object.__setattr__(self, "boundaries", tuple(self.boundaries))
-        object.__setattr__(self, "bodies", tuple(self.bodies))
+    def __init__(
+        self,
+        points: ArrayLike,
+        elements: ArrayLike,
+        facets: ArrayLike,
+        facet_labels: ArrayLike,
+        boundaries: tuple[str, ...],
+        element_body: ArrayLike | None = None,
+        bodies: tuple[str, ...] = ("body",),
+    ) -> None:
+        cells = _frozen("elements", elements, np.int32)
+        if element_body is None:
+            element_body = np.zeros(len(cells), dtype=np.int32)
+        self.__dict__.update(
+            points=_frozen("points", points, np.float64),
+            elements=cells,
+            facets=_frozen("facets", facets, np.int32),
+            facet_labels=_frozen("facet_labels", facet_labels, np.int32),
+            boundaries=tuple(boundaries),
+            element_body=_frozen("element_body", element_body, np.int32),
+            bodies=tuple(bodies),
+        )
         _check_numbers(self.points, self.elements, self.facets)
         _check_labels(self)
 

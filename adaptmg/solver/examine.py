@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import sparse
 
-from adaptmg._on_demand import ABSENT
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
@@ -87,18 +86,18 @@ class ContactResult:
         Contact boundaries.
     masters : tuple of str
         For each of ``names`` the boundary of the other body, "" for a rigid obstacle.
-    master_node : (m,) int array, optional
+    master_node : (m,) int array
         Other nodes on which contact forces act: of the masters, and those of the contact boundary
         that carry no contact conditions of it. For each pair each node once of either.
-    master_force : (m, dim) array, optional
+    master_force : (m, dim) array
         Contact forces on them (Cartesian), N (2D: N/m).
-    master_boundary : (m,) int array, optional
+    master_boundary : (m,) int array
         Their contact boundary or pair: index into ``names``.
-    master_is_slave : (m,) bool array, optional
+    master_is_slave : (m,) bool array
         Which of them lie on the contact boundary itself.
-    measures : (n,) array, optional
+    measures : (n,) array
         The part of the boundary on which the forces of contact nodes act: ``weights``, and where
-        the neighbours carry no conditions their part. Default ``weights``.
+        the neighbours carry no conditions their part.
     axisymmetric : bool
         Whether x is the radius, and forces and masses are those of the full circumference (N, m^2).
     """
@@ -116,30 +115,14 @@ class ContactResult:
     limit: np.ndarray
     state: np.ndarray
     boundary: np.ndarray
-    names: tuple[str, ...] = ("contact",)
-    masters: tuple[str, ...] = ()
-    master_node: np.ndarray = ABSENT
-    master_force: np.ndarray = ABSENT
-    master_boundary: np.ndarray = ABSENT
+    names: tuple[str, ...]
+    masters: tuple[str, ...]
+    master_node: np.ndarray
+    master_force: np.ndarray
+    master_boundary: np.ndarray
+    master_is_slave: np.ndarray
+    measures: np.ndarray
     axisymmetric: bool = False
-    master_is_slave: np.ndarray = ABSENT
-    measures: np.ndarray = ABSENT
-
-    def __post_init__(self) -> None:
-        if not self.masters:
-            object.__setattr__(self, "masters", ("",) * len(self.names))
-        if self.master_node is None:
-            empty = np.empty(0, dtype=np.int64)
-            for name, value in (
-                ("master_node", empty),
-                ("master_force", np.empty((0, self.frames.shape[1]))),
-                ("master_boundary", empty),
-            ):
-                object.__setattr__(self, name, value)
-        if self.measures is None:
-            object.__setattr__(self, "measures", self.weights)
-        if self.master_is_slave is None:
-            object.__setattr__(self, "master_is_slave", np.zeros(len(self.master_node), dtype=bool))
 
     @property
     def pair(self) -> np.ndarray:

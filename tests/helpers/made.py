@@ -59,6 +59,12 @@ def result_on(mesh: am.MeshArrays | None, **changes: object) -> am.Result:
         state=state,
         boundary=np.zeros(len(nodes), int),
         names=("bottom",),
+        masters=("",),
+        master_node=np.empty(0, dtype=np.int64),
+        master_force=np.empty((0, dim)),
+        master_boundary=np.empty(0, dtype=np.int64),
+        master_is_slave=np.empty(0, dtype=bool),
+        measures=weights,
     )
     displacement = np.zeros(drawn.points.shape)
     displacement[:, 0] = 1e-3 * (size - drawn.points[:, 0])
