@@ -175,8 +175,9 @@ class Hierarchy:
             bodies' mean extent.
         contact_ratio : float or mapping, optional
             Size away from contact over size at contact (at ties where there is no contact), >= 1;
-            of several bodies also body name -> ratio. Default 1; without ``sizes`` in the plane
-            such that the shortest contact boundary has 64 elements.
+            of several bodies also body name -> ratio. Default 1; without ``sizes`` such that the
+            shortest boundary of a pair has 64 elements along, in space 14 along the root of its
+            area, where all of them have at most 1000 in all.
         transfer, contact_rows
             See :meth:`from_meshes`.
         mesher : {"own", "netgen"}

@@ -213,7 +213,8 @@ def hertz_sphere(
         "ball on block" if lower_radius is None else "two balls",
         material,
         law,
-        _sections(radius, lower_radius, form.half_width),
+        # in space, where they hold most nodes of a mesh, contact boundaries reach half as far
+        _sections(radius, lower_radius, form.half_width / (dim - 1)),
         form.load / (math.pi * radius**2),
     )
 

@@ -61,8 +61,11 @@ _LOOKS, _FLAT = 9, 1e3
 #: of the field, which elements may exceed by sqrt(2), and those of cells do alike: then by a quarter at most, and there
 #: are as many nodes as sizes are asked for
 _CLOSER = 0.9
-#: elements across a body by default, coarse to fine, and along a plane contact boundary of the finest mesh
-_ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, 64
+#: elements across a body by default, coarse to fine, and along a contact boundary of the finest mesh (in space its
+#: length is the root of its area)
+_ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, {2: 64, 3: 14}
+#: elements as large as the square of their size on all contact boundaries in space, at most
+_ON_FACES = 1000
 MESHERS = ("own", "netgen")
 
 
@@ -332,13 +335,16 @@ def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[flo
     volumes, lengths = measures(domain)
     across = (sum(volumes) / len(volumes)) ** (1 / domain.dim)
     sizes = tuple(float(f"{across / count:.2g}") for count in _ACROSS[domain.dim])
-    shortest = min((lengths[name] for name in boundaries if name in lengths), default=math.inf)
-    return sizes, max(1.0, float(math.ceil(_ALONG * sizes[-1] / shortest)))
+    along = [lengths[name] for name in boundaries if name in lengths]
+    near = min(along, default=math.inf) / _ALONG[domain.dim]
+    if domain.dim == 3 and along:
+        near = max(near, math.hypot(*along) / math.sqrt(_ON_FACES))
+    return sizes, max(1.0, float(math.ceil(sizes[-1] / near)))
 
 
 def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
-    """Return the area (m^2) or volume (m^3) of each body; of plane domains also the length (m) of
-    each boundary."""
+    """Return the area (m^2) or volume (m^3) of each body, and the length (m) of each boundary, in
+    space the root of its area."""
     shape = _meshed(domain)
     if isinstance(shape, Assembly):
         apart = {body: measures(part) for body, part in shape.parts.items()}
@@ -355,4 +361,8 @@ def measures(domain: Domain) -> tuple[list[float], dict[str, float]]:
         return [area], lengths
     with netgen() as worker:
         solid = built_shape(worker, shape)
-    return [solid.volume * solid.scale**3], {}
+    areas = dict.fromkeys(solid.names, 0.0)
+    for name, area in zip(solid.names, solid.areas, strict=True):
+        areas[name] += area
+    roots = {name: solid.scale * math.sqrt(area) for name, area in areas.items()}
+    return [solid.volume * solid.scale**3], roots
