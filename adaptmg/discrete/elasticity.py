@@ -44,7 +44,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
-from adaptmg._numba import kernel, read_only
+from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg._threads import in_parts, one_blas_thread
 from adaptmg.discrete.moduli import EDGE_PART, Materials, body_materials, is_axisymmetric, moduli
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
@@ -82,6 +82,10 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
     of_nodes = patches_of_nodes(patches.start, patches.nodes, mesh.n_nodes)
     indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
     data = np.empty((len(indices), dim, dim))
+    # both, of isotropic bodies, whose tensors come first: their assembly takes .75 of the time of
+    # others in space (36k nodes), .80 in the plane (66k)
+    lame_constants = of_elements.table[:, [0, 3], [1, 3]]
+    lame_constants[0 if axisymmetric else len(materials) :] = np.nan
     in_parts(
         _add_patches,
         mesh.n_nodes,
@@ -97,6 +101,7 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
         patches.measures,
         of_elements.rows[patches.element],
         of_elements.table,
+        lame_constants,
         indptr,
         indices,
         data,
@@ -362,6 +367,36 @@ def _shape_gradients(first, last, zero, points, elements, slopes, measures):
     return -1
 
 
+@inner_kernel(inline="always")
+def _add_isotropic(zero, i, lame, shear, p, first, last, nodes, slopes, slot, data):
+    """Add lame g h' + shear (h g' + g.h I) with the slopes g of corner p, node i, and h of the corners
+    from ``first`` to before ``last`` of its patch."""
+    x = lame * slopes[p, 0]
+    y = lame * slopes[p, 1]
+    z = lame * slopes[p, 2] if len(zero) == 3 else 0.0
+    r = shear * slopes[p, 0]
+    s = shear * slopes[p, 1]
+    t = shear * slopes[p, 2] if len(zero) == 3 else 0.0
+    for q in range(np.uint64(first), last):
+        if nodes[q] < i:
+            continue
+        at = np.uint64(slot[np.uint64(nodes[q])])
+        u = slopes[q, 0]
+        v = slopes[q, 1]
+        w = slopes[q, 2] if len(zero) == 3 else 0.0
+        product = r * u + s * v + t * w
+        data[at, 0, 0] += (x + r) * u + product
+        data[at, 0, 1] += x * v + s * u
+        data[at, 1, 0] += y * u + r * v
+        data[at, 1, 1] += (y + s) * v + product
+        if len(zero) == 3:
+            data[at, 0, 2] += x * w + t * u
+            data[at, 1, 2] += y * w + t * v
+            data[at, 2, 0] += z * u + r * w
+            data[at, 2, 1] += z * v + s * w
+            data[at, 2, 2] += (z + t) * w + product
+
+
 @kernel
 def _add_patches(
     first,
@@ -377,6 +412,7 @@ def _add_patches(
     measures,
     rows,
     table,
+    lame_constants,
     indptr,
     indices,
     data,
@@ -397,6 +433,13 @@ def _add_patches(
             while nodes[p] != i:  # the patch has the node
                 p += one
             own = np.uint64(rows[e])
+            lame = lame_constants[own, 0]
+            shear = lame_constants[own, 1]
+            if not np.isnan(lame):
+                lame *= measures[e]
+                shear *= measures[e]
+                _add_isotropic(zero, i, lame, shear, p, begin[e], end, nodes, slopes, slot, data)
+                continue
             x = measures[e] * slopes[p, 0]
             y = measures[e] * slopes[p, 1]
             z = measures[e] * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
