@@ -49,7 +49,7 @@ class Coupling:
 
     weights: sparse.csr_array  # (n_nodes, n_nodes) sparse
     fixed: np.ndarray  # (n_dofs,) bool: fixed dofs; those of slave nodes are not relative
-    inclined: Inclined | None = None  # further directions that supports hold, likewise
+    inclined: Inclined  # further directions that supports hold, likewise
     upward: sparse.csr_array = field(init=False, repr=False)  # (n_nodes, n_nodes) csr_array
     _by_dof: sparse.csr_array = field(init=False, repr=False)
     _series: sparse.csr_array = field(init=False, repr=False)
@@ -62,7 +62,7 @@ class Coupling:
             sparse.diags_array((~self.fixed).astype(float))
             @ sparse.kron(weights, sparse.eye_array(dim), format="csr")
         )
-        if self.inclined is not None:
+        if len(self.inclined):
             by_dof = sparse.csr_array(
                 by_dof - self.inclined.spread(self.inclined.spans, n) @ by_dof
             )
@@ -158,7 +158,7 @@ def held_slaves(
     weights: sparse.csr_array,
     fixed: np.ndarray,
     law: Law,
-    inclined: Inclined | None = None,
+    inclined: Inclined,
 ) -> np.ndarray:
     """Return the numbers of the contact nodes that a support holds along the surface, not so what
     they face, where friction acts: their slip is not an unknown."""
@@ -168,10 +168,9 @@ def held_slaves(
     facing = facing_part(rows)
     acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (facing.sum(axis=1) > 0)
     held = (fixed[nodes] & (facing @ fixed.astype(float) <= NEGLIGIBLE)).any(axis=1)
-    if inclined is not None:
-        either = np.any(fixed, axis=1)
-        either[inclined.nodes] = True
-        held |= np.isin(nodes, inclined.nodes) & (facing @ either.astype(float) <= NEGLIGIBLE)
+    either = np.any(fixed, axis=1)
+    either[inclined.nodes] = True
+    held |= np.isin(nodes, inclined.nodes) & (facing @ either.astype(float) <= NEGLIGIBLE)
     return np.flatnonzero(acts & held)
 
 
@@ -186,7 +185,7 @@ class Unknowns:
     coupling: Coupling | None
     fixed: np.ndarray
     fixed_values: np.ndarray
-    inclined: Inclined | None
+    inclined: Inclined
     ties: tuple[tuple[str, str, np.ndarray], ...]
 
     @property
@@ -276,7 +275,7 @@ class Unknowns:
             result = np.where(own, moved[nodes] - self.coupling.weights[nodes] @ moved, result)
             for at, weights, c in self.held_together():
                 result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
-        return result if self.inclined is None else self.inclined.free_part(nodes, result)
+        return self.inclined.free_part(nodes, result)
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
         """Return for each component the contact nodes at which it is fixed and faces fixed ones,

@@ -69,7 +69,6 @@ def assembled(posed: Posed, slip_reference: np.ndarray | None = None) -> Discret
     problem = posed.problem
     mesh = posed.mesh
     posed.check_held()
-    held = posed.held
     values = posed.prescribed
     contact = posed.contact
     if slip_reference is not None:
@@ -79,14 +78,14 @@ def assembled(posed: Posed, slip_reference: np.ndarray | None = None) -> Discret
     parts = {
         "matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
         "load": load_vector(mesh, problem.loads, materials, problem.elements),
-        "fixed": held.fixed.reshape(-1),
+        "fixed": posed.fixed.reshape(-1),
         "fixed_values": values.reshape(-1),
         "contact": contact,
         "coordinates": mesh.points,
         "bodies": posed.bodies,
         "law": nodal_law(posed, contact),
         "motions": partial(rigid_motions, mesh, problem.axisymmetric),
-        "inclined": held.inclined,
+        "inclined": posed.inclined,
         "ties": tuple(
             (tie.slave, tie.master, part.nodes)
             for tie, part in zip(problem.ties, posed.ties, strict=True)
@@ -96,13 +95,13 @@ def assembled(posed: Posed, slip_reference: np.ndarray | None = None) -> Discret
     parts["volumes"] = Volumes.none(mesh.n_nodes, mesh.dim)
     if problem.elements == "smoothed":
         parts["volumes"] = volume_groups(mesh, materials)
-        if len(parts["volumes"]) and held.inclined is not None:
+        if len(parts["volumes"]) and len(posed.inclined):
             raise ValueError(
                 "supports along directions that are no axes cannot hold smoothed elements with poisson "
                 'above .4; turn the problem, or take elements="linear"'
             )
     parts |= _strain_free(posed, parts["volumes"])
-    for array in (parts["load"], held.fixed, values, *posed.bodies.values()):
+    for array in (parts["load"], posed.fixed, values, *posed.bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
     result = DiscreteProblem.assembled(posed.rows.follows, **parts)
     check_held(posed, result)
@@ -135,11 +134,7 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     problem = posed.problem
     mesh = posed.mesh
     contact = old.contact
-    if (
-        changed - {"loads"}
-        or contact.slip_reference.any()
-        or (changed and old.inclined is not None)
-    ):
+    if changed - {"loads"} or contact.slip_reference.any() or (changed and len(old.inclined)):
         return assembled(posed)
     law = nodal_law(posed, contact)
     check_bounds(law, len(contact))

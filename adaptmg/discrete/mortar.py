@@ -64,7 +64,6 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces, covered_parts
-from adaptmg.discrete.supports import HeldNodes
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.mesh.surfaces import Curved, Revolved
 from adaptmg.problem.surfaces import ContactPair
@@ -110,12 +109,12 @@ class MortarInterface:
         return len(self.nodes)
 
 
-def slave_normals(slave: Surface, held: HeldNodes) -> np.ndarray:
+def slave_normals(slave: Surface, posed: Posed) -> np.ndarray:
     """Return average normals (n_nodes, dim) without components along what supports hold, where
     these are small."""
     normals = slave.node_normals.copy()
     nodes = slave.nodes
-    inside = held.free_part(nodes, normals[nodes])
+    inside = posed.free_part(nodes, normals[nodes])
     lengths = np.linalg.norm(inside, axis=1)
     tilted = lengths > _SYMMETRY_TILT
     normals[nodes[tilted]] = inside[tilted] / lengths[tilted, None]
@@ -167,7 +166,7 @@ def pair_interface(
         )
     what = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
-        normals = slave_normals(slave, posed.held)
+        normals = slave_normals(slave, posed)
         surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
         interface = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little

@@ -144,12 +144,11 @@ def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         own = [one for one in posed.holds if one.support.path_name == name]
         fixed, values = held_components(points, own)
         result[name] = np.flatnonzero(fixed), values[fixed]
-    held = posed.held
     for tie, part in zip(posed.problem.ties, posed.ties, strict=True):
         if isinstance(tie, Periodic) and tie.jump is not None:
-            free = ~held.fixed[part.nodes]
+            free = ~posed.fixed[part.nodes]
             dofs = (points.shape[1] * part.nodes[:, None] + np.arange(points.shape[1]))[free]
-            jumps = jump_of(tie, part.nodes, held)[free]
+            jumps = jump_of(tie, part.nodes, posed)[free]
             before = result.get(tie.path_name, (dofs[:0], jumps[:0]))
             result[tie.path_name] = tuple(map(np.append, before, (dofs, jumps)))
     return result
@@ -158,8 +157,8 @@ def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:
     """Return all loads and prescribed displacements of a problem without names, as one."""
     dofs = np.flatnonzero(discrete.fixed)
-    inclined = discrete.inclined
-    load = discrete.load if inclined is None else inclined.load
     return LoadSteps(
-        discrete.n_dofs, {DEFAULT: load}, {DEFAULT: (dofs, discrete.fixed_values[dofs])}
+        discrete.n_dofs,
+        {DEFAULT: discrete.whole_load},
+        {DEFAULT: (dofs, discrete.fixed_values[dofs])},
     )

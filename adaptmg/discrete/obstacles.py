@@ -84,8 +84,7 @@ def check_held(
     this step."""
     points = posed.mesh.points
     moved = discrete.fixed_values.reshape(points.shape).copy()
-    if discrete.inclined is not None:
-        moved[discrete.inclined.nodes] += discrete.inclined.prescribed(factors or {})
+    moved[discrete.inclined.nodes] += discrete.inclined.prescribed(factors or {})
     for k, contact in enumerate(posed.problem.contact):
         if contact.allow_interference or isinstance(contact, ContactPair):
             continue
@@ -94,7 +93,7 @@ def check_held(
             continue
         nodes = posed.surfaces[contact.boundary].nodes
         normals, gaps = facing_obstacle(obstacle, contact.boundary, points[nodes], posed.outward[k])
-        free = posed.held.free_part(nodes, normals)
+        free = posed.free_part(nodes, normals)
         along = np.einsum("nd,nd->n", normals, moved[nodes])
         # where a part of the normal is held a motion along it, either way, would change the gap
         over = np.where(_held_in_part(free, normals), np.abs(along), along - gaps)
@@ -156,7 +155,7 @@ def free_normals(posed: Posed, k: int, normals: np.ndarray) -> np.ndarray:
             f"{boundary!r}, at node {nodes[i]} {tuple(posed.mesh.points[nodes[i]].tolist())}: contact could "
             "never open there; free that component, or name another boundary"
         )
-    return posed.held.free_part(nodes, normals)
+    return posed.free_part(nodes, normals)
 
 
 def may_overlap(contact: Contact | ContactPair) -> bool:
@@ -211,7 +210,7 @@ def moved(
         at = np.searchsorted(nodes, contact.nodes[own])
         taken = contact.taken_over[own]
         taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(own), len(nodes)))
-        free = posed.held.free_part(contact.nodes[own], direct[at])
+        free = posed.free_part(contact.nodes[own], direct[at])
         normals[own], gaps[own] = along_free(free, direct[at], gap[at] + taken @ gap)
         motion = obstacle.motion(points) - before[k].motion(points)
         reference[own] += motion[at] + taken @ motion

@@ -51,7 +51,7 @@ from adaptmg.discrete.sides import with_sides, young_of
 from adaptmg.discrete.supports import (
     TANGENTIAL,
     Held,
-    HeldNodes,
+    Inclined,
     held_by,
     held_components,
     held_directions,
@@ -189,11 +189,19 @@ class Posed:
     def _components(self) -> tuple[np.ndarray, np.ndarray]:
         return held_components(self.mesh.points, self.holds)
 
+    @property
+    def fixed(self) -> np.ndarray:
+        """Which components (n_nodes, dim) bool supports hold."""
+        return self._components[0]
+
     @cached_property
-    def held(self) -> HeldNodes:
-        """Along which directions supports hold the nodes."""
-        fixed, _ = self._components
-        return HeldNodes(fixed, inclined_supports(self.mesh.points, self.holds))
+    def inclined(self) -> Inclined:
+        """The nodes that supports hold along directions that are no axes."""
+        return inclined_supports(self.mesh.points, self.holds)
+
+    def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """Return vectors (n, dim) at some nodes without their parts along what supports hold."""
+        return self.inclined.free_part(nodes, np.where(self.fixed[nodes], 0.0, vectors))
 
     @cached_property
     def prescribed(self) -> np.ndarray:
@@ -201,7 +209,7 @@ class Posed:
         _, values = self._components
         result = values.copy()
         for tie, part in zip(self.problem.ties, self.ties, strict=True):
-            result[part.nodes] += jump_of(tie, part.nodes, self.held)
+            result[part.nodes] += jump_of(tie, part.nodes, self)
         return result
 
     @cached_property
@@ -264,7 +272,7 @@ class Posed:
         for name in self.problem.contact_boundaries:
             surface = self.surfaces[name]
             try:
-                result.append(slave_normals(surface, self.held)[surface.nodes])
+                result.append(slave_normals(surface, self)[surface.nodes])
             except ValueError as error:
                 raise ValueError(f"contact boundary {name!r}: {error}") from error
         return result
@@ -279,11 +287,9 @@ class Posed:
             if rows.follows is None:
                 return rows
             contact = self._contact_nodes(rows)
-            held = self.held
+            fixed = self.fixed.reshape(-1)
             law = nodal_law(self, contact)
-            lone = held_slaves(
-                contact.nodes, rows.follows, held.fixed.reshape(-1), law, held.inclined
-            )
+            lone = held_slaves(contact.nodes, rows.follows, fixed, law, self.inclined)
             if not len(lone):
                 return rows
             for k in np.unique(contact.boundary[lone]):
@@ -361,15 +367,13 @@ class Posed:
     def contact(self) -> ContactNodes:
         """The nodes that carry contact conditions, in ascending order."""
         contact = self._contact_nodes(self.rows)
-        inclined = self.held.inclined
-        if inclined is not None:
-            rubbed = np.intersect1d(contact.nodes, inclined.nodes[inclined.moving])
-            if len(rubbed):
-                raise ValueError(
-                    f"a support moves contact node {rubbed[0]} "
-                    f"{tuple(self.mesh.points[rubbed[0]].tolist())} along the normal of its boundary, not "
-                    "an axis: turn the geometry, or end one of the boundaries before the other begins"
-                )
+        rubbed = np.intersect1d(contact.nodes, self.inclined.nodes[self.inclined.moving])
+        if len(rubbed):
+            raise ValueError(
+                f"a support moves contact node {rubbed[0]} "
+                f"{tuple(self.mesh.points[rubbed[0]].tolist())} along the normal of its boundary, not "
+                "an axis: turn the geometry, or end one of the boundaries before the other begins"
+            )
         return contact
 
 

@@ -119,9 +119,7 @@ class DiscreteProblem(Unknowns):
     bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
     # of initial strains the part of the load, N, and the energy of suppressing them, N m
     strain_free: tuple[np.ndarray, float] | None = None
-    inclined: Inclined | None = (
-        None  # supports along no axes, which are eliminated from matrix and load
-    )
+    inclined: Inclined  # supports along no axes, which are eliminated from matrix and load
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray], ...] = ()
     volumes: Volumes  # groups of nodes whose mean volume strains add to the stiffness
@@ -177,7 +175,7 @@ class DiscreteProblem(Unknowns):
             coupling=coupling,
             bodies=bodies,
             strain_free=strain_free,
-            inclined=inclined,
+            inclined=Inclined.none(dim) if inclined is None else inclined,
             ties=ties,
             volumes=Volumes.none(n // dim, dim) if volumes is None else volumes,
         )
@@ -216,8 +214,7 @@ class DiscreteProblem(Unknowns):
         ``motions`` returns ``near_nullspace`` in displacements, where that is not given."""
         if weights is not None:
             parts = _in_relative_coordinates(weights, parts)
-        if parts.get("inclined") is not None:
-            parts = parts["inclined"].of_problem(parts)
+        parts = parts["inclined"].of_problem(parts)
         motions = parts.pop("motions", None)
         matrix = indices_frozen(parts["matrix"])
         result = cls.__new__(cls)
@@ -234,7 +231,7 @@ class DiscreteProblem(Unknowns):
         relative. ``near_nullspace`` should hold the rigid-body modes of every body (one column a
         body and mode); with ``coordinates`` alone the bodies move together in it. ValueError if
         this problem has a coupling or inclined supports already."""
-        if self.coupling is not None or self.inclined is not None:
+        if self.coupling is not None or len(self.inclined):
             raise ValueError(
                 "only a problem in displacements can be coupled, not with coupling or inclined supports"
             )
@@ -281,18 +278,14 @@ class DiscreteProblem(Unknowns):
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
         values = bounded("fixed_values", np.where(self.fixed, fixed_values, 0.0), (self.n_dofs,))
-        inclined = self.inclined
-        if inclined is not None:
-            prescribed = inclined.prescribed(factors)
-            inclined = replace(inclined, load=load)
-            load = inclined.posed(load, prescribed)
-            strain_free = inclined.strain_free(strain_free, prescribed)
+        prescribed = self.inclined.prescribed(factors)
+        acting = self.inclined.posed(load, prescribed)
         return self.posing(
-            load=bounded("load", load, (self.n_dofs,)),
+            load=bounded("load", acting, (self.n_dofs,)),
             fixed_values=values,
             contact=contact,
-            strain_free=strain_free,
-            inclined=inclined,
+            strain_free=self.inclined.strain_free(strain_free, prescribed),
+            inclined=replace(self.inclined, load=load),
             volumes=volumes,
         )
 
@@ -353,6 +346,11 @@ class DiscreteProblem(Unknowns):
         return self.matrix.shape[0]
 
     @property
+    def whole_load(self) -> np.ndarray:
+        """Return the load (n_dofs,) with what acts along the directions that supports hold, N."""
+        return self.inclined.load if len(self.inclined) else self.load
+
+    @property
     def n_unknowns(self) -> int:
         """Return the number of degrees of freedom and of the pressures of ``volumes``."""
         return self.n_dofs + len(self.volumes)
@@ -409,14 +407,14 @@ def _check_row_sums(weights: sparse.csr_array) -> None:
 def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -> dict[str, Any]:
     """The parts of a problem of several bodies, which have been checked, with their coupling."""
     nodes = parts["contact"].nodes
-    held = held_slaves(nodes, weights, parts["fixed"], parts["law"], parts.get("inclined"))
+    held = held_slaves(nodes, weights, parts["fixed"], parts["law"], parts["inclined"])
     if len(held):
         raise ValueError(
             f"contact: slave node {nodes[held[0]]} has a supported tangential component, and what it "
             "faces has not: exchange slave and master, or leave the node out and let its neighbours take "
             "its part"
         )
-    coupling = Coupling(weights, parts["fixed"], parts.get("inclined"))
+    coupling = Coupling(weights, parts["fixed"], parts["inclined"])
     load = coupling.relative_forces(parts["load"])
     strain_free = parts.get("strain_free")
     load.flags.writeable = False

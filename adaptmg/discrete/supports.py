@@ -56,6 +56,14 @@ class Inclined:
     stiffness: np.ndarray = field(default_factory=lambda: np.empty(0))  # (k,): D
     load: np.ndarray = field(default_factory=lambda: np.empty(0))  # (n_dofs,): b
 
+    @classmethod
+    def none(cls, dim: int) -> Inclined:
+        """Return no nodes: every direction that supports hold is an axis."""
+        return cls(np.empty(0, dtype=np.int64), np.empty((0, dim, dim)), {})
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
     def prescribed(self, factors: Mapping[str, float]) -> np.ndarray:
         """Return the displacement (k, dim) that supports prescribe in a load step, m."""
         return sum(
@@ -75,6 +83,8 @@ class Inclined:
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (n, dim) at some nodes without their parts along the directions that are
         held."""
+        if not len(self):
+            return vectors
         at = np.minimum(np.searchsorted(self.nodes, nodes), len(self.nodes) - 1)
         here = self.nodes[at] == nodes
         return np.where(
@@ -99,6 +109,8 @@ class Inclined:
     def of_problem(self, parts: dict[str, Any]) -> dict[str, Any]:
         """Return the parts of a problem, in relative coordinates, with these directions
         eliminated."""
+        if not len(self):
+            return parts
         matrix = parts["matrix"]
         dim = self.spans.shape[1]
         dofs = (dim * self.nodes[:, None] + np.arange(dim)).reshape(-1)
@@ -125,6 +137,8 @@ class Inclined:
 
     def posed(self, load: np.ndarray, prescribed: np.ndarray) -> np.ndarray:
         """Return b' (n_dofs,) of a load b and what supports prescribe (k, dim)."""
+        if not len(self):
+            return load
         result = (load - self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
         result[self.nodes] += self.stiffness[:, None] * prescribed - self.along(result)
         return result.reshape(-1)
@@ -146,24 +160,13 @@ class Inclined:
     def reaction(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the forces (n_dofs,) that the supports exert along these directions, of the
         unknowns (n_dofs,), N."""
+        result = np.zeros_like(unknowns)
+        if not len(self):
+            return result
         load = self.load.reshape(-1, self.spans.shape[1])
-        result = np.zeros_like(self.load)
         forces = (self.rows @ unknowns).reshape(-1, load.shape[1]) - load[self.nodes]
         result.reshape(load.shape)[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
         return result
-
-
-@dataclass(frozen=True, eq=False)
-class HeldNodes:
-    """Along which directions supports hold the nodes of a mesh."""
-
-    fixed: np.ndarray  # (n_nodes, dim) bool
-    inclined: Inclined | None = None
-
-    def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Return vectors (n, dim) at some nodes without their parts along what is held."""
-        free = np.where(self.fixed[nodes], 0.0, vectors)
-        return free if self.inclined is None else self.inclined.free_part(nodes, free)
 
 
 def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -> int:
@@ -282,12 +285,12 @@ def held_directions(holds: Sequence[Held]) -> dict[str, np.ndarray]:
     return result
 
 
-def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined | None:
+def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
     """Return the nodes that supports hold along directions other than axes; ValueError where values
     contradict."""
     oblique = [one.nodes for one in holds if one.axis is None]
     if not oblique:
-        return None
+        return Inclined.none(points.shape[1])
     nodes = np.unique(np.concatenate(oblique))
     rows = np.zeros((len(nodes), len(holds), points.shape[1]))
     values = np.zeros((len(nodes), len(holds)))

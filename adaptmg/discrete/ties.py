@@ -20,7 +20,7 @@ from scipy import sparse
 from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.mortar import MortarInterface, pair_interface, spread
-from adaptmg.discrete.supports import TANGENTIAL, HeldNodes
+from adaptmg.discrete.supports import TANGENTIAL
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.surfaces import ContactPair, Periodic, Tied
 
@@ -54,15 +54,14 @@ class TieForces:
 def tie_interfaces(posed: Posed) -> list[MortarInterface]:
     """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what
     supports hold in all directions is not tied."""
-    held = posed.held
-    taken = np.all(held.fixed, axis=1)
-    if held.inclined is not None:  # a support that moves such a node prescribes it
-        taken[held.inclined.nodes[held.inclined.moving]] = True
+    taken = np.all(posed.fixed, axis=1)
+    # a support that moves such a node prescribes it
+    taken[posed.inclined.nodes[posed.inclined.moving]] = True
     parts: list[MortarInterface] = []
     for tie in posed.problem.ties:
         slave, master = posed.surfaces[tie.slave], posed.surfaces[tie.master]
         if isinstance(tie, Periodic):
-            parts.append(_periodic(tie, posed.mesh, slave.nodes, master.nodes, taken, held.fixed))
+            parts.append(_periodic(tie, posed.mesh, slave.nodes, master.nodes, taken, posed.fixed))
             taken[parts[-1].nodes] = True
             continue
         pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
@@ -133,10 +132,10 @@ def _periodic(
     )
 
 
-def jump_of(tie: Tied | Periodic, nodes: np.ndarray, held: HeldNodes) -> np.ndarray:
+def jump_of(tie: Tied | Periodic, nodes: np.ndarray, posed: Posed) -> np.ndarray:
     """Return the relative displacement (n, dim) of tied nodes, m, zero along what supports hold."""
-    jump = getattr(tie, "jump", None) or (0.0,) * held.fixed.shape[1]
-    return held.free_part(nodes, np.broadcast_to(jump, (len(nodes), len(jump))))
+    jump = getattr(tie, "jump", None) or (0.0,) * posed.mesh.dim
+    return posed.free_part(nodes, np.broadcast_to(jump, (len(nodes), len(jump))))
 
 
 def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
@@ -151,8 +150,7 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     boundary = []
     names = []
     for slave, master, tied in problem.ties:
-        own = np.where(held[tied], 0.0, at[tied])
-        own = own if problem.inclined is None else problem.inclined.free_part(tied, own)
+        own = problem.inclined.free_part(tied, np.where(held[tied], 0.0, at[tied]))
         # ties are rows of a coupling
         rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
         facing = np.unique(rows.indices)
@@ -175,7 +173,7 @@ def masses_of_ties(posed: Posed) -> np.ndarray:
             continue
         surface = posed.surfaces[contact.boundary]
         own = surface.nodes[posed.owner[surface.nodes] == k]
-        free = posed.held.free_part(own, surface.node_normals[own])
+        free = posed.free_part(own, surface.node_normals[own])
         takes[own] = np.linalg.norm(free, axis=1) > TANGENTIAL
         masses[own] = surface.lumped(posed.problem.axisymmetric)[own]
     tied = np.unique(np.concatenate([tie.nodes for tie in posed.ties]))

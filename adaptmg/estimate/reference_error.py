@@ -178,10 +178,8 @@ def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
     np.add.at(forces, contact.master_node, contact.master_force)
     # a support bears what contact does not, whatever both exert at one node
     forces = np.where(discrete.held.reshape(forces.shape), result.reaction, forces)
-    if discrete.inclined is not None:
-        borne = discrete.inclined.free_part(np.arange(len(forces)), result.reaction - forces)
-        forces += result.reaction - forces - borne
-    return forces
+    left = result.reaction - forces
+    return forces + left - discrete.inclined.free_part(np.arange(len(forces)), left)
 
 
 def _constants(posed: Posed) -> np.ndarray:

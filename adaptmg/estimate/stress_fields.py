@@ -232,10 +232,8 @@ class Solved:
         """||u_h||_A, sqrt(N m): of displacements, prescribed ones included."""
         unknowns, forces = self._moved
         inclined = self.discrete.inclined
-        if (
-            inclined is None
-            or (changed := inclined.strain_free(None, inclined.along(unknowns))) is None
-        ):
+        changed = inclined.strain_free(None, inclined.along(unknowns))
+        if changed is None:
             return energy_norm(unknowns, forces)
         return float(np.sqrt(max(unknowns @ (forces - 2 * changed[0]) + changed[1], 0.0)))
 
@@ -262,14 +260,13 @@ class Solved:
         posed = self.discrete.relative_forces(
             load_vector(self.mesh, self.problem.loads, self.problem.material, self.problem.elements)
         )
-        if inclined is not None:
-            # what acts along held directions goes into the supports
-            posed = inclined.posed(posed, inclined.along(unknowns))
-            nodes = np.arange(self.mesh.n_nodes)
-            load, expected, posed = (
-                inclined.free_part(nodes, one.reshape(-1, self.mesh.dim)).reshape(-1)
-                for one in (load, expected, posed)
-            )
+        # what acts along held directions goes into the supports
+        posed = inclined.posed(posed, inclined.along(unknowns))
+        nodes = np.arange(self.mesh.n_nodes)
+        load, expected, posed = (
+            inclined.free_part(nodes, one.reshape(-1, self.mesh.dim)).reshape(-1)
+            for one in (load, expected, posed)
+        )
         rounding = _ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
         if not min(euclidean_norm(load - expected), euclidean_norm(load - posed)) <= allowed:

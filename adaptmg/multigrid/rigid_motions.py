@@ -61,9 +61,8 @@ def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
         return np.empty((0, 0)), np.empty((len(nodes), problem.dim, 0))
     modes = problem.near_nullspace.reshape(problem.n_nodes, problem.dim, -1)
     rows = modes[held][fixed[held]]
-    if problem.inclined is not None:
-        along = np.einsum("nij,njk->nik", problem.inclined.spans, modes[problem.inclined.nodes])
-        rows = np.concatenate([rows, along.reshape(-1, rows.shape[1])])
+    along = np.einsum("nij,njk->nik", problem.inclined.spans, modes[problem.inclined.nodes])
+    rows = np.concatenate([rows, along.reshape(-1, rows.shape[1])])
     coefficients = null_combinations(rows)
     return coefficients, modes[nodes] @ coefficients
 

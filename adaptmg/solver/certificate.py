@@ -333,8 +333,7 @@ class Evidence:
             moved = moved - problem.coupling.weights[self.nodes] @ self.u
             for at, weights, c in problem.held_together():
                 moved[at, c] = self.u[self.nodes[at], c] - weights @ self.u[:, c]
-        if problem.inclined is not None:
-            moved = problem.inclined.free_part(self.nodes, moved)
+        moved = problem.inclined.free_part(self.nodes, moved)
         u_n = np.einsum("nd,nd->n", moved, self.normals)
         along = moved - problem.contact.slip_reference
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals

@@ -87,7 +87,7 @@ def _stiffness(
         and not any(isinstance(one, PointSpring) for one in problem.supports)
         and all(_constant(one.normal, one.tangential) for one in springs)
         and not len(discrete.volumes)
-        and discrete.inclined is None
+        and not len(discrete.inclined)
         and not any(isinstance(one, Periodic) for one in problem.ties)
         and not isinstance(materials[0], Axisymmetric)
     )
@@ -201,17 +201,12 @@ def _loads(
     arm = float(mesh.sides.max())
     centre = mesh.box.mean(axis=0)
     count = int(body.max()) + 1
-    own = discrete.physical_forces(_load(discrete)).reshape(-1, mesh.dim)
+    own = discrete.physical_forces(discrete.whole_load).reshape(-1, mesh.dim)
     missed = _resultants(mesh.points - centre, own, arm, body, count)
     missed -= _resultants(places - centre, forces, arm, body[nodes], count)
     if problem.axisymmetric:
         missed = missed[:, 1]
     return (_condition("loads", missed, float(np.abs(forces).sum())),)
-
-
-def _load(discrete: DiscreteProblem) -> np.ndarray:
-    """Return the loads (n_dofs,) before supports along no axes are eliminated."""
-    return discrete.load if discrete.inclined is None else discrete.inclined.load
 
 
 def _resultants(
@@ -267,7 +262,7 @@ class FreeBodies:
             if master and shift is None:
                 compared[number, mesh.dim :] = False
         springs = [one for one in problem.supports if isinstance(one, Spring | PointSpring)]
-        covered = problem.elements == "linear" and discrete.inclined is None
+        covered = problem.elements == "linear" and not len(discrete.inclined)
         return cls(
             mesh.points - mesh.box.mean(axis=0),
             float(mesh.sides.max()),
@@ -312,8 +307,7 @@ class FreeBodies:
         contact = discrete.contact
         shape = self.points.shape
         held = np.where(discrete.held.reshape(shape), evidence.unexplained, 0.0)
-        if discrete.inclined is not None:
-            held = held + discrete.inclined.reaction(evidence.unknowns.reshape(-1)).reshape(shape)
+        held = held + discrete.inclined.reaction(evidence.unknowns.reshape(-1)).reshape(shape)
         exerted = [np.zeros(shape) for _ in self.masters]
         ties = exerted[len(contact.names) :]
         for k, forces in enumerate(exerted[: len(contact.names)]):
@@ -323,7 +317,7 @@ class FreeBodies:
                 forces += contact.taken_over[mine].T @ evidence.claimed[mine]
         for (_, _, nodes), forces in zip(discrete.ties, ties, strict=True):
             forces[nodes] = evidence.tying.reshape(shape)[nodes]
-        acting = discrete.physical_forces(_load(discrete)).reshape(shape) + held - stretched
+        acting = discrete.physical_forces(discrete.whole_load).reshape(shape) + held - stretched
         total = self._resultants(sum(exerted, acting), self.body)
         for forces, (master, shift) in zip(exerted, self.masters, strict=True):
             if master >= 0:

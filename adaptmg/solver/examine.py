@@ -299,9 +299,7 @@ class Examiner:
             residual=residual,
             posed=self.posed,
         )
-        residual = -residual
-        if discrete.inclined is not None:
-            residual += discrete.inclined.reaction(solved)
+        residual = discrete.inclined.reaction(solved) - residual
         ties = tie_forces(discrete, residual)
         reaction = discrete.physical_forces(residual).reshape(displacement.shape)
         examined = Examined(displacement, reaction, contact, ties, natural, checked)

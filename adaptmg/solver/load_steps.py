@@ -553,11 +553,9 @@ class Guide:
             forces[part.own] = part.targets + part.forces * extra[part.own]
             own = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
             moves[nodes, :, part.own] = own * scales[part.own]
-        if discrete.inclined is not None:
-            everywhere = np.arange(discrete.n_nodes)
-            free = [discrete.inclined.free_part(everywhere, moves[:, :, k]) for k in range(n)]
-            moves = np.stack(free, axis=2)
-        moves = moves.reshape(-1, n)
+        everywhere = np.arange(discrete.n_nodes)
+        free = [discrete.inclined.free_part(everywhere, moves[:, :, k]) for k in range(n)]
+        moves = np.stack(free, axis=2).reshape(-1, n)
         moves[discrete.fixed] = 0.0
         # whole nodes
         moves = np.pad(moves, ((0, 0), (0, -n % dim)))

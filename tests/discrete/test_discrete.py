@@ -12,6 +12,7 @@ from scipy import sparse
 
 import adaptmg as am
 from adaptmg.discrete.coordinates import Coupling
+from adaptmg.discrete.supports import Inclined
 
 
 def contact(**changes: object) -> am.ContactNodes:
@@ -158,7 +159,8 @@ def dense(coupling):
 def made(seed, links=2, dim=2, share=0.2):
     rng = np.random.default_rng(seed)
     weights = chained(rng, links)
-    return Coupling(weights, rng.random(dim * weights.shape[0]) < share), rng
+    fixed = rng.random(dim * weights.shape[0]) < share
+    return Coupling(weights, fixed, Inclined.none(dim)), rng
 
 
 class TestTransformation:
@@ -251,6 +253,7 @@ class TestCoupled:
                     lambda rows=rows, columns=columns, n=n: Coupling(
                         sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)),
                         np.zeros(2 * n, dtype=bool),
+                        Inclined.none(2),
                     ),
                     r"circle.*exchange slave and master",
                 )

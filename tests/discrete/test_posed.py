@@ -101,7 +101,7 @@ def test_rows_of_a_stack_turn_with_it(angle, shift, far):
     np.testing.assert_allclose(rows.taken_over.sum(axis=1)[mine], taken, atol=1e-12)
     # what supports hold, and whither they move it
     vectors = np.tile([[1.0, 2.0]] @ turn.T, (len(at), 1))
-    free = posed.held.free_part(at, vectors) @ turn
+    free = posed.free_part(at, vectors) @ turn
     clamped = np.array([y == -1 for _, (_, y), *_ in ROWS])
     rolling = np.array([body == "pad" and x == 1 for body, (x, _), *_ in ROWS])
     np.testing.assert_allclose(free[:, 0], np.where(clamped | rolling, 0.0, 1.0), atol=1e-12)
