@@ -72,7 +72,6 @@ class RigidMotions:
     """The rigid motions of one level that its supports leave free."""
 
     problem: DiscreteProblem
-    contact: TruncatedContact  # its values are kept equal to the unknowns
     load: np.ndarray  # (n_dofs,): f
     coefficients: np.ndarray  # (k, m): of the motions, in the columns of problem.near_nullspace
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
@@ -95,7 +94,6 @@ class RigidMotions:
             return None
         return cls(
             problem,
-            contact,
             load,
             coefficients,
             np.einsum(
@@ -103,18 +101,18 @@ class RigidMotions:
             ),
         )
 
-    def settle(self, unknowns: np.ndarray, past: list[np.ndarray], residual: np.ndarray) -> int:
-        """Move to the least energy, in place, and the ``past`` iterates along; returns the number
-        of steps."""
-        descent = _Descent(self, residual)
+    def settle(
+        self, contact: TruncatedContact, unknowns: np.ndarray, residual: np.ndarray
+    ) -> np.ndarray | None:
+        """Move unknowns (n_dofs,) and the values of the contact nodes, which are theirs, to the
+        least energy, in place; returns the motion (n_dofs,), None if there is none."""
+        descent = _Descent(self, contact, residual)
         total = np.zeros(self.at_contact.shape[2])
         steps = 0
         while steps < self.STEPS and (change := descent.step()) is not None:
             total = total + change
             steps = steps + 1
-        if steps:
-            self._move(total, unknowns, past)
-        return steps
+        return self._move(contact, total, unknowns) if steps else None
 
     def free(self, closed: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return the combinations (m, j) that move closed nodes along the obstacle only, and held
@@ -138,19 +136,21 @@ class RigidMotions:
         strain = (np.abs(forces).max(axis=0) > _ZERO * scale).any()
         return None if strain else motions.T @ self.load
 
-    def _move(self, change: np.ndarray, unknowns: np.ndarray, past: list[np.ndarray]) -> None:
+    def _move(
+        self, contact: TruncatedContact, change: np.ndarray, unknowns: np.ndarray
+    ) -> np.ndarray:
         """Carry out a motion (m,) that the values of the contact contain already."""
-        o = self.contact
+        o = contact
         step = self.problem.near_nullspace @ (self.coefficients @ change)
         step[self.problem.fixed] = 0.0
-        for vector in (unknowns, *past):
-            vector += step
+        unknowns += step
         # equal but for rounding; gaps and slips that vanish must do so to the bit
         values = np.einsum(
             "nji,nj->ni", o.frames.reshape(-1, o.dim, o.dim), o.values.reshape(-1, o.dim)
         )
         at = unknowns.reshape(-1, o.dim)
         at[o.nodes] = np.where(self.problem.fixed.reshape(-1, o.dim)[o.nodes], 0.0, values)
+        return step
 
 
 class _Descent:
@@ -166,9 +166,10 @@ class _Descent:
     #: reciprocal conditioning from which on H counts as regular
     REGULAR: ClassVar[float] = 1e-8
 
-    def __init__(self, motions: RigidMotions, residual: np.ndarray) -> None:
-        contact = motions.contact
-        dim = motions.contact.dim
+    def __init__(
+        self, motions: RigidMotions, contact: TruncatedContact, residual: np.ndarray
+    ) -> None:
+        dim = contact.dim
         self.contact = contact
         self.motions = motions
         self.factor = 1.0

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -30,7 +30,6 @@ from adaptmg.smoother.system import (
     HELD,
     SLIPS,
     TANGENTIAL,
-    NodalContact,
     local_contact,
     turn_held,
 )
@@ -91,13 +90,25 @@ class TruncatedContact:
             contact.driven,
         )
 
-    def renew(self, contact: NodalContact) -> None:
-        """Take over gaps and slips of another load step; its status is not yet known, so that the
-        first linearisation truncates the matrices, which are restored between steps."""
-        self.codes[:] = -1
-        self.gap = contact.gap
-        self.reference = contact.slip_reference.reshape(-1)
-        self.driven = contact.driven
+    def posed(self, problem: DiscreteProblem) -> TruncatedContact:
+        """Return the same with gaps and slips of another load step; its status is not yet known."""
+        contact, _ = local_contact(problem)
+        return replace(
+            self,
+            gap=contact.gap,
+            reference=contact.slip_reference.reshape(-1),
+            driven=contact.driven,
+            codes=np.full_like(self.codes, -1),
+        )
+
+    def copy(self) -> TruncatedContact:
+        """Return the same nodes with values and a status of their own."""
+        result = object.__new__(TruncatedContact)
+        vars(result).update(vars(self))
+        result.values = self.values.copy()
+        result.codes = self.codes.copy()
+        result.pressure = self.pressure.copy()
+        return result
 
     @property
     def node_data(self) -> tuple[np.ndarray, ...]:
@@ -142,10 +153,8 @@ class TruncatedContact:
         """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns;
         zero elsewhere."""
         slip = self.values.reshape(-1, self.dim)[:, 1:] - self.reference.reshape(-1, self.dim - 1)
-        direction = self.direction.reshape(slip.shape)
-        hessian = self.hessian.reshape(*slip.shape, self.dim - 1)
-        direction[:] = 0.0
-        hessian[:] = 0.0
+        direction = np.zeros(slip.shape)
+        hessian = np.zeros((*slip.shape, self.dim - 1))
         at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         # scaled: the square of a slip that is all but zero may vanish
         largest = np.abs(slip[at]).max(axis=1, keepdims=True)
@@ -157,6 +166,9 @@ class TruncatedContact:
             direction[self.driven, 0] = 0.0
             hessian[self.driven, 0] = 0.0
             hessian[self.driven, :, 0] = 0.0
+        # new arrays: copies share the old ones
+        self.direction = direction.reshape(-1)
+        self.hessian = hessian.reshape(-1)
 
     @property
     def _bound(self) -> np.ndarray:

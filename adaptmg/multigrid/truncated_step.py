@@ -53,18 +53,53 @@ from adaptmg.smoother.interior_point import dense_factors, interior_point
 from adaptmg.smoother.system import LocalSystem, NodalContact
 
 
-@dataclass(frozen=True)
-class StepState:
-    """The iterate after the linearisation."""
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """What the coarse matrices are truncated for."""
 
-    changed: int  # contact nodes whose status changed
-    residual: float  # Euclidean norm of the natural residual, N
-    reactions: float  # norm of the contact forces, N
-    energy: float  # u'Au, N m; NaN: not asked
+    contact: TruncatedContact  # with status, slip directions and Hessians
+    frozen: bool  # whether g is frozen, which keeps them symmetric
+
+
+#: an iterate (n_unknowns,), and its residual on the next coarser level with what volumes miss behind
+Recombinable = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TruncatedState:
+    """An iterate, and all that the next step takes from those before."""
+
+    iterate: np.ndarray  # (n_unknowns,): from the prescribed values, then pressures
+    contact: TruncatedContact  # with its local values and status
+    residual: np.ndarray  # (n_dofs,): f - A u, truncated
+    cycles: int = 0  # corrections so far
+    correction: float = np.nan  # energy of the last one, N m: an estimate of that of the error
+    corrected: bool = False  # whether it came after a start or a move
+    #: newest first, in turns a recombined iterate and the one it was made from
+    past: tuple[Recombinable, ...] = ()
+    uniform: tuple[Recombinable, ...] = ()  # further directions: a uniform pressure in each body
+    cautious: int = 0  # steps of the pressures that are still cautious
+    linearised: Linearised | None = None  # None: at a start, which is not smoothed
+    left: np.ndarray | None = None  # the residual on the next coarser level, and what volumes miss
+    changed: int = 0  # contact nodes whose status changed
+    natural: float = np.inf  # Euclidean norm of the natural residual, N
+    reactions: float = 0.0  # norm of the contact forces, N
+    energy: float = np.nan  # u'Au, N m; NaN: not asked
+    size: float = 0.0  # A-norm of the displacement, when it was measured last
+    moves: int = 0  # contact problems on a coarse level so far
+    shorten: bool = False  # whether the next correction ends where the first open node closes
+    from_start: float | None = None  # A-norm of what the first correction changed
+
+    def but(self, **changes: object) -> TruncatedState:
+        """Return the same state with other parts, in a tenth of the time of dataclasses.replace."""
+        result = object.__new__(TruncatedState)
+        vars(result).update(vars(self), **changes)
+        return result
 
 
 class TruncatedStep:
-    """Steps on level ``number`` of the levels of a linear cycle, with contact."""
+    """Steps on level ``number`` of the levels of a linear cycle, with contact. What is kept is made
+    of matrices, transfers and loads, and of the last status, whose coarse matrices are stored."""
 
     #: with pressures: status changes with which a recombination with uniform pressures still is one. An enclosed block
     #: of rubber takes 34 cycles from zero at 0, 21 at 2, 20 at 4, 19 without a limit; 130 solves of random bodies of
@@ -79,10 +114,8 @@ class TruncatedStep:
         number: int,
         problem: DiscreteProblem,
         contact: TruncatedContact,
-        load: np.ndarray,
-        iterate: np.ndarray,
         depth: int,
-        motions: RigidMotions | None = None,
+        motions: bool = True,
         interface: Interface | None = None,
         interface_sweeps: int = 0,
         search: bool = True,
@@ -91,201 +124,228 @@ class TruncatedStep:
         self.cycle = cycle
         self.number = number
         self.contact = contact
-        self.pressures = VolumePressures(problem)
         self.level = cycle.levels[number]
         levels = cycle.levels[: number + 1]
         self.matrix = self.level.matrix
         self.coarse = self.level.below.matrix
+        self._n_dofs = self.matrix.n_dofs
         self.truncation = Truncation(
             [level.matrix for level in levels],
             [level.prolongation for level in levels[1:]],
             contact,
         )
+        self.pressures = VolumePressures(problem)
         self.depth = depth
-        self.residual = np.zeros(self.matrix.n_dofs)
-        self.begin(load, iterate, motions)
         self.interface = interface
         self._interface_sweeps = 0 if interface is None else interface_sweeps
+        self._settles = motions
+        self._applied: Linearised | None = None
+        self._take(problem)
 
-    def measure(
-        self,
-        trusted: Callable[[np.ndarray], float] | None = None,
-        with_energy: bool = False,
-    ) -> StepState:
-        """Smooth and linearise, the first half of a step; :meth:`correct` is the other one.
-        ``trusted`` gives the limit of :meth:`linearise` for the smoothed unknowns."""
-        self.smooth()
-        # u'Au = u'f - u'r; the linearisation truncates r
-        energy = (
-            _product(self.unknowns, self.load)
-            - _product(self.unknowns, self.residual)
-            + self.pressures.volumes.energy(self.group_pressures)
-            if with_energy
-            else np.nan
+    def pose(self, problem: DiscreteProblem) -> None:
+        """Go on to another load step: other loads, prescribed values, gaps and slip references."""
+        self.contact = self.contact.posed(problem)
+        self.pressures.pose(problem)
+        self._take(problem)
+
+    def _take(self, problem: DiscreteProblem) -> None:
+        self.load = problem.load_from_prescribed()
+        self.motions = RigidMotions.of(problem, self.contact, self.load) if self._settles else None
+
+    def begin(self, iterate: np.ndarray) -> TruncatedState:
+        """Return the state of an iterate (n_unknowns,), which becomes admissible, in place."""
+        contact = self.contact.copy()
+        contact.start(iterate)
+        return TruncatedState(iterate=iterate, contact=contact, residual=np.empty(self._n_dofs))
+
+    def step(self, state: TruncatedState) -> TruncatedState:
+        """Correct, unless it is a start, smooth and linearise."""
+        return self.linearise(self.smooth(self.correct(state)))
+
+    def correct(self, state: TruncatedState, shorten: bool = False) -> TruncatedState:
+        """Correct from the coarser levels, project and search; of a start a copy. ``shorten``: up
+        to where the first open node closes."""
+        if state.linearised is None or state.left is None:
+            return state.but(iterate=state.iterate.copy(), contact=state.contact.copy())
+        unknowns = self.displacement(state)
+        self._truncate(state.linearised)
+        combined, left = self._recombined(state, state.left)
+        load = left[: self.coarse.n_dofs]
+        iterate = combined.copy()
+        proposed = iterate[: self._n_dofs]
+        # past iterates make up for what a cheaper cycle leaves
+        correction = self.cycle.solve(self.number - 1, load, smooth=not state.corrected)
+        energy = _product(load, correction)
+        self.level.prolong(correction, proposed)
+        proposed[self.matrix.fixed] = 0.0
+        contact = state.contact.copy()
+        if shorten:
+            way = contact.way(proposed)
+            proposed[:] = unknowns + way * (proposed - unknowns)
+        contact.project(proposed)
+        if state.linearised.frozen and self.searches:
+            self._search(state, proposed, contact)
+        smoothed = () if combined is state.iterate else ((state.iterate, state.left),)
+        pressures = iterate[len(proposed) :]
+        if len(pressures):
+            energy += self.pressures.advance(proposed, pressures, state.cautious > 0)
+            self.cycle.recorder.count(2.0, self.pressures.nonzeros)
+        self.cycle.recorder.visit(self.number, "prolong")
+        return state.but(
+            iterate=iterate,
+            contact=contact,
+            residual=np.empty(len(proposed)),
+            cycles=state.cycles + 1,
+            correction=energy,
+            corrected=True,
+            past=((combined, left), *smoothed, *state.past)[: self.depth],
+            cautious=max(state.cautious - 1, 0),
         )
-        return self.linearise(np.inf if trusted is None else trusted(self.unknowns), energy)
 
-    def smooth(self) -> None:
-        """Improve the iterate locally; leaves f - A u in ``residual``."""
-        self._projected_sweeps()
+    def smooth(self, state: TruncatedState) -> TruncatedState:
+        """Improve an iterate locally, in place, and leave f - A u in its residual: of a state that
+        is made of :meth:`correct` and goes on to :meth:`linearise`."""
+        self._projected_sweeps(state)
         if self.interface is not None:
             for k in range(self._interface_sweeps):
                 backward = k % 2 == 0
                 order = self.interface.backward if backward else self.interface.forward
-                self._interface_sweep(self.interface, order)
+                self._interface_sweep(state, self.interface, order)
+        unknowns, pressures = self.parts(state)
+        motion = None
         if self.motions is not None:
-            past = [iterate[: self.matrix.n_dofs] for iterate, _ in self._past]
-            self.motions.settle(self.unknowns, past, self.residual)
+            motion = self.motions.settle(state.contact, unknowns, state.residual)
+        if motion is None:
+            return state
+        motion = np.append(motion, np.zeros(len(pressures)))
+        return state.but(past=tuple((one + motion, left) for one, left in state.past))
 
-    def linearise(self, trusted: float, energy: float) -> StepState:
-        """Update the contact status, truncate the residual and, where the status has changed, the
-        coarse matrices. A residual above ``trusted`` (N) freezes g in the matrices, which keeps
-        them symmetric."""
-        changed, natural, reactions = self.contact.update_status(self.residual)
-        pressures = self.pressures
-        whole = self.residual.copy() if len(pressures.volumes) else self.residual
-        at_contact = self.contact.truncate(self.residual)
+    def linearise(
+        self,
+        state: TruncatedState,
+        trusted: Callable[[np.ndarray], float] = lambda unknowns: np.inf,
+        with_energy: bool = False,
+    ) -> TruncatedState:
+        """Find the contact status after the smoothing, and truncate the residual. One above what is
+        ``trusted`` (N) for the unknowns freezes g in the coarse matrices, which keeps them
+        symmetric."""
+        unknowns, values = self.parts(state)
+        residual = state.residual
+        contact = state.contact
+        energy = np.nan
+        if with_energy:
+            # u'Au = u'f - u'r; the linearisation truncates r
+            energy = _product(unknowns, self._balanced(values)) - _product(unknowns, residual)
+            energy += self.pressures.volumes.energy(values)
+        changed, natural, reactions = contact.update_status(residual)
+        whole = residual.copy() if len(values) else residual
+        at_contact = contact.truncate(residual)
         n = self.coarse.n_dofs
-        #: the residual on the next coarser level, and what volumes miss
-        self._left = np.empty(n + len(pressures.volumes))
-        elsewhere = max(self.level.restrict(self.residual, self._left[:n]) - at_contact, 0.0)
+        left = np.empty(n + len(values))
+        elsewhere = max(self.level.restrict(residual, left[:n]) - at_contact, 0.0)
         self.cycle.recorder.visit(self.number, "restrict")
-        missed = self._left[n:]
-        missed[:] = pressures.missed(self.unknowns, self.group_pressures)
-        natural += pressures.forces_missed(missed)
-        self.cycle.recorder.count(1.0, pressures.nonzeros)
+        if len(values):
+            left[n:] = self.pressures.missed(unknowns, values)
+            natural += self.pressures.forces_missed(left[n:])
+            self.cycle.recorder.count(1.0, self.pressures.nonzeros)
         # not where the status was unknown: 1441 for 1512 cycles of 46 problems, ratio .45 to .5
-        if changed and self._frozen is not None:
-            pressures.hesitate()
-        residual = float(np.sqrt(elsewhere + natural))
-        frozen = residual > trusted
-        if changed or frozen != self._frozen:
-            self.contact.linearise_friction()
-            self.truncation.apply(newton=not frozen)
-            self.cycle.renew(self.number)
-            self._past.clear()
-            self._frozen = frozen
-            self._uniform = []
-        if not self._uniform and changed <= self.FEW:
-            self._uniform = [self._of_uniform(whole, one) for one in pressures.uniform]
-        return StepState(changed, residual, float(np.sqrt(reactions)), energy)
+        hesitates = changed and state.linearised is not None
+        size = float(np.sqrt(elsewhere + natural))
+        frozen = size > trusted(unknowns)
+        linearised = state.linearised
+        past = state.past
+        uniform = state.uniform
+        if linearised is None or changed or frozen != linearised.frozen:
+            contact.linearise_friction()
+            linearised = Linearised(contact, frozen)
+            past = ()
+            uniform = ()
+        if len(values) and not uniform and changed <= self.FEW:
+            uniform = tuple(
+                self._of_uniform(contact, whole, residual, one) for one in self.pressures.uniform
+            )
+        return state.but(
+            past=past,
+            uniform=uniform,
+            cautious=self.pressures.STEPS if hesitates else state.cautious,
+            linearised=linearised,
+            left=left,
+            changed=changed,
+            natural=size,
+            reactions=float(np.sqrt(reactions)),
+            energy=energy,
+        )
 
-    def correct(self, shorten: bool = False) -> float:
-        """Correct, project and search; returns the energy of the coarse correction, N m. It
-        estimates the energy of the error that the correction removes. ``shorten``: up to where the
-        first open node closes."""
-        start = self.iterate, self._left
-        combined, residual = self._recombined(*start)
-        load = residual[: self.coarse.n_dofs]
-        iterate = combined.copy()
-        proposed = iterate[: self.matrix.n_dofs]
-        # past iterates make up for what a cheaper cycle leaves
-        correction = self.cycle.solve(self.number - 1, load, smooth=not self._corrected)
-        energy = _product(load, correction)
-        before = self.contact.values.copy()
-        self.level.prolong(correction, proposed)
-        proposed[self.matrix.fixed] = 0.0
-        if shorten:
-            way = self.contact.way(proposed)
-            proposed[:] = self.unknowns + way * (proposed - self.unknowns)
-        self.contact.project(proposed)
-        if self._frozen and self.searches:
-            self._search(proposed, before)
-        smoothed = [] if combined is self.iterate else [start]
-        self._past = [(combined, residual), *smoothed, *self._past][: self.depth]
-        self.iterate = iterate
-        self._corrected = True
-        energy += self.pressures.advance(proposed, self.group_pressures)
-        self._carry()
-        self.cycle.recorder.count(2.0, self.pressures.nonzeros)
-        self.cycle.recorder.visit(self.number, "prolong")
-        return energy
-
-    def move(self, change: np.ndarray) -> None:
-        """Add a change (n_dofs,) to the iterate, which is projected onto the admissible ones."""
-        unknowns = self.unknowns
+    def move(self, state: TruncatedState, change: np.ndarray) -> TruncatedState:
+        """Add a change (n_dofs,) to an iterate that is being smoothed, and project it."""
+        unknowns = self.displacement(state)
         unknowns += change
-        self.contact.start(self.unknowns)
-        self._forget()
+        state.contact.start(unknowns)
+        return state.but(corrected=False, past=())
 
-    def begin(self, load: np.ndarray, iterate: np.ndarray, motions: RigidMotions | None) -> None:
-        """Begin at an admissible iterate (n_unknowns,), which is changed, under a load (n_dofs,):
-        the first one or another load step."""
-        self._given = load
-        self.iterate = iterate
-        self.motions = motions
-        #: whether friction is frozen in the coarse matrices; None: they are to be made
-        self._frozen: bool | None = None
-        self._uniform: list[tuple[np.ndarray, np.ndarray]] = []
-        self._forget()
-        self._carry()
+    def displacement(self, state: TruncatedState) -> np.ndarray:
+        """Return the displacement (n_dofs,) of an iterate, from the prescribed values."""
+        return state.iterate[: self._n_dofs]
+
+    def parts(self, state: TruncatedState) -> tuple[np.ndarray, np.ndarray]:
+        """Return the displacement (n_dofs,) of an iterate, and its pressures (n_groups,)."""
+        return self.displacement(state), state.iterate[self._n_dofs :]
 
     def base_matrix(self, number: int) -> sparse.bsr_array:
         """The matrix of a coarser level without truncation."""
-        self.truncation.restore()
+        self.restore()
         level = self.cycle.levels[number].matrix
         scale = np.abs(
             level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
         ).reshape(-1)
-        matrix = regular_matrix(level, np.where(scale > 0, scale, 1.0))
-        if self._frozen is not None:
-            self.truncation.apply(newton=not self._frozen)
-        return matrix
+        return regular_matrix(level, np.where(scale > 0, scale, 1.0))
 
-    def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> None:
-        """Free what only further steps read, if it is much: half of the matrix, which is made again
-        from the whole one, and past iterates, without which recombination starts again."""
-        if self.matrix.set_aside(matrix, fixed):
-            self._past.clear()
+    def restore(self) -> None:
+        """Put the coarse matrices back that are truncated."""
+        self.truncation.restore()
+        self._applied = None
 
-    @property
-    def unknowns(self) -> np.ndarray:
-        """The displacement of the iterate (n_dofs,), from the prescribed values."""
-        return self.iterate[: self.matrix.n_dofs]
+    def _truncate(self, linearised: Linearised) -> None:
+        """Make the coarse matrices those of a status, unless they are."""
+        if self._applied is not linearised:
+            self.truncation.apply(linearised.contact, newton=not linearised.frozen)
+            self.cycle.renew(self.number)
+            self._applied = linearised
 
-    @property
-    def group_pressures(self) -> np.ndarray:
-        """The pressures of the iterate (n_groups,)."""
-        return self.iterate[self.matrix.n_dofs :]
-
-    def _forget(self) -> None:
-        """Recombine no iterate before the present one."""
-        self._corrected = False
-        #: iterates and their restricted residuals, newest first, in turns a recombined one and the one it was made from
-        self._past: list[tuple[np.ndarray, np.ndarray]] = []
-
-    def _carry(self) -> None:
-        """Find what the matrix of this level balances (n_dofs,): the load without what pressures of
+    def _balanced(self, pressures: np.ndarray) -> np.ndarray:
+        """What the matrix of this level balances (n_dofs,): the load without what pressures of
         groups carry."""
-        volumes = self.pressures.volumes
-        self.load = self._given
-        if len(volumes):
-            self.load = self._given - volumes.forces(self.group_pressures)
+        return self.load - self.pressures.volumes.forces(pressures) if len(pressures) else self.load
 
     def _of_uniform(
-        self, residual: np.ndarray, pressures: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self,
+        contact: TruncatedContact,
+        whole: np.ndarray,
+        truncated: np.ndarray,
+        pressures: np.ndarray,
+    ) -> Recombinable:
         """The pressures, and what they add to the restricted residual and to what volumes miss."""
         volumes = self.pressures.volumes
-        changed = residual - volumes.forces(pressures)
+        changed = whole - volumes.forces(pressures)
         restricted = np.empty(self.coarse.n_dofs)
-        self.contact.truncate(changed)
-        self.level.restrict(changed - self.residual, restricted)
+        contact.truncate(changed)
+        self.level.restrict(changed - truncated, restricted)
         return pressures, np.append(restricted, -volumes.compliance * pressures)
 
-    def _projected_sweeps(self) -> None:
+    def _projected_sweeps(self, state: TruncatedState) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
         matrix = self.matrix
-        c = self.contact
-        self.residual[:] = self.load
+        c = state.contact
+        unknowns, pressures = self.parts(state)
+        state.residual[:] = self._balanced(pressures)
         matrix.sweep(
             projected_sweeps.backward,
             *matrix.lower_arrays,
             matrix.inverse,
             c.contact_of,
             *c.node_data,
-            self.unknowns,
-            self.residual,
+            unknowns,
+            state.residual,
             backward=True,
         )
         matrix.sweep(
@@ -295,14 +355,16 @@ class TruncatedStep:
             c.diagonal,
             c.contact_of,
             *c.node_data,
-            self.unknowns,
-            self.residual,
+            unknowns,
+            state.residual,
         )
         self.cycle.recorder.count(1.0, matrix.nonzeros)
         self.cycle.recorder.visit(self.number, "smooth", 2)
 
-    def _interface_sweep(self, interface: Interface, order: np.ndarray) -> None:
-        c = self.contact
+    def _interface_sweep(
+        self, state: TruncatedState, interface: Interface, order: np.ndarray
+    ) -> None:
+        c = state.contact
         projected_sweeps.local(
             ZERO[self.matrix.dim],
             order,
@@ -310,44 +372,47 @@ class TruncatedStep:
             self.matrix.inverse,
             c.contact_of,
             *c.node_data,
-            self.unknowns,
-            self.residual,
+            self.displacement(state),
+            state.residual,
         )
         self.cycle.recorder.count(1.0, interface.nonzeros)
 
-    def _recombined(self, iterate: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _recombined(self, state: TruncatedState, left: np.ndarray) -> Recombinable:
         r"""The iterate and its restricted residual, recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
         the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays,
         the residual is affine in u (3D: nearly). With recombined iterates alone, few are as good as
         all of them where the problem is symmetric; the others keep what Coulomb's law needs."""
-        uniform = self._uniform
-        if self._past or uniform:
+        if state.past or state.uniform:
             dim = self.coarse.dim
-            n = len(self._past)
+            n = len(state.past)
             d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
-            d = np.append(d, self.pressures.weights)
+            d = np.concatenate([d, self.pressures.weights])
             changes = np.array(
-                [residual - load for _, residual in self._past] + [change for _, change in uniform]
+                [residual - left for _, residual in state.past]
+                + [change for _, change in state.uniform]
             )
-            alpha = least_weights(load, changes, d)
-            combined = (1.0 - alpha[:n].sum()) * iterate
-            for weight, (past, _) in zip(alpha, self._past, strict=False):
+            alpha = least_weights(left, changes, d)
+            combined = (1.0 - alpha[:n].sum()) * state.iterate
+            for weight, (past, _) in zip(alpha, state.past, strict=False):
                 combined = linalg.blas.daxpy(
                     past, combined, a=weight
                 )  # in place: one pass over long vectors
-            for weight, (pressures, _) in zip(alpha[n:], uniform, strict=True):
-                combined[self.matrix.n_dofs :] += weight * pressures
-            if self.contact.admits(combined[: self.matrix.n_dofs]):
-                return combined, load + alpha @ changes
-        return iterate, load
+            for weight, (pressures, _) in zip(alpha[n:], state.uniform, strict=True):
+                combined[self._n_dofs :] += weight * pressures
+            if state.contact.admits(combined[: self._n_dofs]):
+                return combined, left + alpha @ changes
+        return state.iterate, left
 
-    def _search(self, proposed: np.ndarray, before: np.ndarray) -> None:
+    def _search(
+        self, state: TruncatedState, proposed: np.ndarray, contact: TruncatedContact
+    ) -> None:
         """Shorten the step to the least energy with g frozen, in place; costs half a pass."""
-        curvature = self._energy_product(proposed)
-        change = proposed - self.unknowns
-        gain = _product(self.residual, change)
-        of_friction = self.contact.friction_slope(before)
+        unknowns = self.displacement(state)
+        curvature = self.distance(unknowns, proposed) ** 2
+        change = proposed - unknowns
+        gain = _product(state.residual, change)
+        of_friction = contact.friction_slope(state.contact.values)
 
         def slope(part: float) -> float:
             return part * curvature - gain + of_friction(part)
@@ -358,19 +423,16 @@ class TruncatedStep:
             for _ in range(self.HALVINGS):
                 middle = 0.5 * (low + high)
                 low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
-            proposed[:] = self.unknowns + low * change
-            self.contact.values[:] = before
-            self.contact.project(proposed)
+            proposed[:] = unknowns + low * change
+            contact.values[:] = state.contact.values
+            contact.project(proposed)
 
-    def distance(self, other: np.ndarray) -> float:
-        return float(np.sqrt(max(self._energy_product(other), 0.0)))
-
-    def _energy_product(self, other: np.ndarray) -> float:
-        """Square of the A-norm of the difference to other unknowns; half a pass."""
+    def distance(self, one: np.ndarray, other: np.ndarray) -> float:
+        """Return the A-norm of the difference of two displacements (n_dofs,); half a pass."""
         matrix = self.matrix
         arrays = self.matrix.lower_arrays
         self.cycle.recorder.count(0.5, matrix.nonzeros)
-        parts = sum_of_parts(
+        square = sum_of_parts(
             projected_sweeps.energy_product,
             matrix.n_nodes,
             len(arrays[-1]),
@@ -378,12 +440,12 @@ class TruncatedStep:
             ZERO[matrix.dim],
             *arrays,
             matrix.inverse,
-            self.unknowns,
+            one,
             other,
         )
-        return float(parts)
+        return float(np.sqrt(max(square, 0.0)))
 
-    def rounding(self) -> float:
+    def rounding(self, unknowns: np.ndarray) -> float:
         """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that
         arithmetic reaches."""
         matrix = self.matrix
@@ -393,9 +455,7 @@ class TruncatedStep:
             .diagonal(axis1=1, axis2=2)
             .reshape(-1)
         )
-        stiff = np.divide(
-            self.unknowns, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0
-        )
+        stiff = np.divide(unknowns, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
         return float(np.sqrt(_product(stiff, stiff)))
 
 
@@ -447,7 +507,7 @@ class CoarseContact:
             sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
         )
         rows = sparse.csr_array(
-            (rows.data, dofs[rows.indices], rows.indptr), shape=(n * dim, len(step.unknowns))
+            (rows.data, dofs[rows.indices], rows.indptr), shape=(n * dim, step.matrix.n_dofs)
         )
         for number in reversed(range(step.number)):
             finer = step.cycle.levels[number + 1]
@@ -463,19 +523,19 @@ class CoarseContact:
             if coarse.dim * len(nodes) <= self.MOST_CONTACT:
                 yield number, moving, nodes
 
-    def __call__(self) -> bool:
-        """Correct the smoothed iterate; return whether there is a correction."""
+    def __call__(self, state: TruncatedState) -> TruncatedState:
+        """Correct a smoothed iterate, in place; the same state where there is no correction."""
         step = self.step
         if not len(self.eliminated.contact):  # no coarse unknown moves a contact node
-            return False
+            return state
         levels = step.cycle.levels
-        rest = step.residual
+        rest = state.residual
         for level in reversed(levels[self.number + 1 : step.number + 1]):
             coarse = np.zeros(level.below.matrix.n_dofs)
             level.restrict(rest, coarse)
             rest = coarse
         particular, load = self.eliminated.reduce(rest)
-        c = step.contact
+        c = state.contact
         conditions = NodalContact(c.gap, c.reference.reshape(len(c.nodes), -1), c.limit, c.friction)
         solution = interior_point(
             self.unknowns,
@@ -486,7 +546,7 @@ class CoarseContact:
             c.values.reshape(len(c.nodes), -1),
         )
         if not solution.slack <= self.REFUSED:
-            return False
+            return state
         correction = self.eliminated.complete(particular, solution.unknowns)
         for level in levels[self.number + 1 : step.number + 1]:
             correction[level.below.matrix.fixed] = 0.0
@@ -494,8 +554,7 @@ class CoarseContact:
             level.prolong(correction, finer)
             correction = finer
         correction[step.matrix.fixed] = 0.0
-        step.move(correction)
-        return True
+        return step.move(state, correction)
 
 
 #: springs that hold what no fine node tells apart, over the diagonal

@@ -278,7 +278,6 @@ class Truncation:
         prolongations: list[sparse.csr_array],
         contact: TruncatedContact,
     ) -> None:
-        self.contact = contact
         fine = levels[-1]
         dim = fine.dim
         at = np.concatenate(
@@ -322,10 +321,10 @@ class Truncation:
         else:
             self.products = DofUpdate(levels[:-1], prolongations, dim, self.rows, self.columns)
 
-    def apply(self, newton: bool) -> None:
-        """Change the matrices for the present status; ``newton`` False keeps them symmetric, with g
+    def apply(self, contact: TruncatedContact, newton: bool) -> None:
+        """Change the matrices for a status; ``newton`` False keeps them symmetric, with g
         frozen."""
-        o = self.contact
+        o = contact
         changed_blocks(
             o.dim,
             self.rows,

@@ -55,18 +55,13 @@ class VolumePressures:
         self.volumes = replace(volumes, rows=rows, expansion=0.0)
         #: for each body the pressures (n_groups,) that are 1 in it
         self.uniform = [(volumes.body == k).astype(float) for k in np.unique(volumes.body)]
+        #: factors (n_groups,) that make energies of the squares of :meth:`missed`, N m
+        self.weights = volumes.areas * volumes.modulus
         self.pose(problem)
 
     def pose(self, problem: DiscreteProblem) -> None:
         """Take over prescribed values and initial strains of another load step."""
-        self._cautious = 0
         self._prescribed = problem.volumes.strains(problem.fixed_values)
-
-    @property
-    def weights(self) -> np.ndarray:
-        """Return the factors (n_groups,) that make energies of the squares of :meth:`missed`, N
-        m."""
-        return self.volumes.areas * self.volumes.modulus
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return what volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed
@@ -78,20 +73,14 @@ class VolumePressures:
         forces = self.volumes.scale * missed
         return float(np.einsum("i,i->", forces, forces))
 
-    def hesitate(self) -> None:
-        self._cautious = self.STEPS
-
-    def advance(self, unknowns: np.ndarray, pressures: np.ndarray) -> float:
+    def advance(self, unknowns: np.ndarray, pressures: np.ndarray, cautious: bool) -> float:
         """Step towards the pressures of corrected unknowns, in place; returns the energy of the
         step, N m."""
         volumes = self.volumes
-        if not len(volumes):
-            return 0.0
         missed = self.missed(unknowns, pressures)
         change = missed / (volumes.compliance + 1 / volumes.modulus)
         energy = float(np.einsum("i,i,i->", volumes.areas, missed, change))
-        pressures += (self.CAUTIOUS if self._cautious else 1.0) * change
-        self._cautious = max(self._cautious - 1, 0)
+        pressures += (self.CAUTIOUS if cautious else 1.0) * change
         return energy
 
     @property

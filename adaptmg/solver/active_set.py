@@ -116,10 +116,10 @@ class ActiveSet:
                 condensed = condense_problem(level.discrete) if self.condensed else None
                 local = local_system(level.discrete) if condensed is None else condensed.full
             newton = _Newton(self, local, run, number, start, condensed, finest=number == last)
-            status, stop = newton.solve(certified=number == last)
-            start = local.to_cartesian(newton.unknowns)
+            state, status, stop = newton.solve(certified=number == last)
+            start = local.to_cartesian(state.unknowns)
         solved = cast("np.ndarray", start).reshape(-1)  # of the last level
-        return Outcome(solved, status, newton.cycles, self.rtol, stop.error_estimate, stop.rate)
+        return Outcome(solved, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
 
     def _augmented(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve a finest problem with volumes, by one factorisation and perhaps several solves."""
@@ -158,10 +158,10 @@ class ActiveSet:
                 whole=augmented.whole,
             )
             run.first_cycle += cycles
-            status, stop = newton.solve(certified=last)
+            state, status, stop = newton.solve(certified=last)
             run.first_cycle = run.first_cycle - cycles
-            cycles = cycles + newton.cycles
-            start = local.to_cartesian(newton.unknowns)
+            cycles = cycles + state.cycles
+            start = local.to_cartesian(state.unknowns)
             pressures = augmented.pressures(start)
             if last:
                 break
@@ -193,6 +193,22 @@ class _NewtonTest(StopTest):
         self.met = self._small_enough()
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _NewtonState:
+    """An iterate, and the contact status that it decides."""
+
+    unknowns: np.ndarray  # (n_dofs,), local
+    residual: np.ndarray | Any = None  # (n_dofs,); Any: of a start as of equations
+    reduced: np.ndarray | Any = None  # (n_dofs,): what linear steps make of it
+    equations: Linearised | Any = None  # None: at a start
+    cycles: int = 0
+    seen: frozenset[bytes] = frozenset()  # states of the steps since an interior point
+    last: bytes = b""
+    since: int = 0  # steps since then
+    tolerances: tuple[float, ...] = ()  # of interior points that are left
+    gives_up: Status | None = None
+
+
 class _Newton:
     """The Newton steps on one level."""
 
@@ -221,27 +237,16 @@ class _Newton:
         self.run = run
         self.level = level
         self.finest = finest
-        self._measure = Measure(local, run if finest else None)
+        self.start = start
+        self._norms = Measure(local, run if finest else None)
         self._whole = whole  # makes a solution of the problem that was posed from a displacement
         self.equations_of: SparseSteps | CondensedSteps = (
             SparseSteps(local, options.linear, run)
             if condensed is None
             else CondensedSteps(condensed, run)
         )
-        self.unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
-        self.cycles = 0
-        self._hold_first = start is None and options.start == "held"
-        self._from_inside = (
-            start is None and options.start == "interior" and len(local.contact.gap) > 0
-        )
-        self._tolerances = list(self.TOLERANCES)
-        # states of the steps before, and their number
-        self._seen = set[bytes]()
-        self._last = b""
-        self._since = 0
-        self._equations: Linearised | Any = None  # Any: None before the first step alone
 
-    def solve(self, certified: bool) -> tuple[Status, StopTest]:
+    def solve(self, certified: bool) -> tuple[_NewtonState, Status, StopTest]:
         """Iterate, on the finest level under the eyes of the run, in the end (if ``certified``) of
         the certificate."""
         stop = _NewtonTest(
@@ -252,91 +257,101 @@ class _Newton:
         )
         if self.finest and not self.run.history:
             self.run.start_work_units = self.run.work_units
-        return iterate(self, stop, self.run if self.finest else None), stop
+        unknowns = np.zeros(self.local.system.n_dofs)
+        if self.start is not None:
+            unknowns = self.local.to_local(self.start)
+        state = _NewtonState(unknowns=unknowns, tolerances=self.TOLERANCES)
+        inside = self.start is None and self.options.start == "interior"
+        if inside and len(self.local.contact.gap):
+            state = self._interior(state)
+        hold = self.start is None and self.options.start == "held"
+        run = self.run if self.finest else None
+        return *iterate(self, self._decided(state, hold), stop, run), stop
 
-    def _shortfall(self, rtol: float) -> float:
-        return self.run.shortfall(self._whole(self.local.to_cartesian(self.unknowns)), rtol)
+    def _shortfall(self, state: _NewtonState, rtol: float) -> float:
+        return self.run.shortfall(self._whole(self.local.to_cartesian(state.unknowns)), rtol)
 
-    def step(self) -> Measured | Status:
-        if self._equations is not None or self._from_inside:
-            status = self._interior() if self._equations is None else self._advance()
-            if status is not None:
-                return status
-        residual = self._residual()
-        self._decide(residual, self._hold_first and self.cycles == 0)
-        equations = cast("Linearised", self._equations)  # as just decided
-        active = equations.active
-        slip = equations.slip
-        return self._measure(
-            self.cycles,
-            self.unknowns,
-            residual,
-            settled=equations.key == self._last,
+    def measure(self, state: _NewtonState) -> Measured:
+        if state.gives_up is not None:
+            return Measured(state.cycles, gives_up=state.gives_up)
+        active = state.equations.active
+        slip = state.equations.slip
+        return self._norms(
+            state.cycles,
+            state.unknowns,
+            state.residual,
+            settled=state.equations.key == state.last,
             active=int(active.sum()),
             slip=int((active & slip).sum()),
         )
 
-    def _advance(self) -> Status | None:
-        """A step; where a status comes back, or a motion is free, a start from inside instead."""
-        key = self._equations.key
+    def step(self, state: _NewtonState) -> _NewtonState:
+        """Take a step; where a status comes back, or a motion is free, a start from inside
+        instead."""
+        key = state.equations.key
         change = None
-        if not (key in self._seen and key != self._last) and self._since < self.LONG:
+        if not (key in state.seen and key != state.last) and state.since < self.LONG:
             try:
-                change = self.equations_of.solve(self._equations)
+                change = self.equations_of.solve(state.equations, state.reduced)
             except np.linalg.LinAlgError as error:
-                _LOG.info("step %d: %s", self.cycles, error)
+                _LOG.info("step %d: %s", state.cycles, error)
         if change is None:
-            return self._interior()
-        self._last = key
-        self._seen.add(key)
-        self.unknowns = self.unknowns + change
-        self.cycles += 1
-        self._since += 1
+            return self._decided(self._interior(state))
         self.run.visit(self.level, "solve")
-        return None
+        return self._decided(
+            replace(
+                state,
+                unknowns=state.unknowns + change,
+                cycles=state.cycles + 1,
+                seen=state.seen | {key},
+                last=key,
+                since=state.since + 1,
+            )
+        )
 
-    def _interior(self) -> Status | None:
+    def _interior(self, state: _NewtonState) -> _NewtonState:
         """Go to what the interior point method finds, to the next of the tolerances."""
         if not len(self.local.contact.gap):
-            return Status.STALLED  # no contact to be inside of
-        if not self._tolerances:
-            return Status.CYCLING
-        tolerance = self._tolerances.pop(0)
+            return replace(state, gives_up=Status.STALLED)  # no contact to be inside of
+        if not state.tolerances:
+            return replace(state, gives_up=Status.CYCLING)
+        tolerance, *left = state.tolerances
         interior = interior_point(
             *self.equations_of.inside(),
             self.local.contact,
             self.equations_of.stiffness,
             tolerance,
-            most=min(self.MOST, self.options.max_steps - self.cycles),
+            most=min(self.MOST, self.options.max_steps - state.cycles),
         )
         _LOG.debug(
             "step %d: an interior point, %.0e, in %d steps",
-            self.cycles,
+            state.cycles,
             interior.slack,
             interior.steps,
         )
-        self.unknowns = self.equations_of.outside(interior)
-        self.cycles += interior.steps
         self.run.visit(self.level, "solve", interior.steps)
-        self._seen.clear()
-        self._last = b""
-        self._since = 0
-        return None
+        return _NewtonState(
+            unknowns=self.equations_of.outside(interior),
+            cycles=state.cycles + interior.steps,
+            tolerances=tuple(left),
+        )
 
-    def _residual(self) -> np.ndarray:
-        self.run.count(1, self.local.system.nonzeros)
-        return self.local.residual(self.unknowns)
-
-    def _decide(self, residual: np.ndarray, hold: bool) -> None:
+    def _decided(self, state: _NewtonState, hold: bool = False) -> _NewtonState:
+        """Decide the status of the contact nodes; ``hold``: all touch and stick."""
+        if state.gives_up is not None:
+            return state
         system = self.local.system
         contact = self.local.contact
-        forces = self.equations_of.contact_residual(residual)
-        at_contact = self.unknowns.reshape(-1, system.dim)[system.nodes]
-        self._equations = (
+        self.run.count(1, system.nonzeros)
+        residual = self.local.residual(state.unknowns)
+        forces, reduced = self.equations_of.contact_residual(residual)
+        at_contact = state.unknowns.reshape(-1, system.dim)[system.nodes]
+        equations = (
             hold_all(contact, at_contact, forces)
             if hold
             else linearise(contact, at_contact, forces, self.equations_of.stiffness, self.FACTOR)
         )
+        return replace(state, residual=residual, reduced=reduced, equations=equations)
 
 
 class CondensedSteps:
@@ -354,12 +369,12 @@ class CondensedSteps:
         """Return the diagonal (n_contact, dim) of the matrix that the contact nodes see, N/m."""
         return self.condensed.matrix.diagonal().reshape(-1, self.local.system.dim)
 
-    def contact_residual(self, residual: np.ndarray) -> np.ndarray:
+    def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residual (n_contact, dim) at contact nodes that decides their status, with the
-        interior in equilibrium, from that at all dofs."""
+        interior in equilibrium, from that at all dofs; and what :meth:`solve` needs of it."""
         with self.run.phase("solve"):
-            self._particular, force = self.condensed.reduce(residual)
-        return force.reshape(-1, self.local.system.dim)
+            particular, force = self.condensed.reduce(residual)
+        return force.reshape(-1, self.local.system.dim), particular
 
     def inside(self) -> tuple[Span, np.ndarray]:
         """Return the unknowns of the interior point method, and their load."""
@@ -375,8 +390,8 @@ class CondensedSteps:
         with self.run.phase("solve"):
             return self.condensed.recover(interior.values.reshape(-1))
 
-    def solve(self, equations: Linearised) -> np.ndarray:
-        """Return the change (n_dofs,) for the last residual; LinAlgError if the equations are
+    def solve(self, equations: Linearised, particular: np.ndarray) -> np.ndarray:
+        """Return the change (n_dofs,) for a residual; LinAlgError if the equations are
         singular or an iterative linear solver does not converge."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
@@ -392,7 +407,7 @@ class CondensedSteps:
             free = np.flatnonzero(~equations.prescribed.reshape(-1))
             rhs = equations.force.reshape(-1)[free] - matrix[free] @ change
             change[free] = self._dense(matrix[np.ix_(free, free)], rhs)
-            return self.condensed.complete(self._particular, change)
+            return self.condensed.complete(particular, change)
 
     def _dense(self, matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
         if not len(rhs):
@@ -430,9 +445,8 @@ class SparseSteps:
         system = self.local.system
         return self._matrix.diagonal().reshape(-1, system.dim)[system.nodes]
 
-    def contact_residual(self, residual: np.ndarray) -> np.ndarray:
-        self._residual = residual
-        return residual.reshape(-1, self.local.system.dim)[self.local.system.nodes]
+    def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return residual.reshape(-1, self.local.system.dim)[self.local.system.nodes], residual
 
     def inside(self) -> tuple[Span, np.ndarray]:
         return self, self.local.load
@@ -440,13 +454,13 @@ class SparseSteps:
     def outside(self, interior: Interior) -> np.ndarray:
         return interior.unknowns
 
-    def solve(self, equations: Linearised) -> np.ndarray:
+    def solve(self, equations: Linearised, residual: np.ndarray) -> np.ndarray:
         system = self.local.system
         released = np.zeros((system.n_nodes, system.dim), dtype=bool)
         released[system.nodes] = equations.prescribed
         change = np.zeros((system.n_nodes, system.dim))
         change[system.nodes] = equations.change
-        rhs = self._residual.reshape(-1, system.dim).copy()
+        rhs = residual.reshape(-1, system.dim).copy()
         rhs[system.nodes] = equations.force
         released = released.reshape(-1)
         rhs = rhs.reshape(-1)
@@ -582,5 +596,5 @@ def coarsest_solution(
     local = condensed.full
     run = Run(unit=local.system.nonzeros)
     newton = _Newton(ActiveSet(rtol=rtol), local, run, 0, start, condensed)
-    newton.solve(certified=False)
-    return local.to_cartesian(newton.unknowns).reshape(-1), newton.cycles, run.work_units
+    state, *_ = newton.solve(certified=False)
+    return local.to_cartesian(state.unknowns).reshape(-1), state.cycles, run.work_units

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.conditions import natural_residual
 from adaptmg.smoother.system import LocalProblem
@@ -27,7 +28,7 @@ from adaptmg.solver.record import Run, Status
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """An iterate as a step leaves it."""
+    """Norms of a state."""
 
     cycles: int  # cycles, sweeps or steps done
     # Euclidean norm of the natural residual, N; Any: None where a method judges by changes alone
@@ -41,32 +42,96 @@ class Measured:
     change: float | None = None  # A-norm of what the step changed; None: unknown
     relative_change: float | Any = None  # Euclidean, relative to the iterate; Any: as of residual
     settled: bool = True  # whether the contact status has come to rest
+    from_start: float | None = None  # A-norm of what the first cycle changed, where it is asked
+    gives_up: Status | None = None  # why the method has no next state; then no more is measured
     columns: dict[str, float] = field(default_factory=dict)  # further ones of the history
 
 
-class Iteration(Protocol):
-    """What a method offers to the loop; it holds its unknowns."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class State:
+    """All that flows from one step of a method to the next.
 
-    def step(self) -> Measured | Status:
-        """Do the next step (the first one: what comes before the first measurement); a status where
-        the method gives up."""
+    Parameters
+    ----------
+    unknowns : (n_dofs,) array
+        Displacement of the level in contact frames, m: at contact nodes the normal component, then
+        the tangential ones, elsewhere the Cartesian ones. They count from prescribed values; those
+        of fixed dofs are zero. ``to_local`` and ``to_cartesian`` of
+        :func:`adaptmg.smoother.local_system` convert.
+    passes : float
+        Passes over the finest matrix that the step took; they are counted as work.
+    memory : object, optional
+        What else a method hands from step to step: a status, past iterates. A step must not change
+        it in place.
+    residual : (n_dofs,) array, optional
+        b - A w in the same components, N, where the step has it: this spares a pass over the
+        matrix.
+    cycles : int
+        Steps so far; :func:`adaptmg.solve` counts them.
+
+    Examples
+    --------
+    >>> am.State(unknowns=[0.0, 0.0], passes=2).passes
+    2.0
+    """
+
+    unknowns: np.ndarray
+    passes: float = 0.0
+    memory: Any = None
+    residual: np.ndarray | None = None
+    cycles: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("unknowns", "residual"):
+            given = getattr(self, name)
+            if given is None and name == "residual":
+                continue
+            entries = checks.real_array(given)
+            if entries is None or entries.ndim != 1:
+                raise TypeError(f"{name} must be a real array (n_dofs,), got {checks.shown(given)}")
+            # not a check for finite numbers: a method that diverges is reported as such
+            array = np.array(entries, dtype=np.float64)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        checks.convert(self, checks.nonnegative, "passes")
+        checks.integer("cycles", self.cycles)
+
+
+Flowing = TypeVar("Flowing")  # what a method has for its states
+
+
+class Steps(Protocol[Flowing]):
+    """What a method offers to the loop. It remembers nothing of its states."""
+
+    def step(self, state: Flowing) -> Flowing:
+        """Return the next state."""
+        ...
+
+    def measure(self, state: Flowing) -> Measured:
+        """Measure a state; each one is measured once, in turn."""
         ...
 
 
-def iterate(method: Iteration, stop: StopTest, run: Run | None = None) -> Status:
-    """Step and judge until the test or the method ends it."""
+def iterate(
+    steps: Steps[Flowing], state: Flowing, stop: StopTest, run: Run | None = None
+) -> tuple[Flowing, Status]:
+    """Measure, judge and step until the test or the method ends it; returns the last state, and how
+    it ends."""
+    stop.state = state
+    del state  # the test may let go of what is large
     while True:
-        state = method.step()
-        status = state if isinstance(state, Status) else stop.take(state, run)
+        measured = steps.measure(stop.state)
+        status = measured.gives_up or stop.take(measured, run)
         if status is not None:
             given_up = status in (Status.STALLED, Status.LIMIT, Status.ROUNDING)
-            return Status.CONVERGED if given_up and stop.certified() else status
+            return stop.state, Status.CONVERGED if given_up and stop.certified() else status
+        stop.state = steps.step(stop.state)
 
 
 class StopTest:
     """Judges an iteration by its estimated error and residual. ``shortfall`` says by how many times
-    the certificate finds the last iterate short of a tolerance, ``stalled`` what an iteration is
-    called that no longer improves (None: it goes on)."""
+    the certificate finds a state short of a tolerance, ``stalled`` what an iteration is called that
+    no longer improves (None: it goes on)."""
 
     #: the natural residual must fall below this multiple of rtol
     RESIDUAL_FACTOR = 10.0
@@ -84,10 +149,11 @@ class StopTest:
         self,
         rtol: float,
         limit: float,
-        shortfall: Callable[[float], float] | None = None,
+        shortfall: Callable[[Any, float], float] | None = None,
         stalled: Status | None = Status.STALLED,
     ) -> None:
         self.rtol = rtol
+        self.state: Any = None  # the one that is judged
         self.limit = limit
         self._ask = shortfall
         self._stalled = stalled
@@ -103,11 +169,11 @@ class StopTest:
         self._last = np.nan
         self._kept = 0
 
-    def take(self, state: Measured, run: Run | None = None) -> Status | None:
-        """Take a state and record it; how the iteration ends, None if it goes on."""
-        self.judge(state)
+    def take(self, measured: Measured, run: Run | None = None) -> Status | None:
+        """Judge a state and record it; how the iteration ends, None if it goes on."""
+        self.judge(measured)
         if run is not None:
-            run.record(cycle=state.cycles, **self.measures() | state.columns)
+            run.record(cycle=measured.cycles, **self.measures() | measured.columns)
         return self.verdict()
 
     def judge(self, state: Measured) -> None:
@@ -167,7 +233,7 @@ class StopTest:
     def shortfall(self) -> float | None:
         """Return by how many times the certificate finds the last iterate short of rtol; None if it
         is not asked."""
-        return None if self._ask is None else self._ask(self.rtol)
+        return None if self._ask is None else self._ask(self.state, self.rtol)
 
     def certified(self) -> bool:
         """Return whether the certificate, if it was not asked, finds the last iterate good enough,
@@ -255,13 +321,13 @@ class ChangeTest(StopTest):
 
     relative_change = np.inf
 
-    def take(self, state: Measured, run: Run | None = None) -> Status | None:
-        self.cycles = state.cycles
-        self.relative_change = state.relative_change
+    def take(self, measured: Measured, run: Run | None = None) -> Status | None:
+        self.cycles = measured.cycles
+        self.relative_change = measured.relative_change
         if not self.relative_change < np.inf:
             return Status.DIVERGED
-        if state.residual is not None:
-            self._record(state, cast("Run", run))
+        if measured.residual is not None:
+            self._record(measured, cast("Run", run))
         if not self.relative_change > self.rtol:
             return Status.CONVERGED
         return Status.LIMIT if self.cycles >= self.limit else None
@@ -281,8 +347,8 @@ class ChangeTest(StopTest):
 
 
 class Measure:
-    """Makes states of the iterates of a problem whose residual is known; ``reference`` (n_dofs,) is
-    the solution."""
+    """Norms of the iterates of a problem whose residual is known; ``reference`` (n_dofs,) is the
+    solution."""
 
     def __init__(
         self,
@@ -309,7 +375,8 @@ class Measure:
         settled: bool = True,
         **columns: float,
     ) -> Measured:
-        """The state of an iterate and its residual r = b - A w (n_dofs,)."""
+        """The norms of an iterate, which must not change any more, and its residual r = b - A w
+        (n_dofs,)."""
         system = self.local.system
         sizes = self.sizes
         natural = euclidean_norm(natural_residual(self.local, unknowns, r))
@@ -319,7 +386,7 @@ class Measure:
         change = (
             None if self._last is None else energy_norm(unknowns - self._last[0], self._last[1] - r)
         )
-        self._last = unknowns.copy(), r.copy()
+        self._last = unknowns, r
         floor = euclidean_norm(self._diagonal * unknowns)
         idle = natural <= ROUNDING * floor and sizes.nothing_strains(
             contact, ROUNDING * floor, unknowns
@@ -336,74 +403,82 @@ class Measure:
         )
 
 
-@dataclass(eq=False)
 class Smoothing:
-    """Sweeps or cycles from ``unknowns``, in place, measured by the residual after each
+    """Steps that smooth, and correct in between: ``smooth(unknowns, cycles)`` after a number of
+    cycles returns the sweeps that count as such, the memory of the state, ``correct(unknowns,
+    residual)`` is a cycle, ``residual(unknowns)`` b - A w (n_dofs,). They are measured after each
     smoothing."""
 
-    measure: Measure
-    unknowns: np.ndarray
-    smooth: Callable[[int], int]  # after a number of cycles; returns the sweeps that count
-    residual: Callable[[], np.ndarray]  # b - A w (n_dofs,)
-    correct: Callable[[np.ndarray], object] | None = (
-        None  # a cycle for an iterate with this residual
-    )
-    cycles: int = 0
-    _last: np.ndarray | None = None
+    def __init__(
+        self,
+        norms: Measure,
+        smooth: Callable[[np.ndarray, int], int],
+        residual: Callable[[np.ndarray], np.ndarray],
+        correct: Callable[[np.ndarray, np.ndarray], None] | None = None,
+    ) -> None:
+        self.norms = norms
+        self.smooth = smooth
+        self.residual = residual
+        self.correct = correct
 
-    def step(self) -> Measured:
-        if self._last is not None:
-            self.cycle(self._last)
-        self.cycles += self.smooth(self.cycles)
-        self._last = self.residual()
-        return self.measure(self.cycles, self.unknowns, self._last)
+    def step(self, state: State) -> State:
+        """Correct, unless it is a start, and smooth."""
+        unknowns = state.unknowns.copy()
+        cycles = state.cycles
+        if self.correct is not None and state.residual is not None:
+            self.correct(unknowns, state.residual)
+            cycles += 1
+        sweeps = self.smooth(unknowns, cycles)
+        residual = self.residual(unknowns)
+        return State(unknowns=unknowns, memory=sweeps, residual=residual, cycles=cycles + sweeps)
 
-    def cycle(self, r: np.ndarray) -> None:
-        if self.correct is not None:
-            self.correct(r)
-            self.cycles += 1
+    def measure(self, state: State) -> Measured:
+        return self.norms(state.cycles, state.unknowns, cast("np.ndarray", state.residual))
 
     def solve(
         self,
+        unknowns: np.ndarray,
         stop: str,
         rtol: float,
         limit: int,
         run: Run,
-        shortfall: Callable[[float], float],
+        shortfall: Callable[[State, float], float],
         stalled: Status = Status.STALLED,
-    ) -> tuple[Status, StopTest]:
+    ) -> tuple[State, Status, StopTest]:
         """Iterate until the error (``stop="error"``) is small, or the change; the residual then
         confirms it or not."""
+        start = State(unknowns=unknowns)
         if stop == "error":
             test = StopTest(rtol, limit, shortfall, stalled)
-            return iterate(self, test, run), test
+            return *iterate(self, self.step(start), test, run), test
+        whole = WholeSteps(self.norms, self.smooth, self.residual, self.correct)
         test = ChangeTest(rtol, limit)
-        status = iterate(WholeSteps(self), test, run)
+        state, status = iterate(whole, whole.step(start), test, run)
         if status is not Status.DIVERGED:
-            status = test.confirmed(
-                status, self.measure(self.cycles, self.unknowns, self.residual()), run
-            )
-        return status, test
+            state = replace(state, residual=self.residual(state.unknowns))
+            status = test.confirmed(status, self.measure(state), run)
+        return state, status, test
 
 
-@dataclass(eq=False)
-class WholeSteps:
+class WholeSteps(Smoothing):
     """The same measured by what each sweep or cycle changes, the paper's test at the end of step
-    g."""
+    g; the memory of a state holds that change, relative, and the state within the step whose
+    residual the correction took."""
 
-    smoothing: Smoothing
+    def step(self, state: State) -> State:
+        unknowns = state.unknowns.copy()
+        cycles = state.cycles + self.smooth(unknowns, state.cycles)
+        within = None
+        if self.correct is not None:
+            within = State(unknowns=unknowns, residual=self.residual(unknowns))
+            self.correct(unknowns, cast("np.ndarray", within.residual))
+            cycles += 1
+        size = euclidean_norm(unknowns)
+        change = euclidean_norm(unknowns - state.unknowns) / size if size > 0 else 0.0
+        change = change if np.isfinite(size) else np.inf
+        return State(unknowns=unknowns, cycles=cycles, memory=(change, within))
 
-    def step(self) -> Measured:
-        one = self.smoothing
-        state = Measured(0)
-        before = one.unknowns.copy()
-        one.cycles += one.smooth(one.cycles)
-        if one.correct is not None:
-            r = one.residual()
-            state = one.measure(0, one.unknowns, r)
-            one.cycle(r)
-        size = euclidean_norm(one.unknowns)
-        change = euclidean_norm(one.unknowns - before) / size if size > 0 else 0.0
-        return replace(
-            state, cycles=one.cycles, relative_change=change if np.isfinite(size) else np.inf
-        )
+    def measure(self, state: State) -> Measured:
+        change, within = state.memory
+        measured = Measured(0) if within is None else super().measure(within)
+        return replace(measured, cycles=state.cycles, relative_change=change)

@@ -1,4 +1,4 @@
-r"""What load steps keep: KeptMultigrid, the truncated multigrid, set up once, and Controls, what a
+r"""What load steps keep: TruncatedSteps, the truncated multigrid, set up once, and Controls, what a
 force prescribes.
 
 Matrices, transfers, and the lists by which the contact status changes coarse matrices stay; loads,
@@ -42,15 +42,10 @@ from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
 from adaptmg.mesh.arrays import need_mesh
-from adaptmg.multigrid.cycle import NestedStart
-from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.truncated_step import TruncatedStep
-from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import Preload
 from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
 from adaptmg.smoother.factorisation import factorisable
-from adaptmg.smoother.system import local_contact
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
@@ -124,67 +119,6 @@ def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list
     return result
 
 
-class KeptMultigrid(TruncatedRun):
-    """The truncated multigrid for a sequence of steps."""
-
-    def __init__(
-        self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int
-    ) -> None:
-        super().__init__(parts, hierarchy, run, rtol, max_cycles)
-        self._steps: dict[int, TruncatedStep] = {}
-
-    def take(self, hierarchy: Hierarchy, run: Run) -> None:
-        """Go on to the next step: ``hierarchy`` differs in loads, prescribed values and slip
-        references only. What the steps before leave in coarse factors is forgotten: a path that is
-        resumed has the same bits."""
-        self.hierarchy = hierarchy
-        self.run = run
-        self.cycle.recorder = run
-        self.problems = [level.discrete_or_none for level in hierarchy.levels]
-        self.cycle.factors.forget()
-        if len(hierarchy) - 1 in self._steps:
-            with run.phase("setup"):
-                self._steps[len(hierarchy) - 1].truncation.restore()
-
-    def increment(self, start: NestedStart, past: list[np.ndarray]) -> list[np.ndarray]:
-        """Return the solutions (n_unknowns,) of all levels from which a step begins, those
-        after the step before being ``past``."""
-        result: list[np.ndarray] = []
-        for number, problem in enumerate(self.problems):
-            if number == 0:
-                unknowns = self._solve_coarsest(start, past[0] if past[0].any() else None)
-            else:
-                coarse = self.problems[number - 1]
-                nodal = self.cycle.levels[number].prolongation
-                displacement, pressures = coarse.parts(result[-1])
-                change = (displacement - past[number - 1]).reshape(-1, problem.dim)
-                displacement = past[number] + (nodal @ change).reshape(-1)
-                pressures = prolonged_pressures(coarse, problem, nodal, pressures)
-                unknowns = problem.from_prescribed(np.append(displacement, pressures))
-                self.run.visit(number, "start")
-                if number < len(self.problems) - 1:
-                    unknowns = self._start_cycles(number, unknowns, start)
-            result.append(problem.with_prescribed(unknowns))
-        self.run.start_work_units = self.run.work_units
-        return result
-
-    def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
-        if number not in self._steps:
-            self._steps[number] = super()._step(number, unknowns)
-            return self._steps[number]
-        step = self._steps[number]
-        problem = self.problems[number]
-        with self.run.phase("setup"):
-            data, _ = local_contact(problem)
-            contact = step.contact
-            load = problem.load_from_prescribed()
-            contact.renew(data)
-            contact.start(unknowns)
-            step.pressures.pose(problem)
-            step.begin(load, unknowns, RigidMotions.of(problem, contact, load))
-        return step
-
-
 class TruncatedSteps:
     """The truncated multigrid, with or without nested start."""
 
@@ -197,7 +131,7 @@ class TruncatedSteps:
         self.rtol = solver.rtol
         self.max_cycles = solver.max_cycles
         self.start = solver.start if isinstance(solver, FullMultigrid) else None
-        self.multigrid: KeptMultigrid | None = None
+        self.multigrid: TruncatedRun | None = None
 
     def run(
         self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
@@ -207,14 +141,17 @@ class TruncatedSteps:
         coarse = None
         kind = "given" if past.given else "zero"
         if multigrid is None or not problem.alike(multigrid.problems[-1]):
-            multigrid = KeptMultigrid(self.parts, hierarchy, run, self.rtol, self.max_cycles)
+            multigrid = TruncatedRun(
+                self.parts, hierarchy, run, self.rtol, self.max_cycles, keeps=True
+            )
         else:
-            multigrid.take(hierarchy, run)
+            multigrid.pose(hierarchy, run)
         multigrid.rtol = self.rtol if isinstance(self.rtol, str) else max(self.rtol, past.loose)
         if past.near:
             start = past.extrapolated
         elif self.start is not None:
-            *below, start = multigrid.increment(self.start, past.levels)
+            levels = past.levels if past.given else None
+            *below, start = multigrid.nested_start(self.start, levels)
             levels = zip(multigrid.problems[:-1], below, strict=True)
             coarse = [one.parts(solution)[0] for one, solution in levels]
             kind = "given" if past.given else "nested"

@@ -29,7 +29,7 @@ from adaptmg.smoother.factorisation import Condensed, condense
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.examine import Sizes
-from adaptmg.solver.iterate import Measure, Smoothing, StopTest, iterate
+from adaptmg.solver.iterate import Measure, Smoothing, State, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 
 
@@ -108,10 +108,10 @@ class ProjectedRun:
                     multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
                     multigrid.solve_coarsest(local.contact, local.load, unknowns)
                 elif start.cycles == "complete":
-                    iterate(
-                        self._cycles(multigrid, level, unknowns),
-                        StopTest(start.rtol, self.max_cycles),
-                    )
+                    cycles = self._cycles(multigrid, level)
+                    first = cycles.step(State(unknowns=unknowns))
+                    state, _ = iterate(cycles, first, StopTest(start.rtol, self.max_cycles))
+                    unknowns = state.unknowns
                 else:
                     for _ in range(
                         start.cycles_on(local.discrete, self.problems[level + 1].discrete)
@@ -133,44 +133,33 @@ class ProjectedRun:
         local = self.problems[-1]
         multigrid = self.multigrid(len(self.hierarchy) - 1)
         with self.run.phase("cycles"):
-            cycles = self._cycles(multigrid, len(self.hierarchy) - 1, unknowns, self.run)
-            status, stop = cycles.solve(
+            state, status, stop = self._cycles(multigrid, len(self.hierarchy) - 1, self.run).solve(
+                unknowns,
                 self.stop,
                 self.rtol,
                 self.max_cycles,
                 self.run,
-                lambda rtol: self.run.shortfall(local.to_cartesian(unknowns), rtol),
+                lambda state, rtol: self.run.shortfall(local.to_cartesian(state.unknowns), rtol),
             )
-        return Outcome(
-            local.to_cartesian(unknowns).reshape(-1),
-            status,
-            cycles.cycles,
-            self.rtol,
-            stop.error_estimate,
-            stop.rate,
-        )
+        solution = local.to_cartesian(state.unknowns).reshape(-1)
+        return Outcome(solution, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
 
-    def _cycles(
-        self, multigrid: MultigridCycle, level: int, unknowns: np.ndarray, run: Run | None = None
-    ) -> Smoothing:
+    def _cycles(self, multigrid: MultigridCycle, level: int, run: Run | None = None) -> Smoothing:
         """Cycles, measured after the first smoothing, where the cycle has its residual."""
         local = self.problems[level]
 
-        def sweep(sweeps: int) -> int:
-            multigrid.smooth(level, local.contact, local.load, unknowns, sweeps)
+        def smooth(unknowns: np.ndarray, cycles: int) -> int:
+            multigrid.smooth(level, local.contact, local.load, unknowns, self.cycle.pre)
             return 0
 
-        def correct(r: np.ndarray) -> None:
+        def correct(unknowns: np.ndarray, r: np.ndarray) -> None:
             multigrid.correct(level, local.contact, unknowns, r)
-            sweep(self.cycle.post)
+            multigrid.smooth(level, local.contact, local.load, unknowns, self.cycle.post)
 
-        return Smoothing(
-            Measure(local, run),
-            unknowns,
-            lambda cycles: sweep(self.cycle.pre),
-            lambda: multigrid.residual(level, local.load, unknowns),
-            correct,
-        )
+        def residual(unknowns: np.ndarray) -> np.ndarray:
+            return multigrid.residual(level, local.load, unknowns)
+
+        return Smoothing(Measure(local, run), smooth, residual, correct)
 
 
 def need_levels(hierarchy: Hierarchy) -> None:
@@ -250,46 +239,43 @@ class SingleGrid:
         project(problem, unknowns)
         # the Schur complement measures the energy of the error of the recovered solution
         reference = None if run.reference is None else restrict(local.to_local(run.reference))
-        batches = []
+        smoother = ProjectedGaussSeidel(omega=self.omega)
 
-        def smooth(done: int) -> int:
-            batches.append(
-                max(self.FIRST_CHECK, int(self.CHECK_SHARE * done)) if self.stop == "error" else 1
-            )
-            times = min(batches[-1], self.max_sweeps - done)
-            passes = ProjectedGaussSeidel(omega=self.omega).smooth(
-                problem.system, problem.contact, problem.load, unknowns, times
-            )
+        def smooth(unknowns: np.ndarray, done: int) -> int:
+            batch = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
+            times = min(batch, self.max_sweeps - done) if self.stop == "error" else 1
+            passes = smoother.smooth(problem.system, problem.contact, problem.load, unknowns, times)
             run.count(passes, problem.system.nonzeros)
             return times
 
-        def residual() -> np.ndarray:
+        def residual(unknowns: np.ndarray) -> np.ndarray:
             run.count(1, problem.system.nonzeros)
             return problem.residual(unknowns)
 
-        sweeps = Smoothing(
-            Measure(problem, run=run, reference=reference, sizes=sizes), unknowns, smooth, residual
-        )
+        norms = Measure(problem, run=run, reference=reference, sizes=sizes)
         with run.phase("sweeps"):
             # batches that reach no new smallest change are cycling
-            status, stop = sweeps.solve(
+            state, status, stop = Smoothing(norms, smooth, residual).solve(
+                unknowns,
                 self.stop,
                 self.rtol,
                 self.max_sweeps,
                 run,
-                lambda rtol: run.shortfall(local.to_cartesian(recover(unknowns)), rtol),
+                lambda state, rtol: run.shortfall(
+                    local.to_cartesian(recover(state.unknowns)), rtol
+                ),
                 stalled=Status.CYCLING,
             )
-        run.visit(len(hierarchy) - 1, "smooth", sweeps.cycles)
+        run.visit(len(hierarchy) - 1, "smooth", state.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):
-            solved = local.to_cartesian(recover(unknowns)).reshape(-1)
+            solved = local.to_cartesian(recover(state.unknowns)).reshape(-1)
         return Outcome(
             solved,
             status,
-            sweeps.cycles,
+            state.cycles,
             self.rtol,
             stop.error_estimate,
-            stop.rate ** (1 / batches[-1]) if np.isfinite(stop.rate) else np.nan,
+            stop.rate ** (1 / state.memory) if np.isfinite(stop.rate) else np.nan,
         )
 
 

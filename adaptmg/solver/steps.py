@@ -12,8 +12,8 @@ three, that error is :math:`\delta_k\,\rho/(1-\rho)`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -22,48 +22,8 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import project, prolonged_start
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.active_set import coarsest_solution
-from adaptmg.solver.iterate import Measure, Measured, StopTest, iterate
+from adaptmg.solver.iterate import Measure, Measured, State, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class State:
-    """All that flows from one step of a method to the next.
-
-    Parameters
-    ----------
-    unknowns : (n_dofs,) array
-        Displacement of the level in contact frames, m: at contact nodes the normal component, then
-        the tangential ones, elsewhere the Cartesian ones. They count from prescribed values; those
-        of fixed dofs are zero. ``to_local`` and ``to_cartesian`` of
-        :func:`adaptmg.smoother.local_system` convert.
-    passes : float
-        Passes over the finest matrix that the step took; they are counted as work.
-    memory : object, optional
-        What else a method hands from step to step: a status, past iterates. A step must not change
-        it in place.
-
-    Examples
-    --------
-    >>> am.State(unknowns=[0.0, 0.0], passes=2).passes
-    2.0
-    """
-
-    unknowns: np.ndarray
-    passes: float = 0.0
-    memory: Any = None
-
-    def __post_init__(self) -> None:
-        entries = checks.real_array(self.unknowns)
-        if entries is None or entries.ndim != 1:
-            raise TypeError(
-                f"unknowns must be a real array (n_dofs,), got {checks.shown(self.unknowns)}"
-            )
-        # not a check for finite numbers: a method that diverges is reported as such
-        unknowns = np.array(entries, dtype=np.float64)
-        unknowns.flags.writeable = False
-        object.__setattr__(self, "unknowns", unknowns)
-        checks.convert(self, checks.nonnegative, "passes")
 
 
 class Stepper(Protocol):
@@ -115,23 +75,16 @@ class Stepped:
         else:
             unknowns = np.zeros(last.system.n_dofs) if start is None else last.to_local(start)
             project(last, unknowns)
-        stepper = self.stepper(hierarchy, run, unknowns)
-        cycles = _Cycles(stepper, len(hierarchy) - 1, last, unknowns, run)
+        steps = self.steps(hierarchy, run, unknowns, last, finest=True)
         stop = StopTest(
             self.rtol,
             self.max_cycles,
-            lambda rtol: run.shortfall(last.to_cartesian(cycles.state.unknowns), rtol),
+            lambda state, rtol: run.shortfall(last.to_cartesian(state.unknowns), rtol),
         )
         with run.phase("cycles"):
-            status = iterate(cycles, stop, run)
-        return Outcome(
-            last.to_cartesian(cycles.state.unknowns).reshape(-1),
-            status,
-            cycles.number,
-            self.rtol,
-            stop.error_estimate,
-            stop.rate,
-        )
+            state, status = iterate(steps, State(unknowns=unknowns), stop, run)
+        solution = last.to_cartesian(state.unknowns).reshape(-1)
+        return Outcome(solution, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
 
     def nested_start(self, hierarchy: Hierarchy, run: Run, last: LocalProblem) -> np.ndarray:
         """Return the start on the finest level, from a few steps on each level below it."""
@@ -148,58 +101,62 @@ class Stepped:
             unknowns = prolonged_start(nodal, coarse, unknowns, fine)
             run.visit(number, "start")
             if not finest:
-                stepper = self.stepper(hierarchy.truncated(finest=number), run, unknowns)
+                steps = self.steps(hierarchy.truncated(finest=number), run, unknowns, fine)
                 state = State(unknowns=unknowns)
                 with run.phase("start"):
                     for _ in range(self.start_cycles):
-                        state = stepped(stepper, state, fine, run)
+                        state = steps.step(state)
                 unknowns = state.unknowns
             coarse = fine
         run.start_work_units = run.work_units
         return unknowns
 
-    def stepper(self, hierarchy: Hierarchy, run: Run, unknowns: np.ndarray) -> Stepper:
-        """Return what the method sets up for a hierarchy."""
+    def steps(
+        self,
+        hierarchy: Hierarchy,
+        run: Run,
+        unknowns: np.ndarray,
+        local: LocalProblem,
+        finest: bool = False,
+    ) -> UserSteps:
+        """Return the steps that the method sets up for a hierarchy."""
         with run.phase("setup"):
             made = self.method.setup(hierarchy, State(unknowns=unknowns))
         words = "an object with step(state) -> state"
-        return checks.offers("solver: what setup returns", made, "step", words)
+        stepper = checks.offers("solver: what setup returns", made, "step", words)
+        return UserSteps(stepper, len(hierarchy) - 1, local, run, finest)
 
 
-def stepped(stepper: Stepper, state: State, local: LocalProblem, run: Run) -> State:
-    """Return the next state, checked, and count its passes."""
-    new = stepper.step(replace(state, passes=0.0))
-    checks.instance("solver: what step returns", new, State, "an am.State")
-    shape = (local.system.n_dofs,)
-    if new.unknowns.shape != shape:
-        raise ValueError(
-            f"solver: unknowns of the State that step returns must have the shape {shape}, "
-            f"got {new.unknowns.shape}"
-        )
-    run.count(new.passes, local.system.nonzeros)
-    return new
-
-
-class _Cycles:
-    """The steps on the finest level, measured."""
+class UserSteps:
+    """The steps of a user-defined method on a level, checked, counted and measured."""
 
     def __init__(
-        self, stepper: Stepper, level: int, local: LocalProblem, unknowns: np.ndarray, run: Run
+        self, stepper: Stepper, level: int, local: LocalProblem, run: Run, finest: bool = False
     ) -> None:
         self.stepper = stepper
         self.level = level
         self.local = local
         self.run = run
-        self.measure = Measure(local, run)
-        self.state = State(unknowns=unknowns)
-        self.number = -1
+        self.norms = Measure(local, run if finest else None)
 
-    def step(self) -> Measured:
-        """Step, unless nothing is measured yet, and measure."""
-        if self.number >= 0:
-            self.state = stepped(self.stepper, self.state, self.local, self.run)
-            self.run.visit(self.level, "smooth")
-        self.number += 1
-        unknowns = self.state.unknowns
-        self.run.count(1, self.local.system.nonzeros)
-        return self.measure(self.number, unknowns, self.local.residual(unknowns))
+    def step(self, state: State) -> State:
+        new = self.stepper.step(replace(state, passes=0.0))
+        checks.instance("solver: what step returns", new, State, "an am.State")
+        shape = (self.local.system.n_dofs,)
+        for name in ("unknowns", "residual"):
+            array = getattr(new, name)
+            if array is not None and array.shape != shape:
+                raise ValueError(
+                    f"solver: {name} of the State that step returns must have the shape {shape}, "
+                    f"got {array.shape}"
+                )
+        self.run.count(new.passes, self.local.system.nonzeros)
+        self.run.visit(self.level, "smooth")
+        return replace(new, cycles=state.cycles + 1)
+
+    def measure(self, state: State) -> Measured:
+        residual = state.residual
+        if residual is None:
+            self.run.count(1, self.local.system.nonzeros)
+            residual = self.local.residual(state.unknowns)
+        return self.norms(state.cycles, state.unknowns, residual)

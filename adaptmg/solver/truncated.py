@@ -39,10 +39,9 @@ from adaptmg.multigrid.linear_cycle import (
     LinearSolve,
 )
 from adaptmg.multigrid.projected_sweeps import Interface
-from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
-from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedStep
+from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedState, TruncatedStep
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import ROUNDING, Sizes
@@ -51,10 +50,8 @@ from adaptmg.solver.projected import need_levels
 from adaptmg.solver.record import Outcome, Run, Status
 
 
-class TruncatedIteration(StopTest):
-    """Cycles on one level, measured after the smoothing, and their test. ``start``: "zero",
-    "nested" or "given". ``coarse`` makes the contact problem on a coarse level. ``nested`` is the
-    start (n_dofs,) from which ``rtol="discretisation"`` is measured."""
+class TruncatedTest(StopTest):
+    """When cycles on one level end. ``run`` has the certificate; without it the estimate decides."""
 
     #: the energy of the coarse correction misses what the smoothing removes: the certificate is asked when SAFETY
     #: times the estimate is below rtol. 198 solves of random problems to 1e-6 take 2185 cycles; at 1, 2178
@@ -65,101 +62,26 @@ class TruncatedIteration(StopTest):
     #: 1e-3, 1e-6 and 1e-8 take 1590 and 1088 cycles; at 12, 1625 and 1149; at 4, 1539 and 1032, but
     #: one more is handed over, which costs factors on large meshes
     WINDOW = 8
-    #: cycles at most after which a level of the nested start is trusted
-    START_CYCLES = 20
-    #: natural residual, relative, above which a start is not believed: at 0.02 one of 116 results was at 1.2
-    #: times its tolerance
-    TRUSTED = 0.1
     #: share of the discretisation error that may remain with rtol="discretisation"
     SHARE = 0.1
     #: the largest tolerance that comes from that: a start further off shows no discretisation error
     COARSEST = 1e-2
-    #: contact problems on a coarse level at most, and the linear correction, relative, above which there is one: at
-    #: 0.01 12 of 206 cycles more on ten hard cases, without them 99 more
-    MOVES, LARGE = 8, 0.05
 
     def __init__(
-        self,
-        multigrid: TruncatedStep,
-        problem: DiscreteProblem,
-        rtol: float | str,
-        limit: float,
-        *,
-        run: Run | None = None,
-        start: str = "given",
-        nested: np.ndarray | None = None,
-        coarse: Callable[[], CoarseContact] | None = None,
+        self, cycles: TruncatedCycles | Any, rtol: float | str, limit: float, run: Run | None = None
     ) -> None:
-        super().__init__(0.0 if isinstance(rtol, str) else rtol, limit)
-        self.multigrid = multigrid
-        self.problem = problem
-        self.run = run
-        self.sizes = Sizes(problem)
+        ask = None if run is None else run.shortfall
+        super().__init__(0.0 if isinstance(rtol, str) else rtol, limit, ask)
+        self.cycles_of = cycles  # Any: nothing is asked of it before the first state
         self.residuals: list[float] = []
-        self._nested = nested
         self._first = np.nan
-        self._coarse = coarse
-        self._start = start
-        self._moves = 0
-        self._shorten = False
 
-    def step(self) -> Measured:
-        """Correct, unless it is the first step, and measure what the smoothing leaves."""
-        if self.residuals:
-            self._correct()
-        multigrid = self.multigrid
-        sizes = self.sizes
-        cycles = len(self.changes)
-        # each cycle only where the displacement has to grow into prescribed values
-        measured = cycles % 4 == 0 or sizes.prescribed
-        self._shorten = self._coarse is not None and self._start != "given" and cycles == 0
-        if self._seeks_status():
-            correction = cast("Callable[[], CoarseContact]", self._coarse)()
-            if correction.number is None:
-                self._coarse = None
-            else:
-                multigrid.smooth()
-                self._shorten = correction()
-                self._moves += 1
-                measured = True
-        state = multigrid.measure(with_energy=measured)
-        size = sizes.norm(multigrid.unknowns, state.energy) if measured else self.size
-        early = cycles < 2
-        # an exact start has no rate to measure, and needs none
-        floor = multigrid.rounding() if early or sizes.prescribed else 0.0
-        forces = sizes.forces(multigrid.unknowns, state.reactions)
-        columns = {"status_changes": float(state.changed)}
-        idle = sizes.nothing_strains(state.reactions, ROUNDING * floor, multigrid.unknowns)
-        if self.run is not None and self.run.reference is not None:
-            error = multigrid.unknowns - self.problem.from_prescribed(self.run.reference)
-            columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
-        return Measured(
-            cycles,
-            state.residual,
-            forces,
-            size,
-            floor if early or idle else 0.0,
-            idle,
-            columns=columns,
-        )
-
-    def judge(self, state: Measured) -> None:
-        super().judge(state)
+    def judge(self, measured: Measured) -> None:
+        if measured.from_start is not None:
+            self.take_discretisation_error(measured.from_start)
+        super().judge(measured)
         self.residuals.append(self.residual)
         self._first = self._last if len(self.residuals) == 1 else self._first
-
-    def _seeks_status(self) -> bool:
-        """Whether a contact problem on a coarse level comes first."""
-        if self._coarse is None or self._moves >= self.MOVES:
-            return False
-        # after a nested start the first cycles settle most statuses by themselves
-        return self.change > self.LARGE if self.changes else self._start == "zero"
-
-    def _correct(self) -> None:
-        self.changes.append(float(np.sqrt(abs(self.multigrid.correct(self._shorten)))))
-        self.cycles = len(self.changes)
-        if self.cycles == 1 and self._nested is not None:
-            self.take_discretisation_error(self.multigrid.distance(self._nested))
 
     def take_discretisation_error(self, change: float) -> None:
         r"""Set rtol from the A-norm of what the first cycle changed in the nested start. By
@@ -170,7 +92,7 @@ class TruncatedIteration(StopTest):
 
     def rests(self) -> bool:
         """Return whether the last residual is as small as arithmetic allows."""
-        return self.at_rounding(self.multigrid.rounding())
+        return self.at_rounding(self.cycles_of.rounding(self.state))
 
     @property
     def residual_met(self) -> bool:
@@ -196,13 +118,13 @@ class TruncatedIteration(StopTest):
     def shortfall(self) -> float | None:
         """Return the shortfall, see :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate
         can be better."""
-        if self.run is None:
+        if self._ask is None:
             return None
         if self.rests():
             return 0.0
         # mostly this iterate is the last
-        self.multigrid.set_aside(self.problem.matrix, self.problem.fixed)
-        return self.run.shortfall(self.problem.with_prescribed(self.multigrid.iterate), self.rtol)
+        self.state = self.cycles_of.set_aside(self.state)
+        return self._ask(self.cycles_of.problem.with_prescribed(self.state.iterate), self.rtol)
 
     def _estimate(self) -> float:
         rate = self.safe_rate
@@ -218,6 +140,102 @@ class TruncatedIteration(StopTest):
         """Whether the absolute norm has grown: reactions, to which it is related elsewhere, grow
         with it."""
         return self._last > 1e6 * max(self._first, 1e-300)
+
+
+class TruncatedCycles:
+    """Cycles on one level: steps before which a contact problem on a coarse level may come, and
+    measures of their states. ``origin``: "zero", "nested" or "given". ``coarse`` makes that contact
+    problem. ``nested`` is the start (n_unknowns,) from which ``rtol="discretisation"`` is
+    measured."""
+
+    #: contact problems on a coarse level at most, and the linear correction, relative, above which there is one: at
+    #: 0.01 12 of 206 cycles more on ten hard cases, without them 99 more
+    MOVES, LARGE = 8, 0.05
+
+    def __init__(
+        self,
+        parts: TruncatedStep,
+        problem: DiscreteProblem,
+        origin: str = "given",
+        coarse: Callable[[], CoarseContact] | None = None,
+        run: Run | None = None,
+        nested: np.ndarray | None = None,
+    ) -> None:
+        self.parts = parts
+        self.problem = problem
+        self.origin = origin
+        self.coarse = coarse
+        self.run = run
+        self.nested = nested
+        self.sizes = Sizes(problem)
+
+    def step(self, state: TruncatedState) -> TruncatedState:
+        """Correct, unless it is a start, smooth and linearise."""
+        parts = self.parts
+        new = parts.correct(state, state.shorten)
+        from_start = None
+        if new.cycles == 1 and self.nested is not None:
+            from_start = parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
+        # each cycle only where the displacement has to grow into prescribed values
+        measured = new.cycles % 4 == 0 or self.sizes.prescribed
+        shorten = self.coarse is not None and self.origin != "given" and new.cycles == 0
+        if self._seeks_status(new) and self.coarse is not None:
+            problem = self.coarse()
+            if problem.number is None:
+                self.coarse = None
+            else:
+                smoothed = parts.smooth(new)
+                new = problem(smoothed)
+                shorten = new is not smoothed
+                new = new.but(moves=new.moves + 1)
+                measured = True
+        new = parts.linearise(parts.smooth(new), with_energy=measured)
+        size = self.sizes.norm(parts.displacement(new), new.energy) if measured else new.size
+        return new.but(size=size, shorten=shorten, from_start=from_start)
+
+    def _seeks_status(self, state: TruncatedState) -> bool:
+        """Whether a contact problem on a coarse level comes first."""
+        if self.coarse is None or state.moves >= self.MOVES:
+            return False
+        if not state.cycles:
+            return self.origin == "zero"
+        # after a nested start the first cycles settle most statuses by themselves
+        change = float(np.sqrt(abs(state.correction)))
+        return (change / state.size if state.size > 0 else change) > self.LARGE
+
+    def measure(self, state: TruncatedState) -> Measured:
+        """Measure what the smoothing leaves."""
+        sizes = self.sizes
+        unknowns = self.parts.displacement(state)
+        early = state.cycles < 2
+        # an exact start has no rate to measure, and needs none
+        floor = self.rounding(state) if early or sizes.prescribed else 0.0
+        columns = {"status_changes": float(state.changed)}
+        idle = sizes.nothing_strains(state.reactions, ROUNDING * floor, unknowns)
+        if self.run is not None and self.run.reference is not None:
+            error = unknowns - self.problem.from_prescribed(self.run.reference)
+            columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
+        return Measured(
+            state.cycles,
+            state.natural,
+            sizes.forces(unknowns, state.reactions),
+            state.size,
+            floor if early or idle else 0.0,
+            idle,
+            change=float(np.sqrt(abs(state.correction))) if state.cycles else None,
+            from_start=state.from_start,
+            columns=columns,
+        )
+
+    def rounding(self, state: TruncatedState) -> float:
+        """Return the norm of D u; see :class:`~adaptmg.solver.iterate.Measured`."""
+        return self.parts.rounding(self.parts.displacement(state))
+
+    def set_aside(self, state: TruncatedState) -> TruncatedState:
+        """Free what only further steps read, if it is much: half of the matrix, which is made again
+        from the whole one, and past iterates, without which recombination starts again."""
+        large = self.parts.matrix.set_aside(self.problem.matrix, self.problem.fixed)
+        return state.but(past=()) if large else state
 
 
 _LOG = logging.getLogger(__name__)
@@ -327,9 +345,20 @@ class TruncatedRun:
     COMPLETE_LIMIT = 60
     #: times the least residual on a level of the nested start beyond which its cycles diverge, and are rejected
     RUNAWAY = 10.0
+    #: cycles at most after which a level of the nested start is trusted
+    START_CYCLES = 20
+    #: natural residual, relative, above which a start is not believed: at 0.02 one of 116 results was at 1.2
+    #: times its tolerance
+    TRUSTED = 0.1
 
     def __init__(
-        self, parts: Truncated, hierarchy: Hierarchy, run: Run, rtol: float | str, max_cycles: int
+        self,
+        parts: Truncated,
+        hierarchy: Hierarchy,
+        run: Run,
+        rtol: float | str,
+        max_cycles: int,
+        keeps: bool = False,
     ) -> None:
         need_levels(hierarchy)
         self.parts = parts
@@ -354,6 +383,22 @@ class TruncatedRun:
             level.discrete_or_none for level in hierarchy.levels
         ]
         self._coarse: CoarseContact | None = None
+        self._keeps = keeps
+        self._kept: dict[int, TruncatedStep] = {}
+
+    def pose(self, hierarchy: Hierarchy, run: Run) -> None:
+        """Go on to a hierarchy that differs in loads, prescribed values, gaps and slip references
+        only. What is set up for it stays if the run ``keeps`` that; what solves leave in coarse
+        factors is forgotten, so that a path that is resumed has the same bits."""
+        self.hierarchy = hierarchy
+        self.run = run
+        self.cycle.recorder = run
+        self.problems = [level.discrete_or_none for level in hierarchy.levels]
+        self.cycle.factors.forget()
+        with run.phase("setup"):
+            for number, step in self._kept.items():
+                step.restore()
+                step.pose(self.problems[number])
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
         """Solve from a solution (n_unknowns,), or from zero."""
@@ -364,34 +409,48 @@ class TruncatedRun:
         )
 
     def from_nested(self, start: NestedStart) -> Outcome:
-        return self.finish(self.nested_start(start), "nested")
+        problem = self.problems[-1]
+        return self.finish(problem.from_prescribed(self.nested_start(start)[-1]), "nested")
 
-    def nested_start(self, start: NestedStart) -> np.ndarray:
-        """Solve level by level from the coarsest; returns the start on the finest level
-        (n_unknowns,), from the prescribed values."""
-        unknowns = self._solve_coarsest(start)
-        before = None
-        for number in range(len(self.hierarchy) - 1):
-            if number > 0:
-                unknowns = self._start_cycles(number, unknowns, start)
+    def nested_start(
+        self, start: NestedStart, past: list[np.ndarray] | None = None
+    ) -> list[np.ndarray]:
+        """Solve level by level from the coarsest; returns the solutions (n_unknowns,) of the
+        levels, on the finest one its start. With displacements (n_dofs,) of the levels in the
+        ``past`` what has changed since goes from level to level."""
+        solutions = [self._solve_coarsest(start, past)]
+        last = len(self.hierarchy) - 1
+        for number in range(1, last + 1):
             with self.run.phase("start"):
-                coarse, fine, finer = (
-                    *self.problems[number : number + 2],
-                    self.cycle.levels[number + 1],
-                )
-                solution, pressures = coarse.parts(coarse.with_prescribed(unknowns))
-                displacement = np.zeros(fine.n_dofs)
-                finer.prolong(solution, displacement)
-                prolonged = displacement.copy() if self._extrapolation(number + 1) > 0 else None
-                if before is not None:
-                    change = self._extrapolation(number) * (solution - before)
-                    finer.prolong(change, displacement)
-                pressures = prolonged_pressures(coarse, fine, finer.prolongation, pressures)
-                unknowns = fine.from_prescribed(np.append(displacement, pressures))
-                before = prolonged
-            self.run.visit(number + 1, "start")
+                unknowns = self._prolonged(number, solutions, past)
+            self.run.visit(number, "start")
+            if number < last:
+                unknowns = self._start_cycles(number, unknowns, start)
+            solutions.append(self.problems[number].with_prescribed(unknowns))
         self.run.start_work_units = self.run.work_units
-        return unknowns
+        return solutions
+
+    def _prolonged(
+        self, number: int, solutions: list[np.ndarray], past: list[np.ndarray] | None
+    ) -> np.ndarray:
+        """The iterate (n_unknowns,) with which a level begins, from the solutions below it."""
+        coarse = self.problems[number - 1]
+        fine = self.problems[number]
+        finer = self.cycle.levels[number]
+        change, pressures = coarse.parts(solutions[-1])
+        displacement = np.zeros(fine.n_dofs)
+        share = self._extrapolation(number - 1)
+        if past is not None:
+            displacement = past[number].copy()
+            change = change - past[number - 1]
+        elif share > 0:
+            before = np.zeros(coarse.n_dofs)
+            below, _ = self.problems[number - 2].parts(solutions[-2])
+            self.cycle.levels[number - 1].prolong(below, before)
+            change = change + share * (change - before)
+        finer.prolong(change, displacement)
+        pressures = prolonged_pressures(coarse, fine, finer.prolongation, pressures)
+        return fine.from_prescribed(np.append(displacement, pressures))
 
     def _extrapolation(self, number: int) -> float:
         """Richardson's share of the last change of the solution that the next level will add:
@@ -405,48 +464,42 @@ class TruncatedRun:
         before, here, after = (1 / mesh.n_nodes for mesh in meshes if mesh is not None)
         return (here - after) / (before - here)
 
-    def finish(self, unknowns: np.ndarray, start: str) -> Outcome:
+    def finish(self, start: np.ndarray, origin: str) -> Outcome:
+        """Cycle on the finest level from an iterate (n_unknowns,), which comes from "zero", a
+        "nested" start or is "given"."""
         problem = self.problems[-1]
-        nested = unknowns.copy() if self.rtol == "discretisation" else None
-        step = self._step(len(self.hierarchy) - 1, unknowns)
-        del unknowns  # long vectors limit the size of a problem
+        nested = start.copy() if self.rtol == "discretisation" else None
+        parts = self.steps_on(len(self.hierarchy) - 1)
+        coarse = None
+        if len(problem.contact) and self.parts.coarse_contact:
+            coarse = partial(self._coarse_contact, parts)
+        cycles = TruncatedCycles(parts, problem, origin, coarse, self.run, nested)
+        stop = TruncatedTest(cycles, self.rtol, self.max_cycles, self.run)
         with self.run.phase("cycles"):
-            cycles = TruncatedIteration(
-                step,
-                problem,
-                self.rtol,
-                self.max_cycles,
-                run=self.run,
-                start=start,
-                nested=nested,
-                coarse=partial(self._coarse_contact, step)
-                if len(problem.contact) and self.parts.coarse_contact
-                else None,
-            )
-            status = iterate(cycles, cycles, self.run)
-        failed = (
-            status in (Status.STALLED, Status.DIVERGED) and cycles.rtol > 0 and not cycles.rests()
-        )
+            first = parts.begin(start)
+            del start  # long vectors limit the size of a problem
+            state, status = iterate(cycles, cycles.step(first), stop, self.run)
+        failed = status in (Status.STALLED, Status.DIVERGED) and stop.rtol > 0 and not stop.rests()
         return Outcome(
-            problem.with_prescribed(step.iterate),
+            problem.with_prescribed(state.iterate),
             status,
-            cycles.cycles,
-            cycles.rtol,
-            cycles.error_estimate,
-            cycles.rate,
-            left=self.max_cycles - cycles.cycles if failed else 0,
-            better=cycles.better,
+            stop.cycles,
+            stop.rtol,
+            stop.error_estimate,
+            stop.rate,
+            left=self.max_cycles - stop.cycles if failed else 0,
+            better=stop.better,
         )
 
-    def _step(self, number: int, unknowns: np.ndarray) -> TruncatedStep:
-        """Steps on level ``number`` from ``unknowns`` (n_unknowns,), which become admissible."""
+    def steps_on(self, number: int) -> TruncatedStep:
+        """Steps on level ``number``."""
+        if number in self._kept:
+            return self._kept[number]
         with self.run.phase("setup"):
             problem = self.problems[number]
             parts = self.parts
             levels = [level.matrix for level in self.cycle.levels]
             contact = TruncatedContact.of(problem, levels[number])
-            load = problem.load_from_prescribed()
-            contact.start(unknowns)
             interface = None
             if problem.between_bodies and parts.interface_sweeps:
                 interface = Interface(
@@ -459,10 +512,8 @@ class TruncatedRun:
                 number,
                 problem,
                 contact,
-                load,
-                unknowns,
                 parts.recombine,
-                RigidMotions.of(problem, contact, load) if parts.rigid_motions else None,
+                parts.rigid_motions,
                 interface,
                 parts.interface_sweeps,
                 parts.search,
@@ -472,6 +523,8 @@ class TruncatedRun:
                 for level in levels[1:-1]:
                     if level.n_dofs > CoarseContact.MOST:
                         level.drop_diagonal()
+            if self._keeps:
+                self._kept[number] = step
             return step
 
     def _coarse_contact(self, step: TruncatedStep) -> CoarseContact:
@@ -482,48 +535,57 @@ class TruncatedRun:
             )
         return self._coarse
 
-    def _solve_coarsest(self, start: NestedStart, near: np.ndarray | None = None) -> np.ndarray:
-        """Solve the coarsest level by semismooth Newton steps, of load steps from the step before
-        (``near``); each counts a pass, its factorisation as seconds."""
+    def _solve_coarsest(self, start: NestedStart, past: list[np.ndarray] | None) -> np.ndarray:
+        """Solve the coarsest level by semismooth Newton steps, of load steps from the step before;
+        each counts a pass, its factorisation as seconds."""
         self.hierarchy.need_discretised("the nested start of FullMultigrid")
         problem = self.problems[0]
+        near = None if past is None or not past[0].any() else past[0]
         with self.run.phase("start"):
             try:
                 solution, steps, passes = coarsest_solution(problem, start.rtol, near)
             except (np.linalg.LinAlgError, ValueError) as error:
                 _LOG.info("coarsest level: the active set method gives up: %s", error)
-                return np.zeros(problem.n_unknowns)
+                return problem.with_prescribed(np.zeros(problem.n_unknowns))
             self.run.count(passes, problem.matrix.nnz)
             self.run.visit(0, "solve", steps)
-            return problem.from_prescribed(solution)
+            return solution
 
-    def _start_cycles(self, number: int, unknowns: np.ndarray, start: NestedStart) -> np.ndarray:
-        given = unknowns.copy()
-        first = np.inf
-        step = self._step(number, unknowns)
+    def _start_cycles(self, number: int, given: np.ndarray, start: NestedStart) -> np.ndarray:
+        """Return the iterate that the cycles of the nested start on a level lead to."""
+        parts = self.steps_on(number)
         problem = self.problems[number]
         with self.run.phase("start"):
+            state = parts.begin(given.copy())
             if start.cycles == "complete":
-                cycles = TruncatedIteration(step, problem, start.rtol, self.COMPLETE_LIMIT)
-                iterate(cycles, cycles)
+                cycles = TruncatedCycles(parts, problem)
+                stop = TruncatedTest(cycles, start.rtol, self.COMPLETE_LIMIT)
+                state, _ = iterate(cycles, cycles.step(state), stop)
             else:
-                sizes = Sizes(problem)
                 enough = start.cycles_on(problem, self.problems[number + 1])
-                for cycle in range(max(enough, TruncatedIteration.START_CYCLES)):
-                    # the next level takes over no iterate with a large residual
-                    state = step.measure(
-                        trusted=lambda u: TruncatedIteration.TRUSTED * sizes.forces(u, 0.0)
-                    )
-                    trusted = TruncatedIteration.TRUSTED * sizes.forces(
-                        step.unknowns, state.reactions
-                    )
-                    first = min(first, state.residual)
-                    if state.residual > self.RUNAWAY * first and state.residual > trusted:
-                        _LOG.info("level %d: the cycles of the nested start diverge", number)
-                        step.truncation.restore()
-                        return given
-                    step.correct()
-                    if cycle + 1 >= enough and state.residual <= trusted:
-                        break
-            step.truncation.restore()
-        return step.iterate
+                state = self._few_cycles(parts, problem, state, enough)
+            parts.restore()
+        if state is None:
+            _LOG.info("level %d: the cycles of the nested start diverge", number)
+            return given
+        return state.iterate
+
+    def _few_cycles(
+        self, parts: TruncatedStep, problem: DiscreteProblem, state: TruncatedState, enough: int
+    ) -> TruncatedState | None:
+        """The state after enough cycles, or after more until its residual is trusted; None where
+        they diverge: the next level takes over no iterate with a large residual."""
+        sizes = Sizes(problem)
+        first = np.inf
+        for cycle in range(max(enough, self.START_CYCLES)):
+            state = parts.linearise(
+                parts.smooth(parts.correct(state)),
+                trusted=lambda u: self.TRUSTED * sizes.forces(u, 0.0),
+            )
+            trusted = self.TRUSTED * sizes.forces(parts.displacement(state), state.reactions)
+            first = min(first, state.natural)
+            if state.natural > self.RUNAWAY * first and state.natural > trusted:
+                return None
+            if cycle + 1 >= enough and state.natural <= trusted:
+                break
+        return parts.correct(state)

@@ -217,7 +217,7 @@ def test_truncated_coarse_matrices(dim, law, newton, of_dofs):
     levels = [split(m, np.zeros(m.shape[0], dtype=bool)) for m in (coarsest, middle)] + [level]
     truncation = Truncation(levels, given[::-1], contact)
     contact.linearise_friction()
-    truncation.apply(newton=newton)
+    truncation.apply(contact, newton=newton)
     J = newton_matrix(problem, contact, newton)
     Q1, Q2 = expand(P1, dim).toarray(), expand(P2, dim).toarray()
     expected = Q1.T @ J @ Q1

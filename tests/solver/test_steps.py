@@ -1,11 +1,15 @@
 """Methods of the user's own: state in, state out; the parts of the truncated step."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 import adaptmg as am
+from adaptmg.solver.record import Run
+from adaptmg.solver.truncated import TruncatedRun
 
 
 class Sweeps:
@@ -78,6 +82,43 @@ def test_nothing_is_remembered_but_the_state(bar):
     np.testing.assert_array_equal(stepper.step(state).unknowns, first.unknowns)
     with pytest.raises(ValueError, match="read-only"):
         state.unknowns[0] = 1.0
+
+
+def arrays_of(state):
+    """All arrays that a state holds, copied."""
+    held = [state.iterate, state.residual, state.left, *vars(state.contact).values()]
+    held += [array for pair in (*state.past, *state.uniform) for array in pair]
+    return [array.copy() for array in held if isinstance(array, np.ndarray)]
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.4999])
+@pytest.mark.parametrize("sides", ["held", "floating"])
+def test_truncated_steps_remember_nothing_but_the_state(sides, poisson):
+    """A step leaves its state as it is, and whatever steps come between, it leads to the same."""
+    problem = replace(
+        am.cases.greco_bar(law=am.Coulomb(0.4)),
+        material=am.PlaneStrain(young=1.3e11, poisson=poisson),
+        elements="smoothed",
+    )
+    if sides == "floating":
+        loads = [am.Pressure(side, size) for side, size in BALANCED.items()]
+        problem = replace(problem, supports=(), loads=tuple(loads), reference={})
+    grids = am.Hierarchy.uniform(problem, (2, 4, 8))
+    steps = TruncatedRun(am.Truncated(), grids, Run(unit=1), 1e-8, 50).steps_on(2)
+    states = [steps.begin(np.zeros(grids.finest.discrete.n_unknowns))]
+    for _ in range(6):
+        states.append(steps.step(states[-1]))
+    assert len({state.contact.codes.tobytes() for state in states}) > 2
+    for state, following in zip(states[-2::-1], states[:0:-1], strict=True):
+        before = arrays_of(state)
+        again = steps.step(state)
+        for one, other in zip(arrays_of(state), before, strict=True):
+            np.testing.assert_array_equal(one, other)
+        size = np.abs(following.iterate).max()
+        np.testing.assert_allclose(again.iterate, following.iterate, rtol=0, atol=1e-12 * size)
+
+
+BALANCED = {"top": 5e7, "left": 1.6e8, "right": 1.5e8}
 
 
 def test_memory_goes_from_step_to_step_and_starts_empty_on_each_level(bar):
