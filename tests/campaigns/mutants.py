@@ -5,8 +5,9 @@
 A mutant is one change of one place: another comparison, another number, another sign, a statement
 left out, two arguments exchanged. Places in messages, annotations and decorators are not changed.
 Each seed draws a module (default: those of solver, multigrid, smoother, discrete and transfer), a
-place and a change; the tests in the folder of the module and those of agreement run on a copy of
-the package until one fails. A mutant that no test fails survives. Exit code 1 if more than 12 %
+place and a change; the tests run on a copy of the package until one fails: those in the folder of
+the module, those named after it first, then those of agreement, of the other four folders and of
+hostile inputs. A mutant that no test fails survives. Exit code 1 if more than 12 %
 survive."""
 
 from __future__ import annotations
@@ -148,7 +149,16 @@ def killed(module: str, mutant: Mutant) -> bool:
         if compiled:  # what numba has stored of its callers does not see the change
             for cached in (copy / "adaptmg").rglob("*.nbi"):
                 cached.unlink()
-        tests = [copy / "tests" / Path(module).parts[1], copy / "tests" / "agreement"]
+        own = Path(module).parts[1]
+        folders = dict.fromkeys((own, "agreement", *FOLDERS, "hostile"))
+        tests = [
+            path
+            for folder in folders
+            for path in sorted(
+                (copy / "tests" / folder).rglob("test_*.py"),
+                key=lambda path: (Path(module).stem not in path.name, path.stat().st_size),
+            )
+        ]
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
         environment = {**os.environ, "PYTHONPATH": str(copy), "MPLBACKEND": "Agg"}
         try:

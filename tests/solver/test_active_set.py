@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from norms import far as closeness
+from smoother_problems import network
 
 import adaptmg as am
 
@@ -40,6 +41,23 @@ def test_solution_does_not_depend_on_the_start(name):
         assert again.cycles == 1 and closeness(again, expected) < 1e-13
     # on the whole matrix a derivative that is wrong by a tenth costs two steps and more
     assert am.solve(grids(name), am.ActiveSet(condensed=False)).cycles <= 9
+
+
+@pytest.mark.parametrize("law", [am.Tresca(0.5), am.Coulomb(0.5)])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_steps_do_not_depend_on_the_unit_of_force(dim, law):
+    """One of the contact nodes slips along a tangent that a support holds."""
+    one = network(dim, "tresca", fixed_tangent=True).discrete
+    small = law if isinstance(law, am.Coulomb) else am.Tresca(0.5e-6)
+    results = [
+        am.solve(problem, am.ActiveSet(start="held"))
+        for problem in (
+            replace(one, law=law),
+            replace(one, matrix=1e-6 * one.matrix, load=1e-6 * one.load, law=small),
+        )
+    ]
+    assert results[0].cycles == results[1].cycles
+    assert closeness(*results) < 1e-9
 
 
 @pytest.mark.parametrize(("friction", "most"), [(0.2, 10), (1.0, 11), (2.0, 13)])

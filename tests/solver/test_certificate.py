@@ -214,7 +214,12 @@ class TestFaultyClaims:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize(
     "solver",
-    [am.FullMultigrid(rtol=1e-3), am.FullMultigrid(rtol=1e-6), am.SingleGrid(rtol=1e-3, omega=1.8)],
+    [
+        am.FullMultigrid(rtol=1e-3),
+        am.FullMultigrid(rtol=1e-6),
+        am.SingleGrid(rtol=1e-3, omega=1.8),
+        am.Multigrid(correction=am.Monotone(), rtol=1e-2),
+    ],
     ids=repr,
 )
 def test_the_energy_error_is_estimated(solver, law, dim):
