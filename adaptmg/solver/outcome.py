@@ -30,7 +30,8 @@ from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
-from adaptmg.solver.result import Result, label, problem_name, versions
+from adaptmg.solver.result import Result, problem_name, versions
+from adaptmg.solver.result_text import label
 from adaptmg.solver.steps import Method, Stepped
 
 _LOG = logging.getLogger(__name__)

@@ -75,7 +75,7 @@ def test_the_dual_field_is_the_sensitivity_to_a_load(name):
     changed = []
     for sign in (1, -1):
         other = dataclasses.replace(discrete, load=discrete.load + sign * force)
-        level = dataclasses.replace(hierarchy.finest, discrete=other, prolongation=None)
+        level = hierarchy.finest.posing(discrete=other, prolongation=None)
         grids = dataclasses.replace(hierarchy, levels=(level,))
         # the certificate finds that this is not the load that is posed
         moved = am.solve(grids, EXACT, start=result.displacement, throw=False)
