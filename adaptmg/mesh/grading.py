@@ -26,7 +26,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.delaunay import Untriangulated
-from adaptmg.mesh.improve import drafted
+from adaptmg.mesh.improve import EQUILATERAL, drafted
 from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_meshes import SolidSizes, built_shape, finished, plane_mesh, solid_mesh
 from adaptmg.mesh.sizes import (
@@ -56,11 +56,14 @@ _LOG = logging.getLogger(__name__)
 
 SizeFunction = float | SizeField
 
-#: places along each side where the largest size in a box is looked for; how flat cells may be
-_LOOKS, _FLAT = 9, 1e3
-#: of the field, which elements may exceed by sqrt(2), and those of cells do alike: then by a quarter at most, and there
-#: are as many nodes as sizes are asked for
-_CLOSER = 0.9
+#: places along each side of a box where the field is read for its least and largest size
+_READINGS = 9
+#: the sides of a cell are at most this many times as long as each other: flatter boxes are refused
+_FLATTEST = 1000
+#: boxes are refined to this part of the field, so that their elements exceed it by 1.28 at most: on
+#: 120 random boxes 1 makes 16 % fewer nodes and elements up to 1.42 times the field, .8 49 % more
+#: nodes and up to 1.14
+_REFINED_TO = 0.9
 #: elements across a body by default, coarse to fine, and along a contact boundary of the finest mesh (in space its
 #: length is the root of its area)
 _ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, {2: 64, 3: 14}
@@ -207,7 +210,9 @@ def _own(domain: Outline | Box, field: SizeField, growth: float | None = None) -
     """The mesh of a plane domain or a box, None if triangulation fails."""
     try:
         if isinstance(domain, Box):
-            mesh = drafted(domain, _cells(domain, field), lambda mesh: _CLOSER * field(mesh.points))
+            mesh = drafted(
+                domain, _cells(domain, field), lambda mesh: _REFINED_TO * field(mesh.points)
+            )
             return swept(check_sizes(check_mesh(mesh), field))
         mesh = finished(domain, triangulated(domain, field, growth))
         return check_sizes(check_rims(domain, mesh), field)
@@ -217,22 +222,27 @@ def _own(domain: Outline | Box, field: SizeField, growth: float | None = None) -
 
 
 def _cells(domain: Box, field: SizeField) -> MeshArrays:
-    """A box in cells whose tetrahedra have about the largest size of a field."""
+    """Return a box in cells whose tetrahedra have about the largest size of a field."""
     sides = domain.upper - domain.lower
-    looks = np.indices([_LOOKS] * 3).reshape(3, -1).T / (_LOOKS - 1)
-    sizes = field(domain.lower + looks * sides)
-    # near the largest size, and the least one times a power of two
-    size = float(sizes.min()) * 2.0 ** np.rint(np.log2(sizes.max() / sizes.min()))
+    shares = np.indices([_READINGS] * 3).reshape(3, -1).T / (_READINGS - 1)
+    sizes = field(domain.lower + shares * sides)
+    least = float(sizes.min())
+    # halving its edges leads from the size of the cells to the least one
+    halvings = round(math.log2(sizes.max() / least))
+    size = least * 2**halvings
     refuse_too_many(guessed_nodes(3, float(np.prod(sides)), size), domain)
-    # an equilateral tetrahedron has the volume of a twelfth of a cell; odd, so that no level is
-    # nested in the next
-    counts = np.ceil(np.maximum(1, sides / (2 ** (1 / 6) * size) - 0.25)).astype(int)
+    # a cell holds twelve tetrahedra, equilateral ones of this size where its side is
+    side = size * (12 * EQUILATERAL) ** (1 / 3)
+    # a side may be a quarter of a cell longer than its cells
+    counts = np.ceil(np.maximum(1, sides / side - 1 / 4)).astype(int)
     longest = np.argmax(sides)
-    counts[longest] += counts[longest] > 3 and counts[longest] % 2 == 0
+    if counts[longest] > 3 and counts[longest] % 2 == 0:
+        # odd, so that the cells of no level are nested in those of the next
+        counts[longest] += 1
     cell = sides / counts
-    if cell.max() > _FLAT * cell.min():
+    if cell.max() > _FLATTEST * cell.min():
         raise ValueError(
-            f"size {size:g} m is more than {_FLAT:g} times as long as {domain!r} is thick; take smaller "
+            f"size {size:g} m is more than {_FLATTEST} times as long as {domain!r} is thick; take smaller "
             "sizes (they are in m)"
         )
     return body_centred(domain, counts)
@@ -301,9 +311,9 @@ def sized(
     if mesher == "own":
         if isinstance(shape, Outline):
             refuse_too_many(guessed_nodes(2, shape.area, largest), shape)
-            # a look at the field shows whether it asks for too much
-            look = max(largest, float((shape.upper - shape.lower).max()) / 16)
-            if (coarse := _own(shape, lambda x: np.full(len(x), look))) is not None:
+            # the field on a coarse mesh shows whether it asks for too much
+            size = max(largest, float((shape.upper - shape.lower).max()) / 16)
+            if (coarse := _own(shape, lambda x: np.full(len(x), size))) is not None:
                 refuse_too_many(expected_nodes(coarse, too_large(coarse, limited)[1]), shape)
         if (mesh := _own(shape, limited, grading)) is not None:
             return mesh

@@ -8,11 +8,11 @@ may then grow k times as fast. It takes
 meshes.
 
 With the size e of an element (the edge of the equilateral one of the same volume) and the mean w of
-f at its corners, it is refined until no element has :math:`e > \sqrt 2 w` and almost no boundary
-facet is longer than 1.4 f (also where no element is too large: one facet of twice the length next
-to a re-entrant corner doubles the rate of multigrid). All elements are cut where half of them are
-far too large, else those that are too large are bisected once. In the end, and after passes that
-change much, moves make better shapes. New nodes on round faces are put onto them after each pass.
+f at its corners, it is refined until no element has :math:`e > \sqrt 2 w` and no boundary
+facet is longer than :math:`\sqrt 2 f` (also where no element is too large: one facet of twice the length next
+to a re-entrant corner doubles the rate of multigrid). All elements are cut where half of them stay
+too large even so, else those that are too large are bisected once. After each pass, and three times
+in the end, moves make better shapes. New nodes on round faces are put onto them after each pass.
 
 None of these steps can make a hole or a fold out of a sound mesh as long as all measures stay
 positive: the draft alone is checked.
@@ -31,6 +31,7 @@ until the sum falls. Edges between triangles are swapped before (:mod:`adaptmg.m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -44,6 +45,7 @@ from adaptmg.mesh.delaunay import swap_all
 from adaptmg.mesh.sizes import (
     MAX_BISECTIONS,
     NODES_PER_CELL,
+    TOO_LARGE,
     equilateral_sizes,
     facet_elements,
     overlong,
@@ -52,18 +54,16 @@ from adaptmg.mesh.sizes import (
 )
 from adaptmg.problem.plane_domains import Domain
 
-# elements and facets that are too large for the field, over it; by how much more most are before
-# all are cut
-_LARGE, _LONG, _FAR = 2**0.5, 1.4, 1.3
-# share of the elements (of the facets) that may stay too large, though by less than this
-_LEFT, _NEVER = 0.01, 2**0.5
-# share of too large elements above which a pass is followed by improvement; rounds of it in the end
-_MANY, _ROUNDS = 0.02, 3
+# rounds of improvement in the end
+_ROUNDS = 3
 # volume of the equilateral element of size 1
-_EQUILATERAL = 2**0.5 / 12
-# measure that a move leaves, of that before, at least; nodes after which kernels come back, so that
-# Ctrl-C ends them; passes of swaps in a round at most
-_KEPT, _BATCH, _SWAPS = 0.1, 100_000, 8
+EQUILATERAL = math.sqrt(2) / 12
+# measure that a move leaves, of that before, at least
+_KEPT = 0.1
+# nodes after which kernels come back, so that Ctrl-C ends them
+_BATCH = 100_000
+# passes of swaps in a round at most
+_SWAPS = 8
 
 
 def drafted(
@@ -80,28 +80,24 @@ def drafted(
         n_old = mesh.n_nodes
         elements = equilateral_sizes(mesh.points, mesh.elements) / at[mesh.elements].mean(axis=1)
         facets = equilateral_sizes(mesh.points, mesh.facets) / at[mesh.facets].mean(axis=1)
-        large = elements > _LARGE
-        long = facets > _LONG
-        if max(large.mean(), long.mean()) <= _LEFT:
-            large = elements > _NEVER
-            long = facets > _NEVER
-            if not (large.any() or long.any()):
-                mesh = improved(mesh, _ROUNDS)
-                # flat elements that go through a whole body are small by their volume
-                large = overlong(mesh, at[mesh.elements].mean(axis=1))
-                if not large.any():
-                    return mesh
-        refuse_too_many(NODES_PER_CELL[3] * _EQUILATERAL * float((elements**3).sum()), domain)
-        many = large.mean() > _MANY
-        if (elements > _FAR * _LARGE).mean() > 0.5:
+        large = elements > TOO_LARGE
+        long = facets > TOO_LARGE
+        if not (large.any() or long.any()):
+            mesh = improved(mesh, _ROUNDS)
+            # flat elements that go through a whole body are small by their volume
+            large = overlong(mesh, at[mesh.elements].mean(axis=1))
+            if not large.any():
+                return mesh
+        refuse_too_many(NODES_PER_CELL[3] * EQUILATERAL * float((elements**3).sum()), domain)
+        if np.median(elements) > 2 * TOO_LARGE:
+            # most are too large even when all edges are halved
             mesh = halved(mesh)
         else:
             large[facet_elements(mesh, mesh.facets[long])] = True
             mesh = refined(mesh, large, 1).mesh
         if onto is not None:
             mesh = onto(mesh, n_old)
-        if many:
-            mesh = improved(mesh, 1)
+        mesh = improved(mesh, 1)
     raise unreachable(domain, large)
 
 

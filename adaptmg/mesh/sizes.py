@@ -37,7 +37,7 @@ NODES_PER_CELL = {2: 1.15, 3: 1.4}
 MAX_BISECTIONS = 30
 # an element is bisected when its size is this many times the field: halving then leaves it no
 # smaller than 1 / sqrt(2)
-_TOO_LARGE = math.sqrt(2)
+TOO_LARGE = math.sqrt(2)
 # edges are at most this many times the field, but for a share of them: triangulations have none
 # (348 of random outlines), drafted solids up to .5 % and Netgen's up to 40 % before they are cut
 _LONG, _FEW = 2.0, 0.01
@@ -243,9 +243,9 @@ def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarra
     """Return the mask of the elements to bisect, by their own size, their longest edge or the size
     of a boundary facet (centroids lie off the boundary); the field at their centroids."""
     sizes = field(mesh.points[mesh.elements].mean(axis=1))
-    large = equilateral_sizes(mesh.points, mesh.elements) > _TOO_LARGE * sizes
+    large = equilateral_sizes(mesh.points, mesh.elements) > TOO_LARGE * sizes
     large |= overlong(mesh, sizes)
-    facets_large = equilateral_sizes(mesh.points, mesh.facets) > _TOO_LARGE * field(
+    facets_large = equilateral_sizes(mesh.points, mesh.facets) > TOO_LARGE * field(
         mesh.points[mesh.facets].mean(axis=1)
     )
     large[facet_elements(mesh, mesh.facets[facets_large])] = True

