@@ -49,7 +49,8 @@ from adaptmg.problem import Elastic, Law
 
 # the largest half-width over the smallest radius
 _LARGEST = 0.1
-# lengths of the surfaces that may touch, in half-widths; the master reaches further than the slave
+# lengths of the surfaces that may touch, in half-widths (balls in space: half of these); the master reaches further
+# than the slave
 SLAVE_REACH, MASTER_REACH = 5.0, 7.0
 
 
