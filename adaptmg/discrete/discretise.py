@@ -95,9 +95,9 @@ def assembled(posed: Posed, slip_reference: np.ndarray | None = None) -> Discret
     parts["volumes"] = Volumes.none(mesh.n_nodes, mesh.dim)
     if problem.elements == "smoothed":
         parts["volumes"] = volume_groups(mesh, materials)
-        if len(parts["volumes"]) and len(posed.inclined):
+        if len(parts["volumes"]) and posed.inclined.moving.any():
             raise ValueError(
-                "supports along directions that are no axes cannot hold smoothed elements with poisson "
+                "supports along directions that are no axes cannot move smoothed elements with poisson "
                 'above .4; turn the problem, or take elements="linear"'
             )
     parts |= _strain_free(posed, parts["volumes"])

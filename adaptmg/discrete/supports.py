@@ -9,7 +9,8 @@ the displacement
 
 has the solution of :math:`A u = b` with :math:`Z u = \bar u`: these components are coupled to no
 other, and solvers need not know of them. D has the size of the diagonal blocks. The supports exert
-:math:`Z (A u - b)`. The energy of a displacement is that of A,
+:math:`Z (A u - b)`. Volumes (:mod:`adaptmg.discrete.volumes`) have :math:`B (I - Z)` for B where
+nothing is prescribed, and the supports exert :math:`Z (A u + B^T p - b)`. The energy of a displacement is that of A,
 
 .. math:: u^T A u = u^T A' u + 2\,u^T (I - Z) A \bar u + \bar u^T A \bar u - \bar u^T D \bar u .
 """
@@ -55,6 +56,9 @@ class Inclined:
     )  # (k * dim, n_dofs): of A
     stiffness: np.ndarray = field(default_factory=lambda: np.empty(0))  # (k,): D
     load: np.ndarray = field(default_factory=lambda: np.empty(0))  # (n_dofs,): b
+    volumes: sparse.csr_array = field(
+        default_factory=lambda: sparse.csr_array((0, 0))
+    )  # (n_groups, n_dofs): B
 
     @classmethod
     def none(cls, dim: int) -> Inclined:
@@ -116,13 +120,18 @@ class Inclined:
         dofs = (dim * self.nodes[:, None] + np.arange(dim)).reshape(-1)
         rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
-        this = replace(self, rows=rows, stiffness=stiffness, load=parts["load"])
+        volumes = parts["volumes"]
+        this = replace(
+            self, rows=rows, stiffness=stiffness, load=parts["load"], volumes=volumes.rows
+        )
+        free = volumes.rows - volumes.rows @ self.spread(self.spans, volumes.means.shape[1])
         prescribed = this.prescribed({})
         return parts | {
             "matrix": this._eliminated(matrix),
             "load": this.posed(parts["load"], prescribed),
             "strain_free": this.strain_free(parts.get("strain_free"), prescribed),
             "inclined": this,
+            "volumes": volumes.with_rows(narrowed(sparse.csr_array(free))),
         }
 
     def _eliminated(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
@@ -157,13 +166,13 @@ class Inclined:
         load, energy = (0.0, 0.0) if before is None else before
         return load - forces.reshape(-1), energy + own
 
-    def reaction(self, unknowns: np.ndarray) -> np.ndarray:
+    def reaction(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return the forces (n_dofs,) that the supports exert along these directions, of the
-        unknowns (n_dofs,), N."""
+        unknowns (n_dofs,) and the pressures (n_groups,) of volumes, N."""
         result = np.zeros_like(unknowns)
         if not len(self):
             return result
-        load = self.load.reshape(-1, self.spans.shape[1])
+        load = (self.load - self.volumes.T @ pressures).reshape(-1, self.spans.shape[1])
         forces = (self.rows @ unknowns).reshape(-1, load.shape[1]) - load[self.nodes]
         result.reshape(load.shape)[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
         return result

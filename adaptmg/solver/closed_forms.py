@@ -307,7 +307,8 @@ class FreeBodies:
         contact = discrete.contact
         shape = self.points.shape
         held = np.where(discrete.held.reshape(shape), evidence.unexplained, 0.0)
-        held = held + discrete.inclined.reaction(evidence.unknowns.reshape(-1)).reshape(shape)
+        inclined = discrete.inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
+        held = held + inclined.reshape(shape)
         exerted = [np.zeros(shape) for _ in self.masters]
         ties = exerted[len(contact.names) :]
         for k, forces in enumerate(exerted[: len(contact.names)]):

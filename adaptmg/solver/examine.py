@@ -299,7 +299,7 @@ class Examiner:
             residual=residual,
             posed=self.posed,
         )
-        residual = discrete.inclined.reaction(solved) - residual
+        residual = discrete.inclined.reaction(solved, pressures) - residual
         ties = tie_forces(discrete, residual)
         reaction = discrete.physical_forces(residual).reshape(displacement.shape)
         examined = Examined(displacement, reaction, contact, ties, natural, checked)
