@@ -100,7 +100,7 @@ from .solver.multigrid import FullMultigrid as FullMultigrid, Multigrid as Multi
 from .solver.projected import SingleGrid as SingleGrid
 from .solver.record import Status as Status
 from .solver.result import NotConverged as NotConverged, Result as Result
-from .solver.steps import State as State
+from .solver.iterate import State as State
 from .solver.solve import solve as solve
 from .solver.truncated import Truncated as Truncated
 from .study.study import Study as Study

@@ -82,19 +82,23 @@ class State:
     cycles: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("unknowns", "residual"):
-            given = getattr(self, name)
-            if given is None and name == "residual":
-                continue
-            entries = checks.real_array(given)
-            if entries is None or entries.ndim != 1:
-                raise TypeError(f"{name} must be a real array (n_dofs,), got {checks.shown(given)}")
-            # not a check for finite numbers: a method that diverges is reported as such
-            array = np.array(entries, dtype=np.float64)
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+        _keep_vector(self, "unknowns")
+        if self.residual is not None:
+            _keep_vector(self, "residual")
         checks.convert(self, checks.nonnegative, "passes")
         checks.integer("cycles", self.cycles)
+
+
+def _keep_vector(state: State, name: str) -> None:
+    """Give a state its own copy of a vector, which nobody writes."""
+    entries = checks.real_array(getattr(state, name))
+    if entries is None or entries.ndim != 1:
+        shown = checks.shown(getattr(state, name))
+        raise TypeError(f"{name} must be a real array (n_dofs,), got {shown}")
+    # not a check for finite numbers: a method that diverges is reported as such
+    vector = np.array(entries, dtype=np.float64)
+    vector.flags.writeable = False
+    object.__setattr__(state, name, vector)
 
 
 Flowing = TypeVar("Flowing")  # what a method has for its states

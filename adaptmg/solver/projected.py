@@ -7,6 +7,7 @@ The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.c
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -23,14 +24,14 @@ from adaptmg.multigrid.cycle import (
     correction_levels,
     initial_contact,
     project,
-    prolonged_start,
 )
 from adaptmg.smoother.factorisation import Condensed, condense
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
-from adaptmg.smoother.system import LocalProblem, local_system
+from adaptmg.smoother.system import local_system
 from adaptmg.solver.examine import Sizes
 from adaptmg.solver.iterate import Measure, Smoothing, State, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run, Status
+from adaptmg.solver.steps import LocalLevels
 
 
 @dataclass(eq=False, kw_only=True)
@@ -56,18 +57,13 @@ class ProjectedRun:
         self.hierarchy.finest.discrete.need_no_volumes(
             f"the correction {type(self.correction).__name__}"
         )
-        with self.run.phase("setup"):
-            self.problems: list[LocalProblem] = [
-                local_system(level.discrete) for level in self.hierarchy.levels
-            ]
+        self.levels = LocalLevels(self.hierarchy, self.run)
+        self.problems = [self.levels.problem(number) for number in range(len(self.hierarchy))]
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
         if self.correction.needs_initial:
             self.nested_start(NestedStart())
-        local = self.problems[-1]
-        unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
-        project(local, unknowns)
-        return self.finish(unknowns)
+        return self.finish(self.levels.begin(start))
 
     def from_nested(self, start: NestedStart) -> Outcome:
         return self.finish(self.nested_start(start))
@@ -97,52 +93,50 @@ class ProjectedRun:
 
     def nested_start(self, start: NestedStart) -> np.ndarray:
         """Solve level by level from the coarsest (steps a and b of the paper)."""
-        unknowns = np.empty(0)
-        for level in range(len(self.hierarchy) - 1):
-            multigrid = self.multigrid(level)
-            local = self.problems[level]
-            with self.run.phase("start"):
-                if level == 0:
-                    unknowns = np.zeros(local.system.n_dofs)
-                    project(local, unknowns)
-                    multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
-                    multigrid.solve_coarsest(local.contact, local.load, unknowns)
-                elif start.cycles == "complete":
-                    cycles = self._cycles(multigrid, level)
-                    first = cycles.step(State(unknowns=unknowns))
-                    state, _ = iterate(cycles, first, StopTest(start.rtol, self.max_cycles))
-                    unknowns = state.unknowns
-                else:
-                    for _ in range(
-                        start.cycles_on(local.discrete, self.problems[level + 1].discrete)
-                    ):
-                        multigrid.cycle(
-                            level, local.contact, local.load, unknowns, self.cycle.shape
-                        )
-                if self.correction.needs_initial:
-                    r = multigrid.residual(level, local.load, unknowns)
-                    self.initial.append(initial_contact(local, unknowns, r))
-                nodal = self.hierarchy[level + 1].contact_prolongation
-                unknowns = prolonged_start(nodal, local, unknowns, self.problems[level + 1])
-                self.run.visit(level + 1, "start")
-        self.run.start_work_units = self.run.work_units
+        return self.levels.nested(partial(self._coarsest, start), partial(self._cycled, start))
+
+    def _coarsest(self, start: NestedStart) -> np.ndarray:
+        """The first solution of the coarsest level."""
+        multigrid = self.multigrid(0)
+        local = self.problems[0]
+        unknowns = np.zeros(local.system.n_dofs)
+        project(local, unknowns)
+        multigrid.coarse = replace(self.coarse, rtol=start.rtol, atol=0.0, test="error")
+        multigrid.solve_coarsest(local.contact, local.load, unknowns)
+        self._remember(multigrid, 0, unknowns)
         return unknowns
+
+    def _cycled(self, start: NestedStart, level: int, unknowns: np.ndarray) -> np.ndarray:
+        """The first solution of a level between the coarsest and the finest."""
+        multigrid = self.multigrid(level)
+        local = self.problems[level]
+        if start.cycles == "complete":
+            cycles = self._cycles(multigrid, level)
+            first = cycles.step(State(unknowns=unknowns))
+            state, _ = iterate(cycles, first, StopTest(start.rtol, self.max_cycles))
+            unknowns = state.unknowns
+        else:
+            for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
+                multigrid.cycle(level, local.contact, local.load, unknowns, self.cycle.shape)
+        self._remember(multigrid, level, unknowns)
+        return unknowns
+
+    def _remember(self, multigrid: MultigridCycle, level: int, unknowns: np.ndarray) -> None:
+        """Keep of a first solution what the correction needs."""
+        if self.correction.needs_initial:
+            local = self.problems[level]
+            r = multigrid.residual(level, local.load, unknowns)
+            self.initial.append(initial_contact(local, unknowns, r))
 
     def finish(self, unknowns: np.ndarray) -> Outcome:
         """Run cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
-        local = self.problems[-1]
-        multigrid = self.multigrid(len(self.hierarchy) - 1)
+        last = len(self.hierarchy) - 1
+        multigrid = self.multigrid(last)
         with self.run.phase("cycles"):
-            state, status, stop = self._cycles(multigrid, len(self.hierarchy) - 1, self.run).solve(
-                unknowns,
-                self.stop,
-                self.rtol,
-                self.max_cycles,
-                self.run,
-                lambda state, rtol: self.run.shortfall(local.to_cartesian(state.unknowns), rtol),
+            state, status, stop = self._cycles(multigrid, last, self.run).solve(
+                unknowns, self.stop, self.rtol, self.max_cycles, self.run, self.levels.shortfall
             )
-        solution = local.to_cartesian(state.unknowns).reshape(-1)
-        return Outcome(solution, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
+        return self.levels.outcome(state, status, stop, self.rtol)
 
     def _cycles(self, multigrid: MultigridCycle, level: int, run: Run | None = None) -> Smoothing:
         """Cycles, measured after the first smoothing, where the cycle has its residual."""

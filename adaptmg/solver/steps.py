@@ -12,7 +12,9 @@ three, that error is :math:`\delta_k\,\rho/(1-\rho)`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -22,8 +24,8 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import project, prolonged_start
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.active_set import coarsest_solution
-from adaptmg.solver.iterate import Measure, Measured, State, StopTest, iterate
-from adaptmg.solver.record import Outcome, Run
+from adaptmg.solver.iterate import Flowing, Measure, Measured, State, StopTest, iterate
+from adaptmg.solver.record import Outcome, Run, Status
 
 
 class Stepper(Protocol):
@@ -65,66 +67,46 @@ class Stepped:
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         hierarchy.finest.discrete.need_no_volumes("a user-defined method")
-        nested = start is None and self.start_cycles and len(hierarchy) > 1
-        if nested:
+        levels = LocalLevels(hierarchy, run)
+        if start is None and self.start_cycles and len(hierarchy) > 1:
             hierarchy.need_discretised("the nested start of a user-defined method")
-        with run.phase("setup"):
-            last = local_system(hierarchy.finest.discrete)
-        if nested:
-            unknowns = self.nested_start(hierarchy, run, last)
+            unknowns = levels.nested(
+                partial(self.coarsest, levels), partial(self.start_steps, levels)
+            )
         else:
-            unknowns = np.zeros(last.system.n_dofs) if start is None else last.to_local(start)
-            project(last, unknowns)
-        steps = self.steps(hierarchy, run, unknowns, last, finest=True)
-        stop = StopTest(
-            self.rtol,
-            self.max_cycles,
-            lambda state, rtol: run.shortfall(last.to_cartesian(state.unknowns), rtol),
-        )
+            unknowns = levels.begin(start)
+        steps = self.steps(levels, len(hierarchy) - 1, unknowns)
+        stop = StopTest(self.rtol, self.max_cycles, levels.shortfall)
         with run.phase("cycles"):
             state, status = iterate(steps, State(unknowns=unknowns), stop, run)
-        solution = last.to_cartesian(state.unknowns).reshape(-1)
-        return Outcome(solution, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
+        return levels.outcome(state, status, stop, self.rtol)
 
-    def nested_start(self, hierarchy: Hierarchy, run: Run, last: LocalProblem) -> np.ndarray:
-        """Return the start on the finest level, from a few steps on each level below it."""
-        coarse = local_system(hierarchy[0].discrete)
-        with run.phase("start"):
-            solution, steps, passes = coarsest_solution(coarse.discrete, self.rtol)
-            run.count(passes, coarse.system.nonzeros)
-            run.visit(0, "solve", steps)
-        unknowns = coarse.to_local(solution)
-        for number in range(1, len(hierarchy)):
-            finest = number == len(hierarchy) - 1
-            fine = last if finest else local_system(hierarchy[number].discrete)
-            nodal = hierarchy[number].contact_prolongation
-            unknowns = prolonged_start(nodal, coarse, unknowns, fine)
-            run.visit(number, "start")
-            if not finest:
-                steps = self.steps(hierarchy.truncated(finest=number), run, unknowns, fine)
-                state = State(unknowns=unknowns)
-                with run.phase("start"):
-                    for _ in range(self.start_cycles):
-                        state = steps.step(state)
-                unknowns = state.unknowns
-            coarse = fine
-        run.start_work_units = run.work_units
-        return unknowns
+    def coarsest(self, levels: LocalLevels) -> np.ndarray:
+        """Return the solution on the coarsest level, by the active set method."""
+        local = levels.problem(0)
+        solution, steps, passes = coarsest_solution(local.discrete, self.rtol)
+        levels.run.count(passes, local.system.nonzeros)
+        levels.run.visit(0, "solve", steps)
+        return local.to_local(solution)
 
-    def steps(
-        self,
-        hierarchy: Hierarchy,
-        run: Run,
-        unknowns: np.ndarray,
-        local: LocalProblem,
-        finest: bool = False,
-    ) -> UserSteps:
-        """Return the steps that the method sets up for a hierarchy."""
-        with run.phase("setup"):
-            made = self.method.setup(hierarchy, State(unknowns=unknowns))
+    def start_steps(self, levels: LocalLevels, number: int, unknowns: np.ndarray) -> np.ndarray:
+        """Return what a few steps on a level of the nested start make of unknowns."""
+        steps = self.steps(levels, number, unknowns)
+        state = State(unknowns=unknowns)
+        for _ in range(self.start_cycles):
+            state = steps.step(state)
+        return state.unknowns
+
+    def steps(self, levels: LocalLevels, number: int, unknowns: np.ndarray) -> UserSteps:
+        """Return the steps that the method sets up for the levels up to one."""
+        hierarchy = levels.hierarchy
+        finest = number == len(hierarchy) - 1
+        with levels.run.phase("setup"):
+            below = hierarchy if finest else hierarchy.truncated(finest=number)
+            made = self.method.setup(below, State(unknowns=unknowns))
         words = "an object with step(state) -> state"
         stepper = checks.offers("solver: what setup returns", made, "step", words)
-        return UserSteps(stepper, len(hierarchy) - 1, local, run, finest)
+        return UserSteps(stepper, number, levels.problem(number), levels.run, finest)
 
 
 class UserSteps:
@@ -160,3 +142,71 @@ class UserSteps:
             self.run.count(1, self.local.system.nonzeros)
             residual = self.local.residual(state.unknowns)
         return self.norms(state.cycles, state.unknowns, residual)
+
+
+def nested_start(
+    run: Run,
+    levels: int,
+    coarsest: Callable[[], Flowing],
+    prolonged: Callable[[int, Flowing], Flowing],
+    cycled: Callable[[int, Flowing], Flowing],
+) -> Flowing:
+    """Return the start on the finest of some levels: the solution of the ``coarsest``,
+    ``prolonged`` from level to level, ``cycled`` on those between."""
+    with run.phase("start"):
+        state = coarsest()
+    for number in range(1, levels):
+        with run.phase("start"):
+            state = prolonged(number, state)
+            run.visit(number, "start")
+            if number < levels - 1:
+                state = cycled(number, state)
+    run.start_work_units = run.work_units
+    return state
+
+
+class LocalLevels:
+    """The levels of a run in contact frames, each problem made when it is asked for."""
+
+    def __init__(self, hierarchy: Hierarchy, run: Run) -> None:
+        self.hierarchy = hierarchy
+        self.run = run
+        self._problems: dict[int, LocalProblem] = {}
+
+    def problem(self, number: int) -> LocalProblem:
+        """Return the problem of a level."""
+        if number not in self._problems:
+            with self.run.phase("setup"):
+                self._problems[number] = local_system(self.hierarchy[number].discrete)
+        return self._problems[number]
+
+    @property
+    def finest(self) -> LocalProblem:
+        return self.problem(len(self.hierarchy) - 1)
+
+    def begin(self, start: np.ndarray | None) -> np.ndarray:
+        """Return the admissible unknowns of a given start (n_dofs,), or of zero."""
+        local = self.finest
+        unknowns = np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
+        project(local, unknowns)
+        return unknowns
+
+    def nested(
+        self, coarsest: Callable[[], np.ndarray], cycled: Callable[[int, np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """Return the unknowns of a nested start; see :func:`nested_start`."""
+
+        def prolonged(number: int, unknowns: np.ndarray) -> np.ndarray:
+            nodal = self.hierarchy[number].contact_prolongation
+            return prolonged_start(nodal, self.problem(number - 1), unknowns, self.problem(number))
+
+        return nested_start(self.run, len(self.hierarchy), coarsest, prolonged, cycled)
+
+    def shortfall(self, state: State, rtol: float) -> float:
+        """Return by how much the certificate finds a state short of a tolerance."""
+        return self.run.shortfall(self.finest.to_cartesian(state.unknowns), rtol)
+
+    def outcome(self, state: State, status: Status, stop: StopTest, rtol: float) -> Outcome:
+        """Return what a method ends with."""
+        solution = self.finest.to_cartesian(state.unknowns).reshape(-1)
+        return Outcome(solution, status, state.cycles, rtol, stop.error_estimate, stop.rate)

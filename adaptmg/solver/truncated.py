@@ -48,6 +48,7 @@ from adaptmg.solver.examine import ROUNDING, Sizes
 from adaptmg.solver.iterate import Measured, StopTest, iterate, true_error
 from adaptmg.solver.projected import need_levels
 from adaptmg.solver.record import Outcome, Run, Status
+from adaptmg.solver.steps import nested_start
 
 
 class TruncatedTest(StopTest):
@@ -418,22 +419,19 @@ class TruncatedRun:
         """Solve level by level from the coarsest; returns the solutions (n_unknowns,) of the
         levels, on the finest one its start. With displacements (n_dofs,) of the levels in the
         ``past`` what has changed since goes from level to level."""
-        solutions = [self._solve_coarsest(start, past)]
-        last = len(self.hierarchy) - 1
-        for number in range(1, last + 1):
-            with self.run.phase("start"):
-                unknowns = self._prolonged(number, solutions, past)
-            self.run.visit(number, "start")
-            if number < last:
-                unknowns = self._start_cycles(number, unknowns, start)
-            solutions.append(self.problems[number].with_prescribed(unknowns))
-        self.run.start_work_units = self.run.work_units
-        return solutions
+        self.hierarchy.need_discretised("the nested start of FullMultigrid")
+        return nested_start(
+            self.run,
+            len(self.hierarchy),
+            partial(self._coarsest, start, past),
+            partial(self._prolonged, past),
+            partial(self._start_cycles, start),
+        )
 
     def _prolonged(
-        self, number: int, solutions: list[np.ndarray], past: list[np.ndarray] | None
-    ) -> np.ndarray:
-        """The iterate (n_unknowns,) with which a level begins, from the solutions below it."""
+        self, past: list[np.ndarray] | None, number: int, solutions: list[np.ndarray]
+    ) -> list[np.ndarray]:
+        """The solutions with that with which a level begins."""
         coarse = self.problems[number - 1]
         fine = self.problems[number]
         finer = self.cycle.levels[number]
@@ -450,7 +448,9 @@ class TruncatedRun:
             change = change + share * (change - before)
         finer.prolong(change, displacement)
         pressures = prolonged_pressures(coarse, fine, finer.prolongation, pressures)
-        return fine.from_prescribed(np.append(displacement, pressures))
+        # admissible at fixed dofs
+        start = fine.from_prescribed(np.append(displacement, pressures))
+        return [*solutions, fine.with_prescribed(start)]
 
     def _extrapolation(self, number: int) -> float:
         """Richardson's share of the last change of the solution that the next level will add:
@@ -535,40 +535,40 @@ class TruncatedRun:
             )
         return self._coarse
 
-    def _solve_coarsest(self, start: NestedStart, past: list[np.ndarray] | None) -> np.ndarray:
+    def _coarsest(self, start: NestedStart, past: list[np.ndarray] | None) -> list[np.ndarray]:
         """Solve the coarsest level by semismooth Newton steps, of load steps from the step before;
         each counts a pass, its factorisation as seconds."""
-        self.hierarchy.need_discretised("the nested start of FullMultigrid")
         problem = self.problems[0]
         near = None if past is None or not past[0].any() else past[0]
-        with self.run.phase("start"):
-            try:
-                solution, steps, passes = coarsest_solution(problem, start.rtol, near)
-            except (np.linalg.LinAlgError, ValueError) as error:
-                _LOG.info("coarsest level: the active set method gives up: %s", error)
-                return problem.with_prescribed(np.zeros(problem.n_unknowns))
-            self.run.count(passes, problem.matrix.nnz)
-            self.run.visit(0, "solve", steps)
-            return solution
+        try:
+            solution, steps, passes = coarsest_solution(problem, start.rtol, near)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            _LOG.info("coarsest level: the active set method gives up: %s", error)
+            return [problem.with_prescribed(np.zeros(problem.n_unknowns))]
+        self.run.count(passes, problem.matrix.nnz)
+        self.run.visit(0, "solve", steps)
+        return [solution]
 
-    def _start_cycles(self, number: int, given: np.ndarray, start: NestedStart) -> np.ndarray:
-        """Return the iterate that the cycles of the nested start on a level lead to."""
+    def _start_cycles(
+        self, start: NestedStart, number: int, solutions: list[np.ndarray]
+    ) -> list[np.ndarray]:
+        """The solutions with what the cycles of the nested start on a level make of its own."""
         parts = self.steps_on(number)
         problem = self.problems[number]
-        with self.run.phase("start"):
-            state = parts.begin(given.copy())
-            if start.cycles == "complete":
-                cycles = TruncatedCycles(parts, problem)
-                stop = TruncatedTest(cycles, start.rtol, self.COMPLETE_LIMIT)
-                state, _ = iterate(cycles, cycles.step(state), stop)
-            else:
-                enough = start.cycles_on(problem, self.problems[number + 1])
-                state = self._few_cycles(parts, problem, state, enough)
-            parts.restore()
+        *below, given = solutions
+        state = parts.begin(problem.from_prescribed(given))
+        if start.cycles == "complete":
+            cycles = TruncatedCycles(parts, problem)
+            stop = TruncatedTest(cycles, start.rtol, self.COMPLETE_LIMIT)
+            state, _ = iterate(cycles, cycles.step(state), stop)
+        else:
+            enough = start.cycles_on(problem, self.problems[number + 1])
+            state = self._few_cycles(parts, problem, state, enough)
+        parts.restore()
         if state is None:
             _LOG.info("level %d: the cycles of the nested start diverge", number)
-            return given
-        return state.iterate
+            return solutions
+        return [*below, problem.with_prescribed(state.iterate)]
 
     def _few_cycles(
         self, parts: TruncatedStep, problem: DiscreteProblem, state: TruncatedState, enough: int

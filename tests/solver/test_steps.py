@@ -164,6 +164,21 @@ def test_what_a_method_must_offer(bar):
         am.solve(bar, method)
 
 
+def test_a_residual_in_the_state_spares_a_pass(bar):
+    class WithResidual(Sweeps):
+        def step(self, state):
+            new = super().step(state)
+            return replace(new, residual=self.problem.residual(new.unknowns))
+
+    without, result = am.solve(bar, Sweeps()), am.solve(bar, WithResidual())
+    np.testing.assert_array_equal(result.displacement, without.displacement)
+    np.testing.assert_array_equal(result.history["residual"], without.history["residual"])
+    np.testing.assert_allclose(np.diff(result.history["work_units"]), 10.0)
+    short = Sweeps(lambda state: replace(state, residual=np.zeros(3)))
+    with pytest.raises(ValueError, match="residual of the State that step returns"):
+        am.solve(bar, short)
+
+
 class Returns:
     def __init__(self, value):
         self.value = value
