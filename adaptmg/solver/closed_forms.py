@@ -78,8 +78,10 @@ def _condition(
 
 
 def _stiffness(
-    problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem
+    problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem, points: np.ndarray
 ) -> tuple[Condition, ...]:
+    """Compare the forces of an affine field with those of its stresses and of springs; ``points``
+    count from the middle of the mesh."""
     materials = body_materials(mesh, problem.material)
     springs = [one for one in problem.supports if isinstance(one, Spring)]
     covered = (
@@ -97,7 +99,7 @@ def _stiffness(
     rng = np.random.default_rng(0)
     gradient = rng.uniform(-1.0, 1.0, (mesh.dim, mesh.dim)) / mesh.sides.max()
     shift = rng.uniform(-1.0, 1.0, mesh.dim)
-    field = (mesh.points - mesh.box.mean(axis=0)) @ gradient.T + shift
+    field = points @ gradient.T + shift
     unknowns = np.asarray(discrete.relative(field)).reshape(-1)
     forces = discrete.physical_forces(discrete.matrix @ unknowns).reshape(field.shape)
     expected = np.zeros_like(field)
@@ -185,10 +187,14 @@ def _acting(
 
 
 def _loads(
-    problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem, body: np.ndarray
+    problem: ContactProblem,
+    mesh: MeshArrays,
+    discrete: DiscreteProblem,
+    body: np.ndarray,
+    points: np.ndarray,
 ) -> tuple[Condition, ...]:
     """Compare the loads on each body (n_nodes,) with what is posed; initial strains and bolts have
-    no resultants."""
+    no resultants. ``points`` count from the middle of the mesh."""
     materials = body_materials(mesh, problem.material)
     loads = [
         _acting(one, mesh, materials)
@@ -199,11 +205,11 @@ def _loads(
         return ()
     places, forces, nodes = map(np.concatenate, zip(*loads, strict=True))
     arm = float(mesh.sides.max())
-    centre = mesh.box.mean(axis=0)
+    places = places - mesh.box.mean(axis=0)
     count = int(body.max()) + 1
     own = discrete.physical_forces(discrete.whole_load).reshape(-1, mesh.dim)
-    missed = _resultants(mesh.points - centre, own, arm, body, count)
-    missed -= _resultants(places - centre, forces, arm, body[nodes], count)
+    missed = _resultants(points, own, arm, body, count)
+    missed -= _resultants(places, forces, arm, body[nodes], count)
     if problem.axisymmetric:
         missed = missed[:, 1]
     return (_condition("loads", missed, float(np.abs(forces).sum())),)
@@ -263,8 +269,9 @@ class FreeBodies:
                 compared[number, mesh.dim :] = False
         springs = [one for one in problem.supports if isinstance(one, Spring | PointSpring)]
         covered = problem.elements == "linear" and not len(discrete.inclined)
+        points = mesh.points - mesh.box.mean(axis=0)
         return cls(
-            mesh.points - mesh.box.mean(axis=0),
+            points,
             float(mesh.sides.max()),
             body,
             [_spring_blocks(mesh, one, problem.axisymmetric) for one in springs],
@@ -272,8 +279,8 @@ class FreeBodies:
             compared,
             _near(problem, mesh, discrete) if covered else None,
             (
-                *_stiffness(problem, mesh, discrete),
-                *_loads(problem, mesh, discrete, body),
+                *_stiffness(problem, mesh, discrete, points),
+                *_loads(problem, mesh, discrete, body, points),
                 _measures(problem, mesh, discrete),
             ),
         )
@@ -292,9 +299,8 @@ class FreeBodies:
             discrete = evidence.problem
             np.add.at(stretched, self.near.cells, self.near.forces(evidence.u))
             found = discrete.physical_forces(discrete.load - evidence.residual)
-            held = discrete.fixed.reshape(stretched.shape).any(axis=1)
-            held[evidence.nodes] = True
-            missed = (stretched - found.reshape(stretched.shape))[held]
+            nodes = self.near.nodes
+            missed = stretched[nodes] - found.reshape(stretched.shape)[nodes]
             if not self.compared[:, 0].any():  # the hoop stress varies within elements
                 missed = missed[:, 1]
             scale = np.inf if evidence.idle else evidence.force
@@ -328,9 +334,14 @@ class FreeBodies:
     def _resultants(
         self, forces: np.ndarray, body: np.ndarray, shift: np.ndarray | None = None
     ) -> np.ndarray:
-        here = np.unique(np.flatnonzero(forces) // forces.shape[1])
+        here = np.flatnonzero(_any_component(forces))
         places = self.points[here] + (0.0 if shift is None else shift)
         return _resultants(places, forces[here], self.arm, body[here], len(self.compared))
+
+
+def _any_component(vectors: np.ndarray) -> np.ndarray:
+    """Return where vectors (n, dim) are not zero: 5 us for 4225, by any(axis=1) 60."""
+    return np.logical_or.reduce(list(vectors.T))
 
 
 def free_bodies(posed: Posed | None, discrete: DiscreteProblem) -> FreeBodies | None:
@@ -361,6 +372,7 @@ def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarr
 class Elements:
     """Linear elements, by their facets."""
 
+    nodes: np.ndarray  # int: all elements around them are here
     cells: np.ndarray  # (n, dim + 1) int
     sides: np.ndarray  # (n, dim + 1, dim): measure times gradient of each shape function
     measures: np.ndarray  # (n,): m^2 or m^3
@@ -387,7 +399,7 @@ class Elements:
 
 def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Elements:
     """Return the linear elements at nodes that supports, ties or contact hold."""
-    held = discrete.fixed.reshape(mesh.points.shape).any(axis=1)
+    held = _any_component(discrete.fixed.reshape(mesh.points.shape))
     held[discrete.contact.nodes] = True
     # by corner: 26 us at 8192 triangles in place of 145
     here = np.flatnonzero(held.take(mesh.elements.T).any(axis=0))
@@ -398,7 +410,8 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
     radii = mesh.points[cells, 0].mean(axis=1) if problem.axisymmetric else None
     own = moduli(mesh, body_materials(mesh, problem.material))
     tensors = own.table[own.rows[here]]
-    return Elements(cells, -outward / mesh.dim, mesh.volumes[here], tensors, radii)
+    nodes = np.flatnonzero(held)
+    return Elements(nodes, cells, -outward / mesh.dim, mesh.volumes[here], tensors, radii)
 
 
 def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Condition:
