@@ -148,6 +148,29 @@ def test_contact_ends_at_a_tie(tie, divisions):
     np.testing.assert_allclose(result.resultant("a.right").force, (-P, 0), atol=1e-6 * P)
 
 
+@pytest.mark.parametrize("fine", ["left", "right"])
+def test_contact_goes_on_across_a_tie(fine):
+    """Two glued blocks on one floor, the slave of the tie with the finer mesh: uniform pressure."""
+    parts = {
+        "left": am.Rectangle(width=1, height=1),
+        "right": am.Rectangle(width=1, height=1, origin=(1, 0)),
+    }
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        material=am.PlaneStrain(young=YOUNG, poisson=0.0),
+        law=am.Frictionless(),
+        ties=am.Tied(*("left.right", "right.left")[:: 1 if fine == "left" else -1]),
+        contact=[am.Contact(f"{body}.bottom", am.Plane((0, 0), (0, 1))) for body in parts],
+        loads=[am.Pressure(f"{body}.top", P) for body in parts],
+        supports=am.Support("left.left", x=0.0),
+    )
+    grids = am.Hierarchy.uniform(problem, [{name: 6 + 3 * (name == fine) for name in parts}])
+    result = am.solve(grids, EXACT)
+    down = -P / YOUNG * result.mesh.points[:, 1]
+    np.testing.assert_allclose(result.displacement[:, 1], down, atol=1e-10 * P / YOUNG)
+    np.testing.assert_allclose(result.contact.pressure, P, rtol=1e-8)
+
+
 @pytest.mark.parametrize("order", [("floor", "wall"), ("wall", "floor")])
 def test_a_cylinder_on_its_end_between_walls(order):
     """In axisymmetry masses carry the circumference."""
