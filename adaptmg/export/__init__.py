@@ -1,4 +1,4 @@
-"""Files for other programs: VTK, PETSc, and one HTML page a study."""
+"""Files for other programs: VTK, and one HTML page a study."""
 
 import lazy_loader
 

@@ -140,7 +140,6 @@ def made() -> dict[str, object]:
         "estimate": step.estimate,
         "marked": np.ones(len(mesh.elements), bool),
         "path": folder / "a.vtu",
-        "directory": folder / "petsc",
         "meshes": [mesh],
         "sizes": [0.02, 0.01],
         "supports": (am.Support("right", x=0.0),),
@@ -184,7 +183,7 @@ def made() -> dict[str, object]:
         "resultant.boundary reaction.boundary": "contact",
         "vtk_series.results load_history.results": [result],
         "history.results": result,
-        "local_system.problem petsc.problem": discrete,
+        "local_system.problem": discrete,
         "mesh_ratio.coarse size_ratio.coarse": grids.coarsest.mesh
         if hasattr(grids, "coarsest")
         else mesh,

@@ -22,7 +22,7 @@ import adaptmg as am
 
 common, reproduce = load("common"), load("reproduce")
 #: files in studies/ that are no study
-OTHERS = {"common", "reproduce", "linear_rivals", "plain_newton", "pictures", "docs"}
+OTHERS = {"common", "reproduce", "linear_rivals", "plain_newton", "pictures", "docs", "petsc"}
 ALL = reproduce.STUDIES | reproduce.LARGE
 
 
