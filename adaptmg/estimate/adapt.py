@@ -73,6 +73,9 @@ def adapt(
     Parameters
     ----------
     problem : ContactProblem
+        Its ``elements`` are linear unless it says otherwise. Smoothed ones need fewer nodes: the
+        deflection of a pressed cylinder is off by .14 % at 3405 nodes with linear elements, by
+        .11 % at 1516 with smoothed ones. ``Goal`` estimates linear elements only.
     start : float, MeshArrays, ngsolve.Mesh, path of a mesh file or Hierarchy, optional
         The first mesh, or its element size in m. Of a hierarchy, which is not changed, the finest
         mesh. Default: an eighth of the square root of the mean area of the bodies (3D: a quarter of
