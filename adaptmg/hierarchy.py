@@ -19,7 +19,6 @@ from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.sides import with_sides
 from adaptmg.level import (
     Level,
     check_coarse_to_fine,
@@ -318,7 +317,7 @@ class Hierarchy:
         """The levels on the meshes that ``mesh`` makes."""
         compiled = compiling_seconds()
         meshes = mesh()
-        problem = with_sides(problem, meshes[-1])
+        problem = Posed.of(problem, meshes[-1]).problem
         for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
             warn_user(message)
         checks.flag("contact_rows", contact_rows)
@@ -451,7 +450,7 @@ class Hierarchy:
                 f"problem has another domain, {checks.shown(other)}, than these meshes, "
                 f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform"
             )
-        problem = with_sides(problem, need_mesh(self.finest))
+        problem = Posed.of(problem, need_mesh(self.finest)).problem
         boundaries, asked = (
             (*posed.contact_boundaries, *posed.masters, *posed.tied_boundaries)
             for posed in (self.problem, problem)

@@ -90,11 +90,6 @@ class Rows:
     taken_over: sparse.csr_array | None  # (n, n_nodes)
     follows: sparse.csr_array | None  # (n_nodes, n_nodes): weights of what slaves face
 
-    @property
-    def touching(self) -> np.ndarray:
-        """Which rows (n,) bool carry a contact condition."""
-        return (self.role == Role.OBSTACLE) | (self.role == Role.SLAVE)
-
 
 @dataclass(frozen=True, eq=False)
 class Posed:
@@ -112,10 +107,9 @@ class Posed:
             raise ValueError(
                 f"the mesh is {mesh.dim}D, the problem {problem.name!r} {problem.dim}D"
             )
-        problem = with_sides(problem, mesh)
         problem.check_boundaries(mesh.boundaries)
         problem.check_bodies(mesh.bodies)
-        return cls(problem, mesh)
+        return cls(with_sides(problem, mesh), mesh)
 
     def under(self, problem: ContactProblem) -> Posed:
         """Return the same under another law, or other loads."""
@@ -346,7 +340,7 @@ class Posed:
 
     def _contact_nodes(self, rows: Rows) -> ContactNodes:
         problem = self.problem
-        own = rows.touching
+        own = (rows.role == Role.OBSTACLE) | (rows.role == Role.SLAVE)
         nodes = rows.nodes[own]
         owner = rows.owner[own]
         taken = None if rows.taken_over is None else rows.taken_over[own]

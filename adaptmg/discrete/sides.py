@@ -39,8 +39,6 @@ def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
     ]
     if not free:
         return problem
-    problem.check_boundaries(mesh.boundaries)
-    problem.check_bodies(mesh.bodies)
     materials = body_materials(mesh, problem.material)
     held = [*problem.tied_boundaries, *(support.boundary for support in problem.supports)]
     contact = []
