@@ -155,6 +155,11 @@ class _MovingPart(Acting):
         about = place if self.about is None else self.about
         object.__setattr__(self, "about", checks.vector("about", about, self.dim))
 
+    @property
+    def pivot(self) -> np.ndarray:
+        """Return the point (dim,) about which the obstacle turns, m."""
+        return checks.instance("about", self.about, np.ndarray)
+
 
 @dataclass(frozen=True, eq=False)
 class Moving(_MovingPart):

@@ -149,7 +149,7 @@ class Aggregates:
         met = np.flatnonzero((own != other) & inside.take(matrix.indices))
         met = met[own[met] >= 0]
         coarse = sparse.csr_array(
-            (np.ones(len(met), dtype=bool), (own[met], other[met])), shape=(self.count,) * 2
+            (np.ones(len(met), dtype=bool), (own[met], other[met])), shape=(self.count, self.count)
         )
         self.place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
         rows = np.repeat(self.place, np.diff(coarse.indptr))

@@ -32,6 +32,7 @@ from itertools import combinations
 
 import numpy as np
 
+from adaptmg._checks import FieldLike
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
 from adaptmg.discrete.moduli import as_tensors, body_materials, columns, moduli
@@ -44,12 +45,12 @@ from adaptmg.problem.laws import Axisymmetric, Elastic
 from adaptmg.problem.loads import (
     BodyForce,
     InitialStrain,
-    Load,
     PointForce,
     PointSpring,
     Preload,
     Pressure,
     Spring,
+    Traction,
 )
 from adaptmg.problem.surfaces import ContactPair, Periodic
 from adaptmg.solver.certificate import Condition, Evidence
@@ -87,7 +88,7 @@ def _stiffness(
     covered = (
         all(_is_isotropic(one) for one in materials)
         and not any(isinstance(one, PointSpring) for one in problem.supports)
-        and all(_constant(one.normal, one.tangential) for one in springs)
+        and all(_numbers(one.normal, one.tangential) is not None for one in springs)
         and not len(discrete.volumes)
         and not len(discrete.inclined)
         and not any(isinstance(one, Periodic) for one in problem.ties)
@@ -130,8 +131,10 @@ def _kinds_of_nodes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> np.ndar
     return result if (result[mesh.elements] == kinds).all() else None
 
 
-def _constant(*values: object) -> bool:
-    return not any(callable(value) for value in values)
+def _numbers(*values: FieldLike) -> np.ndarray | None:
+    """Return values that are constant in space; None if one of them is not."""
+    constant = [value for value in values if not callable(value)]
+    return np.array(constant, dtype=float) if len(constant) == len(values) else None
 
 
 def _stress(material: Elastic, strain: np.ndarray) -> np.ndarray:
@@ -142,14 +145,17 @@ def _stress(material: Elastic, strain: np.ndarray) -> np.ndarray:
 def _spring_blocks(mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool) -> Blocks:
     """Return the nodes that springs join and their stiffness: where it is constant in space from
     the mass matrix of a facet, |F| (1 + delta_ab) / (k (k + 1))."""
-    varies = isinstance(spring, PointSpring) or not _constant(spring.normal, spring.tangential)
-    if varies or axisymmetric:
+    if isinstance(spring, PointSpring) or axisymmetric:
         return spring_elements(mesh, spring, axisymmetric)
-    surface = mesh.surface(spring.boundary)
+    stiffnesses = _numbers(spring.normal, spring.tangential)
+    if stiffnesses is None:
+        return spring_elements(mesh, spring, axisymmetric)
+    normal, tangential = stiffnesses
+    surface = mesh.surface(spring.place)
     corners = mesh.dim
     mass = (1 + np.eye(corners)) / (corners * (corners + 1))
     outer = surface.normals[:, :, None] * surface.normals[:, None, :]
-    per_area = spring.normal * outer + spring.tangential * (np.eye(mesh.dim) - outer)
+    per_area = normal * outer + tangential * (np.eye(mesh.dim) - outer)
     per_area *= surface.measures[:, None, None]
     return surface.facets, mass[:, :, None, None] * per_area[:, None, None]
 
@@ -160,7 +166,9 @@ def _spring_forces(cells: np.ndarray, blocks: np.ndarray, displacement: np.ndarr
 
 
 def _acting(
-    load: Load, mesh: MeshArrays, materials: tuple[Elastic, ...]
+    load: Pressure | Traction | BodyForce | PointForce,
+    mesh: MeshArrays,
+    materials: tuple[Elastic, ...],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return places (n, dim) and forces (n, dim), N, of a load, and a node of the body that each
     acts on: in closed form if it is constant in space, else at nodes, by the quadrature of the
@@ -168,21 +176,21 @@ def _acting(
     if isinstance(load, PointForce):
         node = node_at(mesh, load.point, load.body)
         return np.array([load.point]), np.array([load.components]), np.array([node])
-    values = (load.value,) if isinstance(load, Pressure) else load.components
-    if not _constant(*values) or isinstance(materials[0], Axisymmetric):
+    pressed = isinstance(load, Pressure)
+    values = _numbers(load.value) if pressed else _numbers(*load.components)
+    if values is None or isinstance(materials[0], Axisymmetric):
         forces = load_vector(mesh, [load], materials).reshape(mesh.points.shape)
         return mesh.points, forces, np.arange(mesh.n_nodes)
     if isinstance(load, BodyForce):
         here = slice(None) if load.body is None else body_elements(mesh, load.body)
         cells = mesh.elements[here]
         measures = mesh.volumes[here]
-        density = np.array([load.components], dtype=float)
+        density = values[None]
     else:
         surface = mesh.surface(load.boundary)
         cells = surface.facets
         measures = surface.measures
-        pressed = isinstance(load, Pressure)
-        density = -load.value * surface.normals if pressed else np.array([load.components])
+        density = -values * surface.normals if pressed else values[None]
     return mesh.points[cells].mean(axis=1), measures[:, None] * density, cells[:, 0]
 
 

@@ -283,6 +283,7 @@ class _Equations:
         values = nodal
         energetic = forces
         image = forces.copy()
+        compressed = np.empty(0)
         if len(self.volumes):
             soft = self.volumes.areas * self.volumes.compliance
             areas = self.volumes.areas
@@ -291,6 +292,7 @@ class _Equations:
             values = np.append(nodal, pressures)
             energetic = np.append(forces, soft * pressures)
             image += self.volumes.forces(pressures)
+            compressed = soft * pressures - volumes
         by_node = image.reshape(-1, status.kept.shape[1])
         moved = nodal.reshape(by_node.shape)[status.nodes]
         exerted = by_node[status.nodes]
@@ -298,8 +300,7 @@ class _Equations:
         energetic[: self.n].reshape(by_node.shape)[status.nodes] += turned
         by_node[status.nodes] += turned + np.einsum("nij,nj->ni", status.dragged, exerted)
         status.project(by_node)
-        if len(self.volumes):
-            image = np.append(image, soft * pressures - volumes)
+        image = np.append(image, compressed)
         return _Direction(values, image, np.stack([moved, exerted])), energetic
 
 

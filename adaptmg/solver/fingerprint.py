@@ -106,7 +106,19 @@ _STANDS: dict[type, tuple[str, ...]] = {
 }
 #: the generator of numpy's functions and, unless it is given another, of scipy's distributions
 _NUMPYS_OWN = np.random.rand.__self__
-_BASES = (dict, list, tuple, set, frozenset, str, bytes, bytearray, int, float, complex)
+_BASES: tuple[type[typing.Any], ...] = (
+    dict,
+    list,
+    tuple,
+    set,
+    frozenset,
+    str,
+    bytes,
+    bytearray,
+    int,
+    float,
+    complex,
+)
 
 
 @dataclass(frozen=True)
@@ -182,8 +194,8 @@ class _Parts:
     def __init__(self, depends: Mapping[str, object], main: Mapping[str, object]) -> None:
         self._depends = depends
         # a script has one name, whether it is run, imported, or sent to a worker
-        script = main.get("__name__") in _MAIN and main.get("__file__")
-        self._main = Path(script).stem if script else "__main__"
+        script = main.get("__file__") if main.get("__name__") in _MAIN else None
+        self._main = Path(script).stem if isinstance(script, str) else "__main__"
         self._names: dict[int, str] = {}
         self._found: dict[str, list[object]] = {}
         self._waiting: list[tuple[str, object]] = []  # no recursion, which has a limit
@@ -230,11 +242,10 @@ class _Parts:
         )
         module = module if isinstance(module, str) else "builtins"
         # classes that are sent to workers lose the name of the function around them
-        name = (
-            self._home(module)
-            if isinstance(thing, ModuleType)
-            else f"{self._home(module)}.{thing.__name__ if isinstance(thing, type) else thing.__qualname__}"
-        )
+        name = self._home(module)
+        if not isinstance(thing, ModuleType):
+            own = getattr(thing, "__name__" if isinstance(thing, type) else "__qualname__")
+            name = f"{name}.{own}"
         if not self.is_own(module, thing) and not follow:
             return f"installed {name}"
         # closures and classes of one name get numbers; the list keeps them alive, and so their id
@@ -262,7 +273,7 @@ class _Parts:
     def _function(self, name: str, function: FunctionType) -> None:
         code = function.__code__
         namespace = function.__globals__
-        values = {}
+        values: dict[str, tuple[str, object]] = {}
         home = self._home(namespace.get("__name__", "__main__"))
         self._parts[f"function {name}"] = self._hash(code)
         for key in ("__defaults__", "__kwdefaults__", *vars(function)):
@@ -282,7 +293,8 @@ class _Parts:
                     f"what stands for it: depends={{{min(hidden)!r}: ...}}"
                 )
             if first in values or first in namespace:
-                self._read(*values.get(first) or (f"{home}.{first}", namespace[first]), attributes)
+                place, part = values.get(first) or (f"{home}.{first}", namespace[first])
+                self._read(place, part, attributes)
         for level, module, names in imports:
             with contextlib.suppress(ImportError):  # the run will raise it
                 module = importlib.util.resolve_name(

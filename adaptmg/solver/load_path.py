@@ -29,6 +29,7 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.level import Level
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
@@ -416,10 +417,17 @@ class PathLoop:
         self.posed = _posed_with_names(grids)
         problem = None if self.posed[-1] is None else grids.problem
         self.factors = path.resolved(problem)
-        self.loads = _loads(grids, self.posed)
+        self.finest_loads = _loads(self.posed[-1], grids.finest)
+        coarse = zip(self.posed[:-1], grids.levels[:-1], strict=True)
+        #: None where a level is only a space
+        self.loads = [
+            None if level.discrete_or_none is None else _loads(posed, level)
+            for posed, level in coarse
+        ]
+        self.loads.append(self.finest_loads)
         for k in range(len(path)):
             # two supports that no longer agree should show before the first step is solved
-            self.loads[-1].fixed_values(self._factors_at(k))
+            self.finest_loads.fixed_values(self._factors_at(k))
         finest = grids.finest
         self.bodies = free_bodies(self.posed[-1], finest.discrete)
         self.examiner = Examiner(finest.discrete, self.bodies)
@@ -567,7 +575,7 @@ class PathLoop:
         return self._factors_at(k) | bolts
 
     def _stress_data(self, k: int, motions: Mapping[str, np.ndarray]) -> StressData | None:
-        return self.loads[-1].stress_data(self._loading(k, motions))
+        return self.finest_loads.stress_data(self._loading(k, motions))
 
     def _undeformed(
         self, k: int, grids: Hierarchy, run: Run, motions: Mapping[str, np.ndarray]
@@ -648,13 +656,6 @@ def _posed_with_names(grids: Hierarchy) -> list[Posed | None]:
     return posed if named else [None] * len(posed)
 
 
-def _loads(grids: Hierarchy, posed: Sequence[Posed | None]) -> list[LoadSteps | None]:
-    """Loads and supports one by one on each level; None where a level is only a space."""
-    return [
-        None
-        if level.discrete_or_none is None
-        else whole_load(level.discrete)
-        if one is None
-        else load_steps(one, level.discrete)
-        for one, level in zip(posed, grids.levels, strict=True)
-    ]
+def _loads(posed: Posed | None, level: Level) -> LoadSteps:
+    """Return the loads and supports on a level one by one, without a problem as a whole."""
+    return whole_load(level.discrete) if posed is None else load_steps(posed, level.discrete)

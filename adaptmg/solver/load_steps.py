@@ -232,9 +232,9 @@ class Controls:
         """Return the prescribed motions and forces as numbers, for stores; -1e300 where nothing is
         prescribed."""
         result = [
-            [*_numbers(chain(*one.forces.values(), one.moment)), *one.about]
+            [*_numbers(chain(*one.forces.values(), one.moment)), *one.pivot]
             if isinstance(one, Rigid)
-            else [*one.displacement, *one.rotation, *one.about]
+            else [*one.displacement, *one.rotation, *one.pivot]
             for obstacle in self.obstacles.values()
             for one in moving_parts(obstacle)
         ]
@@ -327,7 +327,7 @@ class Controls:
                     cast("ContactProblem", self.problem).contact[part.number].boundary,
                     about=obstacle.about,
                 )
-                have = np.concatenate([total.force, np.atleast_1d(total.moment)])[list(part.free)]
+                have = np.append(total.force, total.turning)[list(part.free)]
             else:
                 bolt = next(one for one in self.bolts if one.path_name == part.name)
                 have = np.array(
@@ -585,16 +585,16 @@ class Search(Generic[Kept]):
         self.budget = self.cycles - trial.result.cycles + self.limit
         while trial.result.status.ok and not self.reached(trial) and len(self.spent) < _MOST:
             fresh = jacobian is None and guide is None
-            if fresh:
+            if jacobian is None and guide is not None:
+                jacobian = guide.stiffness(trial.values)
+                if jacobian is None:
+                    trial = self.at(guide.nearer(trial.values, trial.missed), None)
+                    guide = None
+                    continue
+            elif jacobian is None:
                 # as accurate as the differences
                 trial = self.at(trial.values, trial, _EXACT * reach) if trial.loosened else trial
                 jacobian = self.differences(trial, reach)
-            elif jacobian is None:
-                jacobian = cast("Guide", guide).stiffness(trial.values)
-            if jacobian is None:
-                trial = self.at(guide.nearer(trial.values, trial.missed), None)
-                guide = None
-                continue
             left, stiffnesses, right = np.linalg.svd(jacobian)
             noise = _EXACT / _DIFFERENCE if fresh else 0.0
             resisted = stiffnesses > max(_UNRESISTED * stiffnesses[0], noise)

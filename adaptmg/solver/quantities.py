@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -240,7 +240,7 @@ class Quantities:
         for number, (name, pair) in enumerate(zip(contact.names, contact.pair_names, strict=True)):
             on_boundary = contact.boundary == number
             total = self.resultant(name)
-            turning = np.atleast_1d(cast("np.ndarray", total.moment))
+            turning = total.turning
             largest = contact.pressure[on_boundary].max(initial=0.0)
             area = contact.measures[on_boundary & contact.closed].sum()
             rows.append(
@@ -389,3 +389,10 @@ class Resultant:
 
     force: np.ndarray
     moment: np.ndarray | float | None
+
+    @property
+    def turning(self) -> np.ndarray:
+        """Return the moment as a vector, (3,) in 3D and (1,) in 2D; ValueError without a mesh."""
+        if self.moment is None:
+            raise ValueError("the moment is not known: make the hierarchy from meshes")
+        return np.atleast_1d(self.moment)

@@ -311,11 +311,10 @@ class _Forces:
 
     def let_go(self, motion: np.ndarray, work: np.ndarray) -> bool:
         """Return whether no admissible force balances ``work`` on this very motion."""
-        resisted = (motion @ self.edges < -_STILL).any()
-        return (
-            not resisted
-            and motion @ work - np.abs(motion @ self.segments) @ self.limits > _UNBALANCED
-        )
+        if (motion @ self.edges < -_STILL).any():
+            return False
+        resistance = np.abs(motion @ self.segments) @ self.limits
+        return float(motion @ work - resistance) > _UNBALANCED
 
 
 def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Forces:
@@ -466,22 +465,22 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
     """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is
     not cheap, or bodies are held by contact, the one with all other nodes of the finest held, which
     is larger."""
-    problem = grids[0].discrete_or_none
+    examined = grids[0].discrete_or_none
     critical = np.array([np.nan])
     if (
-        problem is not None
-        and problem.law.bounds(len(problem.contact))[1].any()
-        and problem.n_dofs <= _SMALL
-        and (len(problem.contact) * problem.dim <= _SMALL_CONTACT)
+        examined is not None
+        and examined.law.bounds(len(examined.contact))[1].any()
+        and examined.n_dofs <= _SMALL
+        and (len(examined.contact) * examined.dim <= _SMALL_CONTACT)
     ):
         with suppress(
             ValueError, np.linalg.LinAlgError
         ):  # a singular interior is refused elsewhere
-            critical = critical_friction(problem)
-    if np.isnan(critical).any():
-        problem = grids.finest.discrete
-        critical = _critical(contact_blocks(problem))
-    friction = problem.law.bounds(len(problem.contact))[1]
+            critical = critical_friction(examined)
+    if examined is None or np.isnan(critical).any():
+        examined = grids.finest.discrete
+        critical = _critical(contact_blocks(examined))
+    friction = examined.law.bounds(len(examined.contact))[1]
     beyond = friction >= critical
     if beyond.any():
         i = int(np.argmax(np.where(beyond, friction - critical, -np.inf)))

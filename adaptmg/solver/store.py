@@ -41,7 +41,7 @@ from adaptmg.discrete.named_loads import LoadSteps
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.fingerprint import value_parts
 
-Kinds = tuple[type, ...]
+Kinds = tuple[type[Any], ...]
 
 _FORMAT, _META = 4, "meta"
 #: the head of a path of a million steps has some 20 MB
@@ -138,10 +138,10 @@ class _Reader:
             made = self.arrays[content]
         elif kind not in self.kinds:
             raise ValueError(f"it holds {checks.shown(kind)}")
-        elif issubclass(self.kinds[kind], Enum):
-            made = self.kinds[kind][content]
+        elif issubclass(cls := self.kinds[kind], Enum):
+            made = cls[content]
         else:
-            made = self.kinds[kind](**{name: self.value(part) for name, part in content.items()})
+            made = cls(**{name: self.value(part) for name, part in content.items()})
         self.seen.append(made)
         return made
 
@@ -168,7 +168,8 @@ def packed(
     }
     meta = json.dumps(text | {"hash": _hash(text, writer.arrays)}).encode()
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **writer.arrays, **{_META: np.frombuffer(meta, dtype=np.uint8)})
+    arrays: dict[str, Any] = {**writer.arrays, _META: np.frombuffer(meta, dtype=np.uint8)}
+    np.savez_compressed(buffer, **arrays)
     return buffer.getvalue()
 
 
@@ -202,7 +203,7 @@ def _hash(text: Mapping[str, object], arrays: Mapping[str, np.ndarray] | None = 
     content = hashlib.sha256(json.dumps(text, sort_keys=True).encode())
     for name, array in sorted((arrays or {}).items()):
         content.update(f"{name} {array.dtype.kind}{array.dtype.itemsize} {array.shape}".encode())
-        content.update(np.ascontiguousarray(array))
+        content.update(np.ascontiguousarray(array).data)
     return content.hexdigest()
 
 
@@ -374,7 +375,7 @@ def fingerprint(
     finest = grids.finest.discrete
     contact = grids.finest.discrete.contact
     coordinates = [] if finest.coordinates is None else [_sums(finest.coordinates)]
-    return {
+    dependences: dict[str, object] = {
         "problem": grids.problem.name if grids.problem is not None else "",
         "grids": [[level.n_nodes, *_sums(level.matrix.data)] for level in grids.levels]
         + coordinates,
@@ -397,7 +398,8 @@ def fingerprint(
         "law": [_sums(part) for part in finest.law.bounds(len(contact))],
         "path": {"steps": steps}
         | {name: list(map(float, values)) for name, values in factors.items()},
-    } | value_parts(parts, depends)
+    }
+    return dependences | value_parts(parts, depends)
 
 
 def _sums(values: np.ndarray) -> list[float]:
