@@ -146,8 +146,8 @@ class Aggregates:
         # a narrow band: the place of each aggregate, and how far it reaches
         own = np.repeat(label, np.diff(matrix.indptr))
         other = label.take(matrix.indices)
-        met = np.flatnonzero((own != other) & inside.take(matrix.indices))
-        met = met[own[met] >= 0]
+        met = np.flatnonzero(own != other)
+        met = met[np.minimum(own[met], other[met]) >= 0]
         coarse = sparse.csr_array(
             (np.ones(len(met), dtype=bool), (own[met], other[met])), shape=(self.count, self.count)
         )

