@@ -23,10 +23,12 @@ ROWS = [
     ("pad", (0, 1.5), OBSTACLE, 2, LEFT, 0, 0.5, 0.5),  # half an edge of the pad's corner
     ("pad", (0, 2), OBSTACLE, 2, LEFT, 0, 0.25, 0),
     *(("pad", (1, y), HELD, -1, (0, 0), 0, 0, 0) for y in (1.5, 2)),
-    ("table", (0, 0), OBSTACLE, 0, LEFT, 0.25, 0.25, 0),
+    ("table", (0, 0), OBSTACLE, 0, LEFT, 0.25, 0.5, 0),  # with that of the node tied to it
     ("table", (0, 0.5), OBSTACLE, 0, LEFT, 0.25, 0.5, 0),
     ("table", (0, 1), OBSTACLE, 0, LEFT, 0.25, 0.25, 0),
     *(("table", (x, y), MASTER, -1, (0, 0), 0, 0, 0) for x in (0.5, 1, 1.5, 2) for y in (0, 1)),
+    # half an edge of the clamped node, with its gap
+    ("foot", (0, -0.5), OBSTACLE, 3, LEFT, 0.25 + 0.5 * 0.25, 0.5, 0.5),
     *(("foot", (x, 0), TIED, 0, (0, 0), 0, 0.25, 0) for x in (0, 2)),
     *(("foot", (x, 0), TIED, 0, (0, 0), 0, 0.5, 0) for x in (0.5, 1, 1.5)),
     *(("foot", (x, -1), HELD, -1, (0, 0), 0, 0, 0) for x in (0, 0.5, 1, 1.5, 2)),
@@ -34,8 +36,8 @@ ROWS = [
 
 
 def stack(turn, shift):
-    """A pad (1 x 1) on a table (2 x 1), whose left side faces a wall, on a foot that is tied to it
-    and moved; the pad's left side touches a wall, its right side is on a roller."""
+    """A pad (1 x 1) on a table (2 x 1) on a foot that is tied to it and moved, both with a wall on
+    the left; the pad's left side touches a wall, its right side is on a roller."""
     parts = {
         "pad": am.Rectangle(width=1, height=1, origin=(0, 1)),
         "table": am.Rectangle(width=2, height=1),
@@ -50,6 +52,7 @@ def stack(turn, shift):
             am.Contact("table.left", walls[0]),
             am.ContactPair("pad.bottom", "table.top"),
             am.Contact("pad.left", walls[1]),
+            am.Contact("foot.left", walls[0]),
         ),
         ties=am.Tied("foot.top", "table.bottom"),
         supports=(
