@@ -352,8 +352,10 @@ _NECK, _RISE, _DEPTH, _CHAMFER = 12.0, 24.0, 16.0, 3.0
 _SIDE, _BOTTOM = 36.0, 40.0
 # the least width of the block next to the notch
 _LEAST_WALL = 6.0
+#: pressure on the side of the block, Pa
+_CLAMP = 120e6
 
-_JOINT_DEFAULTS = {"angle": 50.0, "pull": 100e6, "clamp": 120e6, "young": 2.1e11, "poisson": 0.3}
+_JOINT_DEFAULTS = {"angle": 50.0, "pull": 100e6, "young": 2.1e11, "poisson": 0.3}
 
 
 def dovetail(
@@ -361,7 +363,6 @@ def dovetail(
     law: Law = am.Coulomb(0.2),
     angle: float = 50.0,
     pull: float = 100e6,
-    clamp: float = 120e6,
     young: float = 2.1e11,
     poisson: float = 0.3,
 ) -> am.ContactProblem:
@@ -380,8 +381,6 @@ def dovetail(
         Of the flanks from the horizontal, degrees, below 90.
     pull : float
         Traction on the top of the neck, Pa; positive pulls the tongue out.
-    clamp : float
-        Pressure on the side of the block, Pa.
     young, poisson : float
         Of both parts, Pa, and a number.
 
@@ -390,10 +389,9 @@ def dovetail(
     >>> am.cases.dovetail().domain.bodies
     ('tongue', 'block')
     """
-    parameters = {"angle": angle, "pull": pull, "clamp": clamp, "young": young, "poisson": poisson}
+    parameters = {"angle": angle, "pull": pull, "young": young, "poisson": poisson}
     angle = _checked_angle(angle)
     pull = checks.quantity("pull", pull)
-    clamp = checks.quantity("clamp", clamp)
     reference: Mapping[str, object] = {"remark": _JOINT_REMARK}
     if constant_friction(law) == 0.2 and parameters == _JOINT_DEFAULTS:
         reference = _JOINT_REFERENCE
@@ -406,7 +404,7 @@ def dovetail(
             am.ContactPair("tongue.flank", "block.flank"),
             am.ContactPair("tongue.bottom", "block.floor"),
         ),
-        loads=(am.Traction("tongue.top", (0.0, pull)), am.Pressure("block.side", clamp)),
+        loads=(am.Traction("tongue.top", (0.0, pull)), am.Pressure("block.side", _CLAMP)),
         supports=(
             am.Support("tongue.symmetry", x=0.0),
             am.Support("block.symmetry", x=0.0),

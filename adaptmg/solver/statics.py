@@ -124,8 +124,7 @@ def _too_soft(grids: Hierarchy) -> str:
             limit = 1.01 * least / largest_nodal_stiffness(level.mesh, unit, problem.axisymmetric)
             words += (
                 f". The spring on {one.place!r} counts as none: double precision needs at least "
-                f"{limit:.3g} {'N/m^3' if isinstance(one, Spring) else 'N/m'} next to these bodies; "
-                "make it stiffer, or replace it by a support with the displacement load / stiffness"
+                f"{limit:.3g} {'N/m^3' if isinstance(one, Spring) else 'N/m'} next to these bodies"
             )
     return words
 
@@ -240,9 +239,8 @@ def _check_body(body: _Body) -> None:
     if unbalanced > _UNBALANCED:
         motion = _culprit(body, forces, work, motion)
         raise ValueError(
-            f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact forces "
-            "cannot balance the load on it. Add a support that fixes this motion, or change load, "
-            "obstacle or friction so that contact resists it"
+            f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact cannot "
+            "balance the load on it; add a support that fixes it"
         )
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if len(neutral):
@@ -252,9 +250,8 @@ def _check_body(body: _Body) -> None:
             if np.linalg.norm(c - neutral.T @ (neutral @ c)) <= _STILL
         ]
         raise ValueError(
-            f"the solution is not unique: a {body.describe((plain or neutral)[0])} is left free by the "
-            "supports, moves no contact node towards or away from the obstacle, meets no friction and no "
-            "work of the load. Add a support that fixes it"
+            f"the solution is not unique: a {body.describe((plain or neutral)[0])} is left free by "
+            "supports, contact and load; add a support that fixes it"
         )
     if np.abs(work).max() <= _UNBALANCED:
         # no load on the free motions: only bodies that contact encloses are held, whose pressures
@@ -266,8 +263,7 @@ def _check_body(body: _Body) -> None:
             motion = _plainest(body, forces, away, motion)
             raise ValueError(
                 f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
-                "by the supports, and the load does no work on it. Add a load, or a support that fixes "
-                "this motion"
+                "by supports and load; add a support that fixes it, or a load"
             )
 
 

@@ -15,7 +15,7 @@ from adaptmg.transfer.contact import (
     surface_interpolation,
     with_contact_rows,
 )
-from adaptmg.transfer.galerkin import aggregated_prolongations, galerkin_product, without_fixed
+from adaptmg.transfer.galerkin import galerkin_product, without_fixed
 from adaptmg.transfer.interpolation import (
     CLIP,
     Interpolation,
@@ -37,7 +37,6 @@ __all__ = [
     "QuasiInterpolation",
     "Supports",
     "Transfer",
-    "aggregated_prolongations",
     "galerkin_product",
     "injected_gap",
     "injected_limit",

@@ -340,10 +340,6 @@ def computed():
         (lambda: am.smoother.local_system(solved(True), 3), "system must be LocalSystem"),
         (lambda: am.discrete.fixed_dofs(mesh(), 3), "supports must be a sequence"),
         (lambda: am.transfer.without_fixed(solved(True).matrix, [1]), "fixed must be a boolean"),
-        (
-            lambda: am.transfer.aggregated_prolongations(solved(True).matrix, None, [1], 9),
-            "fixed must be a boolean",
-        ),
         (lambda: meshes.structured(am.Rectangle(width=1, height=1), dict), "divisions must be"),
         (lambda: computed().load({}), "row must have all parameters"),
         (lambda: am.DiscreteProblem(**posed(inclined=True)), "inclined"),
