@@ -69,7 +69,10 @@ def _naming_arguments(kind: Any) -> None:
                 import inspect
 
                 taken = inspect.signature(kind)
-                names = [one.replace(annotation=one.empty) for one in taken.parameters.values()]
+                names = [
+                    parameter.replace(annotation=parameter.empty)
+                    for parameter in taken.parameters.values()
+                ]
                 error.add_note(
                     f"am.{kind.__name__}{taken.replace(parameters=names, return_annotation=taken.empty)}"
                 )

@@ -50,14 +50,14 @@ class _Threads:
             for k in left:
                 results[k] = kernel(*ranges[k], *arguments)
 
-        others = [self.pool.submit(work) for _ in range(min(self.number, len(ranges)) - 1)]
+        tasks = [self.pool.submit(work) for _ in range(min(self.number, len(ranges)) - 1)]
         try:
             work()
         finally:
-            others = [other for other in others if not other.cancel()]
-            wait(others)
-        for other in others:
-            other.result()
+            tasks = [task for task in tasks if not task.cancel()]
+            wait(tasks)
+        for task in tasks:
+            task.result()
         return results
 
 

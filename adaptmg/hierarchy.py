@@ -620,9 +620,9 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     body = np.zeros(mesh.n_nodes, dtype=np.int64)
     body[mesh.elements] = cast(np.ndarray, mesh.element_body)[:, None]
     pairs = [
-        one
-        for one in cast(tuple, problem.contact) + cast(tuple, problem.ties)
-        if not isinstance(one, Contact)
+        coupling
+        for coupling in cast(tuple, problem.contact) + cast(tuple, problem.ties)
+        if not isinstance(coupling, Contact)
     ]
     paired = {
         frozenset(ends)
@@ -652,7 +652,8 @@ def _changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset
     """Return names of the parts but laws that may have other values than ``before``; functions may
     return others."""
     surfaces = [
-        tuple(replace(one, law=None) for one in posed.contact) for posed in (problem, before)
+        tuple(replace(contact, law=None) for contact in posed.contact)
+        for posed in (problem, before)
     ]
     return frozenset({"contact"} if not _same(*surfaces) else ()) | frozenset(
         name
@@ -676,5 +677,5 @@ def _same(a: object, b: Any) -> bool:
     if isinstance(a, Mapping):
         return list(a) == list(b) and all(_same(a[key], b[key]) for key in a)
     if is_dataclass(a) and type(a).__module__.startswith("adaptmg."):
-        return all(_same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
+        return all(_same(getattr(a, part.name), getattr(b, part.name)) for part in fields(a))
     return isinstance(a, _PLAIN) and bool(a == b)

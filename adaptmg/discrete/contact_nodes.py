@@ -212,7 +212,9 @@ def check_size(name: str, size: float) -> None:
 def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
     """Return a read-only copy of a boolean mask over dofs."""
     mask = np.asarray(value) if hasattr(value, "dtype") else np.array(value, dtype=object)
-    if mask.dtype != bool and not all(isinstance(one, (bool, np.bool_)) for one in mask.ravel()):
+    if mask.dtype != bool and not all(
+        isinstance(entry, (bool, np.bool_)) for entry in mask.ravel()
+    ):
         raise TypeError(f"{name} must be a boolean mask over the dofs, got {checks.shown(value)}")
     if mask.ndim != 1 or (n is not None and len(mask) != n):
         raise ValueError(f"{name} must have shape ({'n' if n is None else n},), got {mask.shape}")

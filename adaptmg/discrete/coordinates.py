@@ -268,11 +268,13 @@ class Unknowns:
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
         result = nodal[nodes]
-        own = self.fixed.reshape(-1, self.dim)[nodes]
-        if self.coupling is not None and own.any():
+        prescribed = self.fixed.reshape(-1, self.dim)[nodes]
+        if self.coupling is not None and prescribed.any():
             # such components are no relative coordinates
             moved = self.physical(nodal)
-            result = np.where(own, moved[nodes] - self.coupling.weights[nodes] @ moved, result)
+            result = np.where(
+                prescribed, moved[nodes] - self.coupling.weights[nodes] @ moved, result
+            )
             for at, weights, c in self.held_together():
                 result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
         return self.inclined.free_part(nodes, result)
@@ -292,9 +294,9 @@ class Unknowns:
                 facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float))
             )
             total = np.asarray(weights.sum(axis=1)).ravel()
-            kept = total > NEGLIGIBLE
-            scale = sparse.diags_array(1 / total[kept], format="csr")
-            result.append((held[kept], sparse.csr_array(scale @ weights[kept]), c))
+            carried = total > NEGLIGIBLE
+            scale = sparse.diags_array(1 / total[carried], format="csr")
+            result.append((held[carried], sparse.csr_array(scale @ weights[carried]), c))
         return result
 
 

@@ -140,7 +140,9 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     check_bounds(law, len(contact))
     if old.coupling is not None:
         # which slave nodes carry multipliers depends on where friction acts
-        now, before = (np.maximum(*one.bounds(len(contact))) > 0 for one in (law, old.law))
+        now, before = (
+            np.maximum(*friction.bounds(len(contact))) > 0 for friction in (law, old.law)
+        )
         if not np.array_equal(now, before):
             return assembled(posed)
     parts = {"law": law, "name": f"{problem.name}, {mesh.n_nodes} nodes"}

@@ -90,8 +90,8 @@ def load_vector(
         elif isinstance(load, PointForce):
             result[node_at(mesh, load.point, load.body)] += load.components
         elif isinstance(load, BodyForce):
-            here = slice(None) if load.body is None else body_elements(mesh, load.body)
-            _add(result, mesh, mesh.elements[here], mesh.volumes[here], load, axisymmetric)
+            rows = slice(None) if load.body is None else body_elements(mesh, load.body)
+            _add(result, mesh, mesh.elements[rows], mesh.volumes[rows], load, axisymmetric)
         else:
             surface = mesh.surface(load.boundary)
             _add(
@@ -188,21 +188,21 @@ def initial_strain_load(
 ) -> np.ndarray:
     """Return the nodal forces (n_nodes, dim) of an initial strain."""
     axisymmetric = is_axisymmetric(materials)
-    here, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
+    rows, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
     if elements == "smoothed":
         volumes = element_measures(mesh, axisymmetric)
         mean = mean_initial_strain(mesh, [load], axisymmetric=axisymmetric)
-        strain = smoothed(mesh, mean, volumes)[here, None]
-        weights = volumes[here, None]
+        strain = smoothed(mesh, mean, volumes)[rows, None]
+        weights = volumes[rows, None]
         rule = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
     if isinstance(materials[mesh.bodies.index(load.body)], PlaneStress):
         strain[:, :, 2] = 0.0
-    own = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
-    columns = np.einsum("eij,eqj->eqi", own.table[own.rows[here], :, :3], strain)
+    tensors = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
+    columns = np.einsum("eij,eqj->eqi", tensors.table[tensors.rows[rows], :, :3], strain)
     stress = as_tensors(columns.reshape(-1, columns.shape[2])).reshape(*columns.shape[:2], 3, 3)
-    cells = mesh.elements[here]
+    cells = mesh.elements[rows]
     dim = mesh.dim
-    forces = shape_gradients(mesh)[0][here] @ np.einsum(
+    forces = shape_gradients(mesh)[0][rows] @ np.einsum(
         "eq,eqij->eij", weights, stress[:, :, :dim, :dim]
     )
     if axisymmetric:
@@ -263,8 +263,10 @@ def spring_elements(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes (n, k) that springs join, and their stiffness (n, k, k, dim, dim), N/m."""
     if isinstance(spring, PointSpring):
-        own = np.diag([spring.x, spring.y, spring.z][: mesh.dim])
-        return np.array([[node_at(mesh, spring.point, spring.body)]]), own[None, None, None]
+        point_stiffness = np.diag([spring.x, spring.y, spring.z][: mesh.dim])
+        return np.array([[node_at(mesh, spring.point, spring.body)]]), point_stiffness[
+            None, None, None
+        ]
     surface = mesh.surface(spring.boundary)
     rule, points, weights = integration(mesh.points, surface.facets, surface.measures, axisymmetric)
     per_area = weights[:, :, None, None] * foundation(spring, points, surface.normals)
@@ -311,11 +313,11 @@ def spring_resultants(
     """Return by place the force that springs exert on the bodies, N, and its moment about the
     origin, N m."""
     result: dict[str, list[float]] = {}
-    for spring in (one for one in supports if isinstance(one, Spring | PointSpring)):
+    for spring in (support for support in supports if isinstance(support, Spring | PointSpring)):
         cells, blocks = spring_elements(mesh, spring, axisymmetric)
         forces = -np.einsum("fabij,fbj->fai", blocks, displacement[cells]).reshape(-1, mesh.dim)
-        own = [*forces.sum(axis=0), *moment(mesh.points[cells].reshape(forces.shape), forces)]
-        result[spring.place] = (np.array(own) + result.get(spring.place, 0.0)).tolist()
+        resultant = [*forces.sum(axis=0), *moment(mesh.points[cells].reshape(forces.shape), forces)]
+        result[spring.place] = (np.array(resultant) + result.get(spring.place, 0.0)).tolist()
     return result
 
 

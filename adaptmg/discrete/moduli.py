@@ -46,22 +46,22 @@ def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]
         materials = tuple(material[body] for body in mesh.bodies)
     else:
         materials = (material,) * len(mesh.bodies)
-    for one in materials:
-        if not isinstance(one, Elastic):
+    for elastic in materials:
+        if not isinstance(elastic, Elastic):
             raise TypeError(
                 "material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping body name "
-                f"-> one of them, got {one!r}"
+                f"-> one of them, got {elastic!r}"
             )
-        if one.dim != mesh.dim:
+        if elastic.dim != mesh.dim:
             raise ValueError(
-                f"the material is {one.dim}D, the mesh {mesh.dim}D: use Solid in 3D, PlaneStrain, "
+                f"the material is {elastic.dim}D, the mesh {mesh.dim}D: use Solid in 3D, PlaneStrain, "
                 "PlaneStress or Axisymmetric in 2D"
             )
     if is_axisymmetric(materials):
-        if not all(isinstance(one, Axisymmetric) for one in materials):
+        if not all(isinstance(elastic, Axisymmetric) for elastic in materials):
             raise ValueError(
                 "either all bodies are Axisymmetric or none, got "
-                + ", ".join(type(one).__name__ for one in materials)
+                + ", ".join(type(elastic).__name__ for elastic in materials)
             )
         r = mesh.points[:, 0]
         if r.min() < -_ROUNDING * r.max():
@@ -78,13 +78,13 @@ def is_axisymmetric(material: Materials) -> bool:
     if isinstance(material, Elastic):
         return isinstance(material, Axisymmetric)
     materials = material.values() if isinstance(material, Mapping) else material
-    return any(isinstance(one, Axisymmetric) for one in materials)
+    return any(isinstance(elastic, Axisymmetric) for elastic in materials)
 
 
 def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the Lame constants lambda and mu (n_bodies,) as they enter the stress, Pa."""
-    return np.array([one.lame for one in materials]), np.array(
-        [one.shear_modulus for one in materials]
+    return np.array([elastic.lame for elastic in materials]), np.array(
+        [elastic.shear_modulus for elastic in materials]
     )
 
 
@@ -110,9 +110,9 @@ class Moduli:
     def work(self, stress: np.ndarray, other: np.ndarray, plane: bool) -> np.ndarray:
         """Return one of two stresses, columns (n_elements, ..., k), times the strains that the
         other makes, (n_elements, ...); in the plane the columns are xx, yy, xy."""
-        kept = [0, 1, 3] if plane else list(range(self.table.shape[1]))
-        compliance = np.linalg.inv(self.table[:, kept][:, :, kept])[self.rows]
-        strain = (other.reshape(len(other), -1, len(kept)) @ compliance).reshape(other.shape)
+        components = [0, 1, 3] if plane else list(range(self.table.shape[1]))
+        compliance = np.linalg.inv(self.table[:, components][:, :, components])[self.rows]
+        strain = (other.reshape(len(other), -1, len(components)) @ compliance).reshape(other.shape)
         return np.einsum("...i,...i->...", stress, strain)
 
     def of_hoop(self) -> np.ndarray:
@@ -123,19 +123,19 @@ class Moduli:
 def moduli(mesh: MeshArrays, materials: tuple[Elastic, ...], most: float = np.inf) -> Moduli:
     """Return the tensors of the materials of the bodies. Lame's first constant of isotropic ones is
     cut off at ``most`` shear moduli."""
-    thin = np.array([isinstance(one, PlaneStress) for one in materials])
+    thin = np.array([isinstance(elastic, PlaneStress) for elastic in materials])
     result = isotropic(*lame_constants(materials), thin, mesh, most)
     for k, material in enumerate(materials):
         if material.anisotropy is not None:
-            here = np.flatnonzero(mesh.element_body == k)
-            own = _turned(
-                material, material.anisotropy, mesh.points[mesh.elements[here]].mean(axis=1)
+            elements = np.flatnonzero(mesh.element_body == k)
+            tensors = _turned(
+                material, material.anisotropy, mesh.points[mesh.elements[elements]].mean(axis=1)
             )
             rows = result.rows.copy()
-            rows[here] = len(result.table) + (
-                np.arange(len(here)) if material.anisotropy.varies else 0
+            rows[elements] = len(result.table) + (
+                np.arange(len(elements)) if material.anisotropy.varies else 0
             )
-            result = Moduli(np.concatenate([result.table, own]), rows)
+            result = Moduli(np.concatenate([result.table, tensors]), rows)
     return result
 
 

@@ -143,13 +143,13 @@ def curved(
     slave, master = exact
     if not slave or not master or all(surface.plane for surface in (*slave, *master)):
         return sides
-    one, other = (
+    slave_surface, master_surface = (
         Curved(mesh.points, side.facets, surfaces, mesh.refinement is not None)
         for surfaces, side in zip((slave, master), sides, strict=True)
     )
     # else the mesh was moved away from the domain
-    known = all(np.median(side.nearest) >= 0 for side in (one, other))
-    return (one, other) if known else sides
+    known = all(np.median(side.nearest) >= 0 for side in (slave_surface, master_surface))
+    return (slave_surface, master_surface) if known else sides
 
 
 def pair_interface(
@@ -294,10 +294,10 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     distances = np.bincount(nodes, gaps, minlength=n)
     apart = sparse.csr_array((np.ones(len(nodes)), (nodes, partner)), shape=(n, n))
     coupling = sparse.csr_array(apart + taken @ (apart - sparse.eye_array(n, format="csr")))
-    own = carries[nodes]
-    nodes = nodes[own]
-    normal = normal[own]
-    gaps = gaps[own]
+    carrying = carries[nodes]
+    nodes = nodes[carrying]
+    normal = normal[carrying]
+    gaps = gaps[carrying]
     weights = weights[nodes]
     if not weights.min() > 0:
         raise ValueError(
@@ -333,8 +333,8 @@ def _with_partners(
             f"{NEVER_FACING}: the normals of slave nodes and of their partners point the same way. Check "
             "the orientation of the facets"
         )
-    alone = (offset > allowed) | ~facing
-    missing = np.flatnonzero(alone & surfaces.carries[nodes])
+    without_partner = (offset > allowed) | ~facing
+    missing = np.flatnonzero(without_partner & surfaces.carries[nodes])
     if len(missing):
         i = missing[0]
         raise ValueError(
@@ -343,7 +343,7 @@ def _with_partners(
             f"normal, {allowed[i]:.3g} m are allowed{'' if facing[i] else ', and faces the same way'} "
             f"({len(missing)} such nodes of {len(nodes)}). Use matching meshes or a mortar coupling"
         )
-    return ~alone
+    return ~without_partner
 
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
@@ -352,8 +352,8 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     n_nodes = len(surfaces.points)
     covered = covered_parts(surfaces, reach)
     parts = covered.only(covered.enough[covered.slave])
-    alone = ~np.any(carries, axis=1)
-    if alone[parts.slave].all():
+    without_multiplier = ~np.any(carries, axis=1)
+    if without_multiplier[parts.slave].all():
         if len(covered.slave):
             raise ValueError(
                 "the surfaces face each other only where slave nodes are excluded, or on a sliver of each "
@@ -366,7 +366,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
             "larger reach"
         )
     measure, shape, dual = _dual_functions(parts)
-    own = measure[:, None] * shape
+    shape_mass = measure[:, None] * shape
     # how the dual functions of corners without multiplier go to the others; where no corner of a
     # facet has one, to those of other facets
     share = (
@@ -374,9 +374,9 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         * ~carries[:, None, :]
         / np.maximum(carries.sum(axis=1), 1)[:, None, None]
     )
-    share = share + np.eye(carries.shape[1]) * (carries | alone[:, None])[:, :, None]
+    share = share + np.eye(carries.shape[1]) * (carries | without_multiplier[:, None])[:, :, None]
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
-    followed = share * np.where(carries, 0.0, own)[:, None, :]
+    followed = share * np.where(carries, 0.0, shape_mass)[:, None, :]
     slave = surfaces.slave[parts.slave]
     products = np.einsum("piq,pqk->pik", tests, parts.shapes)
     facing = _assembled(products, slave, surfaces.master[parts.master], n_nodes)
@@ -384,14 +384,14 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     if followed.any():
         taken = _assembled(followed, surfaces.slave, surfaces.slave, n_nodes)
     diagonal = np.bincount(
-        surfaces.slave.ravel(), np.where(carries, own, 0.0).ravel(), minlength=n_nodes
+        surfaces.slave.ravel(), np.where(carries, shape_mass, 0.0).ravel(), minlength=n_nodes
     )
     gaps = np.bincount(
         slave.ravel(), np.einsum("piq,pq->pi", tests, parts.distances).ravel(), minlength=n_nodes
     )
     least = _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric)
     nodes = np.flatnonzero(diagonal > least)
-    if taken is not None and alone[parts.slave].any():
+    if taken is not None and without_multiplier[parts.slave].any():
         share = _shares(surfaces.slave_side, diagonal > least, surfaces.axisymmetric).T
         facing = sparse.csr_array(share @ facing)
         taken = sparse.csr_array(share @ taken)

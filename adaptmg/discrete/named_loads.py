@@ -120,10 +120,10 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
         ]
         forces = load_vector(mesh, named, posed.materials, problem.elements)
         loads[name] = discrete.relative_forces(forces)
-        if own := [load for load in named if isinstance(load, InitialStrain)]:
-            strains[name] = StressData.of(mesh, posed.materials, own).initial_strain
+        if initial_strains := [load for load in named if isinstance(load, InitialStrain)]:
+            strains[name] = StressData.of(mesh, posed.materials, initial_strains).initial_strain
             strain_loads[name] = discrete.relative_forces(
-                load_vector(mesh, own, posed.materials, problem.elements)
+                load_vector(mesh, initial_strains, posed.materials, problem.elements)
             )
     return LoadSteps(
         discrete.n_dofs,
@@ -140,9 +140,9 @@ def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return by name the dofs (n,) that supports and ties prescribe, and their values (n,), m."""
     points = posed.mesh.points
     result = {}
-    for name in dict.fromkeys(one.path_name for one in posed.problem.supports):
-        own = [one for one in posed.holds if one.support.path_name == name]
-        fixed, values = held_components(points, own)
+    for name in dict.fromkeys(support.path_name for support in posed.problem.supports):
+        holds = [hold for hold in posed.holds if hold.support.path_name == name]
+        fixed, values = held_components(points, holds)
         result[name] = np.flatnonzero(fixed), values[fixed]
     for tie, part in zip(posed.problem.ties, posed.ties, strict=True):
         if isinstance(tie, Periodic) and tie.jump is not None:

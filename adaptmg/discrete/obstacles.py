@@ -52,20 +52,20 @@ def in_front_of(posed: Posed, k: int) -> MortarInterface:
             "allow_interference=True for an interference fit"
         )
     free = free_normals(posed, k, normals)
-    kept = (np.linalg.norm(free, axis=1) > TANGENTIAL) & (posed.untied[nodes] == k)
-    weights = (surface.lumped(problem.axisymmetric) + tied)[nodes[kept]]
-    distances = gaps[kept]
+    movable = (np.linalg.norm(free, axis=1) > TANGENTIAL) & (posed.untied[nodes] == k)
+    weights = (surface.lumped(problem.axisymmetric) + tied)[nodes[movable]]
+    distances = gaps[movable]
     taken = None
-    if not kept.all():  # on few meshes
+    if not movable.all():  # on few meshes
         carries, silent = np.zeros((2, mesh.n_nodes), dtype=bool)
-        carries[nodes[kept]] = True
+        carries[nodes[movable]] = True
         silent[nodes] = tied[nodes] >= 0
         taken = taken_over(surface, carries, problem.axisymmetric, silent)
-        taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[kept]])
+        taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
         distances = distances + taken[:, nodes] @ gaps
-    normals, gaps = along_free(free[kept], normals[kept], distances)
+    normals, gaps = along_free(free[movable], normals[movable], distances)
     return MortarInterface(
-        nodes[kept],
+        nodes[movable],
         normals,
         weights,
         gaps,
@@ -179,11 +179,11 @@ def with_motions(
     for k, contact in enumerate(posed.problem.contact):
         obstacle = None if isinstance(contact, ContactPair) else _first(contact)
         if isinstance(obstacle, Moving):
-            own = boundary == k
-            reference[own] += obstacle.motion(points[nodes[own]])
+            rows = boundary == k
+            reference[rows] += obstacle.motion(points[nodes[rows]])
             if taken is not None:
-                beside = np.unique(taken[own].indices)
-                reference[own] += taken[own][:, beside] @ obstacle.motion(points[beside])
+                beside = np.unique(taken[rows].indices)
+                reference[rows] += taken[rows][:, beside] @ obstacle.motion(points[beside])
     return reference
 
 
@@ -202,18 +202,18 @@ def moved(
     gaps = contact.gaps.copy()
     reference = contact.slip_reference.copy()
     for k, obstacle in now.items():
-        own = np.flatnonzero(contact.boundary == k)
+        rows = np.flatnonzero(contact.boundary == k)
         boundary = posed.problem.contact[k].boundary
         nodes = posed.surfaces[boundary].nodes
         points = posed.mesh.points[nodes]
         direct, gap = facing_obstacle(obstacle, boundary, points, posed.outward[k])
-        at = np.searchsorted(nodes, contact.nodes[own])
-        taken = contact.taken_over[own]
-        taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(own), len(nodes)))
-        free = posed.free_part(contact.nodes[own], direct[at])
-        normals[own], gaps[own] = along_free(free, direct[at], gap[at] + taken @ gap)
+        at = np.searchsorted(nodes, contact.nodes[rows])
+        taken = contact.taken_over[rows]
+        taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(rows), len(nodes)))
+        free = posed.free_part(contact.nodes[rows], direct[at])
+        normals[rows], gaps[rows] = along_free(free, direct[at], gap[at] + taken @ gap)
         motion = obstacle.motion(points) - before[k].motion(points)
-        reference[own] += motion[at] + taken @ motion
+        reference[rows] += motion[at] + taken @ motion
     turned = np.abs(normals - contact.normals).max(initial=0.0) > _TURNED
     new = replace(
         contact,

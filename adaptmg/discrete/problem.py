@@ -238,7 +238,9 @@ class DiscreteProblem(Unknowns):
         given = checks.sparse_matrix("weights", weights, (self.n_nodes, self.n_nodes))
         rows = sparse.csr_array(given, dtype=np.float64)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs
         _check_row_sums(rows)
-        return self.assembled(rows, **{one.name: getattr(self, one.name) for one in fields(self)})
+        return self.assembled(
+            rows, **{field.name: getattr(self, field.name) for field in fields(self)}
+        )
 
     def __repr__(self) -> str:
         return shortened(
@@ -369,10 +371,10 @@ def remembered(
 
     @wraps(function)
     def remembering(
-        problem: DiscreteProblem, *others: Others.args, **named: Others.kwargs
+        problem: DiscreteProblem, *arguments: Others.args, **named: Others.kwargs
     ) -> Value:
         if function not in problem._computed:
-            problem._computed[function] = function(problem, *others, **named)
+            problem._computed[function] = function(problem, *arguments, **named)
         return problem._computed[function]
 
     return remembering

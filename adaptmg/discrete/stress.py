@@ -131,11 +131,11 @@ class StressData:
         materials = body_materials(mesh, material)
         kind = [
             _THIN
-            if isinstance(one, PlaneStress)
+            if isinstance(elastic, PlaneStress)
             else _AXISYMMETRIC
-            if is_axisymmetric(one)
+            if is_axisymmetric(elastic)
             else _PLAIN
-            for one in materials
+            for elastic in materials
         ]
         strains = [load for load in loads if isinstance(load, InitialStrain)]
         initial = (
@@ -143,13 +143,13 @@ class StressData:
             if strains
             else None
         )
-        own = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
+        tensors = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
         return cls(
             *lame_constants(materials),
             np.array(kind, dtype=np.int8),
             np.zeros((0, 3)) if initial is None else initial,
             elements == "smoothed",
-            moduli=own if any(one.anisotropy for one in materials) else None,
+            moduli=tensors if any(elastic.anisotropy for elastic in materials) else None,
         )
 
     @property
@@ -189,16 +189,16 @@ class StressData:
     def suppressed(self, mesh: MeshArrays) -> float:
         """Return the energy of stresses that suppress initial strains, N m; of plane bodies of
         those in the plane."""
-        own = self.of_elements(mesh)
+        of_elements = self.of_elements(mesh)
         volume = element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
         strain[self.thin[mesh.element_body], 2] = 0.0
-        stress = own.stress(strain[:, :, None] * np.eye(3))
+        stress = of_elements.stress(strain[:, :, None] * np.eye(3))
         if plane := mesh.dim == 2 and not self.axisymmetric:
             stress = stress[:, [0, 1, 3]]
         # means around edges of what the tensors of bodies make
         means = smoothed(mesh, stress, volume) if self.smoothed else stress
-        return float(volume @ own.work(stress, means, plane))
+        return float(volume @ of_elements.work(stress, means, plane))
 
     def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
         """Return the strain energy, J (plane: J/m)."""
@@ -342,9 +342,9 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     indptr, _ = pattern(of_nodes, starts_of(cells), cells.reshape(-1))
     # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2);
     # else there are more
-    others = np.diff(indptr) - 1
+    n_neighbours = np.diff(indptr) - 1
     count = np.diff(around.indptr)
-    inner = np.flatnonzero(others == count if corners == 3 else 2 * others == count + 4)
+    inner = np.flatnonzero(n_neighbours == count if corners == 3 else 2 * n_neighbours == count + 4)
     fits, good = _fits(around[inner], points[inner], centroids, values)
     inner = inner[good]
     fits = fits[good]

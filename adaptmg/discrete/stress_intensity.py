@@ -220,10 +220,10 @@ def _fitted_tractions(
         masses.append(surface.lumped(False)[surface.nodes])
         loads.append((1.0 if face == tip.upper else -1.0) * forces[surface.nodes])
     r, mass, load = map(np.concatenate, (places, masses, loads))
-    own = (r > _NEAR * outer) & (r < tip.straight - _NEAR * outer)
-    root = np.sqrt(mass[own])[:, None]
-    powers = (r[own, None] / outer) ** np.arange(3)
-    fit = np.linalg.lstsq(root * powers, load[own] / root, rcond=None)[0]
+    fitted = (r > _NEAR * outer) & (r < tip.straight - _NEAR * outer)
+    root = np.sqrt(mass[fitted])[:, None]
+    powers = (r[fitted, None] / outer) ** np.arange(3)
+    fit = np.linalg.lstsq(root * powers, load[fitted] / root, rcond=None)[0]
     return fit / outer ** np.arange(3)[:, None]
 
 
@@ -278,10 +278,10 @@ class _Fields:
         )
         result = []
         for factor, part in ((1.0, traction[1]), (1j, traction[0])):
-            own, slope, change = _near_field(z, factor, kolosov, shear)
+            near_field, slope, change = _near_field(z, factor, kolosov, shear)
             flux = np.einsum("nij,nqi->nqj", stress, slope)
-            flux += np.einsum("nqij,ni->nqj", own, gradient[:, :, 0])
-            flux[:, :, 0] -= np.einsum("nqij,nij->nq", own, gradient)
+            flux += np.einsum("nqij,ni->nqj", near_field, gradient[:, :, 0])
+            flux[:, :, 0] -= np.einsum("nqij,nij->nq", near_field, gradient)
             total = np.einsum("nq,nqj,nj->", measures, flux, slopes)
             total -= np.einsum("nq,nqij,nij->", measures * at_points, change, self.uneven[inside])
             _, slope, _ = _near_field(place[loaded], factor, kolosov, shear)

@@ -90,9 +90,9 @@ class Inclined:
         if not len(self):
             return vectors
         at = np.minimum(np.searchsorted(self.nodes, nodes), len(self.nodes) - 1)
-        here = self.nodes[at] == nodes
+        inclined = self.nodes[at] == nodes
         return np.where(
-            here[:, None], vectors - np.einsum("nij,nj->ni", self.spans[at], vectors), vectors
+            inclined[:, None], vectors - np.einsum("nij,nj->ni", self.spans[at], vectors), vectors
         )
 
     def spread(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
@@ -121,16 +121,16 @@ class Inclined:
         rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
         volumes = parts["volumes"]
-        this = replace(
+        supports = replace(
             self, rows=rows, stiffness=stiffness, load=parts["load"], volumes=volumes.rows
         )
         free = volumes.rows - volumes.rows @ self.spread(self.spans, volumes.means.shape[1])
-        prescribed = this.prescribed({})
+        prescribed = supports.prescribed({})
         return parts | {
-            "matrix": this._eliminated(matrix),
-            "load": this.posed(parts["load"], prescribed),
-            "strain_free": this.strain_free(parts.get("strain_free"), prescribed),
-            "inclined": this,
+            "matrix": supports._eliminated(matrix),
+            "load": supports.posed(parts["load"], prescribed),
+            "strain_free": supports.strain_free(parts.get("strain_free"), prescribed),
+            "inclined": supports,
             "volumes": volumes.with_rows(narrowed(sparse.csr_array(free))),
         }
 
@@ -140,8 +140,8 @@ class Inclined:
         free = sparse.bsr_array(
             sparse.eye_array(n) - self.spread(self.spans, n // size[0]), blocksize=size
         )
-        own = self.spread(self.stiffness[:, None, None] * self.spans, n // size[0])
-        half = sparse.bsr_array(0.5 * (free @ matrix @ free + own), blocksize=size)
+        held_stiffness = self.spread(self.stiffness[:, None, None] * self.spans, n // size[0])
+        half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
         return narrowed(sparse.bsr_array(half + half.T, blocksize=size).sorted_indices())
 
     def posed(self, load: np.ndarray, prescribed: np.ndarray) -> np.ndarray:
@@ -159,12 +159,12 @@ class Inclined:
         if not prescribed.any():
             return before
         forces = (self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
-        own = float(
+        held_energy = float(
             np.sum(prescribed * (forces[self.nodes] - self.stiffness[:, None] * prescribed))
         )
         forces[self.nodes] -= self.along(forces)
         load, energy = (0.0, 0.0) if before is None else before
-        return load - forces.reshape(-1), energy + own
+        return load - forces.reshape(-1), energy + held_energy
 
     def reaction(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return the forces (n_dofs,) that the supports exert along these directions, of the
@@ -187,12 +187,12 @@ def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -
         raise ValueError(
             f"{text}: body {body!r} does not exist; the bodies are {', '.join(mesh.bodies)}"
         )
-    mine = (
+    elements = (
         mesh.elements
         if body is None
         else mesh.elements[mesh.element_body == mesh.bodies.index(body)]
     )
-    nodes = np.unique(mine)
+    nodes = np.unique(elements)
     away = np.linalg.norm(mesh.points[nodes] - point, axis=1)
     near = nodes[away <= _AT_POINT * mesh.sides.max()]
     if not len(near):
@@ -241,18 +241,22 @@ def held_by(
     """Return the directions that supports hold: components, and normals of plane boundaries."""
     axes = np.eye(mesh.dim)
     result = []
-    for one in supports:
+    for support in supports:
         directions: list[tuple[np.ndarray, int | None, FieldLike]] = []
-        components = list(one.components(mesh.dim))
+        components = list(support.components(mesh.dim))
         normal = (
-            0.0 if isinstance(one, Symmetry) else one.normal if isinstance(one, Support) else None
+            0.0
+            if isinstance(support, Symmetry)
+            else support.normal
+            if isinstance(support, Support)
+            else None
         )
         if normal is not None:
-            normals = surfaces[cast("str", one.boundary)].normals  # with a normal, no point
+            normals = surfaces[cast("str", support.boundary)].normals  # with a normal, no point
             direction = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
             if not (normals @ direction).min() > 1 - _ALONG_AXIS:
                 raise ValueError(
-                    f"the support on {one.boundary!r} holds its normal, and the boundary is not plane: "
+                    f"the support on {support.boundary!r} holds its normal, and the boundary is not plane: "
                     "name each of its plane parts"
                 )
             axis = int(np.argmax(np.abs(direction)))
@@ -260,7 +264,7 @@ def held_by(
                 directions.append((direction, None, normal))
             elif components[axis] is not None:
                 raise ValueError(
-                    f"the support on {one.boundary!r} prescribes {'xyz'[axis]}, which is its normal "
+                    f"the support on {support.boundary!r} prescribes {'xyz'[axis]}, which is its normal "
                     "displacement, twice: leave one out"
                 )
             else:
@@ -270,21 +274,21 @@ def held_by(
         ]
         if not directions:
             continue
-        nodes = supported_nodes(mesh, one, surfaces)
+        nodes = supported_nodes(mesh, support, surfaces)
         for direction, axis, value in directions:
             component = "" if axis is None else f"{'xyz'[axis]} of "
-            name = f"{component}the support on {one.place!r}"
+            name = f"{component}the support on {support.place!r}"
             values = checks.field(name, value, mesh.points[nodes])
-            result.append(Held(one, direction, axis, nodes, values, not callable(value)))
+            result.append(Held(support, direction, axis, nodes, values, not callable(value)))
     return result
 
 
 def held_directions(holds: Sequence[Held]) -> dict[str, np.ndarray]:
     """Return by boundary the orthonormal directions (k, dim) along which supports hold it."""
     by_boundary: dict[str, list[np.ndarray]] = {}
-    for one in holds:
-        if one.support.boundary is not None:
-            by_boundary.setdefault(one.support.boundary, []).append(one.direction)
+    for hold in holds:
+        if hold.support.boundary is not None:
+            by_boundary.setdefault(hold.support.boundary, []).append(hold.direction)
     result = {}
     for name, directions in by_boundary.items():
         result[name] = np.array(sorted({tuple(direction.tolist()) for direction in directions}))
@@ -297,16 +301,16 @@ def held_directions(holds: Sequence[Held]) -> dict[str, np.ndarray]:
 def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
     """Return the nodes that supports hold along directions other than axes; ValueError where values
     contradict."""
-    oblique = [one.nodes for one in holds if one.axis is None]
+    oblique = [hold.nodes for hold in holds if hold.axis is None]
     if not oblique:
         return Inclined.none(points.shape[1])
     nodes = np.unique(np.concatenate(oblique))
     rows = np.zeros((len(nodes), len(holds), points.shape[1]))
     values = np.zeros((len(nodes), len(holds)))
-    for k, one in enumerate(holds):
-        _, at, own = np.intersect1d(nodes, one.nodes, return_indices=True)
-        rows[at, k] = one.direction
-        values[at, k] = one.values[own]
+    for k, hold in enumerate(holds):
+        _, at, entries = np.intersect1d(nodes, hold.nodes, return_indices=True)
+        rows[at, k] = hold.direction
+        values[at, k] = hold.values[entries]
     inverse = np.linalg.pinv(rows, rcond=_PARALLEL)
     left = np.einsum("nsd,ndt,nt->ns", rows, inverse, values) - values
     wrong = np.abs(left).max(axis=1) > _ALONG_AXIS * np.abs(values).max()
@@ -320,8 +324,8 @@ def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
             f"{tuple(points[nodes[i]].tolist())}: give them values that agree, or free one"
         )
     moved: dict[str, np.ndarray] = {}
-    for k, one in enumerate(holds):
-        name = one.support.path_name
+    for k, hold in enumerate(holds):
+        name = hold.support.path_name
         moved[name] = moved.get(name, 0.0) + inverse[:, :, k] * values[:, k, None]
     return Inclined(
         nodes, inverse @ rows, {name: part for name, part in moved.items() if part.any()}
@@ -335,28 +339,28 @@ def held_components(points: np.ndarray, holds: Sequence[Held]) -> tuple[np.ndarr
     fixed = np.zeros(points.shape, dtype=bool)
     values = np.zeros(points.shape)
     origin = np.zeros(points.shape, dtype=np.int64)  # of fixed ones
-    for k, one in enumerate(holds):
-        d = one.axis
+    for k, hold in enumerate(holds):
+        d = hold.axis
         if d is None:
             continue
-        nodes = one.nodes
-        clash = fixed[nodes, d] & (values[nodes, d] != one.values)
+        nodes = hold.nodes
+        clash = fixed[nodes, d] & (values[nodes, d] != hold.values)
         if clash.any():
             node = int(nodes[np.argmax(clash)])
-            here = one.values[np.argmax(clash)]
+            value = hold.values[np.argmax(clash)]
             other = holds[int(origin[node, d])].support.place
             raise ValueError(
-                f"supports on {other!r} and {one.support.place!r} prescribe different {'xyz'[d]} "
-                f"displacements, {values[node, d]:g} and {here:g} m, at their common node {node} "
+                f"supports on {other!r} and {hold.support.place!r} prescribe different {'xyz'[d]} "
+                f"displacements, {values[node, d]:g} and {value:g} m, at their common node {node} "
                 f"{tuple(points[node].tolist())}: give both the same value or free one"
             )
         fixed[nodes, d] = True
-        values[nodes, d] = one.values
+        values[nodes, d] = hold.values
         origin[nodes, d] = k
-    for one in holds:
-        if one.axis is None:
-            fixed[one.nodes] = False
-            values[one.nodes] = 0.0
+    for hold in holds:
+        if hold.axis is None:
+            fixed[hold.nodes] = False
+            values[hold.nodes] = 0.0
     return fixed, values
 
 
@@ -369,6 +373,6 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
     functions with values that are not finite."""
     points = checks.instance("mesh", mesh, MeshArrays).points
     supports = checks.items("supports", supports, get_args(AnySupport), "supports")
-    surfaces = surfaces_of(mesh, (one.boundary for one in supports))
+    surfaces = surfaces_of(mesh, (support.boundary for support in supports))
     fixed, values = held_components(points, held_by(mesh, supports, surfaces))
     return fixed.reshape(-1), values.reshape(-1)

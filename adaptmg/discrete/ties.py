@@ -41,8 +41,10 @@ class TieForces:
 
     def on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the nodes and forces on one boundary."""
-        own = np.isin(self.boundary, [k for k, name in enumerate(self.names) if name == boundary])
-        return self.node[own], self.force[own]
+        on_boundary = np.isin(
+            self.boundary, [k for k, name in enumerate(self.names) if name == boundary]
+        )
+        return self.node[on_boundary], self.force[on_boundary]
 
     def total(self, n_nodes: int) -> np.ndarray:
         """Return the forces (n_nodes, dim) of all ties."""
@@ -113,9 +115,9 @@ def _periodic(
             f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
             f"lies {away[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
         )
-    alone = (fixed[slave] & ~fixed[master[partner]]).any(axis=1)
-    if alone.any():
-        i = int(np.argmax(alone))
+    held_alone = (fixed[slave] & ~fixed[master[partner]]).any(axis=1)
+    if held_alone.any():
+        i = int(np.argmax(held_alone))
         raise ValueError(
             f"a support holds node {slave[i]} {tuple(points[slave[i]].tolist())} of periodic side "
             f"{tie.slave!r}, and not its partner, which would move apart from it: hold the partner at "
@@ -150,12 +152,12 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     boundary = []
     names = []
     for slave, master, tied in problem.ties:
-        own = problem.inclined.free_part(tied, np.where(held[tied], 0.0, at[tied]))
+        slave_forces = problem.inclined.free_part(tied, np.where(held[tied], 0.0, at[tied]))
         # ties are rows of a coupling
         rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
         facing = np.unique(rows.indices)
         nodes += [tied, facing]
-        forces += [own, -(rows.T @ own)[facing]]
+        forces += [slave_forces, -(rows.T @ slave_forces)[facing]]
         boundary += [np.full(len(tied), len(names)), np.full(len(facing), len(names) + 1)]
         names += [slave, master]
     return TieForces(*map(np.concatenate, (nodes, forces, boundary)), names=tuple(names))
@@ -172,10 +174,10 @@ def masses_of_ties(posed: Posed) -> np.ndarray:
         if isinstance(contact, ContactPair):
             continue
         surface = posed.surfaces[contact.boundary]
-        own = surface.nodes[posed.owner[surface.nodes] == k]
-        free = posed.free_part(own, surface.node_normals[own])
-        takes[own] = np.linalg.norm(free, axis=1) > TANGENTIAL
-        masses[own] = surface.lumped(posed.problem.axisymmetric)[own]
+        boundary_nodes = surface.nodes[posed.owner[surface.nodes] == k]
+        free = posed.free_part(boundary_nodes, surface.node_normals[boundary_nodes])
+        takes[boundary_nodes] = np.linalg.norm(free, axis=1) > TANGENTIAL
+        masses[boundary_nodes] = surface.lumped(posed.problem.axisymmetric)[boundary_nodes]
     tied = np.unique(np.concatenate([tie.nodes for tie in posed.ties]))
     takes[tied] = 0.0
     followed = spread([(tie.nodes, tie.coupling) for tie in posed.ties], len(masses))

@@ -460,8 +460,8 @@ class SizeField:
     def function(self, body: str) -> Callable[[np.ndarray], np.ndarray]:
         """Return sizes (n,), m, at points (n, dim) of a body."""
         mesh = self.mesh
-        own = np.flatnonzero(mesh.element_body == mesh.bodies.index(body))
-        locator = SimplexLocator(mesh.points, mesh.elements, own)
+        elements = np.flatnonzero(mesh.element_body == mesh.bodies.index(body))
+        locator = SimplexLocator(mesh.points, mesh.elements, elements)
 
         def at(points: np.ndarray) -> np.ndarray:
             place = locator.locate(points)

@@ -348,11 +348,11 @@ class Residual:
         per metre of thickness); elements at a :class:`adaptmg.PointForce`, whose energy is
         infinite, are left out. TypeError or ValueError without problem, mesh or materials, for a
         result of another mesh, other loads, or not finite."""
-        this = solved(hierarchy, result)
-        volume = volume_squares(this.stress, this.problem.loads, this.young)
-        free, touching = boundary_squares(this)
-        complementarity, friction = condition_squares(this)
-        jumps = jump_squares(this)
+        state = solved(hierarchy, result)
+        volume = volume_squares(state.stress, state.problem.loads, state.young)
+        free, touching = boundary_squares(state)
+        complementarity, friction = condition_squares(state)
+        jumps = jump_squares(state)
         parts = {
             "element residual": volume,
             "jumps inside": jumps,
@@ -361,52 +361,52 @@ class Residual:
             "complementarity": complementarity,
             "friction": friction,
         }
-        parts = {name: part * this.regular for name, part in parts.items() if part is not None}
+        parts = {name: part * state.regular for name, part in parts.items() if part is not None}
         return Estimate(
             squares=sum(parts.values()),
-            norm=this.norm,
+            norm=state.norm,
             indicator="residuals",
             terms={name: part.sum() for name, part in parts.items()},
         )
 
 
-def boundary_squares(this: Solved) -> tuple[np.ndarray, np.ndarray]:
+def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     """Return squares (n_elements,) on boundaries without and on those with contact, N m."""
-    mesh = this.mesh
-    stress = this.stress
-    near = this.neighbours
-    touching = contact_tractions(mesh, this.result, stress.axisymmetric)
+    mesh = state.mesh
+    stress = state.stress
+    near = state.neighbours
+    touching = contact_tractions(mesh, state.result, stress.axisymmetric)
     plain = np.zeros(len(mesh.elements))
     contact = np.zeros(len(mesh.elements))
-    supports = this.posed.directions
+    supports = state.posed.directions
     for k, name in enumerate(mesh.boundaries):
-        here = mesh.facet_labels == k
-        outside = near.outer[here]
+        on_boundary = mesh.facet_labels == k
+        outside = near.outer[on_boundary]
         if not outside.any():
             continue
         surface = mesh.surface(name)
-        elements = near.owner[here]
+        elements = near.owner[on_boundary]
         facets = surface.facets
         normals = surface.normals
         rule, at, weights = integration(mesh.points, facets, surface.measures, stress.axisymmetric)
         residual = -stress.tractions(elements, normals, facets, rule)
-        for load in this.problem.loads:
+        for load in state.problem.loads:
             if isinstance(load, Pressure | Traction) and load.boundary == name:
                 residual += load_density(load, at, normals)
         if name in touching:
             residual += np.einsum("qk,fkd->fqd", rule, touching[name].corners)
         # there a support bears any traction
-        for spring in this.problem.supports:
+        for spring in state.problem.supports:
             if isinstance(spring, Spring) and spring.boundary == name:
                 stiffness = foundation(spring, at, normals)
                 residual -= np.einsum(
-                    "fqij,qk,fkj->fqi", stiffness, rule, this.result.displacement[facets]
+                    "fqij,qk,fkj->fqi", stiffness, rule, state.result.displacement[facets]
                 )
         held = supports.get(name, np.empty((0, mesh.dim)))
         residual -= residual @ held.T @ held
         sizes = surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures)
         squares = (
-            sizes / this.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
+            sizes / state.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
         )
         into = contact if name in touching else plain
         into += np.bincount(elements, weights=np.where(outside, squares, 0.0), minlength=len(into))
@@ -417,34 +417,34 @@ def boundary_squares(this: Solved) -> tuple[np.ndarray, np.ndarray]:
 _STILL = 1e-12
 
 
-def condition_squares(this: Solved) -> tuple[np.ndarray, np.ndarray]:
+def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     """Return squares (n_elements,) from complementarity and from friction, N m. At the nodes the
     conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction at its
     limit against the slip where there is one. What a solver leaves of them is algebraic error;
     multiplied by a gap, or by a slip, far larger than the deformation it would exceed all that the
     mesh has left."""
-    mesh = this.mesh
-    contact = this.result.contact
-    near = this.neighbours
+    mesh = state.mesh
+    contact = state.result.contact
+    near = state.neighbours
     complementarity = np.zeros(len(mesh.elements))
     friction = np.zeros(len(mesh.elements))
     opens = contact.state == State.OPEN
     pressures = contact.pressure
     gaps = np.where(opens, np.maximum(contact.gap, 0.0), 0.0)
-    limits, tractions = _friction(this, opens)
+    limits, tractions = _friction(state, opens)
     slips = from_frames(contact.frames[:, 1:], contact.slip)
     for k, name in enumerate(contact.names):
         surface = mesh.surface(name)
-        mine = np.flatnonzero(contact.boundary == k)
+        rows = np.flatnonzero(contact.boundary == k)
         # a node without a condition of this boundary adds nothing: the last entries
-        index = np.full(mesh.n_nodes, len(mine))
-        index[contact.node[mine]] = np.arange(len(mine))
+        index = np.full(mesh.n_nodes, len(rows))
+        index[contact.node[rows]] = np.arange(len(rows))
         pressure, gap, limit, traction, slip = (
-            _padded(values[mine])[index[surface.facets]]
+            _padded(values[rows])[index[surface.facets]]
             for values in (pressures, gaps, limits, tractions, slips)
         )
         rule, _, weights = integration(
-            mesh.points, surface.facets, surface.measures, this.stress.axisymmetric
+            mesh.points, surface.facets, surface.measures, state.stress.axisymmetric
         )
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
@@ -460,15 +460,15 @@ def condition_squares(this: Solved) -> tuple[np.ndarray, np.ndarray]:
     return complementarity, friction
 
 
-def _friction(this: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _friction(state: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Limits (n,) of the friction and its tractions (n, dim), Cartesian, which obey the law for the
     slip, Pa."""
-    contact = this.result.contact
-    fixed, _ = this.discrete.law.bounds(len(contact))
+    contact = state.result.contact
+    fixed, _ = state.discrete.law.bounds(len(contact))
     limit = np.where(opens, fixed, contact.limit)
     length = np.linalg.norm(contact.slip, axis=1)
     moves = (contact.state != State.STICK) & (
-        length > _STILL * np.abs(this.result.displacement).max(initial=0.0)
+        length > _STILL * np.abs(state.result.displacement).max(initial=0.0)
     )
     along = np.where(moves[:, None], -contact.slip, contact.force_t)
     size = np.linalg.norm(along, axis=1)
@@ -481,14 +481,14 @@ def _padded(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 
-def jump_squares(this: Solved) -> np.ndarray:
+def jump_squares(state: Solved) -> np.ndarray:
     """Return squares (n_elements,), N m; half of each facet to each of its elements, with that
     element's modulus."""
     mesh, stress, (one, other), facets = (
-        this.mesh,
-        this.stress,
-        this.neighbours.pairs,
-        this.neighbours.facets,
+        state.mesh,
+        state.stress,
+        state.neighbours.pairs,
+        state.neighbours.facets,
     )
     surface = Surface(mesh.points, facets)
     if stress.axisymmetric:
@@ -511,7 +511,7 @@ def jump_squares(this: Solved) -> np.ndarray:
         squares = sum(jump * jump for jump in jumps) / surface.measures
     squares *= 0.5 * (surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures))
     n = len(mesh.elements)
-    return sum(np.bincount(elements, squares, n) for elements in (one, other)) / this.young
+    return sum(np.bincount(elements, squares, n) for elements in (one, other)) / state.young
 
 
 def volume_squares(
@@ -528,8 +528,8 @@ def volume_squares(
         _divergence(stress, rule) if stress.axisymmetric else np.zeros((*weights.shape, mesh.dim))
     )
     for load in forces:
-        here = slice(None) if load.body is None else body_elements(mesh, load.body)
-        residual[here] += load_density(load, at[here], None)
+        elements = slice(None) if load.body is None else body_elements(mesh, load.body)
+        residual[elements] += load_density(load, at[elements], None)
     return mesh.element_sizes**2 / young * np.einsum("eqd,eqd,eq->e", residual, residual, weights)
 
 
@@ -578,18 +578,18 @@ class Recovery:
         :class:`adaptmg.PointForce` are left out. TypeError and ValueError as of
         :meth:`adaptmg.Residual.indicate`.
         """
-        this = solved(hierarchy, result)
-        squares = this.regular * recovered_energy(
-            this.stress, *recovered(this.mesh, this.stress.values)
+        state = solved(hierarchy, result)
+        squares = state.regular * recovered_energy(
+            state.stress, *recovered(state.mesh, state.stress.values)
         )
         by_body = np.bincount(
-            this.mesh.element_body, weights=squares, minlength=len(this.mesh.bodies)
+            state.mesh.element_body, weights=squares, minlength=len(state.mesh.bodies)
         )
         return Estimate(
             squares=squares,
-            norm=this.norm,
+            norm=state.norm,
             indicator="recovered stress",
-            terms=dict(zip(this.mesh.bodies, by_body, strict=True)),
+            terms=dict(zip(state.mesh.bodies, by_body, strict=True)),
         )
 
 

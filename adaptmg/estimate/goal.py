@@ -167,21 +167,25 @@ class Goal:
         :meth:`adaptmg.Residual.indicate`, where a point, boundary or pair of a quantity does not exist, where elements
         are smoothed (estimates were -1 to 3 times the error), and where of several quantities one
         is zero; numpy.linalg.LinAlgError if the adjoint matrix is singular."""
-        this = solved(hierarchy, result)
-        need_linear(this.problem)
-        view = GoalView.of(this)
-        functionals = [one for item in self.quantities for one in checked_functionals(view, item)]
-        names = tuple(one.name for one in functionals)
+        state = solved(hierarchy, result)
+        need_linear(state.problem)
+        view = GoalView.of(state)
+        functionals = [
+            functional for item in self.quantities for functional in checked_functionals(view, item)
+        ]
+        names = tuple(functional.name for functional in functionals)
         if len(set(names)) < len(names):
             raise ValueError(f"quantity: one is given twice, {', '.join(names)}")
         sizes = _sizes(functionals)
         system = adjoint_system(view.contact)
-        vectors = [one.vector for one in functionals]
-        direct = len(hierarchy) == 1 or this.discrete.n_dofs <= DIRECT
+        vectors = [functional.vector for functional in functionals]
+        direct = len(hierarchy) == 1 or state.discrete.n_dofs <= DIRECT
         duals = system.direct(vectors) if direct else system.multigrid(hierarchy, vectors)
         fine, origin = view.halved()
-        finer = [one for item in self.quantities for one in checked_functionals(fine, item)]
-        error = HalvedError(view, fine, this.norm)
+        finer = [
+            functional for item in self.quantities for functional in checked_functionals(fine, item)
+        ]
+        error = HalvedError(view, fine, state.norm)
         algebraic = np.array(
             [_algebraic(view, *pair) for pair in zip(functionals, duals, strict=True)]
         )
@@ -191,17 +195,17 @@ class Goal:
         squares = [
             _on_elements(fine, origin, part / size) for part, size in zip(parts, sizes, strict=True)
         ]
-        values = np.array([one.value for one in functionals])
+        values = np.array([functional.value for functional in functionals])
         return GoalEstimate(
             squares=sum(squares, np.zeros(len(squares[0]))),
-            norm=this.norm,
+            norm=state.norm,
             terms={name: part.sum() for name, part in zip(names, squares, strict=True)},
             indicator=f"dual-weighted residuals for {names[0]}"
             + (f" and {len(names) - 1} more" if len(names) > 1 else ""),
             value=1.0 if len(functionals) > 1 else float(values[0]),
             signed=float(errors[worst] / sizes[worst]),
             names=names,
-            units=tuple(one.unit for one in functionals),
+            units=tuple(functional.unit for functional in functionals),
             values=values,
             errors=errors,
             algebraic=algebraic,

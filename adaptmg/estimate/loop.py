@@ -197,10 +197,10 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
     if before is None or before.signed is None:
         return False
     (values, errors), (old_values, old_errors) = (
-        (one.values, one.errors)
-        if isinstance(one, GoalEstimate)
-        else (np.array([one.value]), np.array([one.signed]))
-        for one in (estimate, before)
+        (quantities.values, quantities.errors)
+        if isinstance(quantities, GoalEstimate)
+        else (np.array([quantities.value]), np.array([quantities.signed]))
+        for quantities in (estimate, before)
     )
     change = (
         np.abs(values + errors - old_values - old_errors)
@@ -410,7 +410,7 @@ class AdaptiveLoop:
             else:
                 k, estimate, self.steering = _path_estimate(hierarchy, parts, path)
                 result = path[k]
-        work = result.work_units if path is None else sum(one.work_units for one in path)
+        work = result.work_units if path is None else sum(step.work_units for step in path)
         nonzeros = hierarchy.finest.matrix.nnz
         timings = self.clock.timings
         self.clock.timings = {}
@@ -464,10 +464,10 @@ class AdaptiveLoop:
 
     def _restored(self, number: int, step: Stored) -> Step:
         stored: StoredStep = step.more
-        own = with_refinement(need_mesh(step.value), stored.history)
+        finest = with_refinement(need_mesh(step.value), stored.history)
         last = self.done[-1] if self.done else None
         hierarchy = restored(
-            self.first if last is None else last.hierarchy, [*stored.levels[:-1], own]
+            self.first if last is None else last.hierarchy, [*stored.levels[:-1], finest]
         )
         # one mesh for both
         result = replace(step.value, mesh=hierarchy.finest.mesh)
@@ -509,9 +509,9 @@ def solved(
     """Return the solution on the finest level; ``rtol`` is that of the default method."""
     if solver is None or not _applies(solver, hierarchy):
         method = FullMultigrid if start is None else Multigrid
-        several = method(rtol=RTOL if rtol is None else rtol)
-        one = None if rtol is None else ActiveSet(rtol=rtol)
-        solver = one if len(hierarchy) == 1 else several
+        multilevel = method(rtol=RTOL if rtol is None else rtol)
+        single_level = None if rtol is None else ActiveSet(rtol=rtol)
+        solver = single_level if len(hierarchy) == 1 else multilevel
     return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
 
 
@@ -557,9 +557,9 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
         if level < 1:
             break
         finer = hierarchy[level + 1]
-        this = hierarchy[level]
+        middle = hierarchy[level]
         if (
-            finer.n_nodes < CLOSE * this.n_nodes
+            finer.n_nodes < CLOSE * middle.n_nodes
             and size_ratio(need_mesh(hierarchy[level - 1]), need_mesh(finer)) <= THINNED
         ):
             hierarchy = hierarchy.without(level)
@@ -623,8 +623,10 @@ def _path_estimate(
     # a quantity that is zero has no relative error: above 1 all steps count alike
     shares = np.max(
         [
-            min(one.relative, 1.0) ** 2 / (one.squares.sum() or 1.0) * one.squares
-            for one in estimates.values()
+            min(step_estimate.relative, 1.0) ** 2
+            / (step_estimate.squares.sum() or 1.0)
+            * step_estimate.squares
+            for step_estimate in estimates.values()
         ],
         axis=0,
     )

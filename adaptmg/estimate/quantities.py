@@ -152,16 +152,18 @@ def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
     functionals of this view."""
     made = quantity.functionals(view)
     name = f"quantity {checks.shown(quantity)}: "
-    if not isinstance(made, (list, tuple)) or not all(isinstance(one, Functional) for one in made):
+    if not isinstance(made, (list, tuple)) or not all(
+        isinstance(entry, Functional) for entry in made
+    ):
         raise TypeError(
             f"{name}functionals(view) must return a list of Functional, got {checks.described(made)}"
         )
     if not made:
         raise ValueError(f"{name}functionals(view) must return at least one Functional, got none")
-    for one in made:
-        checks.instance(f"{name}name", one.name, str, "text")
-        checks.number(f"{name}value", one.value)
-        checks.array(f"{name}vector", one.vector, (view.discrete.n_dofs,))
+    for functional in made:
+        checks.instance(f"{name}name", functional.name, str, "text")
+        checks.number(f"{name}value", functional.value)
+        checks.array(f"{name}vector", functional.vector, (view.discrete.n_dofs,))
     return list(made)
 
 
@@ -312,7 +314,7 @@ def _contact_mask(contact: ContactNodes, name: str) -> tuple[np.ndarray, float]:
     for names, sign in ((contact.names, 1.0), (pairs, 1.0), (contact.masters, -1.0)):
         if name in names:
             return np.isin(
-                contact.boundary, [k for k, one in enumerate(names) if one == name]
+                contact.boundary, [k for k, boundary in enumerate(names) if boundary == name]
             ), sign
     candidates = ("contact", *contact.names, *filter(None, contact.masters))
     raise ValueError(
@@ -369,9 +371,9 @@ class ContactForce:
         """The directions d (n_dofs,)."""
         contact = view.contact
         dim = view.mesh.dim
-        mine, sign = _contact_mask(view.touching, self.boundary)
-        local = np.zeros((len(mine), dim))
-        share = mine * view.touching.measures / view.touching.weights
+        on_boundary, sign = _contact_mask(view.touching, self.boundary)
+        local = np.zeros((len(on_boundary), dim))
+        share = on_boundary * view.touching.measures / view.touching.weights
         if self.direction not in ("normal", "tangential"):
             k = _axis("direction", self.direction, dim)
             local = sign * share[:, None] * contact.frames[:, :, k]
@@ -428,18 +430,21 @@ class Opening:
         contact = view.contact
         posed = view.touching
         mesh = view.mesh
-        mine, sign = _contact_mask(posed, self.boundary)
+        on_boundary, sign = _contact_mask(posed, self.boundary)
         if sign < 0:
             raise ValueError(
                 f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps"
             )
         if self.point is None:
-            weights = np.where(mine, posed.weights, 0.0)
+            weights = np.where(on_boundary, posed.weights, 0.0)
             name = f"mean opening of {self.boundary!r}"
-            weights /= np.sum(posed.measures[mine])
+            weights /= np.sum(posed.measures[on_boundary])
         else:
             facets = np.concatenate(
-                [mesh.boundary_facets(posed.names[k]) for k in np.unique(posed.boundary[mine])]
+                [
+                    mesh.boundary_facets(posed.names[k])
+                    for k in np.unique(posed.boundary[on_boundary])
+                ]
             )
             weights = self._at_point(view, facets)
             name = f"opening of {self.boundary!r} at {_place(self.point)}"
@@ -466,9 +471,9 @@ class Opening:
         nodal = np.zeros(mesh.n_nodes)
         nodes = view.touching.nodes
         nodal[facets[k]] = shape
-        lone = facets[k][(shape > 1e-9) & ~np.isin(facets[k], nodes)]
-        if view.coarse is None and len(lone):
+        without_contact = facets[k][(shape > 1e-9) & ~np.isin(facets[k], nodes)]
+        if view.coarse is None and len(without_contact):
             raise ValueError(
-                f"point {self.point}: its neighbour, node {lone[0]}, carries no contact condition"
+                f"point {self.point}: its neighbour, node {without_contact[0]}, carries no contact condition"
             )
         return nodal[nodes]

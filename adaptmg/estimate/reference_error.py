@@ -74,18 +74,18 @@ class Reference:
     def of(cls, hierarchy: Hierarchy, result: Result) -> Reference:
         """Return that of a result on the finest mesh of a hierarchy, solved far below the errors to
         be measured."""
-        this = solved(hierarchy, result)
-        if this.problem.elements == "smoothed":
+        state = solved(hierarchy, result)
+        if state.problem.elements == "smoothed":
             raise ValueError(
                 "a reference must have linear elements, whose energy is that of their strains: solve "
                 'dataclasses.replace(problem, elements="linear")'
             )
-        mesh = this.mesh
+        mesh = state.mesh
         points = {}
         on_body = {}
         constants = {}
-        forces = _exerted(this.discrete, result)
-        prescribed = _constants(this.posed)
+        forces = _exerted(state.discrete, result)
+        prescribed = _constants(state.posed)
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
         # just inside one of the elements at each node: the faces of a crack lie at one place
@@ -93,14 +93,14 @@ class Reference:
         inside[mesh.elements] = mesh.points[mesh.elements].mean(axis=1, keepdims=True)
         places = mesh.points + _INWARD * (inside - mesh.points)
         for k, body in enumerate(mesh.bodies):
-            here = acting & (owner == k)
+            of_body = acting & (owner == k)
             points[body], on_body[body], constants[body] = (
-                places[here],
-                forces[here],
-                prescribed[here],
+                places[of_body],
+                forces[of_body],
+                prescribed[of_body],
             )
         own_error = Recovery().indicate(hierarchy, result).total
-        return cls(this.problem, this.norm**2, own_error, points, on_body, constants)
+        return cls(state.problem, state.norm**2, own_error, points, on_body, constants)
 
     def against(self, result: Result) -> float:
         """Return a(u, u_h) of a result, N m."""
@@ -150,8 +150,10 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     reference.problem.check_boundaries(mesh.boundaries)
     u = result.displacement.reshape(-1)
     posed_by = reference.problem
-    own = float(u @ (supported_stiffness(mesh, posed_by.material, posed_by.supports) @ u))
-    squared = reference.energy - 2 * reference.against(result) + own + reference.own_error**2
+    result_energy = float(u @ (supported_stiffness(mesh, posed_by.material, posed_by.supports) @ u))
+    squared = (
+        reference.energy - 2 * reference.against(result) + result_energy + reference.own_error**2
+    )
     if -_RESOLVED * reference.energy <= squared < 0:
         squared = 0.0
     if not squared >= 0:
@@ -187,7 +189,7 @@ def _constants(posed: Posed) -> np.ndarray:
     on all meshes, m. NaN elsewhere: of a function of position a coarse mesh has its own
     interpolant."""
     result = np.full(posed.mesh.points.shape, np.nan)
-    for one in posed.holds:
-        if one.axis is not None and one.constant:
-            result[one.nodes, one.axis] = one.values
+    for hold in posed.holds:
+        if hold.axis is not None and hold.constant:
+            result[hold.nodes, hold.axis] = hold.values
     return result

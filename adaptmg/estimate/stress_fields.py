@@ -150,22 +150,22 @@ def neighbours(mesh: MeshArrays) -> Neighbours:
     n = mesh.n_nodes
     facets = element_facets(mesh.elements).reshape(-1, mesh.dim)
     keys = facet_keys(facets, n)
-    own = facet_keys(mesh.facets, n)
+    boundary_keys = facet_keys(mesh.facets, n)
     order = np.argsort(keys)
     keys = keys[order]
     same = np.flatnonzero(keys[1:] == keys[:-1])
     inside = np.stack([order[same], order[same + 1]])
-    alone = np.ones(len(order), dtype=bool)
-    alone[inside] = False
-    place = np.minimum(np.searchsorted(keys, own), len(keys) - 1)
-    lost = np.flatnonzero(keys[place] != own)
+    unpaired = np.ones(len(order), dtype=bool)
+    unpaired[inside] = False
+    place = np.minimum(np.searchsorted(keys, boundary_keys), len(keys) - 1)
+    lost = np.flatnonzero(keys[place] != boundary_keys)
     if len(lost):
         raise ValueError(
             f"mesh: boundary facet {lost[0]} of nodes {mesh.facets[lost[0]].tolist()} belongs to no "
             "element"
         )
     side = order[place]
-    return Neighbours(inside // k, facets.take(inside[0], axis=0), side // k, alone[side])
+    return Neighbours(inside // k, facets.take(inside[0], axis=0), side // k, unpaired[side])
 
 
 _OTHER_STEP = (
@@ -214,7 +214,7 @@ class Solved:
     @cached_property
     def young(self) -> np.ndarray:
         """Young's modulus of each element (n_elements,), Pa."""
-        of_bodies = np.array([one.young for one in self.posed.materials])
+        of_bodies = np.array([elastic.young for elastic in self.posed.materials])
         return of_bodies[self.mesh.element_body]
 
     @cached_property
@@ -264,8 +264,8 @@ class Solved:
         posed = inclined.posed(posed, inclined.along(unknowns))
         nodes = np.arange(self.mesh.n_nodes)
         load, expected, posed = (
-            inclined.free_part(nodes, one.reshape(-1, self.mesh.dim)).reshape(-1)
-            for one in (load, expected, posed)
+            inclined.free_part(nodes, nodal_forces.reshape(-1, self.mesh.dim)).reshape(-1)
+            for nodal_forces in (load, expected, posed)
         )
         rounding = _ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
@@ -273,10 +273,10 @@ class Solved:
             raise ValueError(
                 "result has other loads than those of hierarchy.problem: " + _OTHER_STEP
             )
-        own = self.result.contact
-        gaps = self.discrete.contact.gaps * own.weights / own.measures
-        left = own.gap + own.u_n - gaps
-        if np.abs(left).max(initial=0.0) > _LOADS_AGREE * np.abs([own.gap, own.u_n]).max(
+        contact = self.result.contact
+        gaps = self.discrete.contact.gaps * contact.weights / contact.measures
+        left = contact.gap + contact.u_n - gaps
+        if np.abs(left).max(initial=0.0) > _LOADS_AGREE * np.abs([contact.gap, contact.u_n]).max(
             initial=0.0
         ):
             raise ValueError(
@@ -295,12 +295,13 @@ def solved(hierarchy: Hierarchy, result: Result) -> Solved:
             "Hierarchy.uniform, graded or from_meshes"
         )
     mesh = posed.mesh
-    own = need_mesh(result)
-    if own is not mesh and not (
-        np.array_equal(own.elements, mesh.elements) and np.array_equal(own.points, mesh.points)
+    result_mesh = need_mesh(result)
+    if result_mesh is not mesh and not (
+        np.array_equal(result_mesh.elements, mesh.elements)
+        and np.array_equal(result_mesh.points, mesh.points)
     ):
         raise ValueError(
-            f"result is of another mesh ({own.n_nodes} nodes) than the finest of hierarchy "
+            f"result is of another mesh ({result_mesh.n_nodes} nodes) than the finest of hierarchy "
             f"({mesh.n_nodes} nodes): give the hierarchy it was solved on, or hierarchy.truncated(...)"
         )
     if not np.isfinite(result.displacement).all():
@@ -309,9 +310,9 @@ def solved(hierarchy: Hierarchy, result: Result) -> Solved:
             f"result.displacement must be finite, got {result.displacement[i]} at node {i}: the solver "
             f"ended with {result.status.name}"
         )
-    this = Solved(posed, hierarchy.finest.discrete, result)
-    this.check_loads()
-    return this
+    state = Solved(posed, hierarchy.finest.discrete, result)
+    state.check_loads()
+    return state
 
 
 #: cosine of the angle up to which one surface is the continuation of another
@@ -350,16 +351,18 @@ def contact_tractions(
     tied = cast("TieForces", ties)  # read for each name
     for k, name in enumerate(names):
         surface = mesh.surface(name)
-        own = tied.boundary == k
+        on_side = tied.boundary == k
         mass = surface.lumped(axisymmetric)[surface.nodes, None]
         values = np.zeros((len(surface.nodes), mesh.dim))
-        values[np.searchsorted(surface.nodes, tied.node[own])] = tied.force[own]
+        values[np.searchsorted(surface.nodes, tied.node[on_side])] = tied.force[on_side]
         values = np.divide(values, mass, out=np.zeros_like(values), where=mass > 0)
         # where several meet, and at slave nodes that are not tied, the traction is that of the
         # neighbours
-        lone = sides[surface.nodes] == 1
+        one_sided = sides[surface.nodes] == 1
         _fill(
-            surface, lone & (np.isin(surface.nodes, tied.node[own]) if k % 2 == 0 else True), values
+            surface,
+            one_sided & (np.isin(surface.nodes, tied.node[on_side]) if k % 2 == 0 else True),
+            values,
         )
         before = found[name].values if name in found else 0.0
         found[name] = SurfaceTraction(surface.facets, surface.nodes, before + values)
@@ -390,16 +393,16 @@ def _on_surface(
     filled = np.zeros(len(nodes), dtype=bool)
     for k, (slave, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
         if slave == name:
-            mine = contact.boundary == k
-            at = np.searchsorted(nodes, contact.node[mine])
-            force[at] += contact.force[mine]
+            rows = contact.boundary == k
+            at = np.searchsorted(nodes, contact.node[rows])
+            force[at] += contact.force[rows]
             filled[at] = True
             if not master:  # an obstacle: what ties hand on counts too
-                mass[at] = np.maximum(mass[at], contact.weights[mine])
+                mass[at] = np.maximum(mass[at], contact.weights[rows])
         if name in (slave, master):
-            mine = (contact.master_boundary == k) & (contact.master_is_slave == (slave == name))
-            at = np.searchsorted(nodes, contact.master_node[mine])
-            force[at] += contact.master_force[mine]
+            rows = (contact.master_boundary == k) & (contact.master_is_slave == (slave == name))
+            at = np.searchsorted(nodes, contact.master_node[rows])
+            force[at] += contact.master_force[rows]
             filled[at] = True
     values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
     if name in contact.names and not filled.all():

@@ -124,9 +124,9 @@ def _deck(mesh: MeshArrays, points: np.ndarray) -> bytes:
         ", ".join(["%d"] + ["%.17g"] * mesh.dim),
     )
     for k, body in enumerate(mesh.bodies):
-        mine = np.flatnonzero(mesh.element_body == k)
+        elements = np.flatnonzero(mesh.element_body == k)
         out.write(f"*ELEMENT, TYPE={kind}, ELSET={body}\n")
-        rows(np.column_stack([mine, mesh.elements[mine]]) + 1)
+        rows(np.column_stack([elements, mesh.elements[elements]]) + 1)
     keys = facet_keys(element_facets(mesh.elements).reshape(-1, mesh.dim), mesh.n_nodes)
     order = np.argsort(keys)
     at = order[np.searchsorted(keys[order], facet_keys(mesh.facets, mesh.n_nodes))]

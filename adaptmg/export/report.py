@@ -447,14 +447,16 @@ def study_report(
             raise ValueError(
                 f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}"
             )
-    own = table.attrs.get("columns", {"status": "status", "seconds": "seconds", "error": "error"})
+    column_names = table.attrs.get(
+        "columns", {"status": "status", "seconds": "seconds", "error": "error"}
+    )
     for name, text in (("summary", summary), ("csv", csv)):
         checks.instance(name, text, str, "a text")
     for name, given in (("units", units), ("made", made)):
         checks.mapping(name, {} if given is None else given, "names to texts")
-    units = {own["seconds"]: "s"} | dict(units or {})
-    status = own["status"]
-    error = own["error"]
+    units = {column_names["seconds"]: "s"} | dict(units or {})
+    status = column_names["status"]
+    error = column_names["error"]
     done = table[table[status] == "done"] if status in table else table
     varied = [
         name
@@ -536,9 +538,9 @@ def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None
     shared = [name for name in varied if counts[name] < len(table)]
     numeric = [name for name in shared or varied if numbers(table[name]) is not None]
     along = max(numeric or shared or varied, key=counts.__getitem__)
-    others = [name for name in varied if name != along and counts[name] <= _LINES]
+    candidates = [name for name in varied if name != along and counts[name] <= _LINES]
     return Axis(
-        along, max(others, key=counts.__getitem__, default=""), bool(shared) or len(varied) == 1
+        along, max(candidates, key=counts.__getitem__, default=""), bool(shared) or len(varied) == 1
     )
 
 

@@ -94,7 +94,7 @@ def mesh_of(
             name: _completed(points, elements[parts == k], facets, label, [unnamed, *named], [name])
             for k, name in enumerate(names)
         }
-        mesh = merged({name: one for name, (one, _) in made.items()})
+        mesh = merged({name: body_mesh for name, (body_mesh, _) in made.items()})
         rest = [rest for _, rest in made.values()]
     else:
         mesh, *rest = _completed(points, elements, facets, label, [unnamed, *named], names, parts)
@@ -148,7 +148,7 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
             "it holds plane elements only, but they are not in a plane z = constant: z runs from "
             f"{used[:, 2].min():.6g} to {used[:, 2].max():.6g}; a body in space needs solid elements"
         )
-    notes = [cut_note(kind, np.concatenate(own)) for kind, own in counts.items()]
+    notes = [cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items()]
     return points[:, :dim], elements, block, cell, list(filter(None, notes))
 
 
@@ -163,10 +163,10 @@ def _pieces(
     n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequence[str] | None
 ) -> np.ndarray:
     """The number of the piece of each element, in the order of their first elements."""
-    own = np.zeros(n, dtype=np.int64)
+    label = np.zeros(n, dtype=np.int64)
     for k, name in enumerate(name for name in sets if bodies is None or name in bodies):
-        own[sets[name]] = k + 1
-    part = components(table, own)
+        label[sets[name]] = k + 1
+    part = components(table, label)
     first = np.unique(part, return_index=True)[1]
     return np.argsort(np.argsort(first))[part]
 
@@ -231,18 +231,18 @@ def _labelled(
             if dimension(kind) == dim - 1 and len(rows)
         ]
         if faces:
-            own = np.concatenate([simplices(kind, nodes)[0] for kind, nodes in faces])
-            own_keys = facet_keys(own, n)
+            set_facets = np.concatenate([simplices(kind, nodes)[0] for kind, nodes in faces])
+            own_keys = facet_keys(set_facets, n)
             facets_of[name] = np.flatnonzero(np.isin(keys, own_keys))
             lost = np.count_nonzero(~np.isin(own_keys, table.keys))
             if lost:
                 strange.append(
-                    f"{name!r}: {lost} of {len(own)} facets are facets of no element, and are dropped"
+                    f"{name!r}: {lost} of {len(set_facets)} facets are facets of no element, and are dropped"
                 )
             inner = np.count_nonzero(~np.isin(own_keys, keys)) - lost
             if inner:
                 notes.append(
-                    f"{name!r}: {inner} of {len(own)} facets lie inside and are dropped; "
+                    f"{name!r}: {inner} of {len(set_facets)} facets lie inside and are dropped; "
                     "split_bodies=True makes boundaries of those between bodies"
                 )
     first = contents.surfaces.union(facets_of)

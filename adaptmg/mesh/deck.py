@@ -284,7 +284,7 @@ class _Deck:
         """The elements of each set; of Gmsh's entities only those that have elements in no physical
         group."""
         groups = {name: np.concatenate(parts) for name, parts in self.sets["ELSET"].items()}
-        entities = {own for *_, own in self.elements if own} if self.of_gmsh else set()
+        entities = {entity for *_, entity in self.elements if entity} if self.of_gmsh else set()
         physical = [members for name, members in groups.items() if name not in entities]
         return {
             name: members
@@ -331,7 +331,7 @@ class _Deck:
         )
         groups = self._groups()
         if self.sections or not self.of_gmsh:
-            bodies = self.sections or [own for *_, own in self.elements]
+            bodies = self.sections or [section for *_, section in self.elements]
             contents.bodies = [self._spelt(name) for name in bodies]
         for name, members in groups.items():
             contents.sets[self._spelt(name)] = [
@@ -344,7 +344,7 @@ class _Deck:
             )
         solid = [block for block in blocks if dimension(block[0]) == dim]
         for name, members in self.surfaces.items():
-            faces = [face for own, facet in members for face in _faces(solid, own, facet)]
+            faces = [face for selected, facet in members for face in _faces(solid, selected, facet)]
             rows = contents.sets.setdefault(self._spelt(name), [])
             rows += [
                 (len(contents.cells) + k, np.arange(len(nodes)))
@@ -408,7 +408,7 @@ def _faces(
                 f"a surface names the face S{facet} of {KINDS[kind][1]}-node elements, which have "
                 f"{len(facets)}"
             )
-        for one, local in (
+        for facet_kind, local in (
             (facets if facet == 0 else facets[facet - 1 : facet]) if len(rows) else ()
         ):
-            yield one, rows[:, local]
+            yield facet_kind, rows[:, local]

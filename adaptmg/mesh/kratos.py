@@ -55,9 +55,9 @@ def read_mdpa(path: Path) -> Contents:
         elif part and what == "Nodes":
             contents.node_sets[part] = rows_of(np.concatenate(rows).astype(np.int64), numbers)
         elif part and what in ("Elements", "Conditions", "Geometries"):
-            own = np.concatenate(rows).astype(np.int64)
+            numbers_of_part = np.concatenate(rows).astype(np.int64)
             contents.sets.setdefault(part, []).extend(
-                (k, np.flatnonzero(np.isin(known, own)))
+                (k, np.flatnonzero(np.isin(known, numbers_of_part)))
                 for k, (counted, known) in enumerate(cells)
                 if counted == what
             )

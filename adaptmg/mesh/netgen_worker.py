@@ -162,9 +162,9 @@ def _cut(table: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarra
         rows = np.flatnonzero(table["type"] == number)
         nodes = table["nodes"][rows, : KINDS[kind][1]].astype(np.int64) - 1
         simple = kind in ("triangle", "tetra")
-        found, own = (nodes, np.arange(len(rows))) if simple else simplices(kind, nodes, points)
+        found, cell_of = (nodes, np.arange(len(rows))) if simple else simplices(kind, nodes, points)
         cells.append(found)
-        owner.append(rows[own])
+        owner.append(rows[cell_of])
     return np.concatenate(cells), table["index"][np.concatenate(owner)].astype(np.int64) - 1
 
 
@@ -333,8 +333,8 @@ def _name_products(
         _name_products(child, same[0][1] if same else "", names, uses, products)
     if not node.is_assembly and node.shape is not None and len(node.shape.solids) == 1:
         # OCC calls an instance without a name after the place of its shape: =>[0:1:1:3]
-        own = "" if node.name.startswith("=>[") else node.name
-        products[node.shape.solids[0]] = names.get(part) or own
+        product = "" if node.name.startswith("=>[") else node.name
+        products[node.shape.solids[0]] = names.get(part) or product
 
 
 def _parts_of(text: str) -> tuple[dict[str, str], dict[str, list[tuple[str, str]]]]:
@@ -360,7 +360,7 @@ def _parts_of(text: str) -> tuple[dict[str, str], dict[str, list[tuple[str, str]
         rf"NEXT_ASSEMBLY_USAGE_OCCURRENCE{described}(?:{string}|\$)\s*,\s*#(\d+)\s*,\s*#(\d+)"
     )
     used = {row[-1] for row in instances}
-    uses = {"": [(own, number) for number, own in names.items() if number not in used]}
+    uses = {"": [(product, number) for number, product in names.items() if number not in used]}
     for _, number, instance, _, whole, part in instances:
         uses.setdefault(whole, []).append((instance or number, part))
     return names, uses
@@ -639,7 +639,7 @@ def read_meshio(path: str) -> MeshioTables:
         # of MED: the names of groups by numbers of families
         sets = _groups(raw.cell_tags, raw.cell_data.get("cell_tags", []))
         nodes = _groups(raw.point_tags, [raw.point_data.get("point_tags", np.empty(0))])
-        node_sets = {name: np.concatenate([r for _, r in own]) for name, own in nodes.items()}
+        node_sets = {name: np.concatenate([r for _, r in blocks]) for name, blocks in nodes.items()}
     if of_gmsh or not sets:
         # groups whose numbers are negative, of curves that run the other way, are not in the sets
         numbered = _numbered(raw)
@@ -661,8 +661,8 @@ def _groups(
 ) -> dict[str, list[tuple[int, np.ndarray]]]:
     """Blocks and rows of each group, from the groups of a family and the families of rows."""
     groups: dict[str, list[tuple[int, np.ndarray]]] = {}
-    for family, own in names.items():
-        for name in own:
+    for family, names_of_family in names.items():
+        for name in names_of_family:
             rows = [(k, np.flatnonzero(part == family)) for k, part in enumerate(numbers)]
             groups.setdefault(name, []).extend(rows)
     return groups

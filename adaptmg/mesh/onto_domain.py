@@ -62,10 +62,12 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
         raise ValueError(
             "mesh has no history: onto_domain moves the nodes that adaptmg.mesh.bisect made"
         )
-    known = {name: own for name, own in surfaces_of(domain).items() if name in mesh.boundaries}
-    if all(surface.plane for own in known.values() for surface in own):
+    known = {
+        name: patches for name, patches in surfaces_of(domain).items() if name in mesh.boundaries
+    }
+    if all(surface.plane for patches in known.values() for surface in patches):
         return mesh
-    sides = [(own, *_new_nodes(mesh, name, n_old)) for name, own in known.items()]
+    sides = [(patches, *_new_nodes(mesh, name, n_old)) for name, patches in known.items()]
     parents = mesh.refinement.parents
     depth = _depth(parents, n_old)
     stays = np.zeros(mesh.n_nodes, dtype=bool)
@@ -122,20 +124,20 @@ def _moved(
     """The points, each new node after its parents: on the surfaces of the one or two boundaries that
     it lies on."""
     points = mesh.points.copy()
-    surfaces = [one for own, *_ in sides for one in own]
+    surfaces = [patch for surfaces_of_side, *_ in sides for patch in surfaces_of_side]
     near = _ROUNDING * float(np.ptp(points, axis=0).max())
     for level in range(1, int(depth.max()) + 1):
         these = np.flatnonzero(depth[n_old:] == level) + n_old
         points[these] = 0.5 * (points[parents[these, 0]] + points[parents[these, 1]])
         labels = np.full((len(points), 2), -1)
         first = 0
-        for own, nodes, normals in sides:
-            mine = (depth[nodes] == level) & ~stays[nodes]
-            number = nearest(own, points[parents[nodes[mine]]], normals[mine], CHORDAL)
-            found = nodes[mine][number >= 0]
+        for patches, nodes, normals in sides:
+            to_move = (depth[nodes] == level) & ~stays[nodes]
+            number = nearest(patches, points[parents[nodes[to_move]]], normals[to_move], CHORDAL)
+            found = nodes[to_move][number >= 0]
             labels[found, 1] = first + number[number >= 0]
             labels[found, 0] = np.where(labels[found, 0] < 0, labels[found, 1], labels[found, 0])
-            first += len(own)
+            first += len(patches)
         moving = np.flatnonzero(labels[:, 0] >= 0)
         places, missed = settled(surfaces, in_space(points[moving]), labels[moving], near)
         places[missed] = in_space(points[moving[missed]])

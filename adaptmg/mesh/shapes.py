@@ -261,8 +261,8 @@ def simplices(
 def around_centres(kind: str, nodes: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
     """Return tetrahedra between facets of cells and new nodes ``first``, ... at their centres, and
     the cell of each."""
-    parts = [simplices(one, nodes[:, local]) for one, local in facets_of(kind)]
-    owner = np.concatenate([own for _, own in parts])
+    parts = [simplices(facet_kind, nodes[:, local]) for facet_kind, local in facets_of(kind)]
+    owner = np.concatenate([cell_of for _, cell_of in parts])
     return np.column_stack([np.concatenate([found for found, _ in parts]), first + owner]), owner
 
 
@@ -293,18 +293,18 @@ def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> t
     cells = []
     rows = []
     for top in np.unique(apex):
-        mine = np.flatnonzero(apex == top)
+        cells_of_apex = np.flatnonzero(apex == top)
         for facet in facets:
             if top in facet:
                 continue
-            base = part[mine][:, facet]
+            base = part[cells_of_apex][:, facet]
             triangles = [base]
             if len(facet) == 4:
                 turned = _first(base, base.argmin(axis=1))
                 triangles = [turned[:, :3], turned[:, [0, 2, 3]]]
             for triangle in triangles:
-                cells.append(np.column_stack([triangle, part[mine, top]]))
-                rows.append(mine)
+                cells.append(np.column_stack([triangle, part[cells_of_apex, top]]))
+                rows.append(cells_of_apex)
     return cells, rows
 
 

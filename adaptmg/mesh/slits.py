@@ -73,11 +73,11 @@ def opened(
     result[near] = new
     touched = np.flatnonzero(at_slit[facets].any(axis=1))
     row = table.find(keys[touched])
-    own = np.where(
+    sides_elements = np.where(
         same_orientation(facets[touched], table.facets[row]), table.first[row], table.second[row]
     )
     sides[touched] = np.stack(
-        [new.ravel()[corners(own, nodes)] for nodes in facets[touched].T], axis=1
+        [new.ravel()[corners(sides_elements, nodes)] for nodes in facets[touched].T], axis=1
     )
     origin = np.concatenate([np.arange(n_nodes), origin[again]])
     closed, counts = np.unique(facet_keys(sides, len(origin)), return_counts=True)
@@ -137,13 +137,13 @@ def _cut_middles(
     table = facet_table(elements, len(points))
     row = table.find(facet_keys(faces[closed], len(points)))
     cells = np.stack([table.first[row], table.second[row]], axis=1)
-    alone = (
+    cuttable = (
         np.isin(np.arange(cells.size), np.unique(cells, return_index=True)[1])
         .reshape(cells.shape)
         .all(axis=1)
     )
-    closed = closed[alone]
-    cells = cells[alone]
+    closed = closed[cuttable]
+    cells = cells[cuttable]
     corners = faces[closed]
     middle = len(points) + np.arange(len(closed))[:, None]
     parts = [

@@ -289,10 +289,10 @@ def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of
     itself: nodes, and a point of each facet off its centroid, as in regular meshes both may lie in
     planes that no element crosses."""
-    own = np.zeros(mesh.n_nodes, dtype=bool)
-    own[mesh.elements[mesh.element_body == body]] = True
+    of_body = np.zeros(mesh.n_nodes, dtype=bool)
+    of_body[mesh.elements[mesh.element_body == body]] = True
     elements = mesh.elements[mesh.element_body == other]
-    facets = mesh.facets[own[mesh.facets].all(axis=1)]
+    facets = mesh.facets[of_body[mesh.facets].all(axis=1)]
     if len(facets) == 0:
         return np.empty((0, mesh.dim))
     shares = np.arange(mesh.dim, 2.0 * mesh.dim)

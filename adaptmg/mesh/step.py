@@ -65,11 +65,18 @@ def step_solids(domain: StepFile) -> dict[str, StepSolid]:
             "written"
         )
     named = [
-        _plain((product if not product.startswith(_NO_PRODUCT) else "") or own or f"solid{i + 1}")
-        for i, (product, own, _) in enumerate(solids)
+        _plain(
+            (product if not product.startswith(_NO_PRODUCT) else "")
+            or solid_name
+            or f"solid{i + 1}"
+        )
+        for i, (product, solid_name, _) in enumerate(solids)
     ]
-    faces = [[_plain(name or f"face{j + 1}") for j, name in enumerate(own)] for *_, own in solids]
-    for name in (*named, *(name for own in faces for name in own)):
+    faces = [
+        [_plain(name or f"face{j + 1}") for j, name in enumerate(face_names)]
+        for *_, face_names in solids
+    ]
+    for name in (*named, *(name for face_names in faces for name in face_names)):
         checks.boundary_name(f"a name in {str(path)!r}", name)
     contents = _renamed(domain, _distinct(named), faces)
     entries = domain.solids
@@ -129,7 +136,7 @@ def _renamed(
                 return domain.names[key]
         return name
 
-    for i, (body, own) in enumerate(zip(bodies, faces, strict=True)):
+    for i, (body, face_names) in enumerate(zip(bodies, faces, strict=True)):
         solid = (body, f"solid{i + 1}")
         name = new(list(solid), body)
         if name in result:
@@ -138,12 +145,12 @@ def _renamed(
             )
         result[name] = tuple(
             new([f"{s}.{f}" for s in solid for f in (face, f"face{j + 1}")], face)
-            for j, face in enumerate(own)
+            for j, face in enumerate(face_names)
         )
     if unused:
         listed = "; ".join(
-            f"{body}: {', '.join(dict.fromkeys(own))}"
-            for body, own in zip(bodies, faces, strict=True)
+            f"{body}: {', '.join(dict.fromkeys(face_names))}"
+            for body, face_names in zip(bodies, faces, strict=True)
         )
         raise ValueError(
             f"names: {', '.join(map(repr, sorted(unused)))} is neither a solid nor a 'solid.face' of "
@@ -290,14 +297,16 @@ def touching(
         corners = np.array([face.box for faces in faces_of.values() for face in faces])
         reach = tolerance or _TOLERANCE * float(np.ptp(corners, axis=(0, 1)).max())
         pairs: dict[tuple[str, str], ContactPair] = {}
-        for one, other in combinations(solids, 2):
-            for a, b in product(faces_of[one], faces_of[other]):
+        for solid, other in combinations(solids, 2):
+            for a, b in product(faces_of[solid], faces_of[other]):
                 # chords of round faces stay behind them
                 slack = reach + 0.05 * min(np.ptp(a.box, axis=0).max(), np.ptp(b.box, axis=0).max())
                 if (a.box[0] > b.box[1] + slack).any() or (b.box[0] > a.box[1] + slack).any():
                     continue
-                if _on(worker, a, b, solids[other], reach) or _on(worker, b, a, solids[one], reach):
-                    names = [f"{one}.{a.name}", f"{other}.{b.name}"]
+                if _on(worker, a, b, solids[other], reach) or _on(
+                    worker, b, a, solids[solid], reach
+                ):
+                    names = [f"{solid}.{a.name}", f"{other}.{b.name}"]
                     slave, master = names if a.area <= b.area else names[::-1]
                     pairs.setdefault((slave, master), ContactPair(slave, master))
     return tuple(pairs.values())
@@ -376,9 +385,11 @@ def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: floa
     if not len(close):
         return False
     nearest = cKDTree(other.triangles.mean(axis=1)).query(face.triangles[close].mean(axis=1))[1]
-    own = face.normals[close]
+    face_normals = face.normals[close]
     its = other.normals[nearest]
-    cosine = (own * its).sum(axis=1) / (np.linalg.norm(own, axis=1) * np.linalg.norm(its, axis=1))
+    cosine = (face_normals * its).sum(axis=1) / (
+        np.linalg.norm(face_normals, axis=1) * np.linalg.norm(its, axis=1)
+    )
     return bool((cosine < _OPPOSITE).any())
 
 
@@ -412,7 +423,7 @@ def _read_surfaces(
         for body, solid in solids.items():
             shape = built_shape(worker, solid)
             for face, samples in zip(shape.names, shape.samples, strict=True):
-                own = (candidates([samples]) or [[]])[0]
-                moved = [surface.moved(np.eye(3), shape.lower, shape.scale) for surface in own]
+                surfaces = (candidates([samples]) or [[]])[0]
+                moved = [surface.moved(np.eye(3), shape.lower, shape.scale) for surface in surfaces]
                 faces.setdefault(f"{body}.{face}", []).append(moved)
-    return {name: list(chain(*own)) for name, own in faces.items() if all(own)}
+    return {name: list(chain(*patches)) for name, patches in faces.items() if all(patches)}

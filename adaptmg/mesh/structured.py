@@ -215,11 +215,13 @@ def _boundary(
         axis, end = BOX_SIDES[name]
         axis = min(axis, dim - 1)
         cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
-        here = _moved(
+        side_facets = _moved(
             every[(every // strides[axis] % (counts[axis] + 1) == end).all(axis=1)], cells
         )
-        facets.append(here[np.lexsort(np.sort(here, axis=1).T[::-1])])
-    return np.concatenate(facets), np.repeat(np.arange(len(facets)), [len(here) for here in facets])
+        facets.append(side_facets[np.lexsort(np.sort(side_facets, axis=1).T[::-1])])
+    return np.concatenate(facets), np.repeat(
+        np.arange(len(facets)), [len(side_facets) for side_facets in facets]
+    )
 
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:

@@ -148,20 +148,20 @@ class Curved(Surface):
     def corner_vectors(self, k: int) -> np.ndarray:
         """Return area vectors (n, dim) along the normals of the exact surface at corners k."""
         result = self.vectors.copy()
-        for surface, own in self._by_surface(np.arange(len(result))):
-            places = in_space(self.points[self.facets[own, k]])
+        for surface, rows in self._by_surface(np.arange(len(result))):
+            places = in_space(self.points[self.facets[rows, k]])
             normals = surface.gaps(places)[1][:, : result.shape[1]]
-            outward = np.sign(np.einsum("nd,nd->n", normals, result[own]))
-            result[own] = (outward * self.measures[own])[:, None] * normals
+            outward = np.sign(np.einsum("nd,nd->n", normals, result[rows]))
+            result[rows] = (outward * self.measures[rows])[:, None] * normals
         return result
 
     def rises(self, facets: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return how far (n, n_points) the exact surface is from points (n, n_points, dim) of some
         facets (n,), along unit vectors."""
         result = super().rises(facets, points, directions)
-        for surface, own in self._by_surface(facets):
-            places, along = (in_space(x[own]).reshape(-1, 3) for x in (points, directions))
-            result[own] = surface.along(places, along).reshape(-1, points.shape[1])
+        for surface, rows in self._by_surface(facets):
+            places, along = (in_space(x[rows]).reshape(-1, 3) for x in (points, directions))
+            result[rows] = surface.along(places, along).reshape(-1, points.shape[1])
         return result
 
 
@@ -209,10 +209,10 @@ def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     if not (np.isfinite(points).all() and np.isfinite(normals).all()):
         return None
     centre = points.mean(axis=0)
-    own = points - centre
+    centred = points - centre
     for kind in (_plane, _sphere, _cylinder, _turned):
-        surface = kind(own, normals)
-        if surface is not None and np.abs(surface.gaps(own)[0]).max() <= _EXACT:
+        surface = kind(centred, normals)
+        if surface is not None and np.abs(surface.gaps(centred)[0]).max() <= _EXACT:
             return replace(surface, origin=surface.origin + centre)
     return None
 

@@ -179,8 +179,12 @@ class LinearCycle:
         self.coarse_smoother = coarse_smoother
         self.cycle = correct if isinstance(correct, Cycle) else None
         self.correction = None if isinstance(correct, Cycle) else correct
-        for matrix, prolongation, own in zip(matrices, [None, *prolongations], sweeps, strict=True):
-            pre, post = (own, own) if self.cycle is None else (self.cycle.pre, self.cycle.post)
+        for matrix, prolongation, n_sweeps in zip(
+            matrices, [None, *prolongations], sweeps, strict=True
+        ):
+            pre, post = (
+                (n_sweeps, n_sweeps) if self.cycle is None else (self.cycle.pre, self.cycle.post)
+            )
             below = self.levels[-1] if self.levels else None
             self.levels.append(LinearLevel(matrix, below, prolongation, pre, post))
         self.factors = CoarseFactors(matrices[0], coarse_solve)

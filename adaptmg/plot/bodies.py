@@ -316,8 +316,8 @@ def state_marks(mesh: MeshArrays, contact: ContactResult) -> Marks:
     codes = np.full(mesh.facets.shape, -1)
     for k, name in enumerate(contact.names):
         state = np.full(mesh.n_nodes, -1)
-        mine = contact.boundary == k
-        state[contact.node[mine]] = contact.state[mine]
+        rows = contact.boundary == k
+        state[contact.node[rows]] = contact.state[rows]
         facets = mesh.facet_labels == mesh.boundaries.index(name)
         codes[facets] = state[mesh.facets[facets]]
     codes[codes.min(axis=1) < 0] = -1
@@ -343,10 +343,10 @@ def draw_bodies(
     now = mesh.points if moved is None else moved
     behind = table.first[table.find(facet_keys(mesh.facets, mesh.n_nodes))]
     shown = np.isin(mesh.element_body, [mesh.bodies.index(name) for name in names or mesh.bodies])
-    mine = shown[behind]
-    facets = mesh.facets[mine]
-    behind = behind[mine]
-    codes = np.full(facets.shape, -1) if marks is None else marks.codes[mine]
+    visible = shown[behind]
+    facets = mesh.facets[visible]
+    behind = behind[visible]
+    codes = np.full(facets.shape, -1) if marks is None else marks.codes[visible]
     marked = codes[:, 0] >= 0
     inks = to_rgba_array([] if marks is None else marks.colors)
     corners = np.concatenate([mesh.points[facets], now[facets]]).reshape(-1, mesh.dim)

@@ -327,7 +327,7 @@ def _name_faces(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: lis
         view_of(ax, np.concatenate([np.empty((0, 3, 3)), *seen]))
     elif not isinstance(posed.domain, StepFile):
         return
-    for name in (one for one in mesh.boundaries if len(corners[one])):
+    for name in (boundary for boundary in mesh.boundaries if len(corners[boundary])):
         if mesh.surface(name).normals.mean(axis=0) @ viewer(ax.elev, ax.azim) > 0.1:
             ax.text(
                 *corners[name].mean(axis=(0, 1)),

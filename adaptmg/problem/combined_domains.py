@@ -236,9 +236,9 @@ def _pieces(
         return len(points) - 1
 
     result = []
-    for i, (edge, here) in enumerate(zip(outline.edges, cuts, strict=True)):
+    for i, (edge, cut_points) in enumerate(zip(outline.edges, cuts, strict=True)):
         ends = [np.array(outline.vertices[k]) for k in (i, outline.following[i])]
-        inner = sorted(here, key=edge.along)
+        inner = sorted(cut_points, key=edge.along)
         numbers = list(dict.fromkeys(map(number, (ends[0], *inner))))
         last = number(ends[1])
         numbers = [k for k in numbers if k != last] + [last]

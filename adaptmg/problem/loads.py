@@ -67,7 +67,7 @@ def times(value: Any, factor: float) -> Any:
     if value is None or factor == 1.0:
         return value
     if isinstance(value, tuple):
-        return tuple(times(one, factor) for one in value)
+        return tuple(times(component, factor) for component in value)
     function = cast("FieldLike", value)
     return Product(function, factor) if callable(value) else factor * value
 

@@ -499,10 +499,10 @@ class SparseSteps:
         added = np.zeros((system.n_nodes, system.dim, system.dim))
         added[system.nodes] = blocks * free[:, :, None] * free[:, None, :]
         row = np.repeat(np.arange(system.n_nodes), np.diff(matrix.indptr))
-        own = row == matrix.indices
+        diagonal = row == matrix.indices
         symmetric = matrix.copy()
-        matrix.data[own] += added[row[own]]
-        symmetric.data[own] += 0.5 * (added + added.swapaxes(1, 2))[row[own]]
+        matrix.data[diagonal] += added[row[diagonal]]
+        symmetric.data[diagonal] += 0.5 * (added + added.swapaxes(1, 2))[row[diagonal]]
         direct = isinstance(self.linear, Direct)
         try:
             with self.run.phase("factorise" if direct else "setup"):

@@ -54,13 +54,13 @@ _SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
 
 
 @contextmanager
-def once(said: set[str] | None = None) -> Iterator[None]:
-    """Give each kind of warning once in this block; ``said`` collects the kinds, an outer block has
+def once(kinds: set[str] | None = None) -> Iterator[None]:
+    """Give each kind of warning once in this block; ``kinds`` collects the kinds, an outer block has
     precedence."""
     if _SAID.get() is not None:
         yield
         return
-    token = _SAID.set(set() if said is None else said)
+    token = _SAID.set(set() if kinds is None else kinds)
     try:
         yield
     finally:
@@ -69,11 +69,11 @@ def once(said: set[str] | None = None) -> Iterator[None]:
 
 def advise(kind: str, text: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the line that called the package, inside :func:`once` once of a kind."""
-    said = _SAID.get()
-    if said is not None:
-        if kind in said:
+    kinds = _SAID.get()
+    if kinds is not None:
+        if kind in kinds:
             return
-        said.add(kind)
+        kinds.add(kind)
     warn_user(text, category)
 
 
@@ -98,21 +98,21 @@ def advise_on_problem(posed: Posed | None) -> None:
                 f"{pair.master!r} for the slave, or ends in the active set method: exchange them, or give the pair "
                 'sides="auto"',
             )
-    for name, one in zip(mesh.bodies, materials, strict=True):
+    for name, elastic in zip(mesh.bodies, materials, strict=True):
         if (
             problem.elements == "linear"
-            and one.poisson > LOCKING
-            and not isinstance(one, PlaneStress)
+            and elastic.poisson > LOCKING
+            and not isinstance(elastic, PlaneStress)
         ):
             advise(
                 "poisson",
-                f"material of body {name!r}: poisson is {one.poisson:g}: give the problem "
+                f"material of body {name!r}: poisson is {elastic.poisson:g}: give the problem "
                 f'elements="smoothed", since above {LOCKING:g} linear ones lock: they are too stiff, stresses '
                 "oscillate, and with friction solvers may not converge. A rubber roller on 3500 nodes has "
                 f"{_LOCKED}",
             )
     span = max(float(np.ptp(x)) for x in mesh.points.T)
-    young = max(one.young for one in materials)
+    young = max(elastic.young for elastic in materials)
     if span > SPAN and (young >= METAL or IN_MPA[0] <= young <= IN_MPA[1]):
         advise(
             "units",
@@ -130,10 +130,10 @@ def advise_on_chords(
     peaks = np.max([result.contact.pressure for result in results], axis=0, initial=0.0)
     contact = discrete.contact
     for k, pair in enumerate(posed.problem.contact):
-        own = (contact.boundary == k) & (peaks > 0)
-        if not isinstance(pair, ContactPair) or pair.gap is not None or not own.any():
+        pressed = (contact.boundary == k) & (peaks > 0)
+        if not isinstance(pair, ContactPair) or pair.gap is not None or not pressed.any():
             continue
-        nodes = contact.nodes[own]
+        nodes = contact.nodes[pressed]
         facing = discrete.coupling.weights[nodes]
         touching = np.zeros(discrete.n_nodes, dtype=bool)
         touching[nodes] = touching[facing.indices] = True
@@ -147,9 +147,9 @@ def advise_on_chords(
         highest = int(np.argmax(heights * round_ones))
         height = heights[highest]
         length = lengths[highest]
-        gap = np.average(np.abs(contact.gaps[own]), weights=contact.weights[own])
+        gap = np.average(np.abs(contact.gaps[pressed]), weights=contact.weights[pressed])
         series = 1 / (1 / posed.young(pair.slave) + 1 / posed.young(pair.master))
-        excess = PRESSED * series * height / length / max(EXCESS * peaks[own].max(), 1e-300)
+        excess = PRESSED * series * height / length / max(EXCESS * peaks[pressed].max(), 1e-300)
         if height > CHORDS * gap or excess > 1:
             size = length * min(np.sqrt(CHORDS * gap / height), 1 / excess)
             advise(
@@ -213,7 +213,9 @@ def _advise_on_strains(posed: Posed, result: Result) -> None:
     energy = (
         STRAIN**2
         * SHARE
-        * min(one.least_stiffness * body for one, body in zip(materials, bodies, strict=True))
+        * min(
+            elastic.least_stiffness * body for elastic, body in zip(materials, bodies, strict=True)
+        )
     )
     stressed = not any(isinstance(load, InitialStrain) for load in problem.loads)
     if stressed and result.checked is not None and result.checked.energy_norm**2 < energy:
@@ -236,11 +238,11 @@ def _advise_on_strains(posed: Posed, result: Result) -> None:
 def _advise_on_slips(posed: Posed, result: Result) -> None:
     mesh = posed.mesh
     contact = result.contact
-    for k, one in enumerate(posed.problem.contact):
-        if isinstance(one, Contact) and isinstance(one.obstacle, Plane):
+    for k, contact_part in enumerate(posed.problem.contact):
+        if isinstance(contact_part, Contact) and isinstance(contact_part.obstacle, Plane):
             continue  # it is the same everywhere
         at = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
-        facets = posed.surfaces[one.boundary].facets
+        facets = posed.surfaces[contact_part.boundary].facets
         corners = mesh.points[facets]
         element = np.zeros(mesh.n_nodes)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -252,7 +254,7 @@ def _advise_on_slips(posed: Posed, result: Result) -> None:
             i = int(np.argmax(slip - most))
             advise(
                 "slip",
-                f"contact {one.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "
+                f"contact {contact_part.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "
                 "m), but the theory is one of small slips: each point stays opposite to where it was. Move or load "
                 "the bodies less, or pose the problem in the position to which they slid",
             )

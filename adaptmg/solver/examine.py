@@ -384,12 +384,17 @@ def _elsewhere(
         instead = sparse.diags_array(1 + taken[at].sum(axis=1)) @ instead
         facing.append(sparse.csr_array(sparse.vstack([weights, instead], format="csr")[place]))
     for k in np.unique(contact.boundary):
-        mine = np.flatnonzero(contact.boundary == k)
+        rows_of_boundary = np.flatnonzero(contact.boundary == k)
         for itself, rows in ((True, [-taken] * dim), (False, facing)):
-            rows = [of_component[mine] for of_component in rows]
-            node = np.unique(np.concatenate([one.indices for one in rows])).astype(np.int64)
+            rows = [of_component[rows_of_boundary] for of_component in rows]
+            node = np.unique(
+                np.concatenate([weights_of_component.indices for weights_of_component in rows])
+            ).astype(np.int64)
             exerted = [
-                -(one.T @ force)[node] for one, force in zip(rows, forces[mine].T, strict=True)
+                -(weights_of_component.T @ force)[node]
+                for weights_of_component, force in zip(
+                    rows, forces[rows_of_boundary].T, strict=True
+                )
             ]
             number = len(node)
             parts.append(
@@ -496,9 +501,9 @@ def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
     """Return a sentence for each contact boundary of which a part touches on few nodes."""
     advice = []
     for k, name in enumerate(contact.names):
-        mine = contact.boundary == k
-        touching = mine & (contact.state != OPEN)
-        if touching.sum() in (0, mine.sum()):
+        on_boundary = contact.boundary == k
+        touching = on_boundary & (contact.state != OPEN)
+        if touching.sum() in (0, on_boundary.sum()):
             continue
         inside = np.zeros(mesh.n_nodes, dtype=bool)
         inside[contact.node[touching]] = True

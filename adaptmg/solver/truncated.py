@@ -461,8 +461,8 @@ class TruncatedRun:
             mesh is not None and mesh.dim == 2 and mesh.lattices for mesh in meshes
         ):
             return 0.0
-        before, here, after = (1 / mesh.n_nodes for mesh in meshes if mesh is not None)
-        return (here - after) / (before - here)
+        before, middle, after = (1 / mesh.n_nodes for mesh in meshes if mesh is not None)
+        return (middle - after) / (before - middle)
 
     def finish(self, start: np.ndarray, origin: str) -> Outcome:
         """Cycle on the finest level from an iterate (n_unknowns,), which comes from "zero", a
@@ -531,7 +531,8 @@ class TruncatedRun:
         """The coarse contact problem of the finest level, made when it is first asked for."""
         if self._coarse is None or self._coarse.step is not step:
             self._coarse = CoarseContact(
-                step, [None if one is None else one.coordinates for one in self.problems]
+                step,
+                [None if problem is None else problem.coordinates for problem in self.problems],
             )
         return self._coarse
 

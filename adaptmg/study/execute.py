@@ -224,11 +224,11 @@ def readied(order: Order) -> RunFunction:
     """Check this process against the one of the study, and unpack the run function. Modules that
     are loaded here may have been edited since, and values that a script set in a module are not
     here: the function would compute something else under the fingerprint of the study."""
-    here = identity()
+    identity_now = identity()
     if different := [
-        f"{name} {here.get(name, 'none')} instead of {value}"
+        f"{name} {identity_now.get(name, 'none')} instead of {value}"
         for name, value in order.identity.items()
-        if here.get(name) != value
+        if identity_now.get(name) != value
     ]:
         raise UnfitWorker(f"it has {', '.join(different)}")
     try:
@@ -238,8 +238,8 @@ def readied(order: Order) -> RunFunction:
             f"it cannot unpack the run function ({error_text(error)}): install what it lacks there, put "
             "it on PYTHONPATH, or send it with client.upload_file"
         ) from error
-    here = study_fingerprint(function, dict.fromkeys(order.depends)).seen()
-    if changes := here.differences(order.fingerprint.parts):
+    fingerprint_now = study_fingerprint(function, dict.fromkeys(order.depends)).seen()
+    if changes := fingerprint_now.differences(order.fingerprint.parts):
         raise UnfitWorker(
             f"it would compute something else than this process ({', '.join(changes[:5])}): bring the "
             "same files there and start the worker again; give values that a script sets in a module as "

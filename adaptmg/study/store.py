@@ -75,7 +75,7 @@ class Record:
 
 
 #: what is stored as JSON
-_FIELDS = [one.name for one in fields(Record) if one.name != "parameters"]
+_FIELDS = [entry.name for entry in fields(Record) if entry.name != "parameters"]
 
 
 @dataclass(frozen=True)

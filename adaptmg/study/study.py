@@ -526,9 +526,9 @@ class Watch:
     def words(self) -> str:
         """Return failures, runs that are left, and how long these take at the pace so far."""
         left = self.total - self.done
-        here = self.done - self._before
-        seconds = (time.monotonic() - self._begin) / max(here, 1) * left
-        more = f", about {timedelta(seconds=round(seconds))} more" if here and left else ""
+        n_run = self.done - self._before
+        seconds = (time.monotonic() - self._begin) / max(n_run, 1) * left
+        more = f", about {timedelta(seconds=round(seconds))} more" if n_run and left else ""
         return f"{self.failed or 'none'} failed, {left} left{more}"
 
 

@@ -181,7 +181,7 @@ def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str
         if set(pair) <= set(mesh.boundaries)
         and len(np.intersect1d(mesh.boundary_nodes(pair[0]), mesh.boundary_nodes(pair[1])))
     ]
-    return [faces for one, other in shared for faces in ((one, other), (other, one))]
+    return [faces for side, other in shared for faces in ((side, other), (other, side))]
 
 
 def _on_side(

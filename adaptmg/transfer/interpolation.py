@@ -194,8 +194,8 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
         # from the largest share to the smallest: the corners of the simplex that holds the node
         for last_pair in range(fine.dim - 1, 0, -1):
             for k in range(last_pair):
-                (one, other), behind = shares[k : k + 2], shares[k] < shares[k + 1]
-                shares[k : k + 2] = np.maximum(one, other), np.minimum(one, other)
+                (upper, lower), behind = shares[k : k + 2], shares[k] < shares[k + 1]
+                shares[k : k + 2] = np.maximum(upper, lower), np.minimum(upper, lower)
                 steps[k : k + 2] = (
                     np.where(behind, steps[k + 1], steps[k]),
                     np.where(behind, steps[k], steps[k + 1]),
