@@ -40,6 +40,10 @@ VAST, TINIEST = 1e40, 1e-40
 """Physical quantities are smaller than ``VAST``, moduli and lengths larger than ``TINIEST``: energies, products of some
 of them, are then in the range of double precision."""
 
+#: by how much of their extent places that are computed may miss each other: 4096 roundings of double
+#: precision, which leave room for a point that comes from a few intersections
+ROUNDING = 4096 * float(np.finfo(np.float64).eps)
+
 _LARGEST_INDEX = np.iinfo(np.int32).max
 
 _T = TypeVar("_T")

@@ -86,7 +86,7 @@ class SimplexLocator:
         return Location(element=self.chosen[element], weights=weights, distance=distance)
 
 
-INSIDE = 1e-12
+INSIDE = checks.ROUNDING
 """A point counts as inside an element when no barycentric weight is below minus this, or its distance is less than this
 part of the extent of the mesh."""
 _ROUNDING = 4 * np.finfo(np.float64).eps

@@ -26,8 +26,9 @@ from adaptmg.problem.plane_domains import Domain
 
 _KEPT_VOLUME = 0.25
 _MAX_TRIES = 10
-# of the extent of the mesh: nodes nearer to their surfaces lie on them
-_ROUNDING = 1e-14
+# of the extent of the mesh: nodes nearer to their surfaces lie on them up to 64 roundings of double
+# precision, which Newton's method reaches
+_ROUNDING = 64 * float(np.finfo(np.float64).eps)
 
 
 def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArrays:

@@ -46,7 +46,7 @@ _LONG, _FEW = 2.0, 0.01
 _ON_RIM, _SAGITTA = 1e-9, 0.125
 # by number of corners: the edge of an equilateral simplex to the power of its dimension, over its
 # measure
-_EDGE = {2: 1.0, 3: 4 / math.sqrt(3), 4: 6 * math.sqrt(2)}
+_EDGE = {2: 1, 3: 4 / math.sqrt(3), 4: 6 * math.sqrt(2)}
 #: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
 BOX_SIDES = {
     "left": (0, 0),

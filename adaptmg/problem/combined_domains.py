@@ -37,9 +37,8 @@ from adaptmg.problem.plane_edges import Arc, Segment, check_simple, meetings
 from adaptmg.problem.solid_domains import SOLID, SolidDomain
 
 Path = tuple[tuple[float, ...], ...]
-# of the extent: ends of cracks this near to a vertex or an edge lie on it; points nearer to each
-# other are one
-_NEAR, _ROUND = 1e-9, 1e-12
+# of the extent: ends of cracks this near to a vertex or an edge lie on it
+_NEAR = 1e-9
 _SIDES = ("left", "right")
 
 
@@ -193,7 +192,7 @@ class _Piece:
 def combined(what: str, a: Outline, b: Outline) -> Outline:
     """Return the outline of "Cut", "Fuse" or "Common" of two outlines; ValueError unless it is one
     piece."""
-    tol = _ROUND * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
+    tol = checks.ROUNDING * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
     points: list[np.ndarray] = []
     met = [[meetings(e, f, tol) for f in b.edges] for e in a.edges]
     of_a = _pieces(a, [list(chain(*row)) for row in met], points, tol)

@@ -21,7 +21,9 @@ from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
 
 DEFAULT = "default"  # name of all loads together, where no ContactProblem names them
 
-_ROUNDING = 1e-14
+#: of the largest factor: smaller ones are zeros up to 64 roundings of double precision, such as sums
+#: of steps that end at 0
+_ROUNDING = 64 * float(np.finfo(np.float64).eps)
 _ALL_LOADS = cast("np.ndarray", 1.0)  # an array once it is checked
 
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_PARALLEL = 1e-12
-# of the extent: points nearer to each other are one; edges as short as this cannot be meshed
-_ROUND, _SHORTEST = 1e-12, 1e-9
+from adaptmg import _checks as checks
+
+# of the extent: edges as short as this cannot be meshed
+_SHORTEST = 1e-9
 # points at which neighbours meet again are known to 1e-9 of the extent, as vertices of arcs are
 _SAME = 1e4
 
@@ -118,7 +119,7 @@ def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]
         v = f.end - f.start
         w = f.start - e.start
         cross = u[0] * v[1] - u[1] * v[0]
-        if abs(cross) > _PARALLEL * np.linalg.norm(u) * np.linalg.norm(v):
+        if abs(cross) > checks.ROUNDING * np.linalg.norm(u) * np.linalg.norm(v):
             points.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
     return on_both(e, f, points, tol)
 
@@ -186,7 +187,7 @@ def check_simple(
     grown = np.where(straight, 0.0, lengths)[:, None]
     low = np.minimum(a, b) - grown
     high = np.maximum(a, b) + grown
-    tiny = _ROUND * extent
+    tiny = checks.ROUNDING * extent
     pairs = np.stack(np.triu_indices(len(a), 1), axis=1)
     near = (low[pairs] <= high[pairs[:, ::-1]] + tiny).all(axis=(1, 2))
     close: list[list[int]] = pairs[near].tolist()

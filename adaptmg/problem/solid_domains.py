@@ -19,7 +19,7 @@ from adaptmg._checks import Quantity, Size
 from adaptmg._text import brief
 from adaptmg.problem.plane_domains import Box, Domain, Outline, Triple
 
-_ON_AXIS = 1e-12  # relative to the profile: vertices nearer to the axis of revolution lie on it
+_ON_AXIS = checks.ROUNDING  # of the profile: vertices nearer to the axis of revolution lie on it
 _PROFILE = "a Polygon, an Outline, a Rectangle, a Circle, or a combination of these"
 SOLID = "a Box or another solid (Cylinder, Ball, Revolution, Cut, ...)"
 
