@@ -13,7 +13,8 @@ from refused import refused
 
 import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.discrete.discretise import load_steps
+from adaptmg.discrete.named_loads import load_steps
+from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.stress import StressData
 
 STEEL = am.PlaneStrain(young=2.1e11, poisson=0.3)
@@ -235,7 +236,7 @@ def test_steps_are_what_the_load_path_makes_of_the_problem():
     factors = {"right": 0.5, "body force": 2.0, "body": -1.0, "left": 3.0, "top": 0.25}
     step, steps = (
         am.problem.step_problem(problem, factors),
-        load_steps(problem, mesh, am.discretise(problem, mesh)),
+        load_steps(Posed(problem, mesh), am.discretise(problem, mesh)),
     )
     np.testing.assert_allclose(
         am.discrete.load_vector(mesh, step.loads, step.material),
