@@ -143,13 +143,13 @@ def displacement_argument(
 def start_argument(
     start: ArrayLike | Result | None, discrete: DiscreteProblem
 ) -> np.ndarray | None:
-    """Return a start as a solution (n_unknowns,), checked; the pressures of an array are zero."""
+    """Return a start as a solution (n_unknowns,), checked; without pressures these are zero."""
     displacement = displacement_argument("start", start, discrete)
     if displacement is None:
         return None
     groups = len(discrete.volumes)
     pressures = np.zeros(groups)
-    if groups and isinstance(start, Result):
+    if groups and isinstance(start, Result) and len(start.pressures):
         pressures = checks.vector("start.pressures", start.pressures, groups)
     return np.append(displacement, pressures)
 

@@ -255,3 +255,33 @@ def test_options_of_the_parts_are_checked():
         am.Truncated(correct=am.PyAMG(), coarse_solve=ByLU())
     with pytest.raises(ValueError, match="smoother"):
         am.PyAMG(smoother="nobody")
+
+
+class Overshooting(ByLU):
+    """Goes far beyond the solution below the level before the finest."""
+
+    def __init__(self, factor):
+        self.factor = factor
+
+    def setup(self, matrices, prolongations):
+        self.now = self.factor if len(matrices) == 1 else 1.0
+        return super().setup(matrices, prolongations)
+
+    def solve(self, rhs):
+        return self.now * super().solve(rhs)
+
+
+def test_a_nested_start_that_diverges_is_left_out(bar):
+    honest, far = (
+        am.solve(
+            bar,
+            am.FullMultigrid(
+                correction=am.Truncated(correct=Overshooting(factor), recombine=0),
+                start=am.NestedStart(cycles=4),
+            ),
+        )
+        for factor in (1.0, 100.0)
+    )
+    # from what those cycles lead to it is 17 times as large, and takes 6 cycles more
+    assert far.history["residual"][0] <= 4 * honest.history["residual"][0]
+    assert not far.fallback and far.cycles <= honest.cycles + 2

@@ -388,6 +388,15 @@ def test_the_first_step_of_a_path_has_the_pressures_of_its_nested_start():
     assert first.cycles <= am.solve(hierarchy, solver).cycles + 1
 
 
+def test_a_start_without_pressures_begins_with_none():
+    here = grids(0.45)
+    result = am.solve(here)
+    given = replace(result, pressures=np.zeros(0))
+    started = [am.solve(here, am.Multigrid(), start=one) for one in (given, result.displacement)]
+    assert started[0].cycles == started[1].cycles > 2
+    assert am.solve(here, am.Multigrid(), start=result).cycles <= 2
+
+
 def test_adaptive_loops_start_from_the_pressures_of_the_step_before():
     last, multigrid = None, am.Multigrid(rtol=1e-6)
     for last in am.adapt(seal(0.4999), start=0.2, max_nodes=400):
@@ -518,23 +527,6 @@ def test_steps_of_a_path_expand_by_their_strain():
         am.solve_path(heated(-4e-3), am.LoadPath({"body": [0.5, 1.0]})), (-2e-3, -4e-3), strict=True
     ):
         assert far(step, am.solve(heated(heat), am.ActiveSet(rtol=1e-10))) <= 1e-6
-
-
-def test_a_nested_start_that_diverges_is_left_out():
-    """On the middle one of three independent meshes of a solid cylinder cycles double the error."""
-    problem = am.ContactProblem(
-        material=am.Solid(young=1e7, poisson=0.49),
-        law=am.Coulomb(0.3),
-        domain=am.Cylinder(point=(0, 0, 0), axis=(0, 0, 1), radius=0.01, height=0.01),
-        elements="smoothed",
-        contact=am.Contact("bottom", am.Plane((0, 0, 0), (0, 0, 1))),
-        loads=am.Pressure("top", 1e5),
-        supports=am.Support("top", x=0.0, y=0.0),
-    )
-    hierarchy = am.Hierarchy.graded(problem, sizes=(6e-3, 4e-3, 2.5e-3), contact_ratio=3)
-    result, exact = am.solve(hierarchy), am.solve(hierarchy, am.Multigrid(rtol=1e-9))
-    assert not result.fallback and result.cycles <= 25
-    assert far(result, exact) <= 1e-6
 
 
 def test_the_limit_on_steps_holds_for_all_solves_of_the_active_set_method():
