@@ -75,7 +75,7 @@ def _condition(
     total = float(np.linalg.norm(missed))
     largest = float(np.abs(missed).max(initial=0.0))
     scale = scale or 1.0
-    return Condition(name, largest, total, "N", total / scale, rounding / scale, limit)
+    return Condition(name, largest, total, "N", total / scale, float(rounding / scale), limit)
 
 
 def _stiffness(
