@@ -289,16 +289,14 @@ def check_rims(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     for name in mesh.boundaries:
         surface = mesh.surface(name)
         nodes = surface.nodes
-        corners = mesh.points[surface.facets]
-        middles = corners.mean(axis=1)
+        middles = mesh.points[surface.facets].mean(axis=1)
         places = np.concatenate([mesh.points[nodes], middles])
         distances = distance_to_boundaries(domain, [name], places)
-        away = distances[: len(nodes)]
+        away, sagittas = np.split(distances, [len(nodes)])
         if not away.max(initial=0.0) <= rounded:
             place = ", ".join(f"{x:.6g}" for x in mesh.points[nodes[np.argmax(away)]])
             raise Unfit(f"a node of boundary {name!r} lies {away.max():.3g} m off it at ({place})")
         lengths = surface.measures
-        sagittas = distances[len(nodes) :]
         if not (sagittas <= _SAGITTA * lengths + rounded).all():
             place = ", ".join(f"{x:.6g}" for x in middles[np.argmax(sagittas / lengths)])
             raise Unfit(f"a facet of boundary {name!r} is too long for its curve at ({place})")
