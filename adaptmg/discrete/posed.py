@@ -132,9 +132,9 @@ class Posed:
     def sides(self) -> Mapping[int, tuple[Surface, Surface]]:
         """Slave and master of each pair, by its number, exact where the domain knows both."""
         pairs = {
-            k: (one.slave, one.master)
-            for k, one in enumerate(self.problem.contact)
-            if isinstance(one, ContactPair)
+            k: (contact.slave, contact.master)
+            for k, contact in enumerate(self.problem.contact)
+            if isinstance(contact, ContactPair)
         }
         names = [name for pair in pairs.values() for name in pair]
         exact = exact_surfaces(self.problem.domain, names) if names else {}
@@ -283,16 +283,16 @@ class Posed:
             contact = self._contact_nodes(rows)
             fixed = self.fixed.reshape(-1)
             law = nodal_law(self, contact)
-            lone = held_slaves(contact.nodes, rows.follows, fixed, law, self.inclined)
-            if not len(lone):
+            held_rows = held_slaves(contact.nodes, rows.follows, fixed, law, self.inclined)
+            if not len(held_rows):
                 return rows
-            for k in np.unique(contact.boundary[lone]):
-                if any(one.boundary == contact.names[k] for one in self.problem.supports):
+            for k in np.unique(contact.boundary[held_rows]):
+                if any(support.boundary == contact.names[k] for support in self.problem.supports):
                     raise ValueError(
                         f"a support holds slave {contact.names[k]!r} along its surface, where friction "
                         "acts: exchange slave and master of the pair"
                     )
-            excluded = np.union1d(excluded, contact.nodes[lone])
+            excluded = np.union1d(excluded, contact.nodes[held_rows])
 
     def _rows(self, excluded: np.ndarray) -> Rows:
         problem = self.problem
@@ -332,23 +332,25 @@ class Posed:
         if not isinstance(contact, ContactPair):
             return in_front_of(self, k)
         surface = self.surfaces[contact.slave]
-        mine = surface.nodes
+        slave_nodes = surface.nodes
         free = free_normals(self, k, self.outward[k])
         partly = np.linalg.norm(free, axis=1) < 1 - TANGENTIAL
-        without = mine[partly | (self.untied[mine] != k) | np.isin(mine, excluded)]
+        without = slave_nodes[
+            partly | (self.untied[slave_nodes] != k) | np.isin(slave_nodes, excluded)
+        ]
         return pair_interface(self, contact, self.sides[k], without)
 
     def _contact_nodes(self, rows: Rows) -> ContactNodes:
         problem = self.problem
-        own = (rows.role == Role.OBSTACLE) | (rows.role == Role.SLAVE)
-        nodes = rows.nodes[own]
-        owner = rows.owner[own]
-        taken = None if rows.taken_over is None else rows.taken_over[own]
+        touching = (rows.role == Role.OBSTACLE) | (rows.role == Role.SLAVE)
+        nodes = rows.nodes[touching]
+        owner = rows.owner[touching]
+        taken = None if rows.taken_over is None else rows.taken_over[touching]
         return ContactNodes(
             nodes=nodes,
-            normals=rows.normals[own],
-            gaps=rows.gaps[own],
-            weights=rows.weights[own],
+            normals=rows.normals[touching],
+            gaps=rows.gaps[touching],
+            weights=rows.weights[touching],
             boundary=owner,
             slip_reference=with_motions(self, nodes, taken, owner),
             allow_interference=any(map(may_overlap, problem.contact)),
@@ -375,18 +377,21 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
     """Return the law of a problem at contact nodes."""
     problem = posed.problem
     points = posed.mesh.points[contact.nodes]
-    laws = [problem.law if one.law is None else one.law for one in problem.contact]
-    if all(one is problem.law for one in laws):
+    laws = [
+        problem.law if contact_part.law is None else contact_part.law
+        for contact_part in problem.contact
+    ]
+    if all(law is problem.law for law in laws):
         law = problem.law.at_nodes(points, contact.weights)
         check_law("law", law)  # a user's own may return anything
         return law
     bounds = np.zeros((2, len(contact)))
-    for k, one in enumerate(laws):
-        own = contact.boundary == k
-        if not own.any():
+    for k, boundary_law in enumerate(laws):
+        on_boundary = contact.boundary == k
+        if not on_boundary.any():
             continue
-        law = one.at_nodes(points[own], contact.weights[own])
+        law = boundary_law.at_nodes(points[on_boundary], contact.weights[on_boundary])
         check_law("law", law)
-        check_bounds(law, int(own.sum()))
-        bounds[:, own] = law.bounds(int(own.sum()))
+        check_bounds(law, int(on_boundary.sum()))
+        bounds[:, on_boundary] = law.bounds(int(on_boundary.sum()))
     return NodalLaw(*bounds)

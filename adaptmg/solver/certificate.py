@@ -459,25 +459,25 @@ class Evidence:
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
         """Return the relative energy error, estimated with these aggregates or exact, and as much
         of it as rounding explains."""
-        here = AtNodes(self.gap, self.slip, self.pressure, self.friction)
+        conditions = AtNodes(self.gap, self.slip, self.pressure, self.friction)
         forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
-        error, wrong = self._held(here, self.unknowns, forces, aggregates, negligible)
+        error, wrong = self._held(conditions, self.unknowns, forces, aggregates, negligible)
         if wrong and aggregates is not None and not error <= self.energy_rounding:
-            error = self._with_changed_status(here, error, aggregates)
+            error = self._with_changed_status(conditions, error, aggregates)
         rounding = self.energy_rounding
         # at the end of arithmetic forces were left of .07 to 1.2 of this (beams of 50 to 147 : 1)
         balanced = _norm(self.left) <= self.rounding
         if aggregates is not None and balanced and rtol * self.energy < error < self.energy:
-            rounding = max(rounding, self._attainable(here, aggregates))
+            rounding = max(rounding, self._attainable(conditions, aggregates))
         return _over(error, self.energy), _over(rounding, self.energy)
 
-    def _attainable(self, here: AtNodes, aggregates: Aggregates) -> float:
+    def _attainable(self, conditions: AtNodes, aggregates: Aggregates) -> float:
         """The energy error that rounding of the residual leaves, measured: the largest of what
         residuals of its size, of random signs, bring about with the contact status held. Slender
         bodies answer to them with their condition."""
         matrix = self.problem.matrix
-        status = self._frozen(here, self.unknowns)[0]
+        status = self._frozen(conditions, self.unknowns)[0]
         squares = sparse.bsr_array((matrix.data**2, matrix.indices, matrix.indptr))
         sizes = _EPSILON * np.sqrt(squares @ self.unknowns.reshape(-1) ** 2)
         missed = np.zeros(len(self.problem.volumes))
@@ -498,7 +498,7 @@ class Evidence:
 
     def _held(
         self,
-        here: AtNodes,
+        conditions: AtNodes,
         unknowns: np.ndarray,
         forces: np.ndarray,
         aggregates: Aggregates | None,
@@ -508,26 +508,28 @@ class Evidence:
         free, and whether the corrected displacement contradicts this status."""
         contact = self.problem.contact
         matrix = self.problem.matrix
-        status, change, lawful, closed = self._frozen(here, unknowns)
+        status, change, lawful, closed = self._frozen(conditions, unknowns)
         images = _image(matrix, change)
         moved = np.sqrt(max(_sum(change, images), 0.0))
         forces = forces + images
-        forces[contact.nodes] += here.forces(contact.normals) - lawful
+        forces[contact.nodes] += conditions.forces(contact.normals) - lawful
         exerted = forces[contact.nodes] + lawful
         missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
         corrected = correction(
             self.problem, status, forces, missed, aggregates, negligible, self.rounding
         )
-        gap = here.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)
+        gap = conditions.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)
         pressure = -_along(exerted - corrected.forces, contact.normals)
         deepest = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)
-        pulled = -_WRONG * max(pressure.max(initial=0.0), here.pressure.max(initial=0.0))
+        pulled = -_WRONG * max(pressure.max(initial=0.0), conditions.pressure.max(initial=0.0))
         wrong = np.where(closed, pressure < pulled, gap < deepest).any() or not np.isfinite(
             corrected.energy
         )
         return float(moved + np.sqrt(corrected.energy)), bool(wrong)
 
-    def _with_changed_status(self, here: AtNodes, held: float, aggregates: Aggregates) -> float:
+    def _with_changed_status(
+        self, conditions: AtNodes, held: float, aggregates: Aggregates
+    ) -> float:
         """The energy error where the contact status may change: of the change in the span of the
         aggregates, and what is missing after it with the status held; ``held``: what is missing
         without it."""
@@ -535,7 +537,7 @@ class Evidence:
         contact = self.problem.contact
         matrix = self.problem.matrix
         residual = problem.residual(np.append(self.unknowns, self.pressures))
-        solution = changed_status(problem, residual, here, self.stiffness, self.limit)
+        solution = changed_status(problem, residual, conditions, self.stiffness, self.limit)
         if solution is None:
             return held
         change, exerted = solution
@@ -547,8 +549,8 @@ class Evidence:
         along = _along(moved, normals)
         pressure = -_along(exerted, normals)
         there = AtNodes(
-            here.gap - along,
-            here.slip + moved - along[:, None] * normals,
+            conditions.gap - along,
+            conditions.slip + moved - along[:, None] * normals,
             pressure,
             exerted + pressure[:, None] * normals,
         )
@@ -560,7 +562,7 @@ class Evidence:
         return changed if after <= _FOUND * size else min(changed, max(held, size))
 
     def _frozen(
-        self, here: AtNodes, unknowns: np.ndarray
+        self, conditions: AtNodes, unknowns: np.ndarray
     ) -> tuple[FrozenStatus, np.ndarray, np.ndarray, np.ndarray]:
         """The status that the displacement is nearest to, the change that meets it, the lawful
         contact forces, and which nodes touch. At each node the cheaper is taken, in the measure of
@@ -572,10 +574,10 @@ class Evidence:
         normals = contact.normals
         free = (~self.fixed[nodes]).astype(float)
         d = self.stiffness
-        gap = here.gap
-        pressure = here.pressure
-        slip = here.slip
-        friction = here.friction * free
+        gap = conditions.gap
+        pressure = conditions.pressure
+        slip = conditions.slip
+        friction = conditions.friction * free
         closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
         closed |= gap < 0
         size = np.linalg.norm(slip, axis=1)
@@ -596,10 +598,13 @@ class Evidence:
         slides = ~stays | beyond
         along = normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
-        others = np.setdiff1d(self.fixed.nonzero()[0], nodes)
-        kept = slides[:, None, None] * tangents + ~closed[:, None, None] * along
-        kept = np.concatenate(
-            [kept * free[:, :, None] * free[:, None], ~self.fixed[others][:, :, None] * np.eye(dim)]
+        fixed_elsewhere = np.setdiff1d(self.fixed.nonzero()[0], nodes)
+        projection = slides[:, None, None] * tangents + ~closed[:, None, None] * along
+        projection = np.concatenate(
+            [
+                projection * free[:, :, None] * free[:, None],
+                ~self.fixed[fixed_elsewhere][:, :, None] * np.eye(dim),
+            ]
         )
         turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
         across = (tangents - against[:, :, None] * against[:, None]) * (dim == 3)
@@ -610,7 +615,11 @@ class Evidence:
         )
         pressed = -np.where(closed, pressure, 0.0)[:, None] * normals
         status = FrozenStatus(
-            np.append(nodes, others), kept, nodes, turning[:, None, None] * across, dragged
+            np.append(nodes, fixed_elsewhere),
+            projection,
+            nodes,
+            turning[:, None, None] * across,
+            dragged,
         )
         return status, change, pressed + lawful, closed
 
