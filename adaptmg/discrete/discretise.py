@@ -140,10 +140,10 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     check_bounds(law, len(contact))
     if old.coupling is not None:
         # which slave nodes carry multipliers depends on where friction acts
-        now, before = (
+        carrying, before = (
             np.maximum(*friction.bounds(len(contact))) > 0 for friction in (law, old.law)
         )
-        if not np.array_equal(now, before):
+        if not np.array_equal(carrying, before):
             return assembled(posed)
     parts = {"law": law, "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if changed:

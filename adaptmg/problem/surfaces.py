@@ -383,7 +383,8 @@ class Rigid(_MovingPart):
     def loaded(self, factors: Mapping[str, float]) -> Rigid:
         """Return the same with factors of force and moment, 1 where not named."""
         scaled_forces = {
-            name: times(one, factors.get(name, 1.0)) for name, one in self.forces.items()
+            name: times(force_component, factors.get(name, 1.0))
+            for name, force_component in self.forces.items()
         }
         force = scaled_forces if isinstance(self.force, Mapping) else scaled_forces[self.name]
         return replace(self, force=force, moment=times(self.moment, factors.get(self.name, 1.0)))

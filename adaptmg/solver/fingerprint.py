@@ -426,7 +426,7 @@ def _plain_code(code: CodeType) -> tuple[object, ...]:
     """Return a code object without file, lines and docstrings: no instruction of a function reads
     its docstring, and a class stores it under a name that does not count."""
     steps = [(step.opname, step.argval) for step in dis.get_instructions(code)]
-    kept = [
+    counted = [
         step
         for step, after in zip(steps, [*steps[1:], ("", None)], strict=True)
         if not any(name == "STORE_NAME" and value in _BOOKS for name, value in (step, after))
@@ -440,7 +440,7 @@ def _plain_code(code: CodeType) -> tuple[object, ...]:
         code.co_varnames,
         code.co_freevars,
         code.co_exceptiontable,
-        kept,
+        counted,
     )
 
 
@@ -460,9 +460,9 @@ def _reads(
                 "DEREF" in step.opname and step.argval in code.co_freevars
             ):
                 after = itertools.takewhile(
-                    lambda one: one.opname in _ATTRIBUTE, steps[place + 1 :]
+                    lambda step_after: step_after.opname in _ATTRIBUTE, steps[place + 1 :]
                 )
-                chains.append((step.argval, *(one.argval for one in after)))
+                chains.append((step.argval, *(step_after.argval for step_after in after)))
             elif step.opname in _ATTRIBUTE and step.argval in _HIDDEN:
                 chains.append((step.argval,))
             elif step.opname == "IMPORT_NAME":
@@ -526,12 +526,12 @@ def _content(path: Path) -> str:
 def _sources() -> str:
     """Return one hash of adaptmg's numerical sources; RuntimeError for those that were edited after
     their import."""
-    here = Path(__file__)
+    this_file = Path(__file__)
     content = hashlib.sha256()
-    root = here.parents[1]
+    root = this_file.parents[1]
     for name, loaded in sorted(sys.modules["adaptmg"]._LOADED.items()):
         file = Path(name)
-        if file != here and file.relative_to(root).parts[0] not in _NOT_NUMERICAL:
+        if file != this_file and file.relative_to(root).parts[0] not in _NOT_NUMERICAL:
             if not file.exists() or file.stat().st_mtime_ns != loaded:
                 raise RuntimeError(
                     f"{file} was edited after adaptmg was loaded: start Python again"

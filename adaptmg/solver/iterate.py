@@ -195,8 +195,8 @@ class StopTest:
         )  # interference: no forces yet
         self._last = residual
         self._rounding = self.at_rounding(state.floor)
-        kept = residual <= self.KEPT * state.floor and self.residual <= self.BALANCED
-        self._kept = self._kept + 1 if kept else 0
+        balanced = residual <= self.KEPT * state.floor and self.residual <= self.BALANCED
+        self._kept = self._kept + 1 if balanced else 0
         self.error_estimate = self.residual if self._rounding else self._caution * self._estimate()
         self.met = self._rounding or self._small_enough()
 

@@ -178,7 +178,8 @@ class PathResult(Sequence[Result]):
         The sum of ``|slip|`` over the steps after which it is in contact.
         """
         ways = [
-            np.linalg.norm(one.contact.slip, axis=1) * one.contact.closed for one in self.results
+            np.linalg.norm(result.contact.slip, axis=1) * result.contact.closed
+            for result in self.results
         ]
         return np.cumsum(ways, axis=0) if ways else np.zeros((0, 0))
 
@@ -650,8 +651,8 @@ def _posed_with_names(grids: Hierarchy) -> list[Posed | None]:
     """What is posed on each level; None on all unless every discretised one has a mesh."""
     posed = [grids.posed_on(level) for level in grids.levels]
     named = all(
-        one is not None or level.discrete_or_none is None
-        for one, level in zip(posed, grids.levels, strict=True)
+        posed_level is not None or level.discrete_or_none is None
+        for posed_level, level in zip(posed, grids.levels, strict=True)
     )
     return posed if named else [None] * len(posed)
 

@@ -153,7 +153,7 @@ class TruncatedSteps:
             levels = past.levels if past.given else None
             *below, start = multigrid.nested_start(self.start, levels)
             levels = zip(multigrid.problems[:-1], below, strict=True)
-            coarse = [one.parts(solution)[0] for one, solution in levels]
+            coarse = [coarse_problem.parts(solution)[0] for coarse_problem, solution in levels]
             kind = "given" if past.given else "nested"
             if past.given:
                 start[problem.n_dofs :] = past.last[problem.n_dofs :]
@@ -218,9 +218,13 @@ class Controls:
             ((), ()) if self.problem is None else (self.problem.contact, self.problem.loads)
         )
         self.obstacles = {
-            k: one.obstacle for k, one in enumerate(contacts) if isinstance(one, Contact)
+            k: contact.obstacle
+            for k, contact in enumerate(contacts)
+            if isinstance(contact, Contact)
         }
-        self.rigid = {k: one for k, one in self.obstacles.items() if isinstance(one, Rigid)}
+        self.rigid = {
+            k: obstacle for k, obstacle in self.obstacles.items() if isinstance(obstacle, Rigid)
+        }
         self.bolts = [load for load in loads if isinstance(load, Preload)]
         for obstacle in self.rigid.values():
             self.motions[obstacle.name] = np.zeros(3 * obstacle.dim - 3)
@@ -232,14 +236,14 @@ class Controls:
         """Return the prescribed motions and forces as numbers, for stores; -1e300 where nothing is
         prescribed."""
         result = [
-            [*_numbers(chain(*one.forces.values(), one.moment)), *one.pivot]
-            if isinstance(one, Rigid)
-            else [*one.displacement, *one.rotation, *one.pivot]
+            [*_numbers(chain(*part.forces.values(), part.moment)), *part.pivot]
+            if isinstance(part, Rigid)
+            else [*part.displacement, *part.rotation, *part.pivot]
             for obstacle in self.obstacles.values()
-            for one in moving_parts(obstacle)
+            for part in moving_parts(obstacle)
         ]
         result += [[bolt.force, bolt.direction, *_numbers([bolt.at])] for bolt in self.bolts]
-        return [list(map(float, one)) for one in result]
+        return [list(map(float, numbers)) for numbers in result]
 
     def unknowns(self, factors: Mapping[str, float]) -> list[_Unknowns]:
         """Return what is to be found in a step with these factors."""
@@ -255,8 +259,8 @@ class Controls:
         for number, obstacle in self.rigid.items():
             name = obstacle.name
             dim = obstacle.dim
-            only, *others = obstacle.forces
-            if not (others or factors[only] > 0):
+            only, *further_forces = obstacle.forces
+            if not (further_forces or factors[only] > 0):
                 raise ValueError(
                     f"the factor of {only!r}, which a force presses, must be > 0, got {factors[only]:g}: "
                     "begin and end with a small one"
@@ -329,7 +333,7 @@ class Controls:
                 )
                 have = np.append(total.force, total.turning)[list(part.free)]
             else:
-                bolt = next(one for one in self.bolts if one.path_name == part.name)
+                bolt = next(preload for preload in self.bolts if preload.path_name == part.name)
                 have = np.array(
                     [
                         cut_force(
@@ -376,13 +380,13 @@ class Controls:
             result = replace(result, status=Status.LIMIT)
         spent = [*guide.spent, *search.spent]
         timings = {
-            name: sum(one.timings.get(name, 0.0) for one in spent)
-            for name in dict.fromkeys(chain(*(one.timings for one in spent)))
+            name: sum(trial.timings.get(name, 0.0) for trial in spent)
+            for name in dict.fromkeys(chain(*(trial.timings for trial in spent)))
         }
         result = replace(
             result,
             cycles=search.cycles,
-            work_units=sum(one.work_units for one in spent),
+            work_units=sum(trial.work_units for trial in spent),
             timings=timings,
         )
         return result, found.kept, self.taken(parts, found.values * search.sizes)
@@ -488,8 +492,8 @@ class Guide:
             )
             scales[part.own] = part.sizes / part.sizes[0]
             forces[part.own] = part.targets + part.forces * extra[part.own]
-            own = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
-            moves[nodes, :, part.own] = own * scales[part.own]
+            part_moves = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
+            moves[nodes, :, part.own] = part_moves * scales[part.own]
         everywhere = np.arange(discrete.n_nodes)
         free = [discrete.inclined.free_part(everywhere, moves[:, :, k]) for k in range(n)]
         moves = np.stack(free, axis=2).reshape(-1, n)
@@ -570,7 +574,7 @@ class Search(Generic[Kept]):
     @property
     def cycles(self) -> int:
         """Return the cycles of all contact problems so far."""
-        return sum(one.cycles for one in self.spent)
+        return sum(trial.cycles for trial in self.spent)
 
     def reached(self, trial: _Trial[Kept]) -> bool:
         """Return whether the forces are as prescribed."""

@@ -90,7 +90,7 @@ def check_statics_of(grids: Hierarchy) -> None:
     coarsest = grids[0].discrete_or_none
     # nodes of finer grids have less of a spring
     sprung = grids.problem is not None and any(
-        isinstance(one, Spring | PointSpring) for one in grids.problem.supports
+        isinstance(support, Spring | PointSpring) for support in grids.problem.supports
     )
     if len(grids) > 1 and not sprung and coarsest is not None and _free_parts(coarsest) is not None:
         try:
@@ -113,18 +113,20 @@ def _too_soft(grids: Hierarchy) -> str:
         return ""
     least = _SOFTEST * np.abs(level.discrete.matrix.data).max()
     words = ""
-    for one in problem.supports:
-        if not isinstance(one, Spring | PointSpring):
+    for support in problem.supports:
+        if not isinstance(support, Spring | PointSpring):
             continue
-        own = largest_nodal_stiffness(level.mesh, one, problem.axisymmetric)
-        if own <= least:
-            names = ("normal", "tangential") if isinstance(one, Spring) else "xyz"[: problem.dim]
-            unit = replace(one, **dict.fromkeys(names, 1.0))
+        nodal_stiffness = largest_nodal_stiffness(level.mesh, support, problem.axisymmetric)
+        if nodal_stiffness <= least:
+            names = (
+                ("normal", "tangential") if isinstance(support, Spring) else "xyz"[: problem.dim]
+            )
+            unit = replace(support, **dict.fromkeys(names, 1.0))
             # one per cent for the rounding of the number
             limit = 1.01 * least / largest_nodal_stiffness(level.mesh, unit, problem.axisymmetric)
             words += (
-                f". The spring on {one.place!r} counts as none: double precision needs at least "
-                f"{limit:.3g} {'N/m^3' if isinstance(one, Spring) else 'N/m'} next to these bodies"
+                f". The spring on {support.place!r} counts as none: double precision needs at least "
+                f"{limit:.3g} {'N/m^3' if isinstance(support, Spring) else 'N/m'} next to these bodies"
             )
     return words
 
@@ -320,15 +322,15 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     dim = problem.dim
     contact = problem.contact
     position = np.searchsorted(body.nodes, contact.nodes)
-    mine = position < len(body.nodes)
-    mine[mine] = body.nodes[position[mine]] == contact.nodes[mine]
-    frames = frames_of(contact, problem.fixed.reshape(-1, dim))[mine]
-    at_contact = body.motions.reshape(len(body.nodes), dim, -1)[position[mine]]
+    on_body = position < len(body.nodes)
+    on_body[on_body] = body.nodes[position[on_body]] == contact.nodes[on_body]
+    frames = frames_of(contact, problem.fixed.reshape(-1, dim))[on_body]
+    at_contact = body.motions.reshape(len(body.nodes), dim, -1)[position[on_body]]
     local = np.einsum("nij,njk->nik", frames, at_contact)
     normal = local[:, 0]
     tangential = local[:, 1:]
-    limit = np.minimum(limit[mine], _LIMIT)
-    friction = friction[mine]
+    limit = np.minimum(limit[on_body], _LIMIT)
+    friction = friction[on_body]
     rubbing = friction > 0
     limited = limit > 0
     corners, directions, half_length = _friction_polygon(dim)

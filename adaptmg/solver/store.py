@@ -74,9 +74,9 @@ class _Writer:
                 kind.__name__: value.name
                 if isinstance(value, Enum)
                 else {
-                    one.name: self.plain(_joined(name, one.name), vars(value).get(one.name))
-                    for one in fields(kind)
-                    if one.init
+                    entry.name: self.plain(_joined(name, entry.name), vars(value).get(entry.name))
+                    for entry in fields(kind)
+                    if entry.init
                 }
             }
         elif isinstance(value, Mapping):
