@@ -382,4 +382,7 @@ def _force(points, elements, across, start, tails, heads, begin, end, at, missin
             if swapped < 1:
                 break
         if node != b:
-            missing[edge] = missing[min(start[min(node, len(start) - 1)], len(missing) - 1)] = True
+            missing[edge] = True
+            # so is an edge that begins at the node in the way; none begins at a corner of the box
+            if 0 <= node < len(start) - 1 and start[node] < start[node + 1]:
+                missing[start[node]] = True
