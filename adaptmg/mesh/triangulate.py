@@ -39,10 +39,14 @@ _INTERVALS, _CUTS = 8, 20
 # longest edge on an arc, of its radius: with half of it triangles below 20 degrees are 1.6 % in
 # place of 1.1 % (200 random outlines of the campaign), with twice of it 2 of them go to Netgen
 _MAX_EDGE = 0.4
-# circumradius above which a triangle gets a node, over the size; least distance from that node to
-# others
-_RADIUS, _APART = 0.8, 0.6
-# no node comes nearer to an edge of the boundary, over its length
+# circumradius above which a triangle gets a node, over the size: measured on 57 random outlines of
+# the campaign, with half 31 % more nodes; with twice the edges of a graded square are too long
+_RADIUS = 0.8
+# least distance from that node to others, over the size: half changes the nodes by .1 %, with twice
+# the edges of a graded square are too long
+_APART = 0.6
+# no node comes nearer to an edge of the boundary, over its length: half and twice change nothing on
+# 57 random outlines; without it a tenth of 584 has angles below 1.6 degrees in place of 1.75
 _BESIDE = 0.01
 # size at a centroid, over that interpolated there, below which there is a dip
 _DIP = 0.6
