@@ -134,19 +134,23 @@ def _joined(ranges: Sequence[tuple[int, int]], number: int) -> list[tuple[int, i
 def scattering(
     columns: np.ndarray, starts: np.ndarray | None = None, size: int = 0
 ) -> list[list[tuple[int, int]]]:
-    """Return ranges of rows in two colours: those of a colour write to different ``columns``, given
-    row by row (row k from ``starts[k]`` on, or all rows are as long). One range if they read few
-    numbers (``size``), or where the order of rows and columns has little to do with each other."""
-    offsets: np.ndarray
-    offsets = np.arange(len(columns) + 1) * columns.shape[1] if starts is None else starts
+    """Return ranges of rows in two colours; no two ranges of a colour write to the same column.
+
+    Row k writes to ``columns[starts[k] : starts[k + 1]]``; without ``starts`` all rows are equally
+    long. Return one range if the rows read few numbers (``size``), or if ranges that are not
+    neighbours share columns."""
+    offsets: np.ndarray = (
+        np.arange(len(columns) + 1) * columns.shape[1] if starts is None else starts
+    )
     n = len(offsets) - 1
     flat = columns.reshape(-1)
     bounds = [n * k // PARTS for k in range(PARTS + 1)]
     if size >= LARGE and (np.diff(offsets[bounds]) > 0).all():
-        at = offsets[bounds[:-1]]
-        least = np.minimum.reduceat(flat, at)
-        most = np.maximum.reduceat(flat, at)
-        if (most[:-2] < least[2:]).all():
+        begins = offsets[bounds[:-1]]
+        first_column = np.minimum.reduceat(flat, begins)
+        last_column = np.maximum.reduceat(flat, begins)
+        # ranges of a colour are every other one: each must end before its successor's successor
+        if (last_column[:-2] < first_column[2:]).all():
             ranges = list(pairwise(bounds))
             return [ranges[::2], ranges[1::2]]
     return [[(0, n)]]

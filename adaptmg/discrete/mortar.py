@@ -347,8 +347,8 @@ def _with_partners(
 
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
-    """Couple the nodes of a slave surface to a master surface."""
-    carries = surfaces.carries[surfaces.slave]
+    """Couple the nodes of a slave surface to a master surface by dual mortar functions."""
+    carries = surfaces.carries[surfaces.slave]  # (n_slave, k): corners that have a multiplier
     n_nodes = len(surfaces.points)
     covered = covered_parts(surfaces, reach)
     parts = covered.only(covered.enough[covered.slave])
@@ -367,8 +367,10 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         )
     measure, shape, dual = _dual_functions(parts)
     shape_mass = measure[:, None] * shape
-    # how the dual functions of corners without multiplier go to the others; where no corner of a
-    # facet has one, to those of other facets
+    # The gap is tested at corner i of a facet with the sum over its corners j of share_ij times the
+    # dual function of j: corners without multiplier give theirs to the others in equal parts. Where
+    # no corner of a facet has a multiplier each keeps its function here; the nodes that do have one
+    # get it below.
     share = (
         carries[:, :, None]
         * ~carries[:, None, :]
@@ -376,13 +378,14 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     )
     share = share + np.eye(carries.shape[1]) * (carries | without_multiplier[:, None])[:, :, None]
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
-    followed = share * np.where(carries, 0.0, shape_mass)[:, None, :]
+    # the matrix of slave nodes is ``diagonal`` at nodes with a multiplier, ``taken`` at others
+    mass_without_multiplier = share * np.where(carries, 0.0, shape_mass)[:, None, :]
     slave = surfaces.slave[parts.slave]
     products = np.einsum("piq,pqk->pik", tests, parts.shapes)
     facing = _assembled(products, slave, surfaces.master[parts.master], n_nodes)
     taken = None
-    if followed.any():
-        taken = _assembled(followed, surfaces.slave, surfaces.slave, n_nodes)
+    if mass_without_multiplier.any():
+        taken = _assembled(mass_without_multiplier, surfaces.slave, surfaces.slave, n_nodes)
     diagonal = np.bincount(
         surfaces.slave.ravel(), np.where(carries, shape_mass, 0.0).ravel(), minlength=n_nodes
     )
@@ -392,10 +395,10 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     least = _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric)
     nodes = np.flatnonzero(diagonal > least)
     if taken is not None and without_multiplier[parts.slave].any():
-        share = _shares(surfaces.slave_side, diagonal > least, surfaces.axisymmetric).T
-        facing = sparse.csr_array(share @ facing)
-        taken = sparse.csr_array(share @ taken)
-        gaps = share @ gaps
+        node_share = _shares(surfaces.slave_side, diagonal > least, surfaces.axisymmetric).T
+        facing = sparse.csr_array(node_share @ facing)
+        taken = sparse.csr_array(node_share @ taken)
+        gaps = node_share @ gaps
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
     scale = sparse.diags_array(1 / diagonal[nodes], format="csr")

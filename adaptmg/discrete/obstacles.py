@@ -134,7 +134,7 @@ def along_free(
 
 
 def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Of which normals (n,) supports hold a part, however small, and not all."""
+    """Return where (n,) supports hold a part of the normal, however small, and not all of it."""
     return (np.linalg.norm(free, axis=1) > TANGENTIAL) & (free != normals).any(axis=1)
 
 

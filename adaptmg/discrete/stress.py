@@ -129,14 +129,8 @@ class StressData:
         """Return the data of materials (one, or body name -> Elastic) and of the initial strains
         among loads."""
         materials = body_materials(mesh, material)
-        kind = [
-            _THIN
-            if isinstance(elastic, PlaneStress)
-            else _AXISYMMETRIC
-            if is_axisymmetric(elastic)
-            else _PLAIN
-            for elastic in materials
-        ]
+        thick = _AXISYMMETRIC if is_axisymmetric(materials) else _PLAIN  # of all bodies or of none
+        kind = [_THIN if isinstance(elastic, PlaneStress) else thick for elastic in materials]
         strains = [load for load in loads if isinstance(load, InitialStrain)]
         initial = (
             mean_initial_strain(mesh, strains, axisymmetric=is_axisymmetric(materials))
@@ -146,9 +140,9 @@ class StressData:
         tensors = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
         return cls(
             *lame_constants(materials),
-            np.array(kind, dtype=np.int8),
-            np.zeros((0, 3)) if initial is None else initial,
-            elements == "smoothed",
+            kind=np.array(kind, dtype=np.int8),
+            initial_strain=np.zeros((0, 3)) if initial is None else initial,
+            smoothed=elements == "smoothed",
             moduli=tensors if any(elastic.anisotropy for elastic in materials) else None,
         )
 
@@ -195,7 +189,7 @@ class StressData:
         strain[self.thin[mesh.element_body], 2] = 0.0
         stress = of_elements.stress(strain[:, :, None] * np.eye(3))
         if plane := mesh.dim == 2 and not self.axisymmetric:
-            stress = stress[:, [0, 1, 3]]
+            stress = stress[:, [0, 1, 3]]  # xx, yy and xy: without zz
         # means around edges of what the tensors of bodies make
         means = smoothed(mesh, stress, volume) if self.smoothed else stress
         return float(volume @ of_elements.work(stress, means, plane))

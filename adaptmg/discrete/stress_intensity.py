@@ -228,7 +228,8 @@ def _fitted_tractions(
 
 
 def _free_strain(mesh: MeshArrays, data: StressData, lame: float, shear: float) -> np.ndarray:
-    """What heat strains freely in the plane (n_elements, 2, 2)."""
+    """Return the initial strains in the plane (n_elements, 2, 2), of plane strain with the part
+    that the strain across the plane adds."""
     if not len(data.initial_strain):
         return np.zeros((len(mesh.elements), 2, 2))
     through = np.where(data.thin[mesh.element_body], 0.0, data.initial_strain[:, 2])

@@ -508,10 +508,11 @@ def solved(
 ) -> Result:
     """Return the solution on the finest level; ``rtol`` is that of the default method."""
     if solver is None or not _applies(solver, hierarchy):
-        method = FullMultigrid if start is None else Multigrid
-        multilevel = method(rtol=RTOL if rtol is None else rtol)
-        single_level = None if rtol is None else ActiveSet(rtol=rtol)
-        solver = single_level if len(hierarchy) == 1 else multilevel
+        if len(hierarchy) == 1:
+            solver = None if rtol is None else ActiveSet(rtol=rtol)
+        else:
+            method = FullMultigrid if start is None else Multigrid
+            solver = method(rtol=RTOL if rtol is None else rtol)
     return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
 
 

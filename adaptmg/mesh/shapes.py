@@ -170,8 +170,8 @@ Parts = list[tuple[tuple[Corners, ...], Corners]]
 
 @cache
 def _parts(kind: str) -> Parts:
-    """The linear cells that a kind is cut into: the facets of each by its own numbers, and its
-    nodes in the kind."""
+    """Return the linear cells that a kind is cut into: the facets of each, as its local corners,
+    and the numbers of its corners among the nodes of the kind."""
     shape, n = KINDS[kind]
     corners = range(_CORNERS[shape])
     facets = FACETS.get(shape, ())
@@ -183,6 +183,10 @@ def _parts(kind: str) -> Parts:
             (facets, tuple(_middle(kind, a, b) for b in corners))
             for a in corners[: 4 if n == 14 else None]
         ]
+        # A wedge has two more in its middle, between the centres of its quadrilaterals (15 to 17) and
+        # the middle nodes of its triangles (6 to 8, 9 to 11). A pyramid has one at each corner of its
+        # base, one at its tip, one upside down on the centre of its base (13), and a tetrahedron at
+        # each edge of its base.
         if kind == "wedge18":
             result += [
                 (facets, nodes) for nodes in ((6, 7, 8, 15, 16, 17), (15, 16, 17, 9, 10, 11))
@@ -191,7 +195,8 @@ def _parts(kind: str) -> Parts:
             result += [(facets, nodes) for nodes in ((9, 10, 11, 12, 4), (12, 11, 10, 9, 13))]
             result += [(FACETS["tetra"], (5 + i, 13, 9 + i, 9 + (i + 1) % 4)) for i in range(4)]
         return result
-    # a cell at each corner, and what is left between the middle nodes
+    # A cell is cut off at each corner. The core, between the middle nodes, has a face where each of
+    # them was cut off, and in 3D the middle nodes of each facet as another.
     result = []
     faces = []
     for a in corners:

@@ -390,8 +390,7 @@ class Cracked(SolidDomain):
         """Return the outline of a plane body, with the cracks as holes without width."""
         body, paths = self._anchored()
         _check_cracks(body, paths)
-        vertices: list[tuple[float, ...]]
-        vertices = list(body.vertices)
+        vertices: list[tuple[float, ...]] = list(body.vertices)
         names = list(body.boundaries)
         holes = list(body.holes)
         twins = {}

@@ -598,19 +598,20 @@ class PathLoop:
         return replace(result, status=Status.CONVERGED, residual=0.0)
 
     def _posed(self, k: int, motions: Mapping[str, np.ndarray]) -> Hierarchy:
-        """The hierarchy with loads, prescribed values, places of obstacles and slip references of a
-        step."""
+        """Return the hierarchy with loads, prescribed values, places of obstacles and slip
+        references of step k. Levels coarser than the solver's, or without a problem, stay as they
+        are."""
         factors = self._loading(k, motions)
         levels = []
         places = self.controls.placed(factors, motions)
-        offset = len(self.grids) - len(self.levels)
+        n_unused = len(self.grids) - len(self.levels)  # coarsest levels
         parts = zip(self.grids.levels, self.loads, self.posed, strict=True)
         for number, (level, loads, posed) in enumerate(parts):
-            if loads is not None and number >= offset:
+            if loads is not None and number >= n_unused:
                 problem = level.discrete
                 reference = level.discrete.contact.slip_reference
                 if len(self.recent) > 1:
-                    reference = problem.at_contact(self.levels[number - offset])
+                    reference = problem.at_contact(self.levels[number - n_unused])
                 step = loads.step(problem, factors, reference)
                 if posed is not None and places:
                     step = moved(posed, step, places, self.controls.places)
@@ -648,7 +649,8 @@ class PathLoop:
 
 
 def _posed_with_names(grids: Hierarchy) -> list[Posed | None]:
-    """What is posed on each level; None on all unless every discretised one has a mesh."""
+    """Return the posed problem of each level; None for all unless every discretised level has a
+    mesh."""
     posed = [grids.posed_on(level) for level in grids.levels]
     named = all(
         posed_level is not None or level.discrete_or_none is None
