@@ -111,15 +111,16 @@ def linearised_contact(
     force = to_frames(frames, residual.reshape(-1, dim)[nodes])
     force[:, 1:][held] = 0.0
     length = np.linalg.norm(slip, axis=1)
-    rubs = (state == State.OPEN) & (nodal.limit > 0)
-    still = rubs & (length <= _STILL * np.abs(unknowns).max(initial=0.0))
-    sticks = (state == State.STICK) | still
-    slips = (state == State.SLIP) | (rubs & ~still)
+    # Tresca's law acts at open nodes too, whose state does not say whether they slip
+    open_with_friction = (state == State.OPEN) & (nodal.limit > 0)
+    open_at_rest = open_with_friction & (length <= _STILL * np.abs(unknowns).max(initial=0.0))
+    sticks = (state == State.STICK) | open_at_rest
+    slips = (state == State.SLIP) | (open_with_friction & ~open_at_rest)
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
     unit = _opposite(slip, length, force[:, 1:])
     direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
-    bent = slips & (length > 0)
-    stiffness = np.where(bent, limit / np.where(bent, length, 1.0), 0.0)
+    with_direction = slips & (length > 0)
+    stiffness = np.where(with_direction, limit / np.where(with_direction, length, 1.0), 0.0)
     hessian = stiffness[:, None, None] * (np.eye(dim - 1) - unit[:, :, None] * unit[:, None, :])
     free = np.ones((len(nodes), dim), dtype=bool)
     free[state != State.OPEN, 0] = False

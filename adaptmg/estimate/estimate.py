@@ -484,34 +484,33 @@ def _padded(values: np.ndarray) -> np.ndarray:
 def jump_squares(state: Solved) -> np.ndarray:
     """Return squares (n_elements,), N m; half of each facet to each of its elements, with that
     element's modulus."""
-    mesh, stress, (one, other), facets = (
-        state.mesh,
-        state.stress,
-        state.neighbours.pairs,
-        state.neighbours.facets,
-    )
-    surface = Surface(mesh.points, facets)
+    mesh = state.mesh
+    stress = state.stress
+    first, second = state.neighbours.pairs
+    surface = Surface(mesh.points, state.neighbours.facets)
     if stress.axisymmetric:
-        rule, _, weights = integration(mesh.points, facets, surface.measures, True)
+        rule, _, weights = integration(mesh.points, surface.facets, surface.measures, True)
         jump = np.subtract(
             *(
-                stress.tractions(elements, surface.normals, facets, rule)
-                for elements in (one, other)
+                stress.tractions(elements, surface.normals, surface.facets, rule)
+                for elements in (first, second)
             )
         )
         squares = np.einsum("fqd,fqd,fq->f", jump, jump, weights)
     else:
         values = stress.values.T
         vectors = surface.vectors.T
-        change = values.take(one, axis=1) - values.take(other, axis=1)
+        change = values.take(first, axis=1) - values.take(second, axis=1)
         jumps = [
             sum(change[c] * part for c, part in zip(row, vectors, strict=True))
             for row in stress.columns
         ]
         squares = sum(jump * jump for jump in jumps) / surface.measures
     squares *= 0.5 * (surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures))
-    n = len(mesh.elements)
-    return sum(np.bincount(elements, squares, n) for elements in (one, other)) / state.young
+    return (
+        sum(np.bincount(elements, squares, len(mesh.elements)) for elements in (first, second))
+        / state.young
+    )
 
 
 def volume_squares(

@@ -81,9 +81,6 @@ class Reference:
                 'dataclasses.replace(problem, elements="linear")'
             )
         mesh = state.mesh
-        points = {}
-        on_body = {}
-        constants = {}
         forces = _exerted(state.discrete, result)
         prescribed = _constants(state.posed)
         acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
@@ -92,15 +89,15 @@ class Reference:
         inside = np.empty(mesh.points.shape)
         inside[mesh.elements] = mesh.points[mesh.elements].mean(axis=1, keepdims=True)
         places = mesh.points + _INWARD * (inside - mesh.points)
-        for k, body in enumerate(mesh.bodies):
-            of_body = acting & (owner == k)
-            points[body], on_body[body], constants[body] = (
-                places[of_body],
-                forces[of_body],
-                prescribed[of_body],
-            )
-        own_error = Recovery().indicate(hierarchy, result).total
-        return cls(state.problem, state.norm**2, own_error, points, on_body, constants)
+        loaded = {body: np.flatnonzero(acting & (owner == k)) for k, body in enumerate(mesh.bodies)}
+        return cls(
+            state.problem,
+            energy=state.norm**2,
+            own_error=Recovery().indicate(hierarchy, result).total,
+            points={body: places[nodes] for body, nodes in loaded.items()},
+            forces={body: forces[nodes] for body, nodes in loaded.items()},
+            prescribed={body: prescribed[nodes] for body, nodes in loaded.items()},
+        )
 
     def against(self, result: Result) -> float:
         """Return a(u, u_h) of a result, N m."""

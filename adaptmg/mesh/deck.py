@@ -302,16 +302,9 @@ class _Deck:
             for name, elements, nodes, _ in self.elements
             if (kind := _kind(name))
         ]
-        used, left = (
-            sorted(
-                {
-                    kind or "without a type"
-                    for kind, *_ in self.elements
-                    if (_kind(kind) is None) == other
-                }
-            )
-            for other in (False, True)
-        )
+        types = {kind for kind, *_ in self.elements}
+        used = sorted(kind for kind in types if _kind(kind) is not None)
+        left = sorted(kind or "without a type" for kind in types if _kind(kind) is None)
         notes = [f"elements of the types {', '.join(used)}", *self.notes]
         if left:
             notes.append(f"left out: elements of the types {', '.join(left)}")

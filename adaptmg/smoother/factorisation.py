@@ -151,9 +151,9 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
     """Write to ``path`` digits in base 3 (before, behind, separator), most significant first."""
     edges = sparse.coo_array(graph)
     row, column = edges.coords
-    once = row < column
-    row = row[once]
-    column = column[once]
+    upper = row < column
+    row = row[upper]
+    column = column[upper]
     active = path == 0
     part = np.zeros(len(path), dtype=np.int64)
     behind = np.zeros(len(path), dtype=bool)
@@ -183,7 +183,8 @@ def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.n
     extent, low, middle = (np.empty((len(size), coordinates.shape[1])) for _ in range(3))
     for k, x in enumerate(coordinates.T):
         ordered = x[np.lexsort((x, index))]
-        low[:, k], middle[:, k] = ordered[first], ordered[first + size // 2]
+        low[:, k] = ordered[first]
+        middle[:, k] = ordered[first + size // 2]
         extent[:, k] = ordered[first + size - 1] - low[:, k]
     axis = np.argmax(extent, axis=1)
     at = np.arange(len(size)), axis

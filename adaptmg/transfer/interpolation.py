@@ -194,18 +194,17 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
         # from the largest share to the smallest: the corners of the simplex that holds the node
         for last_pair in range(fine.dim - 1, 0, -1):
             for k in range(last_pair):
-                (upper, lower), behind = shares[k : k + 2], shares[k] < shares[k + 1]
-                shares[k : k + 2] = np.maximum(upper, lower), np.minimum(upper, lower)
+                share, next_share = shares[k : k + 2]
+                behind = share < next_share
+                shares[k : k + 2] = np.maximum(share, next_share), np.minimum(share, next_share)
                 steps[k : k + 2] = (
                     np.where(behind, steps[k + 1], steps[k]),
                     np.where(behind, steps[k], steps[k + 1]),
                 )
         ends = [1.0, *shares, 0.0]
         for k in range(fine.dim + 1):
-            weights[node:end, k], columns[node:end, k] = (
-                (ends[k] - ends[k + 1]).reshape(-1),
-                at.reshape(-1),
-            )
+            weights[node:end, k] = (ends[k] - ends[k + 1]).reshape(-1)
+            columns[node:end, k] = at.reshape(-1)
             at = at + steps[k] if k < fine.dim else at
         node = end
         column = last
