@@ -37,7 +37,6 @@ def in_front_of(posed: Posed, k: int) -> MortarInterface:
     contact = cast("Contact", problem.contact[k])
     surface = posed.surfaces[contact.boundary]
     nodes = surface.nodes
-    tied = posed.tie_masses
     normals, gaps = facing_obstacle(
         contact.obstacle, contact.boundary, mesh.points[nodes], posed.outward[k]
     )
@@ -53,14 +52,13 @@ def in_front_of(posed: Posed, k: int) -> MortarInterface:
         )
     free = free_normals(posed, k, normals)
     movable = (np.linalg.norm(free, axis=1) > TANGENTIAL) & (posed.untied[nodes] == k)
-    weights = (surface.lumped(problem.axisymmetric) + tied)[nodes[movable]]
+    weights = surface.lumped(problem.axisymmetric)[nodes[movable]]
     distances = gaps[movable]
     taken = None
     if not movable.all():  # on few meshes
-        carries, silent = np.zeros((2, mesh.n_nodes), dtype=bool)
+        carries = np.zeros(mesh.n_nodes, dtype=bool)
         carries[nodes[movable]] = True
-        silent[nodes] = tied[nodes] >= 0
-        taken = taken_over(surface, carries, problem.axisymmetric, silent)
+        taken = taken_over(surface, carries, problem.axisymmetric)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
         distances = distances + taken[:, nodes] @ gaps
     normals, gaps = along_free(free[movable], normals[movable], distances)

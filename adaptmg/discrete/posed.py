@@ -25,8 +25,7 @@ over the contact nodes j of the boundary,
 .. math:: u_{n,j} + \sum_i \frac{E_{ji} w_i}{w_j}\, u_i \cdot n_j \le g_j + \sum_i \frac{E_{ji} w_i}{w_j}\, g_i ,
 
 so that the multipliers add up to one and constant pressures are exact. The displacement :math:`u_i`
-enters as that of a master does. Where a tied node follows contact nodes in front of obstacles, its
-mass goes to these.
+enters as that of a master does.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ from adaptmg.discrete.supports import (
     supported_nodes,
     surfaces_of,
 )
-from adaptmg.discrete.ties import jump_of, masses_of_ties, tie_interfaces
+from adaptmg.discrete.ties import jump_of, tie_interfaces
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.mesh.step import exact_surfaces
 from adaptmg.problem.contact_problem import ContactProblem
@@ -253,11 +252,6 @@ class Posed:
         for tie in self.ties:
             owner[tie.nodes] = -1
         return owner
-
-    @cached_property
-    def tie_masses(self) -> np.ndarray:
-        """Boundary masses (n_nodes,) that contact nodes get by ties, or give away, < 0."""
-        return masses_of_ties(self)
 
     @cached_property
     def outward(self) -> Sequence[np.ndarray]:

@@ -19,8 +19,7 @@ from scipy import sparse
 
 from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Coupling, Unknowns
-from adaptmg.discrete.mortar import MortarInterface, pair_interface, spread
-from adaptmg.discrete.supports import TANGENTIAL
+from adaptmg.discrete.mortar import MortarInterface, pair_interface
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.surfaces import ContactPair, Periodic, Tied
 
@@ -161,32 +160,3 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
         boundary += [np.full(len(tied), len(names)), np.full(len(facing), len(names) + 1)]
         names += [slave, master]
     return TieForces(*map(np.concatenate, (nodes, forces, boundary)), names=tuple(names))
-
-
-def masses_of_ties(posed: Posed) -> np.ndarray:
-    """Return boundary masses (n_nodes,) in front of obstacles that tied nodes give, < 0, and contact
-    nodes that these follow, over tied ones too, take."""
-    masses = np.zeros(posed.mesh.n_nodes)
-    takes = np.zeros(posed.mesh.n_nodes)
-    if not posed.ties:
-        return masses
-    for k, contact in enumerate(posed.problem.contact):
-        if isinstance(contact, ContactPair):
-            continue
-        surface = posed.surfaces[contact.boundary]
-        boundary_nodes = surface.nodes[posed.owner[surface.nodes] == k]
-        free = posed.free_part(boundary_nodes, surface.node_normals[boundary_nodes])
-        takes[boundary_nodes] = np.linalg.norm(free, axis=1) > TANGENTIAL
-        masses[boundary_nodes] = surface.lumped(posed.problem.axisymmetric)[boundary_nodes]
-    tied = np.unique(np.concatenate([tie.nodes for tie in posed.ties]))
-    takes[tied] = 0.0
-    followed = spread([(tie.nodes, tie.coupling) for tie in posed.ties], len(masses))
-    step = cast("sparse.csr_array", followed).maximum(0.0).T  # ties have weights
-    reached = sparse.csr_array(step.shape)
-    path = step
-    for _ in posed.ties:
-        reached = reached + sparse.diags_array(takes) @ path
-        path = step @ sparse.diags_array(1 - takes) @ path
-    total = reached.sum(axis=0)
-    masses = np.where(total > 0, masses, 0.0)
-    return reached @ np.divide(masses, total, out=np.zeros_like(masses), where=total > 0) - masses
