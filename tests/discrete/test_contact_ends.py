@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import rotation
 from simplex_meshes import random_box
 
 import adaptmg as am
@@ -148,26 +149,39 @@ def test_contact_ends_at_a_tie(tie, divisions):
     np.testing.assert_allclose(result.resultant("a.right").force, (-P, 0), atol=1e-6 * P)
 
 
-@pytest.mark.parametrize("fine", ["left", "right"])
-def test_contact_goes_on_across_a_tie(fine):
-    """Two glued blocks on one floor, the slave of the tie with the finer mesh: uniform pressure."""
-    parts = {
-        "left": am.Rectangle(width=1, height=1),
-        "right": am.Rectangle(width=1, height=1, origin=(1, 0)),
-    }
+@pytest.mark.parametrize("divisions", [(6, 12), (12, 6), (5, 13), (6, 7), (6, 6)])
+@pytest.mark.parametrize("law", [am.Frictionless(), am.Coulomb(0.3)], ids=["smooth", "rough"])
+def test_contact_goes_on_across_a_tie(divisions, law):
+    """Two glued blocks on one floor, turned: uniform pressure whichever side has the finer mesh."""
+    rng = np.random.default_rng(sum(divisions))
+    turn = rotation(rng.uniform(0, 2 * np.pi))
+    size = 10 ** rng.uniform(-3, 1)
+    shift = rng.normal(size=2)
+
+    def block(x):
+        corners = np.array([(x, 0), (x + 1, 0), (x + 1, 1), (x, 1)])
+        places = shift + size * corners @ turn.T
+        return am.Polygon(
+            vertices=tuple(map(tuple, places)), boundaries=("bottom", "right", "top", "left")
+        )
+
+    parts = {"left": block(0), "right": block(1)}
+    floor = am.Plane(tuple(shift), tuple(turn[:, 1]))
     problem = am.ContactProblem(
         domain=am.Assembly(parts=parts),
         material=am.PlaneStrain(young=YOUNG, poisson=0.0),
-        law=am.Frictionless(),
-        ties=am.Tied(*("left.right", "right.left")[:: 1 if fine == "left" else -1]),
-        contact=[am.Contact(f"{body}.bottom", am.Plane((0, 0), (0, 1))) for body in parts],
+        law=law,
+        ties=am.Tied("left.right", "right.left"),
+        contact=[am.Contact(f"{body}.bottom", floor) for body in parts],
         loads=[am.Pressure(f"{body}.top", P) for body in parts],
-        supports=am.Support("left.left", x=0.0),
+        supports=am.Support("left.left", normal=0.0),
     )
-    grids = am.Hierarchy.uniform(problem, [{name: 6 + 3 * (name == fine) for name in parts}])
-    result = am.solve(grids, EXACT)
-    down = -P / YOUNG * result.mesh.points[:, 1]
-    np.testing.assert_allclose(result.displacement[:, 1], down, atol=1e-10 * P / YOUNG)
+    sizes = {name: size / n for name, n in zip(parts, divisions, strict=True)}
+    result = am.solve(am.Hierarchy.graded(problem, sizes=[sizes]), EXACT)
+    up = (result.mesh.points - shift) @ turn[:, 1]
+    np.testing.assert_allclose(
+        result.displacement @ turn[:, 1], -P / YOUNG * up, atol=1e-9 * size * P / YOUNG
+    )
     np.testing.assert_allclose(result.contact.pressure, P, rtol=1e-8)
 
 
