@@ -23,12 +23,12 @@ ROWS = [
     ("pad", (0, 1.5), OBSTACLE, 2, LEFT, 0, 0.5, 0.5),  # half an edge of the pad's corner
     ("pad", (0, 2), OBSTACLE, 2, LEFT, 0, 0.25, 0),
     *(("pad", (1, y), HELD, -1, (0, 0), 0, 0, 0) for y in (1.5, 2)),
-    ("table", (0, 0), OBSTACLE, 0, LEFT, 0.25, 0.5, 0),  # with that of the node tied to it
+    ("table", (0, 0), OBSTACLE, 0, LEFT, 0.25, 0.25, 0),
     ("table", (0, 0.5), OBSTACLE, 0, LEFT, 0.25, 0.5, 0),
     ("table", (0, 1), OBSTACLE, 0, LEFT, 0.25, 0.25, 0),
     *(("table", (x, y), MASTER, -1, (0, 0), 0, 0, 0) for x in (0.5, 1, 1.5, 2) for y in (0, 1)),
-    # half an edge of the clamped node, with its gap
-    ("foot", (0, -0.5), OBSTACLE, 3, LEFT, 0.25 + 0.5 * 0.25, 0.5, 0.5),
+    # half an edge each of the clamped node and of the tied one, with their gaps
+    ("foot", (0, -0.5), OBSTACLE, 3, LEFT, 0.25 + 2 * 0.5 * 0.25, 0.5, 1.0),
     *(("foot", (x, 0), TIED, 0, (0, 0), 0, 0.25, 0) for x in (0, 2)),
     *(("foot", (x, 0), TIED, 0, (0, 0), 0, 0.5, 0) for x in (0.5, 1, 1.5)),
     *(("foot", (x, -1), HELD, -1, (0, 0), 0, 0, 0) for x in (0, 0.5, 1, 1.5, 2)),
