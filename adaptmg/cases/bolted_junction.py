@@ -381,12 +381,17 @@ def _drilled(
 
 def _bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
     """A bolt: the shank reaches half into both heads, so that their undersides stay whole."""
-    f, (x, y) = flanges, place
-    inside = 0.5 * f.head_height
+    x, y = place
+    inside = 0.5 * flanges.head_height
     solid: SolidDomain = am.Cylinder(
-        (x, y, -f.lower - inside), (0.0, 0.0, 1.0), 0.5 * f.diameter, f.clamped + 2 * inside
+        (x, y, -flanges.lower - inside),
+        (0.0, 0.0, 1.0),
+        0.5 * flanges.diameter,
+        flanges.clamped + 2 * inside,
     )
-    for name, z, axis in (("upper_head", f.upper, 1.0), ("lower_head", -f.lower, -1.0)):
-        head = am.Cylinder((x, y, z), (0.0, 0.0, axis), 0.5 * f.head_diameter, f.head_height)
+    for name, z, axis in (("upper_head", flanges.upper, 1.0), ("lower_head", -flanges.lower, -1.0)):
+        head = am.Cylinder(
+            (x, y, z), (0.0, 0.0, axis), 0.5 * flanges.head_diameter, flanges.head_height
+        )
         solid = am.Fuse(solid, head, {"b.bottom": name, "b.top": "tip"})
     return solid

@@ -73,10 +73,8 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
 
 def displacement_gradient(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     """Return the gradients d u_i / d x_j (n_elements, dim, dim)."""
-    (slopes, _), corners = (
-        shape_gradients(mesh),
-        _nodal(mesh, displacement).take(mesh.elements, axis=0),
-    )
+    slopes = shape_gradients(mesh)[0]
+    corners = _nodal(mesh, displacement).take(mesh.elements, axis=0)
     gradients = np.empty((len(corners), mesh.dim, mesh.dim))
     for i, j in np.ndindex(mesh.dim, mesh.dim):  # three times as fast as products of small matrices
         gradients[:, i, j] = np.einsum("nk,nk->n", corners[:, :, i], slopes[:, :, j])

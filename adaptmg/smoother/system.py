@@ -167,13 +167,15 @@ def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) ->
     """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs. ``system``: that
     of a problem which shares matrix, fixed dofs and contact nodes with it."""
     checks.instance("problem", problem, DiscreteProblem)
-    nodes, (frames, fixed) = problem.contact.nodes, frames_and_fixed(problem)
-    load = rotate(problem.load_from_prescribed(), frames, nodes)
+    frames, fixed = frames_and_fixed(problem)
+    load = rotate(problem.load_from_prescribed(), frames, problem.contact.nodes)
     load[fixed] = 0.0
     nodal = _nodal_contact(problem, frames, fixed)
     if system is None:
-        matrix = without_fixed(_rotated(problem.matrix, frames, nodes), fixed, copy=False)
-        system = LocalSystem.from_matrix(matrix, fixed, nodes)
+        matrix = without_fixed(
+            _rotated(problem.matrix, frames, problem.contact.nodes), fixed, copy=False
+        )
+        system = LocalSystem.from_matrix(matrix, fixed, problem.contact.nodes)
         turn_held(system.diagonal, system.nodes, nodal)
     checks.instance("system", system, LocalSystem)
     return LocalProblem(system=system, load=load, contact=nodal, frames=frames, discrete=problem)
@@ -195,15 +197,15 @@ def held_tangents(problem: DiscreteProblem) -> np.ndarray:
 def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     """Return the diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as
     :func:`local_system` has them, without rotating the matrix."""
-    nodes, (contact, frames) = problem.contact.nodes, local_contact(problem)
-    blocks = np.einsum("nij,njk,nlk->nil", frames, nodal_blocks(problem)[nodes], frames)
-    free = np.ones((len(nodes), problem.dim))
+    contact, frames = local_contact(problem)
+    cartesian = nodal_blocks(problem)[problem.contact.nodes]
+    blocks = np.einsum("nij,njk,nlk->nil", frames, cartesian, frames)
+    free = np.ones((len(blocks), problem.dim))
     free[:, 1:] = ~held_tangents(problem)
-    mask = free[:, :, None] * free[:, None, :] + np.einsum(
+    blocks *= free[:, :, None] * free[:, None, :] + np.einsum(
         "ni,ij->nij", 1 - free, np.eye(problem.dim)
     )
-    blocks *= mask
-    turn_held(blocks, np.arange(len(nodes)), contact)
+    turn_held(blocks, np.arange(len(blocks)), contact)
     return blocks
 
 

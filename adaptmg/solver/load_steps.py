@@ -662,7 +662,7 @@ def nothing_resists(parts: Sequence[_Unknowns]) -> ValueError:
 def _rigid_moves(arms: np.ndarray) -> np.ndarray:
     """The displacements (n, 3 or 6, dim) of points with these arms (n, dim) in rigid motions."""
     n, dim = arms.shape
-    axes = np.eye(3)[3 - 2 * dim :]
+    axes = np.eye(3)[3 - 2 * dim :]  # of rotation: z alone in the plane
     spatial = np.pad(arms, ((0, 0), (0, 3 - dim)))
     turns = np.cross(axes, spatial[:, None])[:, :, :dim]
     return np.concatenate([np.broadcast_to(np.eye(dim), (n, dim, dim)), turns], axis=1)

@@ -169,8 +169,12 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
 
 
 def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
-    """Rows of interpolation between structured meshes of the same bodies, to rounding; None for
-    other meshes."""
+    """Return the rows of interpolation between structured meshes of the same bodies, to rounding;
+    None for other meshes.
+
+    A coarse cell is cut into simplices along its diagonal: a node with the shares s_1 >= s_2 (>= s_3)
+    along the axes of its cell has the corners that lie 0, 1, 2 (3) steps along these axes, in this
+    order, from the first corner, and the weights 1 - s_1, s_1 - s_2, ..., s_d."""
     if not (coarse.bodies == fine.bodies and len(coarse.lattices) == len(fine.lattices) > 0):
         return None
     node = 0
@@ -183,15 +187,15 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
         last = column + int(strides[-1])
         if (coarse.points[[column, last - 1]] != fine.points[[node, end - 1]]).any():
             return None
-        at = np.int32(column)
+        corner = np.int32(column)
         shares = []
         steps = list(strides[:-1])
         for k, (m, n) in enumerate(zip(below, above, strict=True)):
             # of nodes along an axis the coarse cell, and how far in it they lie
             cell, rest = np.divmod(np.arange(n + 1) * m, n)
-            at = (strides[k] * cell.astype(np.int32)).reshape(-1, *[1] * k) + at
+            corner = (strides[k] * cell.astype(np.int32)).reshape(-1, *[1] * k) + corner
             shares.append((rest / n).reshape(-1, *[1] * k))
-        # from the largest share to the smallest: the corners of the simplex that holds the node
+        # sort shares and steps from the largest share to the smallest, by exchange of neighbours
         for last_pair in range(fine.dim - 1, 0, -1):
             for k in range(last_pair):
                 share, next_share = shares[k : k + 2]
@@ -204,8 +208,8 @@ def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array 
         ends = [1.0, *shares, 0.0]
         for k in range(fine.dim + 1):
             weights[node:end, k] = (ends[k] - ends[k + 1]).reshape(-1)
-            columns[node:end, k] = at.reshape(-1)
-            at = at + steps[k] if k < fine.dim else at
+            columns[node:end, k] = corner.reshape(-1)
+            corner = corner + steps[k] if k < fine.dim else corner
         node = end
         column = last
     return _rows(columns, weights, weights >= CLIP, coarse.n_nodes)
