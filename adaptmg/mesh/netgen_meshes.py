@@ -421,7 +421,11 @@ def _at_rest(
 def _unit_mesh(
     worker: Netgen, shape: Shape, sizes: SolidSizes, domain: Domain, mesher: str
 ) -> MeshArrays:
-    """The mesh at unit size of the solid that a process holds."""
+    """Return the mesh at unit size of the solid that a process holds.
+
+    Coarse drafts are made and refined first, then meshes at the wanted sizes, which grow ever more
+    slowly. The first one without flat elements is returned; if all have some, the one whose worst
+    element is the best."""
     faces = [str(i) for i, name in enumerate(shape.names) if name in sizes.names]
     if missing := sorted(set(sizes.names).difference(shape.names)):
         raise ValueError(f"of boundary {missing[0]!r} no face is left on {domain!r}")
@@ -450,13 +454,10 @@ def _unit_mesh(
     for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
         try:
             coarse = sizes.drafts(factor, slower)
-            rounds = (
-                0
-                if coarse.function is None and not faces
-                else 2
-                if factor == 1 and coarse.function
-                else 1
-            )
+            # meshes made before, whose sizes the last one follows: one where sizes vary, and another
+            # at the wanted size where a function gives them
+            by_function = coarse.function is not None
+            rounds = int(by_function or bool(faces)) + int(by_function and factor == 1)
             unit = _solid_draft(
                 worker, shape, coarse, faces, domain, nodes / factor**3 + on_round, rounds
             )

@@ -244,6 +244,8 @@ def _continued(
     hierarchy: Hierarchy,
     run: Run,
 ) -> Outcome:
+    """Return the outcome of another solver for the cycles that are left, added to that ``before``;
+    ``before`` if the other one gives up."""
     if not before.left:
         return before
     _LOG.info(
