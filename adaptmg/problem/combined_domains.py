@@ -211,11 +211,11 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
         elif (b.winding(piece.middle) == 1) == (what == "Common"):
             pieces.append(piece)
         of_b = [other for other in of_b if other not in twins]
-    for piece in of_b:
-        if (a.winding(piece.middle) == 1) == (what != "Fuse"):
-            pieces.append(
-                replace(piece, start=piece.end, end=piece.start) if what == "Cut" else piece
-            )
+    pieces += [
+        replace(piece, start=piece.end, end=piece.start) if what == "Cut" else piece
+        for piece in of_b
+        if (a.winding(piece.middle) == 1) == (what != "Fuse")
+    ]
     return _chained(what, pieces, points)
 
 

@@ -84,14 +84,14 @@ def _stiffness(
     """Compare the forces of an affine field with those of its stresses and of springs; ``points``
     count from the middle of the mesh."""
     materials = body_materials(mesh, problem.material)
-    springs = [one for one in problem.supports if isinstance(one, Spring)]
+    springs = [support for support in problem.supports if isinstance(support, Spring)]
     covered = (
-        all(_is_isotropic(one) for one in materials)
-        and not any(isinstance(one, PointSpring) for one in problem.supports)
-        and all(_numbers(one.normal, one.tangential) is not None for one in springs)
+        all(_is_isotropic(elastic) for elastic in materials)
+        and not any(isinstance(support, PointSpring) for support in problem.supports)
+        and all(_numbers(spring.normal, spring.tangential) is not None for spring in springs)
         and not len(discrete.volumes)
         and not len(discrete.inclined)
-        and not any(isinstance(one, Periodic) for one in problem.ties)
+        and not any(isinstance(tie, Periodic) for tie in problem.ties)
         and not isinstance(materials[0], Axisymmetric)
     )
     kinds = _kinds_of_nodes(mesh, materials) if covered else None
@@ -105,7 +105,9 @@ def _stiffness(
     forces = discrete.physical_forces(discrete.matrix @ unknowns).reshape(field.shape)
     expected = np.zeros_like(field)
     strain = 0.5 * (gradient + gradient.T)
-    stresses = np.stack([_stress(one, strain) for one in materials])[kinds[mesh.facets[:, 0]]]
+    stresses = np.stack([_stress(elastic, strain) for elastic in materials])[
+        kinds[mesh.facets[:, 0]]
+    ]
     vectors = Surface(mesh.points, mesh.facets).vectors
     share = np.einsum("fij,fj->fi", stresses, vectors) / mesh.dim
     for corner in mesh.facets.T:
@@ -126,7 +128,7 @@ def _kinds_of_nodes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> np.ndar
     result = np.zeros(mesh.n_nodes, dtype=np.int64)
     if len(set(materials)) == 1:
         return result
-    kinds = np.array([materials.index(one) for one in materials])[mesh.element_body, None]
+    kinds = np.array([materials.index(elastic) for elastic in materials])[mesh.element_body, None]
     result[mesh.elements] = kinds
     return result if (result[mesh.elements] == kinds).all() else None
 
@@ -182,9 +184,9 @@ def _acting(
         forces = load_vector(mesh, [load], materials).reshape(mesh.points.shape)
         return mesh.points, forces, np.arange(mesh.n_nodes)
     if isinstance(load, BodyForce):
-        here = slice(None) if load.body is None else body_elements(mesh, load.body)
-        cells = mesh.elements[here]
-        measures = mesh.volumes[here]
+        elements = slice(None) if load.body is None else body_elements(mesh, load.body)
+        cells = mesh.elements[elements]
+        measures = mesh.volumes[elements]
         density = values[None]
     else:
         surface = mesh.surface(load.boundary)
@@ -205,9 +207,9 @@ def _loads(
     no resultants. ``points`` count from the middle of the mesh."""
     materials = body_materials(mesh, problem.material)
     loads = [
-        _acting(one, mesh, materials)
-        for one in problem.loads
-        if not isinstance(one, InitialStrain | Preload)
+        _acting(load, mesh, materials)
+        for load in problem.loads
+        if not isinstance(load, InitialStrain | Preload)
     ]
     if not loads:
         return ()
@@ -215,8 +217,8 @@ def _loads(
     arm = float(mesh.sides.max())
     places = places - mesh.box.mean(axis=0)
     count = int(body.max()) + 1
-    own = discrete.physical_forces(discrete.whole_load).reshape(-1, mesh.dim)
-    missed = _resultants(points, own, arm, body, count)
+    load_forces = discrete.physical_forces(discrete.whole_load).reshape(-1, mesh.dim)
+    missed = _resultants(points, load_forces, arm, body, count)
     missed -= _resultants(places, forces, arm, body[nodes], count)
     if problem.axisymmetric:
         missed = missed[:, 1]
@@ -231,7 +233,7 @@ def _resultants(
     axes = combinations(range(len(arms)), 2)
     moments = [arms[i] * forces[:, j] - arms[j] * forces[:, i] for i, j in axes]
     columns = [*forces.T, *moments]
-    return np.stack([np.bincount(body, one, minlength=count) for one in columns], axis=1)
+    return np.stack([np.bincount(body, column, minlength=count) for column in columns], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,14 +277,16 @@ class FreeBodies:
             masters.append((number, shift))
             if master and shift is None:
                 compared[number, mesh.dim :] = False
-        springs = [one for one in problem.supports if isinstance(one, Spring | PointSpring)]
+        springs = [
+            support for support in problem.supports if isinstance(support, Spring | PointSpring)
+        ]
         covered = problem.elements == "linear" and not len(discrete.inclined)
         points = mesh.points - mesh.box.mean(axis=0)
         return cls(
             points,
             float(mesh.sides.max()),
             body,
-            [_spring_blocks(mesh, one, problem.axisymmetric) for one in springs],
+            [_spring_blocks(mesh, spring, problem.axisymmetric) for spring in springs],
             masters,
             compared,
             _near(problem, mesh, discrete) if covered else None,
@@ -326,10 +330,10 @@ class FreeBodies:
         exerted = [np.zeros(shape) for _ in self.masters]
         ties = exerted[len(contact.names) :]
         for k, forces in enumerate(exerted[: len(contact.names)]):
-            mine = contact.boundary == k
-            forces[contact.nodes[mine]] = evidence.claimed[mine]
+            on_boundary = contact.boundary == k
+            forces[contact.nodes[on_boundary]] = evidence.claimed[on_boundary]
             if contact.taken_over.shape[1]:
-                forces += contact.taken_over[mine].T @ evidence.claimed[mine]
+                forces += contact.taken_over[on_boundary].T @ evidence.claimed[on_boundary]
         for (_, _, nodes), forces in zip(discrete.ties, ties, strict=True):
             forces[nodes] = evidence.tying.reshape(shape)[nodes]
         acting = discrete.physical_forces(discrete.whole_load).reshape(shape) + held - stretched
@@ -342,9 +346,9 @@ class FreeBodies:
     def _resultants(
         self, forces: np.ndarray, body: np.ndarray, shift: np.ndarray | None = None
     ) -> np.ndarray:
-        here = np.flatnonzero(_any_component(forces))
-        places = self.points[here] + (0.0 if shift is None else shift)
-        return _resultants(places, forces[here], self.arm, body[here], len(self.compared))
+        loaded = np.flatnonzero(_any_component(forces))
+        places = self.points[loaded] + (0.0 if shift is None else shift)
+        return _resultants(places, forces[loaded], self.arm, body[loaded], len(self.compared))
 
 
 def _any_component(vectors: np.ndarray) -> np.ndarray:
@@ -365,15 +369,22 @@ def _free_bodies(discrete: DiscreteProblem, posed: Posed) -> FreeBodies:
 def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarray | None:
     """Return the way from one plane surface to the other, of periodic sides between their
     middles; None where nodes of either meet off the normal."""
-    one, other = (mesh.points[mesh.boundary_nodes(name)] for name in (slave, master))
+    slave_points, master_points = (
+        mesh.points[mesh.boundary_nodes(name)] for name in (slave, master)
+    )
     if isinstance(posed, Periodic):
-        return 0.5 * (other.max(axis=0) + other.min(axis=0) - one.max(axis=0) - one.min(axis=0))
+        return 0.5 * (
+            master_points.max(axis=0)
+            + master_points.min(axis=0)
+            - slave_points.max(axis=0)
+            - slave_points.min(axis=0)
+        )
     normal = mesh.surface(slave).normals[0]
-    heights = max(np.ptp(side @ normal) for side in (one, other))
+    heights = max(np.ptp(side @ normal) for side in (slave_points, master_points))
     by_node = isinstance(posed, ContactPair) and posed.coupling == "nodes"
     if by_node or heights > _PLANE * mesh.sides.max():
         return None
-    return ((other[0] - one[0]) @ normal) * normal
+    return ((master_points[0] - slave_points[0]) @ normal) * normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,16 +421,16 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
     held = _any_component(discrete.fixed.reshape(mesh.points.shape))
     held[discrete.contact.nodes] = True
     # by corner: 26 us at 8192 triangles in place of 145
-    here = np.flatnonzero(held.take(mesh.elements.T).any(axis=0))
-    cells = mesh.elements[here]
+    elements = np.flatnonzero(held.take(mesh.elements.T).any(axis=0))
+    cells = mesh.elements[elements]
     # the facet opposite a corner: 6 ms at 36k nodes in space, where blocks B'CB took 52
     facets = element_facets(cells).reshape(-1, mesh.dim)
     outward = Surface(mesh.points, facets).vectors.reshape(*cells.shape, mesh.dim)
     radii = mesh.points[cells, 0].mean(axis=1) if problem.axisymmetric else None
-    own = moduli(mesh, body_materials(mesh, problem.material))
-    tensors = own.table[own.rows[here]]
+    body_moduli = moduli(mesh, body_materials(mesh, problem.material))
+    tensors = body_moduli.table[body_moduli.rows[elements]]
     nodes = np.flatnonzero(held)
-    return Elements(nodes, cells, -outward / mesh.dim, mesh.volumes[here], tensors, radii)
+    return Elements(nodes, cells, -outward / mesh.dim, mesh.volumes[elements], tensors, radii)
 
 
 def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Condition:
@@ -429,20 +440,20 @@ def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProbl
     for k, (name, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
         if problem.ties and not master:
             continue  # masses of tied nodes go to others
-        mine = contact.boundary == k
-        nodes = contact.nodes[mine]
+        on_boundary = contact.boundary == k
+        nodes = contact.nodes[on_boundary]
         surface = mesh.surface(name)
         shares = np.repeat(surface.measures[:, None] / mesh.dim, mesh.dim, axis=1)
         if problem.axisymmetric:
             radii = mesh.points[surface.facets, 0]
             shares *= 2 * np.pi * (radii + radii.sum(axis=1, keepdims=True)) / 3
         mass = np.bincount(surface.facets.ravel(), shares.ravel(), mesh.n_nodes)
-        less = 1 - contact.weights[mine] / mass[nodes]
-        missed[mine] = np.abs(less)
+        less = 1 - contact.weights[on_boundary] / mass[nodes]
+        missed[on_boundary] = np.abs(less)
         if master:
             # what has no partner opposite lacks at all corners of its facet
             whole = np.isin(np.arange(mesh.n_nodes), nodes[np.abs(less) <= _ROUNDING])
             lacking = surface.facets[~whole[surface.facets].any(axis=1)]
-            missed[mine] *= (less < 0) | (less > _SLIVER) & ~np.isin(nodes, lacking)
+            missed[on_boundary] *= (less < 0) | (less > _SLIVER) & ~np.isin(nodes, lacking)
     largest = float(missed.max(initial=0.0))
     return Condition("measures", largest, float(np.linalg.norm(missed)), "", largest, 0.0, ALLOWED)

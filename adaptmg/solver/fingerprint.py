@@ -244,8 +244,8 @@ class _Parts:
         # classes that are sent to workers lose the name of the function around them
         name = self._home(module)
         if not isinstance(thing, ModuleType):
-            own = getattr(thing, "__name__" if isinstance(thing, type) else "__qualname__")
-            name = f"{name}.{own}"
+            qualified = getattr(thing, "__name__" if isinstance(thing, type) else "__qualname__")
+            name = f"{name}.{qualified}"
         if not self.is_own(module, thing) and not follow:
             return f"installed {name}"
         # closures and classes of one name get numbers; the list keeps them alive, and so their id
