@@ -74,7 +74,8 @@ class Coupling:
 
     @property
     def between_bodies(self) -> bool:
-        """Whether nodes face those of other bodies, and not only take over from neighbours."""
+        """Return whether nodes face those of other bodies, and not only take over from
+        neighbours."""
         return bool(self.weights.data.max(initial=0.0) > 0)
 
     @property
@@ -196,7 +197,7 @@ class Unknowns:
 
     @property
     def between_bodies(self) -> bool:
-        """Whether the unknowns are relative to other bodies."""
+        """Return whether the unknowns are relative to other bodies."""
         return self.coupling is not None and self.coupling.between_bodies
 
     @property

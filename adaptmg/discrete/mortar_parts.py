@@ -279,8 +279,8 @@ def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.nda
 
 
 def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.ndarray:
-    r"""Where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times n(s)
-    = 0`. Of the two roots of this quadratic equation the one where q falls: there the node is
+    r"""Find where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times
+    n(s) = 0`. Of the two roots of this quadratic equation the one where q falls: there the node is
     before the centre of curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is
     next to all of the edge."""
     x = surfaces.points[slave]
@@ -652,8 +652,8 @@ def _gap(plane, moments):
 
 @inner_kernel
 def _nearer(parts, sizes, masters, gaps, i, j, tolerance, spare):
-    """Which of two parts is nearer where they overlap, -1 if they do not; the same for (i, j) and
-    (j, i)."""
+    """Return which of two parts is nearer where they overlap, -1 if they do not; the same for (i,
+    j) and (j, i)."""
     a = min(i, j)
     b = max(i, j)
     if separated(parts[a], sizes[a], masters[b], 3, tolerance):

@@ -67,7 +67,7 @@ from adaptmg.problem.surfaces import ContactPair
 
 
 class Role(IntEnum):
-    """What a node of a boundary does; the first that applies, from the last one on."""
+    """The role of a node of a boundary; the first that applies, from the last one on."""
 
     HELD = 0  # supports or springs alone act on it, or nothing where it lost its part to others
     MASTER = 1  # nodes of another body may face it
@@ -184,7 +184,7 @@ class Posed:
 
     @property
     def fixed(self) -> np.ndarray:
-        """Which components (n_nodes, dim) bool supports hold."""
+        """Return which components (n_nodes, dim) supports hold."""
         return self._components[0]
 
     @cached_property

@@ -95,7 +95,7 @@ _PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class StressData:
-    """What stresses follow from, next to a mesh and a displacement."""
+    """Materials and strains from which stresses follow, next to a mesh and a displacement."""
 
     lame: np.ndarray  # (n_bodies,): Lame constants as they enter the stress, Pa
     shear: np.ndarray  # (n_bodies,), Pa
@@ -146,12 +146,12 @@ class StressData:
 
     @property
     def thin(self) -> np.ndarray:
-        """Which bodies (n_bodies,) are in plane stress."""
+        """Return which bodies (n_bodies,) are in plane stress."""
         return self.kind == _THIN
 
     @property
     def axisymmetric(self) -> bool:
-        """Whether x is the radius r, and y the axial coordinate z."""
+        """Return whether x is the radius r, and y the axial coordinate z."""
         return bool((self.kind == _AXISYMMETRIC).any())
 
     def of_elements(self, mesh: MeshArrays) -> Moduli:

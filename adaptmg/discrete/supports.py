@@ -77,7 +77,7 @@ class Inclined:
 
     @property
     def moving(self) -> np.ndarray:
-        """Which of the nodes (k,) bool supports move."""
+        """Return which of the nodes (k,) supports move."""
         moving = sum(
             (part.any(axis=1) for part in self.moved.values()),
             np.zeros(len(self.nodes), dtype=bool),

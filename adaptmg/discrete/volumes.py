@@ -117,7 +117,8 @@ class Volumes:
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """What makes forces of strains (n_groups,): (lam_1 + mu) times a facet of the group, N."""
+        """Return the factors (n_groups,) from strains to forces: (lam_1 + mu) times a facet of the
+        group, N."""
         return self.modulus * self.areas ** (1 - 1 / self._dim)
 
     @property

@@ -180,8 +180,8 @@ def clip(polygon, n, window, m, out, spare):
 
 @inner_kernel
 def _separated_by_edge(polygon, n, window, m, tolerance):
-    """Whether ``polygon`` lies to the right of an edge of ``window``, but for a strip as wide as
-    ``tolerance``."""
+    """Return whether ``polygon`` lies to the right of an edge of ``window``, but for a strip as
+    wide as ``tolerance``."""
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
         ax = window[i, 0]

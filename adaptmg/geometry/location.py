@@ -20,7 +20,7 @@ from adaptmg.geometry.search import STACK, BoxTree, leaf_range, morton_order, pa
 
 @dataclass(frozen=True, eq=False)
 class Location:
-    """Where points lie in a mesh."""
+    """Places of points in a mesh."""
 
     element: np.ndarray  # (n,) int32: the element that holds the point, or the nearest one
     #: (n, dim + 1), >= 0, sums 1: barycentric weights in that element, of the point or the closest one of the mesh
@@ -133,7 +133,7 @@ def _inside(maps, e, x, y, z, dim):
 
 @inner_kernel
 def _box_contains(boxes, node, x, y, z, dim):
-    """Whether the closed box of ``node`` contains a point."""
+    """Return whether the closed box of ``node`` contains a point."""
     return (
         boxes[node, 0] <= x <= boxes[node, dim]
         and boxes[node, 1] <= y <= boxes[node, dim + 1]

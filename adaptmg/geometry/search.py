@@ -60,7 +60,7 @@ def _build(points, simplices, n_leaves, boxes):
 
 @kernel
 def _box_overlaps(boxes, node, box, dim):
-    """Whether the box of ``node`` and ``box`` (2 dim,) meet."""
+    """Return whether the box of ``node`` and ``box`` (2 dim,) meet."""
     meet = True
     for c in range(dim):
         meet = meet and box[dim + c] >= boxes[node, c] and box[c] <= boxes[node, dim + c]
@@ -108,7 +108,7 @@ def overlapping(boxes, box, points, simplices, stack, candidates):
 
 @kernel
 def _simplex_meets(points, corners, box, dim):
-    """Whether the bounding box of a simplex meets ``box``."""
+    """Return whether the bounding box of a simplex meets ``box``."""
     for c in range(dim):
         low = np.inf
         high = -np.inf

@@ -163,8 +163,8 @@ def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndar
 def _thin_parts(
     places: np.ndarray, elements: np.ndarray, across: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where nodes lie across the domain from edges far longer than it is thick: their feet there,
-    and fitting sizes."""
+    """Find where nodes lie across the domain from edges far longer than it is thick: their feet
+    there, and fitting sizes."""
     e, k = np.nonzero(across < 0)
     a, b, c = (places[elements[e, (k + i) % 3]] for i in (1, 2, 0))
     along = b - a
@@ -378,7 +378,8 @@ def _next_place(points, elements, e, sizes, place):
 
 @inner_kernel
 def _is_free(points, elements, across, t, p, apart):
-    """Whether node p in triangle t is so far from its corners, and not next to the boundary."""
+    """Return whether node p in triangle t is so far from its corners, and not next to the
+    boundary."""
     x = points[p, 0]
     y = points[p, 1]
     for k in range(3):

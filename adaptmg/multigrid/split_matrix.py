@@ -62,7 +62,7 @@ class SplitMatrix:
 
     @property
     def symmetric(self) -> bool:
-        """Whether U is not stored, being the transpose of L."""
+        """Return whether U is not stored, being the transpose of L."""
         return len(self.upper_indptr) == 0
 
     @property
@@ -282,8 +282,8 @@ def galerkin_levels(
 def _nested(
     above: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array
 ) -> bool:
-    """Whether ``coarse`` is the Galerkin matrix; the level above remembers, as growing hierarchies
-    ask each time."""
+    """Return whether ``coarse`` is the Galerkin matrix; the level above remembers, as growing
+    hierarchies ask each time."""
     asked = above.__dict__.get("_galerkin_of")
     if asked is None or asked[0] is not matrix or asked[1] is not coarse:
         asked = matrix, coarse, is_galerkin(matrix, nodal, coarse)

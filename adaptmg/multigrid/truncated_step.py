@@ -55,7 +55,7 @@ from adaptmg.smoother.system import LocalSystem, NodalContact
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """What the coarse matrices are truncated for."""
+    """The contact status that the coarse matrices are truncated for."""
 
     contact: TruncatedContact  # with status, slip directions and Hessians
     frozen: bool  # whether g is frozen, which keeps them symmetric
@@ -313,8 +313,8 @@ class TruncatedStep:
             self._applied = linearised
 
     def _balanced(self, pressures: np.ndarray) -> np.ndarray:
-        """What the matrix of this level balances (n_dofs,): the load without what pressures of
-        groups carry."""
+        """Return the forces (n_dofs,) that the matrix of this level balances: the load without what
+        pressures of groups carry."""
         return self.load - self.pressures.volumes.forces(pressures) if len(pressures) else self.load
 
     def _of_uniform(

@@ -219,7 +219,7 @@ class NodalUpdate(_Update[_ChangedBlocks]):
 def _products(
     level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray
 ) -> _ChangedBlocks:
-    """Where the blocks of a finer level go on this one."""
+    """Find where the blocks of a finer level go on this one."""
     entries = np.diff(nodal.indptr).astype(np.int64)
     room = int(entries[rows] @ entries[columns])
     source = np.empty(room, dtype=np.int32)
@@ -378,7 +378,7 @@ def _turn(dim, frames, k, inverse, rows, block, other):
 
 @inner_kernel
 def _truncated(a, code):
-    """Whether component a of a contact node is out of the coarse problem."""
+    """Return whether component a of a contact node is out of the coarse problem."""
     return code & CLOSED != 0 if a == 0 else code & TANGENTIAL == HELD
 
 

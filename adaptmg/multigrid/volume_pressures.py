@@ -36,7 +36,7 @@ from adaptmg.multigrid.linear_cycle import least_weights
 
 
 class VolumePressures:
-    """What moves the pressures (n_groups,) of one level, Pa."""
+    """The steps of the pressures (n_groups,) of one level, Pa."""
 
     #: share of a step after a change of the status, and number of such steps
     CAUTIOUS, STEPS = 0.5, 2

@@ -135,8 +135,8 @@ class Linearised:
 
     @property
     def same_matrix(self) -> bool:
-        """Whether every step with this :attr:`key` has the same matrix: no curvature, directions in
-        the key."""
+        """Return whether every step with this :attr:`key` has the same matrix: no curvature,
+        directions in the key."""
         return not self.curvature.any() and (self.direction.shape[1] == 1 or self.symmetric)
 
 

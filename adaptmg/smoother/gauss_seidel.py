@@ -42,7 +42,7 @@ _DIRECTIONS = {"forward": (1,), "backward": (-1,), "symmetric": (1, -1)}
 
 
 class Smoother(Protocol):
-    """What a smoother must offer."""
+    """The protocol of a smoother."""
 
     def smooth(
         self,

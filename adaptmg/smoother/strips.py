@@ -98,8 +98,8 @@ class Strips:
 
 
 def _bounds(last: np.ndarray) -> list[int]:
-    """Where strips begin and end: ``last`` (n,) is the place of the last neighbour of a node at
-    each place."""
+    """Return where strips begin and end: ``last`` (n,) is the place of the last neighbour of a node
+    at each place."""
     n = len(last)
     reach = np.append(
         0, np.maximum.accumulate(last) + 1

@@ -314,7 +314,7 @@ def raised(diagonal: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class AtNodes:
-    """What the nodes that carry the contact conditions have."""
+    """Data of the nodes that carry the contact conditions."""
 
     gap: np.ndarray  # (n_contact,) m
     slip: np.ndarray  # (n_contact, dim), in the tangent plane, m

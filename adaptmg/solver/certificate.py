@@ -196,7 +196,7 @@ _EPSILON = float(np.finfo(float).eps)
 
 
 class ContactClaims(Protocol):
-    """What a result says of its contact nodes; see
+    """The claims of a result about its contact nodes; see
     :class:`adaptmg.solver.examine.ContactResult`."""
 
     @property
@@ -235,8 +235,8 @@ class Condition:
 
 
 class Evidence:
-    """What the lines are made from. Forces of coupled bodies are those of the bodies, not of
-    relative coordinates."""
+    """The quantities that the lines are made from. Forces of coupled bodies are those of the
+    bodies, not of relative coordinates."""
 
     def __init__(
         self,

@@ -238,7 +238,7 @@ def _resultants(
 
 @dataclass(frozen=True, eq=False)
 class FreeBodies:
-    """What is known of the bodies of a problem before it is solved."""
+    """Properties of the bodies of a problem that are known before it is solved."""
 
     points: np.ndarray  # (n_nodes, dim): from the middle of the mesh, m
     arm: float  # that moments are divided by, m

@@ -209,7 +209,7 @@ class _Preconditioner:
 
 @dataclass(frozen=True, eq=False)
 class HeldCorrection:
-    """Of a displacement, in the space of its status."""
+    """A correction of a displacement within the linear space of its contact status."""
 
     energy: float  # N m; infinite where the status leaves a motion free that is loaded
     moved: np.ndarray  # (n_contact, dim): the correction at the contact nodes, m

@@ -433,7 +433,7 @@ def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> flo
 
 
 class Sizes:
-    """Of the iterates of one problem."""
+    """Norms used to make errors and residuals of one problem relative."""
 
     IDLE = 1e3  # forces below this multiple of the rounding of a residual are rounding
 

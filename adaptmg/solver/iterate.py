@@ -105,7 +105,7 @@ Flowing = TypeVar("Flowing")  # what a method has for its states
 
 
 class Steps(Protocol[Flowing]):
-    """What a method offers to the loop. It remembers nothing of its states."""
+    """The protocol of a method in the loop. It remembers nothing of its states."""
 
     def step(self, state: Flowing) -> Flowing:
         """Return the next state."""

@@ -563,8 +563,8 @@ class PathLoop:
         self._remember(grids, result, grids.finest.discrete.load_from_prescribed(), coarse)
 
     def _at_rest(self, forces: np.ndarray) -> bool:
-        """Whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b - A
-        u_fixed."""
+        """Return whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b -
+        A u_fixed."""
         contact = self.examiner.contact
         quiet = not (forces.any() or self.examiner.discrete.fixed_values.any())
         slid = np.abs(contact.slip_reference).any(axis=1)

@@ -91,7 +91,7 @@ Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Ke
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """What is known before a step."""
+    """The steps and differences known before a step."""
 
     levels: list[np.ndarray]  # displacements (n_dofs,) after the step before, coarsest level first
     last: np.ndarray  # solution (n_unknowns,) after the step before

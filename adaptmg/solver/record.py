@@ -18,7 +18,7 @@ from adaptmg.solver.examine import Examined
 
 
 class Status(Enum):
-    """How a solver ended; the value is advice.
+    """The end of a solve; the value is advice.
 
     CONVERGED: the certificate finds an energy error of at most rtol, relative, and the natural
     residual is at most 10 rtol; or both are rounding: a tolerance below what rounding leaves is
@@ -61,7 +61,7 @@ class Status(Enum):
 
 @dataclass
 class Run:
-    """What a solver writes while it runs."""
+    """A record that a solver writes while it runs."""
 
     unit: int  # stored nonzeros of the finest matrix: one work unit
     callback: Callable[[dict[str, float]], None] | None = None
@@ -152,7 +152,7 @@ class Run:
 
 @dataclass
 class Outcome:
-    """What a solver returns."""
+    """The values that a solver returns."""
 
     # (n_unknowns,): displacement on the finest level, between bodies relative, m; then the
     # pressures of volumes, Pa, where the problem has any
@@ -171,7 +171,7 @@ class Outcome:
 
 
 class Solver(Protocol):
-    """What :func:`adaptmg.solve` needs of a solver."""
+    """The protocol of a solver in :func:`adaptmg.solve`."""
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level of ``hierarchy`` from ``start`` (n_unknowns,), see

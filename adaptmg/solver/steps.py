@@ -29,7 +29,7 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 
 class Stepper(Protocol):
-    """What a method keeps for one hierarchy: matrices and transfers, no iterate."""
+    """Matrices and transfers that a method keeps for one hierarchy, without an iterate."""
 
     def step(self, state: State) -> State:
         """Return the next state; the arrays of ``state`` must not be changed."""

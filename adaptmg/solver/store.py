@@ -148,7 +148,7 @@ class _Reader:
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """What a file holds."""
+    """Contents of a file."""
 
     value: Any
     more: Any

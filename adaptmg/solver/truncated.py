@@ -138,8 +138,8 @@ class TruncatedTest(StopTest):
         return self.SAFETY * self.changes[-1] * rate / self.size
 
     def _ran_away(self) -> bool:
-        """Whether the absolute norm has grown: reactions, to which it is related elsewhere, grow
-        with it."""
+        """Return whether the absolute norm has grown: reactions, to which it is related elsewhere,
+        grow with it."""
         return self._last > 1e6 * max(self._first, 1e-300)
 
 
@@ -195,7 +195,7 @@ class TruncatedCycles:
         return new.but(size=size, shorten=shorten, from_start=from_start)
 
     def _seeks_status(self, state: TruncatedState) -> bool:
-        """Whether a contact problem on a coarse level comes first."""
+        """Return whether a contact problem on a coarse level comes first."""
         if self.coarse is None or state.moves >= self.MOVES:
             return False
         if not state.cycles:

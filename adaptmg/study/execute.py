@@ -39,7 +39,7 @@ _MOST_ERROR, _MOST_TRACEBACK = 4_000, 20_000
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be done at each point."""
+    """The work to be done at each point."""
 
     function: RunFunction
     fingerprint: Fingerprint
@@ -204,7 +204,7 @@ class UnfitWorker(RuntimeError):
 
 @dataclass(frozen=True)
 class Order:
-    """What a worker gets with each run."""
+    """The order that a worker gets with each run."""
 
     function: bytes  # the run function, see sent
     identity: dict[str, str]  # of the process of the study

@@ -245,8 +245,8 @@ class MixedMass:
 
     @cached_property
     def patches(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each corner of a fine element, node by node: the node, the element and the number of
-        the corner."""
+        """Return for each corner of a fine element, node by node, the node, the element and the
+        number of the corner."""
         k = self.fine.dim + 1
         order = np.argsort(self.fine.elements, axis=None, kind="stable")
         return self.fine.elements.ravel()[order], order // k, order % k
@@ -425,8 +425,8 @@ def clip_elements(
 
 @kernel
 def _apart(points, corners, maps, e, mu):
-    """Whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``. Writes the
-    barycentric coordinate m of corner v at ``mu[v, m]``, snapped to zero."""
+    """Return whether a face of element ``e`` of ``maps`` parts it from the simplex ``corners``.
+    Writes the barycentric coordinate m of corner v at ``mu[v, m]``, snapped to zero."""
     # the same as ``barycentric``, but face by face: most pairs are parted by one of the first
     k = len(corners)
     dim = k - 1
