@@ -432,9 +432,9 @@ def _add_patches(
             end = np.uint64(begin[e + one])
             while nodes[p] != i:  # the patch has the node
                 p += one
-            own = np.uint64(rows[e])
-            lame = lame_constants[own, 0]
-            shear = lame_constants[own, 1]
+            tensor = np.uint64(rows[e])
+            lame = lame_constants[tensor, 0]
+            shear = lame_constants[tensor, 1]
             if not np.isnan(lame):
                 lame *= measures[e]
                 shear *= measures[e]
@@ -446,19 +446,19 @@ def _add_patches(
             for c in range(2 * dim):
                 if len(zero) == 3:
                     stress[c, 0] = (
-                        table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 5] * z
+                        table[tensor, c, 0] * x + table[tensor, c, 3] * y + table[tensor, c, 5] * z
                     )
                     stress[c, 1] = (
-                        table[own, c, 3] * x + table[own, c, 1] * y + table[own, c, 4] * z
+                        table[tensor, c, 3] * x + table[tensor, c, 1] * y + table[tensor, c, 4] * z
                     )
                     stress[c, 2] = (
-                        table[own, c, 5] * x + table[own, c, 4] * y + table[own, c, 2] * z
+                        table[tensor, c, 5] * x + table[tensor, c, 4] * y + table[tensor, c, 2] * z
                     )
                 else:
                     stress[c, 0] = (
-                        table[own, c, 0] * x + table[own, c, 3] * y + table[own, c, 2] * z
+                        table[tensor, c, 0] * x + table[tensor, c, 3] * y + table[tensor, c, 2] * z
                     )
-                    stress[c, 1] = table[own, c, 3] * x + table[own, c, 1] * y
+                    stress[c, 1] = table[tensor, c, 3] * x + table[tensor, c, 1] * y
             for q in range(np.uint64(begin[e]), end):
                 if nodes[q] < i:
                     continue
@@ -475,7 +475,7 @@ def _add_patches(
                         data[at, a, 0] += stress[0, a] * u + stress[3, a] * v + stress[2, a] * w
                         data[at, a, 1] += stress[3, a] * u + stress[1, a] * v
                 if len(spread):
-                    data[at, 0, 0] += table[own, 2, 2] * spread[p, q - np.uint64(begin[e])]
+                    data[at, 0, 0] += table[tensor, 2, 2] * spread[p, q - np.uint64(begin[e])]
 
 
 @kernel

@@ -67,8 +67,8 @@ class Surfaces:
             )
         size = float(np.linalg.norm(np.ptp(points[np.r_[slave_nodes, master_nodes]], axis=0)))
         slave, master = (
-            np.ascontiguousarray(one.facets, dtype=np.int64)
-            for one in (self.slave_side, self.master_side)
+            np.ascontiguousarray(side.facets, dtype=np.int64)
+            for side in (self.slave_side, self.master_side)
         )
         for name, value in (
             ("points", points),
@@ -125,12 +125,12 @@ class CoveredParts:
     corners: np.ndarray  # (n_slave, dim, dim - 1): places of the corners of all slave facets
     enough: np.ndarray  # (n_slave,) bool: more than a sliver of the slave facet is covered
 
-    def only(self, kept: np.ndarray) -> CoveredParts:
+    def only(self, chosen: np.ndarray) -> CoveredParts:
         """Return some of the parts."""
         return replace(
             self,
             **{
-                name: getattr(self, name)[kept]
+                name: getattr(self, name)[chosen]
                 for name in ("slave", "master", "places", "weights", "shapes", "distances")
             },
         )
@@ -383,22 +383,22 @@ def nearest_pieces(
                 active[n_active] = following
                 following += 1
                 n_active += 1
-            kept = 0
+            remaining = 0
             best = -1
             best_distance = np.inf
             for k in range(n_active):
                 pair = active[k]
                 if highs[pair] <= middle:
                     continue
-                active[kept] = pair
-                kept += 1
+                active[remaining] = pair
+                remaining += 1
                 distance = distance_along_normal(
                     points, normals, a, b, master[facets[pair], 0], master[facets[pair], 1], middle
                 )
                 if -backward <= distance <= forward and abs(distance) < best_distance:
                     best = pair
                     best_distance = abs(distance)
-            n_active = kept
+            n_active = remaining
             if best >= 0:
                 piece_edge[n_pieces], piece_facet[n_pieces] = e, facets[best]
                 piece_ends[n_pieces, 0] = low

@@ -133,13 +133,14 @@ class Volumes:
         """Return the same under initial strains (n_elements, 3)."""
         if not len(self):
             return self
-        own = self.corners >= 0
+        present = self.corners >= 0
         size = self.corners.shape[1]
         shares = np.repeat(
             element_measures(mesh, axisymmetric) * strain.sum(axis=1) / size, size
-        ).reshape(own.shape)
+        ).reshape(present.shape)
         return replace(
-            self, expansion=np.bincount(self.corners[own], shares[own], len(self)) / self.areas
+            self,
+            expansion=np.bincount(self.corners[present], shares[present], len(self)) / self.areas,
         )
 
     def at_nodes(self, pressures: np.ndarray) -> np.ndarray:

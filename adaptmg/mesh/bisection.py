@@ -297,9 +297,9 @@ def _sides(mesh: MeshArrays) -> np.ndarray:
     near = np.flatnonzero(sum(on[nodes] for nodes in mesh.elements.T) >= mesh.dim)
     keys = facet_keys(mesh.facets, mesh.n_nodes)
     order = np.argsort(keys)
-    own = facet_keys(element_facets(mesh.elements[near]).reshape(-1, mesh.dim), mesh.n_nodes)
-    facet = order[np.minimum(np.searchsorted(keys[order], own), len(keys) - 1)]
-    result[near] = np.where(keys[facet] == own, facet, -1).reshape(len(near), -1)
+    wanted = facet_keys(element_facets(mesh.elements[near]).reshape(-1, mesh.dim), mesh.n_nodes)
+    facet = order[np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)]
+    result[near] = np.where(keys[facet] == wanted, facet, -1).reshape(len(near), -1)
     return result
 
 
@@ -316,10 +316,10 @@ def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
             best = edge
             continue
         longer = edge[2] > best[2]
-        for own, other in zip(edge[1::-1], best[1::-1], strict=True):
-            longer = (own > other) | ((own == other) & longer)
+        for length, other in zip(edge[1::-1], best[1::-1], strict=True):
+            longer = (length > other) | ((length == other) & longer)
         longest[longer] = k
-        best = [np.where(longer, own, other) for own, other in zip(edge, best, strict=True)]
+        best = [np.where(longer, length, other) for length, other in zip(edge, best, strict=True)]
     return longest
 
 

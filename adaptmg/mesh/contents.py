@@ -135,10 +135,10 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
             bad = _turned_over(points[:, :dim], cells, owner, len(nodes))
             if dim == 3 and len(bad) and kind not in ("tetra", "hexahedron27"):
                 whole = ~np.isin(owner, bad)
-                again, whose = around_centres(kind, nodes[bad], len(points))
+                again, cut_cell = around_centres(kind, nodes[bad], len(points))
                 points = np.concatenate([points, points[nodes[bad]].mean(axis=1)])
                 cells = np.concatenate([cells[whole], again])
-                owner = np.concatenate([owner[whole], bad[whose]])
+                owner = np.concatenate([owner[whole], bad[cut_cell]])
             parts.append((cells, np.full(len(cells), k), owner))
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
     elements, block, cell = map(np.concatenate, zip(*parts, strict=True))

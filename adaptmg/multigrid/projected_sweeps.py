@@ -362,14 +362,14 @@ class Interface:
         none."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         itself = np.diff(coupling.weights.indptr)[self.nodes] > 0
-        kept = ~np.repeat(itself, np.diff(by_master.indptr))
-        self.follow_indptr = np.concatenate([[0], np.cumsum(kept)])[by_master.indptr].astype(
+        following = ~np.repeat(itself, np.diff(by_master.indptr))
+        self.follow_indptr = np.concatenate([[0], np.cumsum(following)])[by_master.indptr].astype(
             np.int32
         )
-        slaves = by_master.indices[kept]
+        slaves = by_master.indices[following]
         self.followers = place[slaves]
         free = ~fixed.reshape(-1, coupling.dim)[slaves]
-        self.follow_weights = (by_master.data[kept, None] * free).reshape(-1)
+        self.follow_weights = (by_master.data[following, None] * free).reshape(-1)
 
     def _alone_blocks(self, place: np.ndarray) -> np.ndarray:
         """Blocks D'AD (n, dim, dim) of the motion D of each node that leaves its followers where

@@ -121,7 +121,7 @@ class SplitMatrix:
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Block rows and columns of L, D and U."""
-        own = np.arange(self.n_nodes)
+        diagonal = np.arange(self.n_nodes)
         order = self.strips.order
         lower = self.lower_indices.astype(np.int64)
         row = np.repeat(order, np.diff(self.lower_indptr))
@@ -130,7 +130,7 @@ class SplitMatrix:
             if self.symmetric
             else (np.repeat(order, np.diff(self.upper_indptr)), self.upper_indices.astype(np.int64))
         )
-        return [(row, lower), (own, own), upper]
+        return [(row, lower), (diagonal, diagonal), upper]
 
     @property
     def _blocks(self) -> list[np.ndarray]:
@@ -382,11 +382,11 @@ def restrict(first, last, zero, indptr, indices, weights, r, coarse):
     squares = 0.0
     for node in range(first, last):
         i = np.uint64(node)
-        own = read(r, dim * i, zero)
-        squares += inner(own, own)
+        force = read(r, dim * i, zero)
+        squares += inner(force, force)
         for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
             j = dim * np.uint64(indices[k])
-            write(coarse, j, add(read(coarse, j, zero), scale(weights[k], own)))
+            write(coarse, j, add(read(coarse, j, zero), scale(weights[k], force)))
     return squares
 
 
@@ -428,13 +428,13 @@ def count(first, last, order, indptr, indices, rank, lower_counts, upper_counts)
 
 
 @in_loop
-def _copy(zero, k, to, indices, data, own_indices, own):
+def _copy(zero, k, to, indices, data, diagonal_indices, diagonal):
     """Block k to place ``to`` of a half."""
     dim = np.uint64(len(zero))
-    own_indices[to] = indices[k]
+    diagonal_indices[to] = indices[k]
     for a in range(dim):
         row = dim * np.uint64(a)
-        write(own, dim * dim * to + row, read(data, dim * dim * k + row, zero))
+        write(diagonal, dim * dim * to + row, read(data, dim * dim * k + row, zero))
 
 
 @inner_kernel
@@ -473,16 +473,16 @@ def distribute(
     :func:`invert_block`), without the couplings of fixed dofs; blocks of a duplicate or missing
     diagonal are summed or zero. ``held`` tells the nodes with fixed dofs."""
     dim = len(zero)
-    own = np.int64(len(zero) ** 2)
-    size = np.uint64(own)
+    entries = np.int64(len(zero) ** 2)
+    size = np.uint64(entries)
     both = len(upper_indptr) > 0
-    block = np.empty(own)
+    block = np.empty(entries)
     scale = np.empty(dim)
     for place in range(first, last):
         i = np.int64(order[place])
-        at = own * i
+        at = entries * i
         near = held[i]
-        for c in range(own):
+        for c in range(entries):
             diagonal[at + c] = 0.0
         below = np.uint64(lower_indptr[place])
         above = np.uint64(upper_indptr[place]) if both else np.uint64(0)
@@ -494,7 +494,7 @@ def distribute(
                 _copy(zero, k, below, indices, data, lower_indices, lower)
                 below += ONE
             elif rank[j] == place:
-                for c in range(own):
+                for c in range(entries):
                     diagonal[at + c] += data[size * k + np.uint64(c)]
             elif both:
                 _copy(zero, k, above, indices, data, upper_indices, upper)
@@ -517,7 +517,7 @@ def distribute(
                 for b in range(dim):
                     if a != b and not (free[dim * i + a] and free[dim * i + b]):
                         diagonal[at + dim * a + b] = 0.0
-        for c in range(own):
+        for c in range(entries):
             block[c] = diagonal[at + c]
         for a in range(dim):
             scale[a] = abs(block[a * dim + a])

@@ -218,7 +218,7 @@ class TruncatedStep:
         if motion is None:
             return state
         motion = np.append(motion, np.zeros(len(pressures)))
-        return state.but(past=tuple((one + motion, left) for one, left in state.past))
+        return state.but(past=tuple((earlier + motion, left) for earlier, left in state.past))
 
     def linearise(
         self,

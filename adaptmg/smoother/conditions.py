@@ -210,6 +210,10 @@ def _equations(
     bound: np.ndarray,
     tangential: np.ndarray,
 ) -> Linearised:
+    r"""Set up the equations of the module's docstring, for the slip force z_t (``trial``) of length
+    ``size``, the bound B and c_t (``tangential``): ``direction`` is z, ``across`` the projection
+    :math:`\Pi`, ``curvature`` :math:`\kappa\Pi`, ``coupling`` :math:`\mu`, ``force`` the right side.
+    A slip force of length 0 has no direction: its node moves freely."""
     moving = slip & (size > 0)
     direction = np.where(moving[:, None], trial / np.where(moving, size, 1.0)[:, None], 0.0)
     coupling = np.where(active & moving, contact.friction, 0.0)

@@ -142,7 +142,7 @@ class _Method:
         gaps = (gap - state[:, 0])[touches]
         slips = np.linalg.norm(state[rough, 1:3] - reference[rough], axis=1)
         mean_pressure, mean_gap, mean_slip = (
-            np.abs(one).sum() / max(len(one), 1) for one in (pressures, gaps, slips)
+            np.abs(sizes).sum() / max(len(sizes), 1) for sizes in (pressures, gaps, slips)
         )
         state[:, 4:6] = 1.0
         state[touches, 3], state[touches, 4] = (

@@ -90,14 +90,14 @@ def _joined(
     remnant = _REMNANT * members < sizes[of]
     nodes = np.flatnonzero(inside & remnant[label])
     edges = graph[nodes].tocoo()
-    own = label[nodes[edges.row]]
+    aggregate = label[nodes[edges.row]]
     other = label[edges.col]
-    joins = (other >= 0) & ~remnant[other] & (of[own] == of[other])
-    own = own[joins]
+    joins = (other >= 0) & ~remnant[other] & (of[aggregate] == of[other])
+    aggregate = aggregate[joins]
     other = other[joins]
     order = np.argsort(-members[other], kind="stable")  # of several values the last one stays
     home = np.arange(len(members))
-    home[own[order]] = other[order]
+    home[aggregate[order]] = other[order]
     number = np.cumsum(home == np.arange(len(home)), dtype=np.int32) - 1
     return np.where(inside, number[home[label]], -1)
 
@@ -144,12 +144,13 @@ class Aggregates:
             np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside
         )
         # a narrow band: the place of each aggregate, and how far it reaches
-        own = np.repeat(label, np.diff(matrix.indptr))
+        aggregate = np.repeat(label, np.diff(matrix.indptr))
         other = label.take(matrix.indices)
-        met = np.flatnonzero(own != other)
-        met = met[np.minimum(own[met], other[met]) >= 0]
+        met = np.flatnonzero(aggregate != other)
+        met = met[np.minimum(aggregate[met], other[met]) >= 0]
         coarse = sparse.csr_array(
-            (np.ones(len(met), dtype=bool), (own[met], other[met])), shape=(self.count, self.count)
+            (np.ones(len(met), dtype=bool), (aggregate[met], other[met])),
+            shape=(self.count, self.count),
         )
         self.place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
         rows = np.repeat(self.place, np.diff(coarse.indptr))
@@ -173,12 +174,12 @@ class Aggregates:
             motions[:, k, a], motions[:, k, b] = -offset[b], offset[a]
         return motions
 
-    def projected(self, nodes: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    def projected(self, nodes: np.ndarray, projections: np.ndarray) -> np.ndarray:
         """Return the motions, at some nodes projected by ``kept`` (n, dim, dim)."""
         motions = self.motions.copy()
         row = self.starts[nodes]
         inside = self.starts[nodes + 1] > row
-        motions[row[inside]] = motions[row[inside]] @ kept[inside].swapaxes(1, 2)
+        motions[row[inside]] = motions[row[inside]] @ projections[inside].swapaxes(1, 2)
         return motions
 
 
@@ -195,31 +196,31 @@ def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, ba
     for i in range(len(indptr) - 1):
         if starts[i] == starts[i + 1]:
             continue
-        own = last = place[label[starts[i]]]
+        number = last = place[label[starts[i]]]
         for p in range(np.uint64(indptr[i]), np.uint64(indptr[i + 1])):
             j = np.uint64(indices[p])
             at = np.uint64(starts[j])
-            other = place[np.uint64(label[at])] if at < starts[j + ONE] else own + 1
-            if other > own:
+            other = place[np.uint64(label[at])] if at < starts[j + ONE] else number + 1
+            if other > number:
                 continue
             if other != last:
-                _project(starts[i], motions, own, last, zero, forces, band)
+                _project(starts[i], motions, number, last, zero, forces, band)
                 last = other
             for q in range(modes):
                 v = read(motions, dim * (modes * at + q), zero)
                 increase(forces, dim * q, times(data, dim * dim * p, v))
-        _project(starts[i], motions, own, last, zero, forces, band)
+        _project(starts[i], motions, number, last, zero, forces, band)
 
 
 @in_loop
-def _project(at, motions, own, other, zero, forces, band):
+def _project(at, motions, number, other, zero, forces, band):
     """Add to ``band`` the work of the forces on the motions of a node."""
     dim = np.uint64(len(zero))
     modes = len(forces) // len(zero)
     for q in range(modes):
         v = read(motions, dim * np.uint64(modes * at + q), zero)
-        for r in range(modes if other < own else q + 1):
-            band[modes * other + r, modes * (own - other) + q - r] += inner(
+        for r in range(modes if other < number else q + 1):
+            band[modes * other + r, modes * (number - other) + q - r] += inner(
                 v, read(forces, dim * np.uint64(r), zero)
             )
     forces[:] = 0.0
@@ -234,12 +235,12 @@ def _transfer(down, starts, label, motions, place, zero, vector, values):
     for i in range(len(starts) - 1):
         for at in range(starts[i], starts[i + 1]):
             for q in range(modes):
-                own = modes * place[label[at]] + q
+                place_of_motion = modes * place[label[at]] + q
                 motion = read(motions, dim * np.uint64(modes * at + q), zero)
                 if down:
-                    values[own] += inner(motion, read(vector, dim * np.uint64(i), zero))
+                    values[place_of_motion] += inner(motion, read(vector, dim * np.uint64(i), zero))
                 else:
-                    increase(vector, dim * np.uint64(i), scale(values[own], motion))
+                    increase(vector, dim * np.uint64(i), scale(values[place_of_motion], motion))
 
 
 class CoarseCorrection:

@@ -176,18 +176,18 @@ class _Preconditioner:
         matrix = problem.matrix
         dim = problem.dim
         held = status.held
-        kept = status.kept
+        projections = status.kept
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
-        motions = aggregates.projected(held, kept)
+        motions = aggregates.projected(held, projections)
         self._coarse = CoarseCorrection(
             matrix, aggregates, motions, status.nodes, status.stiffening
         )
         blocks = nodal_blocks(problem)[held]
         blocks[: len(status.nodes)] += status.stiffening
         # what is projected away has no stiffness
-        stiffness, axes = np.linalg.eigh(kept @ blocks @ kept)
+        stiffness, axes = np.linalg.eigh(projections @ blocks @ projections)
         size = np.abs(stiffness)
         stiffness[size <= 1e-12 * size.max(axis=1, initial=0.0, keepdims=True)] = np.inf
         inverse = _inverses(problem).copy()
@@ -253,12 +253,12 @@ class _Direction:
     at_contact: np.ndarray  # (2, n_contact, dim): displacement and forces at contact nodes
 
     def add(self, factor: float, other: _Direction) -> None:
-        for mine, theirs in zip(vars(self).values(), vars(other).values(), strict=True):
-            mine += factor * theirs
+        for array, added in zip(vars(self).values(), vars(other).values(), strict=True):
+            array += factor * added
 
     def scale(self, factor: float) -> None:
-        for mine in vars(self).values():
-            mine *= factor
+        for array in vars(self).values():
+            array *= factor
 
 
 class _Equations:
@@ -326,12 +326,12 @@ def _estimated(
         product = float(left[:n] @ new.values[:n])
         if not product > 0.0 and not len(equations.volumes):
             return HeldCorrection(energies[-1], *total), True
-        overlaps = np.array([one.values @ energetic for one in span])
+        overlaps = np.array([direction.values @ energetic for direction in span])
         square = float(new.values @ energetic - overlaps @ overlaps)
         if not square > _FREE * product:
             return HeldCorrection(float("inf"), *total), False
-        for overlap, one in zip(overlaps, span, strict=True):
-            new.add(-overlap, one)
+        for overlap, direction in zip(overlaps, span, strict=True):
+            new.add(-overlap, direction)
         new.scale(1 / np.sqrt(square))
         if symmetric:
             span = [new]
@@ -339,8 +339,8 @@ def _estimated(
             energy = energies[-1] + changes[0] ** 2
         else:
             span.append(new)
-            matrix[:step, step - 1] = [one.values @ new.image for one in span]
-            matrix[step - 1, :step] = [new.values @ one.image for one in span]
+            matrix[:step, step - 1] = [direction.values @ new.image for direction in span]
+            matrix[step - 1, :step] = [new.values @ direction.image for direction in span]
             loads[step - 1] = new.values @ load
             try:
                 changes = np.linalg.solve(matrix[:step, :step], loads[:step]) - np.append(
@@ -350,9 +350,9 @@ def _estimated(
                 return HeldCorrection(float("inf"), *total), False
             shares = np.append(shares, 0.0) + changes
             energy = float(shares @ shares)
-        for change, one in zip(changes, span, strict=True):
-            left -= change * one.image
-            total += change * one.at_contact
+        for change, direction in zip(changes, span, strict=True):
+            left -= change * direction.image
+            total += change * direction.at_contact
         energies.append(energy)
         if len(equations.volumes):
             if (
