@@ -673,6 +673,7 @@ class NestedStart:
     """
 
     #: nodes of the next level over those of this one from which on a second cycle costs less than it saves
+    #: half and twice change none of 119 solves, paths and loops (campaign constants)
     CHEAP: ClassVar[float] = 3.0
 
     cycles: int | str | None = None

@@ -558,6 +558,7 @@ class CoarseContact:
 
 
 #: springs that hold what no fine node tells apart, over the diagonal
+#: a hundredth changes 1 of 119 solves, paths and loops, a hundred times 1 (campaign constants)
 _SPRING = 1e-9
 
 

@@ -30,8 +30,12 @@ from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.system import NodalContact
 
 #: steps in a row that better nothing, after which a slack below the second number is at rounding
+#: _ROUNDING: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
+#: constants)
 _IDLE, _ROUNDING = 4, 1e-5
 #: part of the way to the boundary that a step takes; below the second length a step aims nearer to the central path
+#: half of _WAY changes 29 of 119 solves, paths and loops; half and twice of _SHORT 1 and 3, of
+#: _CENTRED 2 and 1 (campaign constants)
 _WAY, _SHORT, _CENTRED = 0.995, 0.3, 0.3
 #: springs of the start, relative to the diagonal, one after the other: where after the number of steps below more
 #: than half of the forces that do not balance at the start is left, its displacements are too small, which keeps
@@ -39,6 +43,7 @@ _WAY, _SHORT, _CENTRED = 0.995, 0.3, 0.3
 #: 1e-3 as the second ones, 243 with these; of 34 other solves 399. At 4 and 16 steps: 215 and 302; 403 and 399
 _SPRINGS, _FIRST_STEPS = (1e-2, 1e-4, 1e-6), 8
 #: the least energy and displacement that count, over those of the start: bodies that stick everywhere have none
+#: a hundredth changes 5 of 119 solves, paths and loops, a hundred times 5 (campaign constants)
 _LEAST = 1e-8
 
 

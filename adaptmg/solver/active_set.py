@@ -178,6 +178,7 @@ class _NewtonTest(StopTest):
     excuses none. As long as the contact status changes, nodes may follow one another: many such
     steps may be left."""
 
+    # half and twice change none of 119 solves, paths and loops (campaign constants)
     UNSETTLED = 10.0  # factor on the last step while the status changes
 
     def judge(self, state: Measured) -> None:
@@ -214,11 +215,14 @@ class _Newton:
 
     #: tolerances of the interior point method, one after the other where the status that it finds comes
     #: back, and its steps at most
+    #: TOLERANCES: a hundredth changes 24 of 119 solves, paths and loops, a hundred times 21
+    #: (campaign constants)
     TOLERANCES, MOST = (1e-9, 1e-12, 1e-15), 60
     #: steps after which the iteration counts as repeating itself: in 3D the direction of a slip may go round while no
     #: status comes back
     LONG = 15
     #: augmentation c over the diagonal of the matrix: it weighs gaps against forces where a status is decided
+    #: half and twice change none of 119 solves, paths and loops (campaign constants)
     FACTOR = 0.1
 
     def __init__(
@@ -357,6 +361,8 @@ class _Newton:
 class CondensedSteps:
     """Linear steps on the dense Schur complement; one sparse factorisation serves them all."""
 
+    # a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
+    # constants)
     SINGULAR = 1e-13  # reciprocal condition number below which the equations count as singular
 
     def __init__(self, condensed: Condensed, run: Run) -> None:

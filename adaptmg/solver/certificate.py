@@ -86,8 +86,11 @@ class Certificate:
 
     #: lines beyond the first multiple of rtol, and an energy error beyond the second, contradict a solver that says it
     #: has converged
+    #: FACTOR: half and twice change none of 119 solves, paths and loops (campaign constants)
     FACTOR, ENERGY_FACTOR = 20.0, 3.0
     #: relative violations that rounding may excuse at most: what has run away does not balance its forces as well
+    #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
+    #: constants)
     MOST_ROUNDING = 1e-5
 
     def __getitem__(self, name: str) -> Condition:
@@ -184,6 +187,7 @@ Posed = Callable[["Evidence"], tuple["Condition", ...]]
 _OPEN, _SLIP, _STICK = 0, 1, 2
 #: share of rtol that an energy error far below it has; times the factors of :mod:`adaptmg.solver.energy_error` the
 #: share up to which fewer steps estimate it
+#: half changes 0 of 119 solves, paths and loops, twice 3; cycles 691, 691, 694 (campaign constants)
 _NEGLIGIBLE = 0.1
 #: share of the correction that penetrates, or of the largest pressure that pulls, from which on a status is wrong
 _WRONG = 0.05
@@ -191,6 +195,7 @@ _WRONG = 0.05
 #: which methods came to rest (beams of 50 to 147 : 1), of 2 half of that
 _SAMPLES = 4
 #: times a change of the status that may be missing after it
+#: half and twice change none of 119 solves, paths and loops (campaign constants)
 _FOUND = 2.0
 _EPSILON = float(np.finfo(float).eps)
 

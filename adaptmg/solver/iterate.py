@@ -138,8 +138,12 @@ class StopTest:
     no longer improves (None: it goes on)."""
 
     #: the natural residual must fall below this multiple of rtol
+    #: half changes 1 of 119 solves, paths and loops, twice 0; cycles 691, 690, 691 (campaign
+    #: constants)
     RESIDUAL_FACTOR = 10.0
     #: largest relative residual that rounding excuses
+    #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
+    #: constants)
     ROUNDING_LIMIT = 1e-9
     #: of the terms that a residual sums, the share that it keeps however often it is refined; iterates there, with
     #: forces that balance to the last number, after which no further one is better
