@@ -187,7 +187,7 @@ class Unknowns:
     fixed: np.ndarray
     fixed_values: np.ndarray
     inclined: Inclined
-    ties: tuple[tuple[str, str, np.ndarray], ...]
+    ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...]
 
     @property
     def held(self) -> np.ndarray:

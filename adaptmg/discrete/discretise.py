@@ -87,7 +87,7 @@ def assembled(posed: Posed, slip_reference: np.ndarray | None = None) -> Discret
         "motions": partial(rigid_motions, mesh, problem.axisymmetric),
         "inclined": posed.inclined,
         "ties": tuple(
-            (tie.slave, tie.master, part.nodes)
+            (tie.slave, tie.master, part.nodes, posed.surfaces[tie.slave].nodes)
             for tie, part in zip(problem.ties, posed.ties, strict=True)
         ),
         "name": f"{problem.name}, {mesh.n_nodes} nodes",

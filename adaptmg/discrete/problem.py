@@ -121,7 +121,7 @@ class DiscreteProblem(Unknowns):
     strain_free: tuple[np.ndarray, float] | None = None
     inclined: Inclined  # supports along no axes, which are eliminated from matrix and load
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
-    ties: tuple[tuple[str, str, np.ndarray], ...] = ()
+    ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = ()
     volumes: Volumes  # groups of nodes whose mean volume strains add to the stiffness
 
     # of each object, and no fields: ``assembled`` sets the first, ``_complete`` the others
@@ -145,7 +145,7 @@ class DiscreteProblem(Unknowns):
         bodies: Mapping[str, np.ndarray] | None = None,
         strain_free: tuple[np.ndarray, float] | None = None,
         inclined: Inclined | None = None,
-        ties: tuple[tuple[str, str, np.ndarray], ...] = (),
+        ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = (),
         volumes: Volumes | None = None,
     ) -> None:
         checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
@@ -426,7 +426,7 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     volumes = volumes.with_rows(coupling.relative_rows(volumes.rows))
     if parts.get("ties"):
         tied = parts["fixed"].copy().reshape(weights.shape[0], -1)
-        for *_, nodes in parts["ties"]:
+        for _, _, nodes, _ in parts["ties"]:
             tied[nodes] = True
         parts = parts | {"fixed": tied.reshape(-1)}
     if parts.get("motions") is not None:

@@ -150,13 +150,15 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     forces = []
     boundary = []
     names = []
-    for slave, master, tied in problem.ties:
+    for slave, master, tied, slave_nodes in problem.ties:
         slave_forces = problem.inclined.free_part(tied, np.where(held[tied], 0.0, at[tied]))
         # ties are rows of a coupling
         rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
         facing = np.unique(rows.indices)
         nodes += [tied, facing]
         forces += [slave_forces, -(rows.T @ slave_forces)[facing]]
-        boundary += [np.full(len(tied), len(names)), np.full(len(facing), len(names) + 1)]
+        # a held slave node is not tied, but bears what its neighbours take over
+        on_slave = np.isin(facing, slave_nodes)
+        boundary += [np.full(len(tied), len(names)), np.where(on_slave, len(names), len(names) + 1)]
         names += [slave, master]
     return TieForces(*map(np.concatenate, (nodes, forces, boundary)), names=tuple(names))

@@ -483,16 +483,24 @@ class PyAMG:
             reversed(matrices), [*reversed(prolongations), None], strict=True
         ):
             level: Any = pyamg.MultilevelSolver.Level()  # pyamg has no stubs
-            level.A = sparse.csr_matrix(matrix)
+            level.A = _with_small_indices(matrix)
             if prolongation is not None:
-                level.P = sparse.csr_matrix(prolongation)
-                level.R = level.P.T.tocsr()
+                level.P = _with_small_indices(prolongation)
+                level.R = _with_small_indices(level.P.T)
             levels.append(level)
         coarse = "pinv" if matrices[0].shape[0] <= _PSEUDO_INVERSE else "splu"
         multilevel = pyamg.MultilevelSolver(levels, coarse_solver=coarse)
         sweep = (self.smoother, {"sweep": "symmetric", "iterations": 1})
         pyamg.relaxation.smoothing.change_smoothers(multilevel, sweep, sweep)
         return _PyAMGCycles(self, multilevel)
+
+
+def _with_small_indices(matrix: Any) -> sparse.csr_matrix:
+    """Return a matrix as pyamg 5.2 takes it; sums and products of scipy 1.15 have 64-bit indices."""
+    result = sparse.csr_matrix(matrix)
+    result.indptr = result.indptr.astype(np.int32)
+    result.indices = result.indices.astype(np.int32)
+    return result
 
 
 #: dofs up to which pyamg solves the coarsest problem by a pseudo-inverse, which a singular matrix has, too: 0.03 s at

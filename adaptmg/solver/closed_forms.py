@@ -29,10 +29,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import cast
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg._checks import FieldLike
+from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
 from adaptmg.discrete.moduli import as_tensors, body_materials, columns, moduli
@@ -257,7 +260,7 @@ class FreeBodies:
         contact = discrete.contact
         sides = [
             *zip(contact.names, contact.masters, strict=True),
-            *((slave, master) for slave, master, _ in discrete.ties),
+            *((slave, master) for slave, master, *_ in discrete.ties),
         ]
         body = np.zeros(mesh.n_nodes, dtype=np.int64)
         for number, piece in enumerate(nodes_of_pieces(mesh)):
@@ -334,8 +337,11 @@ class FreeBodies:
             forces[contact.nodes[on_boundary]] = evidence.claimed[on_boundary]
             if contact.taken_over.shape[1]:
                 forces += contact.taken_over[on_boundary].T @ evidence.claimed[on_boundary]
-        for (_, _, nodes), forces in zip(discrete.ties, ties, strict=True):
-            forces[nodes] = evidence.tying.reshape(shape)[nodes]
+        for (_, _, nodes, slave_nodes), forces in zip(discrete.ties, ties, strict=True):
+            tying = evidence.tying.reshape(shape)[nodes]
+            forces[nodes] = tying
+            rows = sparse.csr_array(cast("Coupling", discrete.coupling).weights[nodes])
+            forces[slave_nodes] -= rows[:, slave_nodes].T @ tying
         acting = discrete.physical_forces(discrete.whole_load).reshape(shape) + held - stretched
         total = self._resultants(sum(exerted, acting), self.body)
         for forces, (master, shift) in zip(exerted, self.masters, strict=True):

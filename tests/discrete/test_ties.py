@@ -391,3 +391,28 @@ def test_contact_ratio_refines_at_ties_where_there_is_no_contact():
     sides = mesh.points[mesh.surface("a.bottom").facets]
     lengths = np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1)
     np.testing.assert_allclose(lengths, 0.25 / 4, rtol=0.3)
+
+
+@pytest.mark.parametrize("divisions", [(4, 2), (3, 4), (5, 3)])
+@pytest.mark.parametrize("upper_is_slave", [True, False])
+def test_a_tie_that_ends_at_clamped_nodes_balances_both_bodies(divisions, upper_is_slave):
+    """Two glued layers, both clamped on the left and pulled down on the right."""
+    heights = {"lower": 0.8, "upper": 0.4}
+    parts = {
+        "lower": am.Rectangle(width=3, height=0.8),
+        "upper": am.Rectangle(width=3, height=0.4, origin=(0, 0.8)),
+    }
+    sides = ("upper.bottom", "lower.top")
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        ties=am.Tied(*(sides if upper_is_slave else sides[::-1])),
+        loads=[am.Traction(f"{body}.right", (0, -1e5)) for body in parts],
+        supports=[am.Support(f"{body}.left", x=0, y=0) for body in parts],
+    )
+    cells = {body: (6 * n, n) for body, n in zip(parts, divisions, strict=True)}
+    result = am.solve(am.Hierarchy.uniform(problem, [cells]), EXACT)
+    for body, side in (("upper", "upper.bottom"), ("lower", "lower.top")):
+        total = result.resultant(f"{body}.left").force + result.resultant(side).force
+        np.testing.assert_allclose(total, (0, 1e5 * heights[body]), atol=1e-5)
+    assert not result.certificate().contradictions(1e-8)
