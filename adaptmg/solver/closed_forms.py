@@ -444,8 +444,6 @@ def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProbl
     contact = discrete.contact
     missed = np.zeros(len(contact))
     for k, (name, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
-        if problem.ties and not master:
-            continue  # masses of tied nodes go to others
         on_boundary = contact.boundary == k
         nodes = contact.nodes[on_boundary]
         surface = mesh.surface(name)
