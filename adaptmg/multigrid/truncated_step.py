@@ -54,7 +54,7 @@ from adaptmg.smoother.system import LocalSystem, NodalContact
 
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
+class TruncatedStatus:
     """The contact status that the coarse matrices are truncated for."""
 
     contact: TruncatedContact  # with status, slip directions and Hessians
@@ -79,7 +79,7 @@ class TruncatedState:
     past: tuple[Recombinable, ...] = ()
     uniform: tuple[Recombinable, ...] = ()  # further directions: a uniform pressure in each body
     cautious: int = 0  # steps of the pressures that are still cautious
-    linearised: Linearised | None = None  # None: at a start, which is not smoothed
+    linearised: TruncatedStatus | None = None  # None: at a start, which is not smoothed
     left: np.ndarray | None = None  # the residual on the next coarser level, and what volumes miss
     changed: int = 0  # contact nodes whose status changed
     natural: float = np.inf  # Euclidean norm of the natural residual, N
@@ -139,7 +139,7 @@ class TruncatedStep:
         self.interface = interface
         self._interface_sweeps = 0 if interface is None else interface_sweeps
         self._settles = motions
-        self._applied: Linearised | None = None
+        self._applied: TruncatedStatus | None = None
         self._take(problem)
 
     def pose(self, problem: DiscreteProblem) -> None:
@@ -257,7 +257,7 @@ class TruncatedStep:
         uniform = state.uniform
         if linearised is None or changed or frozen != linearised.frozen:
             contact.linearise_friction()
-            linearised = Linearised(contact, frozen)
+            linearised = TruncatedStatus(contact, frozen)
             past = ()
             uniform = ()
         if len(values) and not uniform and changed <= self.FEW:
@@ -305,7 +305,7 @@ class TruncatedStep:
         self.truncation.restore()
         self._applied = None
 
-    def _truncate(self, linearised: Linearised) -> None:
+    def _truncate(self, linearised: TruncatedStatus) -> None:
         """Make the coarse matrices those of a status, unless they are."""
         if self._applied is not linearised:
             self.truncation.apply(linearised.contact, newton=not linearised.frozen)
