@@ -218,7 +218,15 @@ class MeshArrays:
         first read, neither saved nor pickled."""
         from adaptmg.mesh.netgen_worker import ngsolve_mesh
 
-        return ngsolve_mesh(self)
+        return ngsolve_mesh(
+            self.points,
+            self.elements,
+            self.facets,
+            self.element_body,
+            self.facet_labels,
+            self.bodies,
+            self.boundaries,
+        )
 
     @property
     def dim(self) -> int:

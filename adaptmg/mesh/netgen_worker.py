@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     import ngsolve
     from numpy.typing import ArrayLike
 
-    from adaptmg.mesh.arrays import MeshArrays
 
 Tables = tuple[
     np.ndarray, np.ndarray, np.ndarray, np.ndarray, Sequence[str], np.ndarray, Sequence[str]
@@ -114,36 +113,43 @@ def tables(
     return points, elements, facets, label, boundaries, body, bodies
 
 
-def ngsolve_mesh(mesh: MeshArrays) -> ngsolve.Mesh:
-    """Return the mesh for NGSolve, with the same numbers of nodes, elements and facets; bodies
+def ngsolve_mesh(
+    points: np.ndarray,
+    elements: np.ndarray,
+    facets: np.ndarray,
+    element_body: np.ndarray,
+    facet_labels: np.ndarray,
+    bodies: tuple[str, ...],
+    boundaries: tuple[str, ...],
+) -> ngsolve.Mesh:
+    """Return a mesh for NGSolve, with the same numbers of nodes, elements and facets; bodies
     become materials. It has no geometry, so that it stays straight when it is refined."""
     import ngsolve
 
-    elements = mesh.elements
-    dim = mesh.dim
+    dim = points.shape[1]
     result = netgen.meshing.Mesh(dim=dim)
-    result.AddPoints(np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - dim)))))
-    for i in range(len(mesh.bodies if dim == 2 else mesh.boundaries)):
+    result.AddPoints(np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - dim)))))
+    for i in range(len(bodies if dim == 2 else boundaries)):
         result.Add(
             netgen.meshing.FaceDescriptor(
                 surfnr=i + 1, domin=i + 1 if dim == 2 else 1, domout=0, bc=i + 1
             )
         )
-    for i, name in enumerate(mesh.bodies):
+    for i, name in enumerate(bodies):
         result.SetMaterial(i + 1, name)
     if dim == 3:
         # Netgen counts the other orientation of tetrahedra as positive
         elements = np.ascontiguousarray(elements[:, [0, 1, 3, 2]])
     result.AddElements(dim=dim, index=1, data=elements, base=0)
-    result.AddElements(dim=dim - 1, index=1, data=mesh.facets, base=0)
+    result.AddElements(dim=dim - 1, index=1, data=facets, base=0)
     volume, surface = (
         (result.Elements2D(), result.Elements1D())
         if dim == 2
         else (result.Elements3D(), result.Elements2D())
     )
-    volume.NumPy()["index"] = mesh.element_body + 1
-    surface.NumPy()["index"] = mesh.facet_labels + 1
-    for i, name in enumerate(mesh.boundaries):
+    volume.NumPy()["index"] = element_body + 1
+    surface.NumPy()["index"] = facet_labels + 1
+    for i, name in enumerate(boundaries):
         result.SetBCName(i, name)
     return ngsolve.Mesh(result)
 
