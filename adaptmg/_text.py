@@ -6,7 +6,7 @@ import html
 import re
 import sys
 import warnings
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from inspect import isfunction
 from typing import TYPE_CHECKING, cast
 
@@ -126,3 +126,17 @@ def _value(value: object, most: int) -> str:
     else:
         result = f"<{value.__qualname__}>" if isfunction(value) else repr(value)
     return result if len(result) <= most else f"{name}(...)"
+
+
+def label(option: object) -> str:
+    """Return the name of an option object with the fields that differ from their defaults, for
+    tables and pictures."""
+    if not is_dataclass(option) or isinstance(option, type):
+        return repr(option)
+    shown = []
+    for item in fields(option):
+        value = getattr(option, item.name)
+        default = item.default_factory() if item.default_factory is not MISSING else item.default
+        if item.repr and (default is MISSING or value != default):
+            shown.append(f"{item.name}={label(value)}")
+    return f"{type(option).__name__}({', '.join(shown)})"

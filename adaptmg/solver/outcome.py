@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
+from adaptmg._text import label
 from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
@@ -31,7 +32,6 @@ from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import Result, problem_name, versions
-from adaptmg.solver.result_text import label
 from adaptmg.solver.steps import Method, Stepped
 
 _LOG = logging.getLogger(__name__)

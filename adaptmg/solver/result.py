@@ -6,7 +6,7 @@ import importlib.metadata
 import os
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -24,11 +24,7 @@ from adaptmg.solver.examine import ContactResult, advice_on_patches
 from adaptmg.solver.quantities import Quantities
 from adaptmg.solver.quantities import Resultant as Resultant
 from adaptmg.solver.record import Status
-from adaptmg.solver.result_text import failure, summary
 from adaptmg.solver.store import packed, read
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,14 +166,14 @@ class Result(Quantities):
         return () if mesh is None else tuple(advice_on_patches(self.contact, mesh))
 
     def __str__(self) -> str:
-        return summary(self)
+        return _summary(self)
 
     def __repr__(self) -> str:
-        return shortened(summary(self))
+        return shortened(_summary(self))
 
     def _repr_html_(self) -> str:
         table = "" if self.mesh is None else html_table(self.pairs())
-        return in_html_lines(summary(self)) + table
+        return in_html_lines(_summary(self)) + table
 
     def certificate(
         self, problem: DiscreteProblem | None = None, *, bound: bool = False
@@ -276,6 +272,50 @@ def versions() -> dict[str, str]:
     }
 
 
+def _summary(result: Result) -> str:
+    """Return the text that printing a result shows."""
+    states = result.contact.counts()
+    certified = ""
+    if result.checked is not None:
+        worst = result.checked.worst
+        certified = (
+            f"\n  certificate: worst {worst.name} {worst.largest:.2e} {worst.unit} (relative "
+            f"{worst.relative:.2e}), energy error {result.checked.energy_error:.2e}; "
+            f"{result.timings.get('certificate', 0.0):.2g} s"
+        )
+    return (
+        f"Result of {result.method} for {result.problem_name}: {result.status.name}\n"
+        f"  {len(result.displacement)} nodes, {len(result.contact)} contact nodes: "
+        f"{', '.join(f'{count} {state}' for state, count in states.items())}\n"
+        f"  {result.cycles} cycles, {result.work_units:.2f} work units, {result.seconds:.3g} s\n"
+        f"  natural residual {result.residual:.2e}, estimated error {result.error_estimate:.2e} "
+        f"(rtol {result.rtol:g}){certified}"
+        + f"\n  solver=None: {result.choice}" * bool(result.choice)
+        + "".join(f"\n  {line}" for line in result.advice)
+    )
+
+
+def _failure(result: Result) -> str:
+    """Return the message of :class:`adaptmg.NotConverged`."""
+    violated = () if result.checked is None else result.checked.contradictions(result.rtol)
+    contradicted = (
+        f" The certificate contradicts this tolerance: {', '.join(violated)}." if violated else ""
+    )
+    poisson = 0.0 if result.stress_data is None else result.stress_data.locking
+    locked = (
+        f'give the problem elements="smoothed", since linear ones lock at a Poisson\'s ratio of '
+        f"{poisson:.4g}, where Coulomb's law may have no solution on them; else, "
+        if poisson
+        else ""
+    )
+    return (
+        f"{result.method}: {result.status.name} after {result.cycles} cycles, natural residual "
+        f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {locked}"
+        f"{result.status.value}.{contradicted} The last iterate is in the exception's .result; throw=False returns "
+        "it instead."
+    )
+
+
 class NotConverged(RuntimeError):
     """Raised by :func:`adaptmg.solve` when the tolerance was not reached.
 
@@ -296,7 +336,7 @@ class NotConverged(RuntimeError):
 
     def __init__(self, result: Result) -> None:
         self.result = result
-        super().__init__(failure(result))
+        super().__init__(_failure(result))
 
     def __repr__(self) -> str:
         return shortened(super().__repr__())
