@@ -51,14 +51,17 @@ def write(folder, grids=None):
 
 def linearised(arrays, u, r, diagonal):
     """Return the held dofs, their values (elsewhere u), and sign mu of slipping nodes by dof."""
-    normal, gaps, friction = arrays["normal"], arrays["gaps"], arrays["friction"]
+    normal = arrays["normal"]
+    gaps = arrays["gaps"]
+    friction = arrays["friction"]
     pressure = -r[normal] + diagonal[normal] * (u[normal] - gaps)
     force = r[normal + 1] - diagonal[normal + 1] * u[normal + 1]
     closed = pressure >= 0
     sticks = closed & (np.abs(force) <= friction * pressure)
     held = arrays["fixed"].copy()
     values = np.where(held, arrays["values"], u)
-    held[normal[closed]] = held[normal[sticks] + 1] = True
+    held[normal[closed]] = True
+    held[normal[sticks] + 1] = True
     values[normal[closed]] = gaps[closed]
     values[normal[sticks] + 1] = 0.0
     ratio = np.zeros(len(u))
@@ -72,7 +75,8 @@ def solve(folder):
         import dolfinx_solver  # noqa: F401  the wheel that brings petsc4py
         from petsc4py import PETSc
     except ImportError:
-        return print("petsc: skipped, since PETSc is absent: pip install dolfinx-solver-real")
+        print("petsc: skipped, since PETSc is absent: pip install dolfinx-solver-real")
+        return
     PETSc.Options().insertString(OPTIONS)
     comm = PETSc.COMM_WORLD
     arrays = dict(np.load(Path(folder) / "arrays.npz"))

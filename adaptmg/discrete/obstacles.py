@@ -180,8 +180,8 @@ def with_motions(
             rows = boundary == k
             reference[rows] += obstacle.motion(points[nodes[rows]])
             if taken is not None:
-                beside = np.unique(taken[rows].indices)
-                reference[rows] += taken[rows][:, beside] @ obstacle.motion(points[beside])
+                neighbours = np.unique(taken[rows].indices)
+                reference[rows] += taken[rows][:, neighbours] @ obstacle.motion(points[neighbours])
     return reference
 
 

@@ -56,8 +56,8 @@ class ActiveSet:
     max_steps : int
         Steps at most, in all solves. In a step of a load path that finds motions of
         :class:`adaptmg.Rigid` obstacles or :class:`adaptmg.Preload` no contact problem begins after
-        so many in all of them together, so that the step ends with less than twice as many
-        (and those that tighten a bolt until it pulls).
+        ``max_steps`` Newton steps in all of them together: the step takes less than twice that number,
+        and the Newton steps that tighten a bolt until it pulls.
     nested_start : bool
         Solve on the coarser levels first, each from the solution of the level below.
 

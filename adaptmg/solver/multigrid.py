@@ -79,8 +79,8 @@ class Multigrid:
         With Truncated also for what takes over where it does not converge (:func:`handed_over`;
         ``Result.fallback`` names it). In a step of a load path that finds motions of
         :class:`adaptmg.Rigid` obstacles or :class:`adaptmg.Preload` no contact problem begins after
-        so many in all of them together, so that the step ends with less than twice as many
-        (and those that tighten a bolt until it pulls).
+        ``max_cycles`` cycles in all of them together: the step takes less than twice that number,
+        and the cycles that tighten a bolt until it pulls.
 
     Examples
     --------
