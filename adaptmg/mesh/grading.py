@@ -65,9 +65,10 @@ _FLATTEST = 1000
 #: nodes and up to 1.14
 _REFINED_TO = 0.9
 #: elements across a body by default, coarse to fine, and along a contact boundary of the finest mesh (in space its
-#: length is the root of its area)
+#: length is the root of its area). Ball on block: 39 nodes touch with 14 elements, 9 and 45 with half and twice
 _ACROSS, _ALONG = {2: (4, 8, 16), 3: (3, 6)}, {2: 64, 3: 14}
-#: elements as large as the square of their size on all contact boundaries in space, at most
+#: elements as large as the square of their size on all contact boundaries in space, at most. Ball on block:
+#: 39 nodes touch, 21 with half, 39 with twice
 _ON_FACES = 1000
 MESHERS = ("own", "netgen")
 
