@@ -168,11 +168,31 @@ def test_a_force_of_another_size_or_at_another_place_contradicts():
     assert contradictions(hierarchy, swapped) == ("bodies",)
 
 
-def test_a_boundary_mass_of_another_size_contradicts():
-    for hierarchy in (stacked(3, 2), grids(3)):
+def glued_on_a_floor():
+    """Two glued blocks of unequal meshes on one floor."""
+    parts = {
+        "left": am.Rectangle(width=1, height=1),
+        "right": am.Rectangle(width=1, height=1, origin=(1, 0)),
+    }
+    floor = am.Plane((0, 0), (0, 1))
+    posed = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        law=am.Coulomb(0.5),
+        ties=am.Tied("left.right", "right.left"),
+        contact=[am.Contact(f"{body}.bottom", floor) for body in parts],
+        loads=[am.Pressure(f"{body}.top", 1e7) for body in parts],
+        supports=am.Support("left.left", x=0.0),
+    )
+    return am.Hierarchy.uniform(posed, [{"left": 4, "right": 6}])
+
+
+@pytest.mark.parametrize("factor", [0.99, 1.01])
+def test_a_boundary_mass_of_another_size_contradicts(factor):
+    for hierarchy in (stacked(3, 2), grids(3), glued_on_a_floor()):
         discrete = hierarchy.finest.discrete
         weights = discrete.contact.weights.copy()
-        weights[2] *= 0.99
+        weights[2] *= factor
         wrong = discrete.posing(contact=replace(discrete.contact, weights=weights))
         assert contradictions(hierarchy, wrong) == ("measures",)
 
