@@ -8,7 +8,6 @@ import numpy as np
 from hostile_table import Hostile, each, labelled
 
 import adaptmg as am
-from adaptmg.mesh.netgen_worker import ngsolve_mesh
 
 SQUARE = am.mesh.structured(am.Rectangle(width=1, height=1), 3)
 CUBE = am.mesh.structured(am.Box(width=1, depth=1, height=1), 2)
@@ -40,7 +39,7 @@ def _set(mesh: am.MeshArrays, name: str, where, value) -> am.MeshArrays:
 
 def _raw(table: str, field: str, value) -> ngsolve.Mesh:
     """An ngsolve mesh, changed behind its back."""
-    mesh = ngsolve_mesh(CUBE)
+    mesh = replace(CUBE).source  # one of its own, to be damaged
     if table == "Coordinates":
         mesh.ngmesh.Coordinates()[13] += value
     else:
