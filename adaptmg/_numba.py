@@ -17,7 +17,10 @@ from typing import Any, cast
 
 import numba
 import numpy as np
+from llvmlite import ir
+from numba import types
 from numba.core.event import Event, Listener, register
+from numba.extending import intrinsic
 
 from adaptmg._text import say
 
@@ -56,6 +59,31 @@ def _warn_of_no_cache() -> None:
         "compiled kernels are not stored, as neither the package nor the home directory can be written: set "
         "NUMBA_CACHE_DIR to a folder that can"
     )
+
+
+def _compiled_prefetch(typing_context: Any, address: Any) -> Any:
+    """Return the signature and the code of a prefetch for reading, into all caches."""
+    byte_pointer = ir.IntType(8).as_pointer()
+    integer = ir.IntType(32)
+    arguments = [byte_pointer, integer, integer, integer]
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        function = builder.module.declare_intrinsic(
+            "llvm.prefetch", [byte_pointer], ir.FunctionType(ir.VoidType(), arguments)
+        )
+        place = builder.inttoptr(values[0], byte_pointer)
+        builder.call(function, [place, integer(0), integer(3), integer(1)])
+        return context.get_dummy_value()
+
+    return types.void(types.uintp), generate
+
+
+def _without_compiler(address: int) -> None:
+    """Do nothing: without the compiler there is nothing to hint at."""
+
+
+#: ask the processor for what stands at an address (uintp), which may lie outside every array
+prefetch = _without_compiler if numba.config.DISABLE_JIT else intrinsic(_compiled_prefetch)
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
