@@ -534,21 +534,24 @@ def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
     return [np.flatnonzero(labels[n_bodies:] == piece) for piece in pieces]
 
 
+def rotations(points: np.ndarray, axes: np.ndarray) -> list[np.ndarray]:
+    """Return the small rotations (n, dim) of points about the origin, in 3D about each of three
+    axes (rows)."""
+    spins = [[[0.0, 1.0], [-1.0, 0.0]]] if len(axes) == 2 else np.cross(axes[:, None], np.eye(3))
+    return [points @ np.array(spin) for spin in spins]
+
+
 @one_blas_thread()
 def rigid_body_modes(points: np.ndarray) -> np.ndarray:
     """Return the translations and, about the principal axes at the centroid, rotations (n_dofs, k)
     of points, orthonormal."""
-    (n, dim), x = points.shape, points - np.einsum("nd->d", points) / len(points)
-    spins = (
-        [[[0.0, 1.0], [-1.0, 0.0]]]
-        if dim == 2
-        else np.cross(np.linalg.eigh(x.T @ x)[1].T[:, None], np.eye(3))
-    )
-    modes = np.zeros((n, dim, dim + len(spins)))
+    n, dim = points.shape
+    x = points - np.einsum("nd->d", points) / len(points)
+    turns = rotations(x, np.linalg.eigh(x.T @ x)[1].T if dim == 3 else np.eye(2))
+    modes = np.zeros((n, dim, dim + len(turns)))
     modes[:, range(dim), range(dim)] = 1 / np.sqrt(n)
-    sizes = np.empty(len(spins))
-    for k, spin in enumerate(spins):
-        turn = x @ np.array(spin)
+    sizes = np.empty(len(turns))
+    for k, turn in enumerate(turns):
         sizes[k] = np.linalg.norm(turn)
         modes[:, :, dim + k] = turn / (sizes[k] or 1.0)
     modes = modes.reshape(n * dim, -1)

@@ -312,7 +312,8 @@ class DiscreteProblem(Unknowns):
     def residual(self, solution: np.ndarray) -> np.ndarray:
         """Return b - A u - B'p (n_dofs,), N, of a solution (n_unknowns,); dual."""
         displacement, pressures = self.parts(solution)
-        return self.load - self.matrix @ displacement - self.volumes.forces(pressures)
+        residual = self.load - self.matrix @ displacement
+        return residual - self.volumes.forces(pressures) if len(self.volumes) else residual
 
     def need_no_volumes(self, what: str) -> None:
         """Raise ValueError if there are volumes, which ``what`` cannot take."""

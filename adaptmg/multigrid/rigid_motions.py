@@ -25,6 +25,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from adaptmg.discrete.elasticity import rotations
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.multigrid.truncated_contact import TruncatedContact, friction_slope
 
@@ -52,14 +53,34 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     return (combinations[singular <= _ZERO] / size).T
 
 
+def _is_held_body(problem: DiscreteProblem, held: np.ndarray, fixed: np.ndarray) -> bool:
+    """Return whether the ``fixed`` components (n, dim) of held nodes leave a single body no motion.
+    False where ``near_nullspace`` has to say it. Not making that for every level spares 4 % of a
+    solve with 66k nodes, and 24 bytes a dof (48 in 3D)."""
+    several = problem.bodies is not None and len(problem.bodies) > 1
+    if several or problem.coupling is not None or "near_nullspace" in vars(problem):
+        return False
+    if problem.coordinates is None or problem.coordinates.shape[1] != problem.dim or not len(held):
+        return False
+    x = problem.coordinates[held]
+    turns = np.stack(rotations(x - x.mean(axis=0), np.eye(problem.dim)), axis=2)
+    translations = np.broadcast_to(np.eye(problem.dim), (len(x), problem.dim, problem.dim))
+    motions = np.concatenate([translations, turns], axis=2)
+    return not null_combinations(motions[fixed]).shape[1]
+
+
 @remembered_of_structure
 def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (k, m) of the motions that supports leave free, and those (n_contact, dim, m) of
     contact nodes."""
     nodes = problem.contact.nodes
     fixed = problem.fixed.reshape(-1, problem.dim)
-    held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
-    if problem.near_nullspace is None or not len(nodes):
+    held = np.flatnonzero(fixed.any(axis=1))
+    if (
+        not len(nodes)
+        or _is_held_body(problem, held, fixed[held])
+        or problem.near_nullspace is None
+    ):
         return np.empty((0, 0)), np.empty((len(nodes), problem.dim, 0))
     modes = problem.near_nullspace.reshape(problem.n_nodes, problem.dim, -1)
     rows = modes[held][fixed[held]]

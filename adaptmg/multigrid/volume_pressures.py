@@ -45,10 +45,9 @@ class VolumePressures:
 
     def __init__(self, problem: DiscreteProblem) -> None:
         volumes = problem.volumes
-        free = (~problem.fixed).astype(float)
         rows = sparse.csr_array(
             (
-                volumes.rows.data * free[volumes.rows.indices],
+                volumes.rows.data * ~problem.fixed[volumes.rows.indices],
                 volumes.rows.indices,
                 volumes.rows.indptr,
             ),

@@ -104,6 +104,22 @@ def _joined(
     return np.where(inside, number[home[label]], -1)
 
 
+@kernel
+def _adjacent(indptr, indices, label, aggregate, neighbour):
+    """Write the pairs of unlike aggregates that entries of the matrix join; return their number."""
+    found = 0
+    for i in range(len(indptr) - 1):
+        if label[i] < 0:
+            continue
+        for p in range(indptr[i], indptr[i + 1]):
+            other = label[indices[p]]
+            if other >= 0 and other != label[i]:
+                aggregate[found] = label[i]
+                neighbour[found] = other
+                found += 1
+    return found
+
+
 class Aggregates:
     """The aggregates of a problem: they depend on mesh, bodies and supports, not on the contact
     status."""
@@ -146,13 +162,10 @@ class Aggregates:
             np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside
         )
         # a narrow band: the place of each aggregate, and how far it reaches
-        aggregate = np.repeat(label, np.diff(matrix.indptr))
-        other = label.take(matrix.indices)
-        met = np.flatnonzero(aggregate != other)
-        met = met[np.minimum(aggregate[met], other[met]) >= 0]
+        pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
+        found = _adjacent(matrix.indptr, matrix.indices, label, *pairs)
         coarse = sparse.csr_array(
-            (np.ones(len(met), dtype=bool), (aggregate[met], other[met])),
-            shape=(self.count, self.count),
+            (np.ones(found, dtype=bool), tuple(pairs[:, :found])), shape=(self.count, self.count)
         )
         self.place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
         rows = np.repeat(self.place, np.diff(coarse.indptr))

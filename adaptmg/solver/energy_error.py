@@ -237,7 +237,9 @@ def correction(
     residual whose norm is at most ``rounding`` loads no motion. Without aggregates by factors; the
     residual is overwritten."""
     status.project(residual)
-    load = np.append(residual, -problem.volumes.areas * missed)
+    load = residual.reshape(-1)
+    if len(problem.volumes):
+        load = np.append(load, -problem.volumes.areas * missed)
     size = load @ load
     if not 0.0 < size < np.inf:
         none = np.zeros((len(status.nodes), problem.dim))
@@ -288,7 +290,7 @@ class _Equations:
         values = nodal
         energetic = forces
         image = forces.copy()
-        compressed = np.empty(0)
+        compressed = None
         if len(self.volumes):
             soft = self.volumes.areas * self.volumes.compliance
             areas = self.volumes.areas
@@ -305,7 +307,8 @@ class _Equations:
         energetic[: self.n].reshape(by_node.shape)[status.nodes] += turned
         by_node[status.nodes] += turned + np.einsum("nij,nj->ni", status.dragged, exerted)
         status.project(by_node)
-        image = np.append(image, compressed)
+        if compressed is not None:
+            image = np.append(image, compressed)
         return _Direction(values, image, np.stack([moved, exerted])), energetic
 
 

@@ -345,6 +345,29 @@ def test_supports_leave_none():
     )
 
 
+@pytest.mark.parametrize("collinear", [False, True])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_as_many_motions_are_free_as_no_fixed_component_sees(dim, collinear):
+    problem = discrete(dim)
+    rng = np.random.default_rng(dim)
+    inner = np.setdiff1d(np.arange(problem.n_nodes), problem.contact.nodes)
+    across = problem.coordinates[inner][:, 1:]
+    line = inner[(across == across[0]).all(axis=1)]
+    free = []
+    for count in (1, 2, 2, 3, 3, 4):
+        fixed = np.zeros((problem.n_nodes, dim), dtype=bool)
+        chosen = rng.choice(line if collinear else inner, size=min(count, len(line)), replace=False)
+        fixed[chosen] = rng.random((len(chosen), dim)) < 0.8
+        held = replace(problem, fixed=fixed.reshape(-1), near_nullspace=None)
+        contact = TruncatedContact.of(held, split(held.matrix, held.fixed))
+        motions = RigidMotions.of(held, contact, held.load)
+        modes = problem.near_nullspace
+        rank = np.linalg.matrix_rank(modes[fixed.reshape(-1)], tol=1e-9)
+        assert (motions.at_contact.shape[2] if motions else 0) == modes.shape[1] - rank
+        free.append(modes.shape[1] - rank)
+    assert max(free) > 0 and (min(free) == 0 or collinear)
+
+
 def test_null_combinations_do_not_depend_on_units():
     rng = np.random.default_rng(1)
     rows = rng.standard_normal((5, 4)) @ np.diag([1e-6, 1.0, 1e6, 1e3])
