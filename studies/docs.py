@@ -1,6 +1,6 @@
 """Build the documentation: HTML pages that open offline, search and formulas included.
 
-    python studies/docs.py [--out DIR]
+    python studies/docs.py [--quick] [--out DIR]
 
 Sources: docstrings of adaptmg, pages in studies/docs, tutorials in studies/tutorials (scripts, run
 while building), tables in data/measured (written by studies). Needs the packages of ``pip install
@@ -41,6 +41,7 @@ DOMAINS = (
     "Assembly",
     "problem.Domain",
 )
+RESULTS = ("Result", "Status", "NotConverged", "Certificate", "PathResult", "OPEN", "SLIP", "STICK")
 #: pages of the reference: title, first sentence, modules whose names they show
 TASKS = {
     "pose": (
@@ -58,8 +59,13 @@ TASKS = {
     "transfers": ("Transfers", "Prolongations between meshes, nested or not.", ("transfer",)),
     "solve": (
         "Solve",
-        "Methods, their parts, and results. Bare matrices are posed here, too.",
+        "Methods and their parts. Bare matrices are posed here, too.",
         ("solver", "multigrid", "smoother", "discrete", "_threads"),
+    ),
+    "results": (
+        "Results",
+        "What a solve returns or raises: fields, contact quantities, forces, the certificate.",
+        (),
     ),
     "adapt": ("Adapt", "The adaptive loop: indicators, goals, marks and engines.", ("estimate",)),
     "study": ("Study", "A function and a design, to a durable store, to a table.", ("study",)),
@@ -82,6 +88,9 @@ def main() -> int:
         metavar="DIR",
         help="default: results/docs",
     )
+    parser.add_argument(
+        "--quick", action="store_true", help="show tutorials without running them: no pictures"
+    )
     arguments = parser.parse_args()
     out = arguments.out.resolve()
     shutil.rmtree(out, ignore_errors=True)
@@ -95,7 +104,8 @@ def main() -> int:
                 "-W",
                 "--keep-going",
                 "-n",
-                "-q",
+                *([] if sys.stderr.isatty() else ["-q"]),  # else Sphinx shows its progress
+                *(["-D", "plot_gallery=0"] if arguments.quick else []),
                 "-j",
                 "auto",
                 "-b",
@@ -149,22 +159,32 @@ def public_names() -> dict[str, list[str]]:
         if name not in homes
     ]
     for module, name in every:
-        pages["laws" if name in LAWS else "domains" if name in DOMAINS else task_of[module]].append(
-            name
-        )
+        page = task_of[module]
+        if name in LAWS:
+            page = "laws"
+        elif name in DOMAINS:
+            page = "domains"
+        elif name in RESULTS or name.startswith("solver."):
+            page = "results"
+        pages[page].append(name)
     return pages
 
 
 def write_reference(folder: Path) -> None:
     """Write the pages of the reference, by task."""
     folder.mkdir()
-    index = (
-        _title("API by task")
-        + "\nAll public names; ``import adaptmg as am`` first.\n\n.. toctree::\n\n"
+    index = _title("API by task") + (
+        "\nEvery public name has a page with its arguments, units, errors and an example. "
+        "Scripts begin with ``import adaptmg as am``; names without a module are in ``am``. "
+        "A solve goes through these pages from top to bottom.\n"
     )
+    tree = "\n.. toctree::\n   :hidden:\n\n"
     for task, names in public_names().items():
         title, sentence, _ = TASKS[task]
-        index += f"   {task}\n"
+        shown = ", ".join(f":obj:`~adaptmg.{name}`" for name in names[:6])
+        more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+        index += f"\n:doc:`{task}`\n   {sentence} {shown}{more}.\n"
+        tree += f"   {task}\n"
         page = (
             f"{_title(title)}\n{sentence}\n\n.. currentmodule:: adaptmg\n\n"
             ".. autosummary::\n   :toctree: names\n   :nosignatures:\n\n"
@@ -172,7 +192,7 @@ def write_reference(folder: Path) -> None:
         (folder / f"{task}.rst").write_text(
             page + "".join(f"   {name}\n" for name in names), encoding="utf-8"
         )
-    (folder / "index.rst").write_text(index, encoding="utf-8")
+    (folder / "index.rst").write_text(index + tree, encoding="utf-8")
 
 
 def cases_page() -> str:

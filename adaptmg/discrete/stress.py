@@ -95,7 +95,17 @@ _PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class StressData:
-    """Materials and strains from which stresses follow, next to a mesh and a displacement."""
+    """Materials and strains from which stresses follow, next to a mesh and a displacement.
+
+    A result on a mesh has it. A result of a bare DiscreteProblem answers :meth:`Result.stress` after
+    ``dataclasses.replace(result, mesh=mesh, stress_data=am.solver.StressData.of(mesh, material))``.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> am.solver.StressData.of(mesh, am.PlaneStrain(young=1.0, poisson=0.25)).shear.tolist()     # Pa
+    [0.4]
+    """
 
     lame: np.ndarray  # (n_bodies,): Lame constants as they enter the stress, Pa
     shear: np.ndarray  # (n_bodies,), Pa

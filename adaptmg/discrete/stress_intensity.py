@@ -63,6 +63,20 @@ class StressIntensity:
         Of the domains of integration, m.
     spread : pair of float
         Largest minus smallest of both over the radii, Pa sqrt(m): a hint of the error.
+
+    Examples
+    --------
+    >>> crack = am.Cracked(am.Rectangle(width=1.0, height=1.0), {"crack": [(0.3, 0.5), (0.7, 0.5)]})
+    >>> problem = am.ContactProblem(
+    ...     domain=crack,
+    ...     material=am.PlaneStrain(young=2e11, poisson=0.3),
+    ...     contact=am.ContactPair("crack.left", "crack.right"),
+    ...     supports=am.Support("bottom", x=0.0, y=0.0),
+    ...     loads=am.Traction("top", (0.0, 1e6)),
+    ... )
+    >>> result = am.solve(am.Hierarchy.graded(problem, sizes=(0.1, 0.05)))
+    >>> result.stress_intensity("crack").K_I > 0
+    True
     """
 
     tip: tuple[float, float]

@@ -31,12 +31,38 @@ _OFFSET = 1e-6  # of the size of the mesh: how far a partner on the other side o
 
 @dataclass(frozen=True, eq=False)
 class TieForces:
-    """Forces that ties exert on both bodies."""
+    """Forces that ties exert on both bodies: ``result.ties``.
 
-    node: np.ndarray  # (n,) int
-    force: np.ndarray  # (n, dim), N
-    boundary: np.ndarray  # (n,) int: index into names
-    names: tuple[str, ...]  # of the slave and the master of each tie
+    Attributes
+    ----------
+    node : (n,) int array
+        Nodes of the mesh; a node of a master stands once for each tie.
+    force : (n, dim) array
+        N (2D: N/m).
+    boundary : (n,) int array
+        Index into ``names``.
+    names : tuple of str
+        The slave and the master of each tie, in turn.
+
+    Examples
+    --------
+    >>> low = am.Rectangle(width=1, height=1)
+    >>> problem = am.ContactProblem(
+    ...     domain=am.Assembly({"low": low, "top": am.Rectangle(width=1, height=1, origin=(0, 1))}),
+    ...     material=am.PlaneStrain(young=1e9, poisson=0.3),
+    ...     ties=am.Tied("top.bottom", "low.top"),
+    ...     supports=am.Support("low.bottom", x=0.0, y=0.0),
+    ...     loads=am.Pressure("top.top", 1e6),
+    ... )
+    >>> ties = am.solve(am.Hierarchy.uniform(problem, divisions=(2, 4))).ties
+    >>> ties.on("low.top")[1].sum(axis=0).round(3).tolist()           # N/m, on the master
+    [0.0, -1000000.0]
+    """
+
+    node: np.ndarray
+    force: np.ndarray
+    boundary: np.ndarray
+    names: tuple[str, ...]
 
     def on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the nodes and forces on one boundary."""

@@ -1,5 +1,5 @@
 from .arrays import MeshArrays as MeshArrays
-from .arrays import need_mesh as need_mesh
+from .arrays import need_mesh as need_mesh, Surface as Surface
 from .bisection import bisect as bisect, refine_near as refine_near
 from .onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized

@@ -299,10 +299,23 @@ class Surface:
     turned by -90 degrees, in 3D :math:`\tfrac12 (b - a) \times (c - a)`. A node has the average
     normal
     :math:`n_i = \sum_F a_F \big/ \big|\sum_F a_F\big|` of the area vectors of the facets there.
+
+    Attributes
+    ----------
+    points : (n_nodes, dim) array
+        Those of the whole mesh, m.
+    facets : (n, dim) int array
+        Nodes of each facet, oriented as in MeshArrays.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> mesh.surface("top").normals.tolist()
+    [[0.0, 1.0], [0.0, 1.0]]
     """
 
-    points: np.ndarray  # (n_nodes, dim): those of the whole mesh, m
-    facets: np.ndarray  # (n, dim) int: oriented as in MeshArrays
+    points: np.ndarray
+    facets: np.ndarray
 
     @cached_property
     def nodes(self) -> np.ndarray:

@@ -38,7 +38,7 @@ class Certificate:
 
     Attributes
     ----------
-    lines : tuple of Condition
+    lines : tuple of :class:`adaptmg.solver.Condition`
         'equilibrium' (of free dofs, under the claimed contact forces), 'volumes' (of nearly
         incompressible bodies with smoothed elements: mean volume strains against the pressures of
         groups), 'prescribed values', 'penetration', 'tension', 'complementarity' (the smaller of
@@ -228,15 +228,37 @@ class ContactClaims(Protocol):
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition: by how much it is violated."""
+    """One line of a certificate: by how much a condition is violated.
+
+    Attributes
+    ----------
+    name : str
+        One of those that :class:`adaptmg.Certificate` lists.
+    largest, total : float
+        At one node, and over all: the Euclidean norm, of energies the sum; in ``unit``.
+    unit : str
+        Empty for a number.
+    relative : float
+        ``largest`` or ``total`` over the scale of the line.
+    rounding : float
+        The part of ``relative`` that rounding explains.
+    limit : float
+        The largest ``relative`` that passes, whatever the tolerance; 0: by the tolerance.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.certificate()["penetration"].unit
+    'm'
+    """
 
     name: str
-    largest: float  # at one node
-    total: float  # over all: the Euclidean norm, of energies the sum
-    unit: str  # of both; empty for a number
+    largest: float
+    total: float
+    unit: str
     relative: float
-    rounding: float = 0.0  # the part of relative that rounding explains
-    limit: float = 0.0  # the largest relative one, whatever the tolerance; 0: by the tolerance
+    rounding: float = 0.0
+    limit: float = 0.0
 
 
 class Evidence:

@@ -56,9 +56,14 @@ class ContactResult:
     that a support fixes at the slave node: its own), and forces on the slave; those on the master
     balance them.
 
+    Of a step of a load path, slips and forces of friction are those of that step: the slip counts
+    from the displacement of the step before. The energy that friction dissipates in a step is
+    ``-(force_t * slip).sum()``, J (2D: J/m); that of a path is the sum over its steps.
+
     Attributes
     ----------
     node : (n,) int array
+        Numbers of the contact nodes in the mesh.
     x : (n, dim) array
         Position before deformation, m (NaN if the problem has no coordinates).
     frames : (n, dim, dim) array
@@ -68,12 +73,12 @@ class ContactResult:
     u_n : (n,) array
         Normal displacement, m.
     u_t, slip : (n, dim - 1) arrays
-        Tangential displacement and slip (u_t minus its reference), m; in 2D along the normal turned
-        by +90 degrees.
+        Tangential displacement and slip (u_t minus its reference), m. In 2D (n, 1): along the normal
+        turned by +90 degrees; ``slip[:, 0]`` has the numbers.
     force_n : (n,) array
         Compressive nodal force p >= 0, N (2D: N/m).
     force_t : (n, dim - 1) array
-        Tangential nodal force on the body, N (2D: N/m).
+        Tangential nodal force on the body, N; in 2D (n, 1), N/m, against the slip.
     weights : (n,) array
         Lumped boundary mass, m^2 (2D: m).
     limit : (n,) array
@@ -100,6 +105,15 @@ class ContactResult:
         the neighbours carry no conditions their part.
     axisymmetric : bool
         Whether x is the radius, and forces and masses are those of the full circumference (N, m^2).
+
+    Examples
+    --------
+    >>> contact = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))).contact
+    >>> contact.force_n.shape, contact.force_t.shape
+    ((5,), (5, 1))
+    >>> dissipated = -(contact.force_t * contact.slip).sum()          # J/m
+    >>> bool(dissipated > 0)
+    True
     """
 
     node: np.ndarray

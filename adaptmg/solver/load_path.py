@@ -255,7 +255,28 @@ def _results(store: StepStore, steps: int) -> list[tuple[Result, list[np.ndarray
 
 
 class StepNotConverged(NotConverged):
-    """Raised by :func:`solve_path` when a step did not reach its tolerance."""
+    """Raised by :func:`adaptmg.solve_path` when a step did not reach its tolerance.
+
+    Attributes
+    ----------
+    result : Result
+        The last iterate of the step.
+    step : int
+        Its number, from 0.
+    described : str
+        Its factors.
+    partial : PathResult
+        The steps before it, and the step.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> try:
+    ...     am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}), am.SingleGrid(max_sweeps=1))
+    ... except am.solver.StepNotConverged as error:
+    ...     error.step, len(error.partial)
+    (0, 1)
+    """
 
     def __init__(self, result: Result, step: int, described: str, partial: PathResult) -> None:
         super().__init__(result)

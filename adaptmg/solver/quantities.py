@@ -384,8 +384,21 @@ def _columns(name: str, unit: str, axes: str, values: np.ndarray) -> Mapping[str
 
 @dataclass(frozen=True, eq=False)
 class Resultant:
-    """Force (dim,) in N (2D: N/m) and moment in N m (3D: (3,); 2D: a number, N); the moment is None
-    without a mesh."""
+    """The force and the moment through a boundary: ``result.resultant(name)``.
+
+    Attributes
+    ----------
+    force : (dim,) array
+        On the body, N (2D: N/m).
+    moment : (3,) array or float or None
+        About the point asked for, N m; in 2D a number, N; None without a mesh.
+
+    Examples
+    --------
+    >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
+    >>> result.resultant("bottom").force.round(3).tolist()            # N/m
+    [-2000000.0, 2000000.0]
+    """
 
     force: np.ndarray
     moment: np.ndarray | float | None

@@ -36,6 +36,8 @@ class Result(Quantities):
     displacement : (n_nodes, dim) array
         m.
     contact : ContactResult
+        Arrays over the contact nodes: pressures, forces, gaps, slips, states
+        (:class:`adaptmg.solver.ContactResult`).
     reaction : (n_nodes, dim) array
         A u - b: nodal forces that supports and contact exert on the body, N (2D: N/m); ~0 at free
         nodes.
@@ -81,14 +83,14 @@ class Result(Quantities):
     versions : dict of str to str
         Versions of adaptmg and of the libraries that numbers depend on.
     stress_data : StressData or None
-        Material constants and initial strains, for :meth:`stress`; None for a bare DiscreteProblem.
+        Material constants and initial strains, for :meth:`stress`
+        (:class:`adaptmg.solver.StressData`); None for a bare DiscreteProblem.
     checked : Certificate or None
         The certificate of the solve.
     supports : dict of str to list of list of float
         By boundary the directions along which supports hold it; empty for a bare DiscreteProblem.
     ties : TieForces or None
-        Nodal forces of ties on both bodies (``node``, ``force``, ``boundary``, ``names``); None
-        without ties.
+        Nodal forces of ties on both bodies (:class:`adaptmg.solver.TieForces`); None without ties.
     springs : dict of str to list of float
         By boundary, or "point (0, 1)", the force (dim) that springs exert on the bodies, N, and its
         moment about the origin, N m.
