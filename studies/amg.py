@@ -125,11 +125,10 @@ def study(out: Output) -> None:
         "over_pyamg",
         short,
         "Contact with friction against one linear solve",
-        "Seconds of set-up and solve of "
-        "pyamg CG on the linear (glued) problem of the same matrix to a true error of 1e-8; then seconds over "
-        "those of pyamg: the linear problem by CG with geometric multigrid (MG), and the contact problem "
-        "by the default (to an estimated 1e-8; then its work units) and by the active set method with direct "
-        "solves. Meshes, matrices and transfers, which all need, are not counted.",
+        "Seconds of pyamg CG for the linear (glued) problem; the others over those: it by CG with geometric "
+        "multigrid (MG), the contact problem by the default / its work units, and by the active set method.\n\n"
+        "Set-up and solve, to a true error of 1e-8 (contact: estimated); direct solves in the active set method. "
+        "Meshes, matrices and transfers, which all need, are not counted.",
         card="Contact against one linear solve",
         units={"pyamg": "s"},
         formats={"pyamg": ".3f", "MG CG": ".2f", "active set": ".2f"},

@@ -84,9 +84,11 @@ class Output:
         card: str = "",
         units: Mapping[str, str] | None = None,
         formats: Mapping[str, str] | None = None,
+        readme: bool = False,
     ) -> None:
         """Print a table and write it as CSV; ``card`` puts it on the report's first screen, with
-        ``note`` below."""
+        ``note`` below. ``reproduce.py --record`` writes it into data/measured if it has a card, and
+        also into the README if ``readme``."""
         write_bytes(self.folder / f"{name}.csv", frame.to_csv(index=False).encode())
         print("\n" + as_text(frame, caption=caption, note=note, units=units, formats=formats))
         self.items.append(
@@ -98,6 +100,7 @@ class Output:
                 "units": dict(units or {}),
                 "formats": dict(formats or {}),
                 "card": card,
+                "readme": readme,
             }
         )
 

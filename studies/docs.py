@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-import pandas as pd
+from reproduce import read_measured
 
 import adaptmg as am
 
@@ -240,17 +240,16 @@ def _shown(value: object) -> str:
 
 
 def measured_page(folder: Path) -> str:
-    """The tables that studies have written into data/measured."""
+    """The tables that studies have written into data/measured, with what they say."""
     page = _title("Measured") + (
-        "\nTables that ``python studies/reproduce.py --record`` writes; work is in "
-        "passes over the finest matrix.\n"
+        "\n``python studies/reproduce.py --record`` writes these tables. Seconds are processor "
+        "seconds of one thread with compiled kernels. Work is in passes over the finest matrix; "
+        "factorisations are in the seconds only. A cell with two numbers has a slash between them, "
+        "and the text above the table says what they are.\n"
     )
     for file in sorted(folder.glob("*.csv")):
-        lines = file.read_text(encoding="utf-8").splitlines()
-        notes = [line.lstrip("# ") for line in lines if line.startswith("#")]
-        frame = pd.read_csv(file, comment="#", dtype=str, keep_default_na=False)
-        title = file.stem.replace("_", " ").capitalize()
-        page += f"\n{title}\n{'-' * len(title)}\n\n" + "\n".join(notes) + "\n"
+        (title, *notes), frame = read_measured(file)
+        page += f"\n{title}\n{'-' * len(title)}\n\n" + "\n\n".join(notes) + "\n"
         page += _table(list(frame.columns), frame.to_numpy().tolist())
     return page
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import io
 import json
 import os
 import re
@@ -21,6 +22,7 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +30,8 @@ import pandas as pd
 
 HERE = Path(__file__).resolve().parent
 MEASURED, README = HERE.parent / "data" / "measured", HERE.parent / "README.md"
-#: head and rows of the table of measured numbers in the README
-TABLE = re.compile(r"(\| what \| measured \|\n\|[-|: ]+\n)(?:\|.*\n)*")
+#: a table in the README below the name of its file in data/measured
+TABLE = re.compile(r"<!-- data/measured/(\w+)\.csv -->\n\n(?:\|.*\n)*")
 #: studies of a default run with their processor seconds; they appear in this order, the longest are begun first
 STUDIES = {
     "table_1_grids": 10,
@@ -193,12 +195,13 @@ def record(out: Path, names: Iterable[str]) -> None:
 
     lines = []
     MEASURED.mkdir(exist_ok=True)
+    run = f"python studies/reproduce.py, commit {commit()}, {date.today()}"
     for name in names:
         file = out / name / "section.json"
         for item in json.loads(file.read_text())["items"] if file.exists() else []:
             if item["kind"] == "number":
                 lines.append({"what": item["what"], "measured": item["measured"]})
-            elif item["kind"] == "table" and item["card"]:
+            elif item["kind"] == "table" and (item["card"] or item["readme"]):
                 columns = columns_of(
                     pd.read_csv(out / name / f"{item['name']}.csv"), item["units"], item["formats"]
                 )
@@ -209,11 +212,34 @@ def record(out: Path, names: Iterable[str]) -> None:
                 frame = pd.DataFrame(
                     dict(zip(heads, (column.texts for column in columns), strict=True))
                 )
-                frame.to_csv(MEASURED / f"{item['name']}.csv", index=False)
-    pd.DataFrame(lines).to_csv(MEASURED / "readme.csv", index=False)
-    rows = "".join(f"| {line['what']} | {line['measured']} |\n" for line in lines)
+                write_measured(item["name"], frame, item["caption"], item["note"], run)
+    write_measured("readme", pd.DataFrame(lines), "Numbers of the README", "", run)
     text = README.read_text(encoding="utf-8")
-    README.write_text(TABLE.sub(lambda head: head[1] + rows, text, count=1), encoding="utf-8")
+    README.write_text(TABLE.sub(lambda found: markdown(found[1]), text), encoding="utf-8")
+
+
+def write_measured(name: str, frame: pd.DataFrame, caption: str, note: str, run: str) -> None:
+    """Write a table into data/measured, with comments: its caption, what its numbers are, and the
+    run that they are from."""
+    comments = [f"# {' '.join(text.split())}\n" for text in (caption, note, run) if text]
+    text = "".join(comments) + frame.to_csv(index=False)
+    (MEASURED / f"{name}.csv").write_text(text, encoding="utf-8")
+
+
+def read_measured(file: Path) -> tuple[list[str], pd.DataFrame]:
+    """Return the comments and the table of a file in data/measured."""
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    comments = [line[2:].strip() for line in lines if line.startswith("# ")]
+    table = io.StringIO("".join(line for line in lines if not line.startswith("# ")))
+    return comments, pd.read_csv(table, dtype=str, keep_default_na=False)
+
+
+def markdown(name: str) -> str:
+    """Return a table of data/measured as it stands in the README, below the name of its file."""
+    _, frame = read_measured(MEASURED / f"{name}.csv")
+    rows = [list(frame.columns), ["---"] * frame.shape[1], *frame.to_numpy().tolist()]
+    text = "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    return f"<!-- data/measured/{name}.csv -->\n\n{text}"
 
 
 def report(

@@ -79,7 +79,7 @@ def study(out: Output) -> None:
         first,
         "Table 3: gain of the full start",
         "Speed-up over one grid (289/81 nodes) in processor "
-        "seconds / in work, to a true error of 1e-6; of the paper its speed-up and CPU time, without friction. "
+        "seconds / in work, to a true error of 1e-6; of the paper its speed-up and CPU time, without friction.\n\n"
         "Without friction the default's full start is exact. The default factorises its coarse level: its work "
         "is left out.",
         card="Table 3: full start",

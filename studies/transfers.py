@@ -177,12 +177,14 @@ def study(out: Output) -> None:
         "monotone_work",
         "monotone_outcome",
     ]
+    refused = (table["monotone_outcome"] == "REFUSED").any()
     out.table(
         "transfers",
         table[columns],
         "Transfers between independent meshes: cost, and cycles and work with them",
-        "Build: processor time of all prolongations. Entries: of a row. Affine error: of the largest coordinate. "
-        "REFUSED: a weight between contact nodes is negative, which the monotone correction does not accept.",
+        "Build: processor time of all prolongations. Entries: of a row. Affine error: of the largest coordinate."
+        + " REFUSED: a weight between contact nodes is negative, which the monotone correction does not accept."
+        * bool(refused),
         units={"build_ms": "ms", "default_work": "WU", "monotone_work": "WU"},
         formats={
             "build_ms": ".1f",

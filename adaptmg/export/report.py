@@ -39,7 +39,7 @@ from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg._machine import memory, processor
 from adaptmg._text import printable
-from adaptmg.plot.style import CYCLE, label_plainly, plain, styled
+from adaptmg.plot.style import label_plainly, plain, styled
 from adaptmg.solver.result import versions
 from adaptmg.study.tables import cells, numeric
 
@@ -88,8 +88,9 @@ def worded(name: object, unit: str | None = None) -> tuple[str, str]:
     if not _IDENTIFIER.fullmatch(text):
         return text, unit
     words = text.split("_")
-    if not unit and words[-1].lower() in _UNITS:
-        unit = _UNITS[words.pop().lower()]
+    if (own := _UNITS.get(words[-1].lower())) and unit in ("", own):
+        unit = own
+        words.pop()
     return " ".join(words), unit
 
 
@@ -565,7 +566,7 @@ def curves(
     data = data.replace([np.inf, -np.inf], np.nan).dropna()
     joined = axis.joined and not named
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
-        color = CYCLE[k % len(CYCLE)]
+        color = f"C{k}"
         values = part.groupby("x", sort=not named)["y"]
         median = values.median()
         low = values.min()

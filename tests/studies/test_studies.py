@@ -120,32 +120,36 @@ def test_recorded_numbers_are_those_of_the_sections(tmp_path, monkeypatch):
     made(tmp_path, 1.25)
     monkeypatch.setattr(reproduce, "MEASURED", tmp_path / "measured")
     monkeypatch.setattr(reproduce, "README", tmp_path / "README.md")
-    reproduce.README.write_text("# x\n\n| what | measured |\n|---|---|\n| old | 1 |\n\nend | of\n")
+    head = "# x\n\n<!-- data/measured/readme.csv -->\n\n"
+    reproduce.README.write_text(f"{head}| what | measured |\n|---|---|\n| old | 1 |\n\nend | of\n")
     reproduce.record(tmp_path, ALL)
     assert {file.name for file in reproduce.MEASURED.iterdir()} == {"one.csv", "readme.csv"}
-    assert reproduce.README.read_text().splitlines()[4:] == [
+    assert reproduce.README.read_text().splitlines()[6:] == [
         "| time of table_1_grids | 1.25 s |",
         "| time of dovetail | 1.25 s |",
         "",
         "end | of",
     ]
-    rows = pd.read_csv(reproduce.MEASURED / "readme.csv", dtype=str)
+    _, rows = reproduce.read_measured(reproduce.MEASURED / "readme.csv")
     assert rows.to_numpy().tolist() == [
         [f"time of {name}", "1.25 s"] for name in ("table_1_grids", "dovetail")
     ]
-    assert (reproduce.MEASURED / "one.csv").read_text() == "n,time [s]\n1,0.50\n2,1.25\n"
+    caption, note, run, *table = (reproduce.MEASURED / "one.csv").read_text().splitlines()
+    assert (caption, note) == ("# caption of table_1_grids", "# a note")
+    assert "commit" in run and table == ["n,time [s]", "1,0.50", "2,1.25"]
 
 
 def test_the_readme_has_the_numbers_that_were_recorded():
-    recorded = pd.read_csv(ROOT / "data" / "measured" / "readme.csv", dtype=str).to_numpy().tolist()
     files = list((ROOT / "data" / "measured").glob("*.csv"))
-    assert (
-        0 < len(recorded) <= 15
-        and len(files) <= 6
-        and all(len(pd.read_csv(file)) <= 15 for file in files)
-    )
-    shown = reproduce.TABLE.search(reproduce.README.read_text(encoding="utf-8"))[0].splitlines()[2:]
-    assert [line.strip("| ").split(" | ") for line in shown] == recorded
+    assert len(files) <= 7
+    for file in files:
+        comments, table = reproduce.read_measured(file)
+        assert len(comments) >= 2 and 0 < len(table) <= 15, file
+    text = reproduce.README.read_text(encoding="utf-8")
+    shown = list(reproduce.TABLE.finditer(text))
+    assert {found[1] for found in shown} == {"readme", "saved"}
+    for found in shown:
+        assert found[0] == reproduce.markdown(found[1])
 
 
 def test_the_campaign_of_loops_sees_spoilt_meshes():
