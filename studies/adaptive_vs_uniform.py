@@ -209,9 +209,9 @@ def study(out: Output) -> None:
             {"meshes": name}
             | {
                 f"{what} saved: "
-                + "; ".join(f"{SHOWN[line['problem']]} ({line['error']:.2g} %)" for line in named): "; ".join(
-                    f"{line[f'{name}: {what}']:.1f}" for line in named
-                )
+                + "; ".join(
+                    f"{SHOWN[line['problem']]} ({line['error']:.2g} %)" for line in named
+                ): "; ".join(f"{line[f'{name}: {what}']:.1f}" for line in named)
                 for what in ("nodes", "seconds")
             }
             for name in FAMILIES

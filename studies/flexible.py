@@ -120,7 +120,13 @@ def study(out: Output) -> None:
         "Cycles to a relative energy error of 1e-6",
         "Cycles of the default after its nested start and from zero; steps of the active set method."
         + " In brackets: the method that took over."
-        * bool(table[list(METHODS)].astype(str).apply(lambda texts: texts.str.contains("(", regex=False)).any().any()),
+        * bool(
+            table[list(METHODS)]
+            .astype(str)
+            .apply(lambda texts: texts.str.contains("(", regex=False))
+            .any()
+            .any()
+        ),
         formats={"value": "g"},
     )
     beams = table[table["body"] == "cantilever, slenderness"]

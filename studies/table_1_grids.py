@@ -117,7 +117,9 @@ def study(out: Output) -> None:
     figure, ax = drawing()
     for name, rows in table[table["grids"] > 1].groupby("method", sort=False):
         ax.semilogy(rows["grids"], rows["gain, s"], "o-", label=name)
-    ax.semilogy(*printed[["n_grids", "speedup"]][1:].to_numpy().T, "ks:", label="the paper, CPU time")
+    ax.semilogy(
+        *printed[["n_grids", "speedup"]][1:].to_numpy().T, "ks:", label="the paper, CPU time"
+    )
     ax.set(xlabel="grids", ylabel="gain in seconds", xticks=counts)
     figure.legend(loc="outside right upper")
     out.figure("gain", figure, "Gain in seconds over one grid with omega 1, as in the table")

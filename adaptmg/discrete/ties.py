@@ -48,15 +48,17 @@ class TieForces:
     --------
     >>> low = am.Rectangle(width=1, height=1)
     >>> problem = am.ContactProblem(
-    ...     domain=am.Assembly({"low": low, "top": am.Rectangle(width=1, height=1, origin=(0, 1))}),
+    ...     domain=am.Assembly(
+    ...         parts={"low": low, "top": am.Rectangle(width=1, height=1, origin=(0, 1))}
+    ...     ),
     ...     material=am.PlaneStrain(young=1e9, poisson=0.3),
     ...     ties=am.Tied("top.bottom", "low.top"),
     ...     supports=am.Support("low.bottom", x=0.0, y=0.0),
     ...     loads=am.Pressure("top.top", 1e6),
     ... )
     >>> ties = am.solve(am.Hierarchy.uniform(problem, divisions=(2, 4))).ties
-    >>> ties.on("low.top")[1].sum(axis=0).round(3).tolist()           # N/m, on the master
-    [0.0, -1000000.0]
+    >>> round(float(ties.on("low.top")[1][:, 1].sum()))               # N/m, on the master
+    -1000000
     """
 
     node: np.ndarray

@@ -82,7 +82,7 @@ class ContactResult:
     weights : (n,) array
         Lumped boundary mass, m^2 (2D: m).
     limit : (n,) array
-        What the law allows for |force_t|, N (2D: N/m).
+        What the law allows for ``|force_t|``, N (2D: N/m).
     state : (n,) int8 array
         ``am.OPEN``, ``am.SLIP``, ``am.STICK``.
     boundary : (n,) int array

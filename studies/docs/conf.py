@@ -2,6 +2,7 @@
 
 import importlib
 import logging
+import os
 import sys
 from importlib.metadata import distribution
 from pathlib import Path
@@ -72,7 +73,7 @@ sphinx_gallery_conf = {
     "min_reported_time": 1e9,
     "download_all_examples": False,
     "remove_config_comments": True,
-    "plot_gallery": True,
+    "plot_gallery": "QUICK_DOCS" not in os.environ,
 }
 
 _pages = {}
