@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, cast, overload
 
@@ -34,14 +34,15 @@ from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
 from adaptmg.solver.examine import Examiner
+from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.load_steps import (
     Controls,
     Past,
-    TruncatedSteps,
-    better_start,
     coarse_displacements,
+    restarted,
+    resumed,
 )
-from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
+from adaptmg.solver.multigrid import Multigrid, handed_over
 from adaptmg.solver.outcome import (
     checked_outcome,
     grids_argument,
@@ -52,7 +53,7 @@ from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import KINDS, NotConverged, Result
 from adaptmg.solver.statics import check_statics_of, warn_of_several_solutions
 from adaptmg.solver.store import StepStore, damage, fingerprint
-from adaptmg.solver.truncated import Truncated
+from adaptmg.solver.truncated import Truncated, TruncatedRun
 
 if TYPE_CHECKING:
     import pandas
@@ -404,28 +405,6 @@ def solve_path(
     return PathResult(tuple(results), loop.factors, mark, len(path))
 
 
-class _Restarted:
-    """A solver that is run again for every step: ``first`` without a start, ``later`` with one."""
-
-    def __init__(self, solver: Solver) -> None:
-        self.first = self.later = solver
-        if isinstance(solver, FullMultigrid):
-            self.later = Multigrid(
-                **{item.name: getattr(solver, item.name) for item in fields(Multigrid)}
-            )
-
-    def run(
-        self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
-    ) -> tuple[Outcome, None]:
-        if not (past.given or past.near):
-            return self.first.run(hierarchy, run, None), None
-        start = past.extrapolated if past.near else better_start(examiner, past, run)
-        return self.later.run(hierarchy, run, start), None
-
-    def hold(self, rtol: float) -> None:
-        """Solve every step to the tolerance of the solver."""
-
-
 _LOG = logging.getLogger(__name__)
 
 
@@ -453,8 +432,9 @@ class PathLoop:
         finest = grids.finest
         self.bodies = free_bodies(self.posed[-1], finest.discrete)
         self.examiner = Examiner(finest.discrete, self.bodies)
-        truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
-        self.method = TruncatedSteps(cast("Multigrid", solver)) if truncated else _Restarted(solver)
+        #: the solver with the tolerance of the steps, and what its truncated multigrid has set up
+        self.step_solver = solver
+        self.multigrid: TruncatedRun | None = None
         self.controls = Controls(problem, grids.finest)
         #: displacements of the last step on the levels; the method has those of coarse ones, or they are interpolated
         self.levels = [
@@ -537,7 +517,7 @@ class PathLoop:
             self._check_statics(k, grids)
         if self._at_rest(forces):
             return self._undeformed(k, grids, run, motions), (grids, forces, None)
-        outcome, coarse = self.method.run(grids, self.examiner, run, past)
+        outcome, coarse = self._outcome(grids, run, past)
         outcome = handed_over(
             checked_outcome(outcome, self.solver, grids.finest.discrete), grids, run
         )
@@ -546,6 +526,26 @@ class PathLoop:
                 grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
             )
         return result, (grids, forces, coarse)
+
+    def _outcome(
+        self, grids: Hierarchy, run: Run, past: Past
+    ) -> tuple[Outcome, list[np.ndarray] | None]:
+        """Return the outcome of the solver, and the displacements that it finds on coarse levels."""
+        solver = self.step_solver
+        if not (isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)):
+            return restarted(solver, grids, self.examiner, run, past), None
+        outcome, self.multigrid, coarse = resumed(
+            solver, self.multigrid, grids, self.examiner, run, past
+        )
+        self._hold(outcome.rtol)
+        return outcome, coarse
+
+    def _hold(self, rtol: float) -> None:
+        """Keep the tolerance that the discretisation error of the first step has set: increments
+        have smaller ones."""
+        if getattr(self.step_solver, "rtol", None) == "discretisation":
+            least = max(rtol, StopTest.ROUNDING_LIMIT)
+            self.step_solver = replace(cast("Multigrid", self.step_solver), rtol=least)
 
     def _check_statics(self, k: int, grids: Hierarchy) -> None:
         try:
@@ -579,7 +579,7 @@ class PathLoop:
                 f"{grids.finest.n_nodes}"
             )
         if result.displacement.any():
-            self.method.hold(result.rtol)
+            self._hold(result.rtol)
         self.controls.take(self._factors_at(k), motions)
         self._remember(grids, result, grids.finest.discrete.load_from_prescribed(), coarse)
 

@@ -1,9 +1,9 @@
-r"""What load steps keep: TruncatedSteps, the truncated multigrid, set up once, and Controls, what a
-force prescribes.
+r"""Load steps: the truncated multigrid, which is set up once (:func:`resumed`), other solvers, which
+begin again (:func:`restarted`), and Controls, what a force prescribes.
 
-Matrices, transfers, and the lists by which the contact status changes coarse matrices stay; loads,
-gaps and slip references change. The nested start of a step carries only what the step changes:
-level l solves its step from
+In the truncated multigrid matrices, transfers, and the lists by which the contact status changes
+coarse matrices stay; loads, gaps and slip references change. The nested start of a step carries
+only what the step changes: level l solves its step from
 
 .. math:: u_l^{k-1} + P\,(u_{l-1}^k - u_{l-1}^{k-1}),
 
@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 from typing import Generic, TypeVar, cast
 
@@ -48,11 +48,10 @@ from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
-from adaptmg.solver.record import Outcome, Run, Status
+from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import Result
-from adaptmg.solver.truncated import Truncated, TruncatedRun
+from adaptmg.solver.truncated import TruncatedRun
 
 _LOG = logging.getLogger(__name__)
 Kept = TypeVar("Kept")
@@ -119,68 +118,68 @@ def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list
     return result
 
 
-class TruncatedSteps:
-    """The truncated multigrid, with or without nested start."""
+#: extrapolation is taken where it leaves less than this share of the residual of the nested start, whose error
+#: is rough and soon smoothed away
+_EXTRAPOLATE = 0.05
 
-    #: extrapolation is taken where it leaves less than this share of the residual of the nested start, whose error
-    #: is rough and soon smoothed away
-    EXTRAPOLATE = 0.05
 
-    def __init__(self, solver: Multigrid) -> None:
-        self.parts = cast("Truncated", solver.correction)
-        self.rtol = solver.rtol
-        self.max_cycles = solver.max_cycles
-        self.start = solver.start if isinstance(solver, FullMultigrid) else None
-        self.multigrid: TruncatedRun | None = None
+def restarted(
+    solver: Solver, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
+) -> Outcome:
+    """Solve a step by a solver that keeps nothing: the first one without a start."""
+    if not (past.given or past.near):
+        return solver.run(hierarchy, run, None)
+    if isinstance(solver, FullMultigrid):
+        solver = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
+    start = past.extrapolated if past.near else better_start(examiner, past, run)
+    return solver.run(hierarchy, run, start)
 
-    def run(
-        self, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
-    ) -> tuple[Outcome, list[np.ndarray] | None]:
-        multigrid = self.multigrid
-        problem = hierarchy.finest.discrete
-        coarse = None
-        kind = "given" if past.given else "zero"
-        if multigrid is None or not problem.alike(multigrid.problems[-1]):
-            multigrid = TruncatedRun(
-                self.parts, hierarchy, run, self.rtol, self.max_cycles, keeps=True
-            )
-        else:
-            multigrid.pose(hierarchy, run)
-        multigrid.rtol = self.rtol if isinstance(self.rtol, str) else max(self.rtol, past.loose)
-        if past.near:
-            start = past.extrapolated
-        elif self.start is not None:
-            levels = past.levels if past.given else None
-            *below, start = multigrid.nested_start(self.start, levels)
-            levels = zip(multigrid.problems[:-1], below, strict=True)
-            coarse = [coarse_problem.parts(solution)[0] for coarse_problem, solution in levels]
-            kind = "given" if past.given else "nested"
-            if past.given:
-                start[problem.n_dofs :] = past.last[problem.n_dofs :]
-            with run.phase("start"):
-                # not where the nested start sets the tolerance
-                if (
-                    past.given
-                    and self.rtol != "discretisation"
-                    and examiner.relative_residual(past.extrapolated)
-                    <= self.EXTRAPOLATE * examiner.relative_residual(start)
-                ):
-                    start = past.extrapolated
-        elif past.given:
-            start = better_start(examiner, past, run)
-        else:
-            start = np.zeros(problem.n_unknowns)
-        outcome = multigrid.finish(problem.from_prescribed(start), kind)
-        self.hold(outcome.rtol)
-        # what a cycle that ran away leaves behind is not used again
-        self.multigrid = None if outcome.left else multigrid
-        return outcome, coarse
 
-    def hold(self, rtol: float) -> None:
-        """Keep the tolerance that the discretisation error of the first step has set: increments
-        have smaller ones."""
-        if self.rtol == "discretisation":
-            self.rtol = max(rtol, StopTest.ROUNDING_LIMIT)
+def resumed(
+    solver: Multigrid,
+    multigrid: TruncatedRun | None,
+    hierarchy: Hierarchy,
+    examiner: Examiner,
+    run: Run,
+    past: Past,
+) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
+    """Solve a step by the truncated multigrid; ``multigrid`` is set up for the step before. Returns
+    the outcome, what is set up for the next step, and the displacements of coarse levels, if the
+    solver has a nested start."""
+    problem = hierarchy.finest.discrete
+    if multigrid is None or not problem.alike(multigrid.problems[-1]):
+        multigrid = cast("TruncatedRun", solver.prepared(hierarchy, run, keeps=True))
+    else:
+        multigrid.pose(hierarchy, run)
+    multigrid.rtol = solver.rtol if isinstance(solver.rtol, str) else max(solver.rtol, past.loose)
+    coarse = None
+    kind = "given" if past.given else "zero"
+    if past.near:
+        start = past.extrapolated
+    elif isinstance(solver, FullMultigrid):
+        levels = past.levels if past.given else None
+        *below, start = multigrid.nested_start(solver.start, levels)
+        levels = zip(multigrid.problems[:-1], below, strict=True)
+        coarse = [coarse_problem.parts(solution)[0] for coarse_problem, solution in levels]
+        kind = "given" if past.given else "nested"
+        if past.given:
+            start[problem.n_dofs :] = past.last[problem.n_dofs :]
+        with run.phase("start"):
+            # not where the nested start sets the tolerance
+            if (
+                past.given
+                and solver.rtol != "discretisation"
+                and examiner.relative_residual(past.extrapolated)
+                <= _EXTRAPOLATE * examiner.relative_residual(start)
+            ):
+                start = past.extrapolated
+    elif past.given:
+        start = better_start(examiner, past, run)
+    else:
+        start = np.zeros(problem.n_unknowns)
+    outcome = multigrid.finish(problem.from_prescribed(start), kind)
+    # what a cycle that ran away leaves behind is not used again
+    return outcome, None if outcome.left else multigrid, coarse
 
 
 @dataclass(frozen=True)

@@ -151,11 +151,14 @@ class Multigrid:
         return {name: value for name in PROJECTED if (value := getattr(self, name)) is not None}
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
-        return self._method(hierarchy, run).from_given(start)
+        return self.prepared(hierarchy, run).from_given(start)
 
-    def _method(self, hierarchy: Hierarchy, run: Run) -> TruncatedRun | ProjectedRun:
+    def prepared(
+        self, hierarchy: Hierarchy, run: Run, keeps: bool = False
+    ) -> TruncatedRun | ProjectedRun:
+        """Return what the method sets up for a hierarchy; ``keeps``: for several load steps."""
         if isinstance(self.correction, Truncated):
-            return TruncatedRun(self.correction, hierarchy, run, self.rtol, self.max_cycles)
+            return TruncatedRun(self.correction, hierarchy, run, self.rtol, self.max_cycles, keeps)
         return ProjectedRun(
             hierarchy=hierarchy,
             run=run,
@@ -197,7 +200,7 @@ class FullMultigrid(Multigrid):
             raise ValueError(
                 "start: FullMultigrid makes its own start; use Multigrid to continue from a given one"
             )
-        return self._method(hierarchy, run).from_nested(self.start)
+        return self.prepared(hierarchy, run).from_nested(self.start)
 
 
 #: contact dofs up to which Newton steps are taken on a dense matrix (0.3 GB)
