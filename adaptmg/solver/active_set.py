@@ -270,7 +270,8 @@ class _Newton:
             state = self._interior(state)
         hold = self.start is None and self.options.start == "held"
         run = self.run if self.finest else None
-        return *iterate(self, self._decided(state, hold), stop, run), stop
+        state = self._decided(state, hold)
+        return *iterate(self.step, self.measure, state, stop, run), stop
 
     def _shortfall(self, state: _NewtonState, rtol: float) -> float:
         return self.run.shortfall(self._whole(self.local.to_cartesian(state.unknowns)), rtol)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from scipy import sparse
@@ -104,32 +104,25 @@ def _keep_vector(state: State, name: str) -> None:
 Flowing = TypeVar("Flowing")  # what a method has for its states
 
 
-class Steps(Protocol[Flowing]):
-    """The protocol of a method in the loop. It remembers nothing of its states."""
-
-    def step(self, state: Flowing) -> Flowing:
-        """Return the next state."""
-        ...
-
-    def measure(self, state: Flowing) -> Measured:
-        """Measure a state; each one is measured once, in turn."""
-        ...
-
-
 def iterate(
-    steps: Steps[Flowing], state: Flowing, stop: StopTest, run: Run | None = None
+    step: Callable[[Flowing], Flowing],
+    measure: Callable[[Flowing], Measured],
+    state: Flowing,
+    stop: StopTest,
+    run: Run | None = None,
 ) -> tuple[Flowing, Status]:
     """Measure, judge and step until the test or the method ends it; returns the last state, and how
-    it ends."""
+    it ends. ``step`` and ``measure`` remember nothing of the states that their results depend on;
+    each state is measured once, in turn."""
     stop.state = state
     del state  # the test may let go of what is large
     while True:
-        measured = steps.measure(stop.state)
+        measured = measure(stop.state)
         status = measured.gives_up or stop.take(measured, run)
         if status is not None:
             given_up = status in (Status.STALLED, Status.LIMIT, Status.ROUNDING)
             return stop.state, Status.CONVERGED if given_up and stop.certified() else status
-        stop.state = steps.step(stop.state)
+        stop.state = step(stop.state)
 
 
 class StopTest:
@@ -325,9 +318,13 @@ def true_error(
 
 class ChangeTest(StopTest):
     """The paper's test: the Euclidean change in a cycle or sweep alone, relative to the iterate.
-    The residual at the end confirms convergence or not (:meth:`confirmed`)."""
+    The norms at the last state, which ``measure`` takes, confirm convergence or not."""
 
     relative_change = np.inf
+
+    def __init__(self, rtol: float, limit: float, measure: Callable[[State], Measured]) -> None:
+        super().__init__(rtol, limit)
+        self._measure = measure
 
     def take(self, measured: Measured, run: Run | None = None) -> Status | None:
         self.cycles = measured.cycles
@@ -336,14 +333,13 @@ class ChangeTest(StopTest):
             return Status.DIVERGED
         if measured.residual is not None:
             self._record(measured, cast("Run", run))
-        if not self.relative_change > self.rtol:
-            return Status.CONVERGED
-        return Status.LIMIT if self.cycles >= self.limit else None
-
-    def confirmed(self, status: Status, state: Measured, run: Run) -> Status:
-        """Return the status, unless the residual of the last state contradicts it."""
-        self._record(state, run)
-        return Status.STALLED if status.ok and not self.residual_met else status
+        small = not self.relative_change > self.rtol
+        if not small and self.cycles < self.limit:
+            return None
+        self._record(self._measure(self.state), cast("Run", run))
+        if not small:
+            return Status.LIMIT
+        return Status.CONVERGED if self.residual_met else Status.STALLED
 
     def _record(self, state: Measured, run: Run) -> None:
         self.judge(state)
@@ -410,12 +406,19 @@ class Measure:
             cycles, natural, forces, size, floor, idle, change, settled=settled, columns=columns
         )
 
+    def of(self, state: State) -> Measured:
+        """Measure a state; the residual that it lacks is counted."""
+        residual = state.residual
+        if residual is None:
+            cast("Run", self.run).count(1, self.local.system.nonzeros)
+            residual = self.local.residual(state.unknowns)
+        return self(state.cycles, state.unknowns, residual)
+
 
 class Smoothing:
     """Steps that smooth, and correct in between: ``smooth(unknowns, cycles)`` after a number of
     cycles returns the sweeps that count as such, the memory of the state, ``correct(unknowns,
-    residual)`` is a cycle, ``residual(unknowns)`` b - A w (n_dofs,). They are measured after each
-    smoothing."""
+    residual)`` is a cycle, ``residual(unknowns)`` b - A w (n_dofs,)."""
 
     def __init__(
         self,
@@ -440,8 +443,27 @@ class Smoothing:
         residual = self.residual(unknowns)
         return State(unknowns=unknowns, memory=sweeps, residual=residual, cycles=cycles + sweeps)
 
-    def measure(self, state: State) -> Measured:
-        return self.norms(state.cycles, state.unknowns, cast("np.ndarray", state.residual))
+    def whole_step(self, state: State) -> State:
+        """Smooth and correct. The memory holds what this changes, relative, and the state between
+        the two, whose residual the correction took."""
+        unknowns = state.unknowns.copy()
+        cycles = state.cycles + self.smooth(unknowns, state.cycles)
+        between = None
+        if self.correct is not None:
+            residual = self.residual(unknowns)
+            between = State(unknowns=unknowns, residual=residual)
+            self.correct(unknowns, residual)
+            cycles += 1
+        size = euclidean_norm(unknowns)
+        change = euclidean_norm(unknowns - state.unknowns) / size if size > 0 else 0.0
+        change = change if np.isfinite(size) else np.inf
+        return State(unknowns=unknowns, cycles=cycles, memory=(change, between))
+
+    def measure_whole(self, state: State) -> Measured:
+        """Measure what a whole step changed, and the state between, where it has a residual."""
+        change, between = state.memory
+        measured = Measured(0) if between is None else self.norms.of(between)
+        return replace(measured, cycles=state.cycles, relative_change=change)
 
     def solve(
         self,
@@ -453,40 +475,12 @@ class Smoothing:
         shortfall: Callable[[State, float], float],
         stalled: Status = Status.STALLED,
     ) -> tuple[State, Status, StopTest]:
-        """Iterate until the error (``stop="error"``) is small, or the change; the residual then
-        confirms it or not."""
+        """Iterate until the error (``stop="error"``) is small, or the change in a whole step, the
+        paper's test at the end of step g."""
         start = State(unknowns=unknowns)
         if stop == "error":
             test = StopTest(rtol, limit, shortfall, stalled)
-            return *iterate(self, self.step(start), test, run), test
-        whole = WholeSteps(self.norms, self.smooth, self.residual, self.correct)
-        test = ChangeTest(rtol, limit)
-        state, status = iterate(whole, whole.step(start), test, run)
-        if status is not Status.DIVERGED:
-            state = replace(state, residual=self.residual(state.unknowns))
-            status = test.confirmed(status, self.measure(state), run)
-        return state, status, test
-
-
-class WholeSteps(Smoothing):
-    """The same measured by what each sweep or cycle changes, the paper's test at the end of step
-    g; the memory of a state holds that change, relative, and the state within the step whose
-    residual the correction took."""
-
-    def step(self, state: State) -> State:
-        unknowns = state.unknowns.copy()
-        cycles = state.cycles + self.smooth(unknowns, state.cycles)
-        within = None
-        if self.correct is not None:
-            within = State(unknowns=unknowns, residual=self.residual(unknowns))
-            self.correct(unknowns, cast("np.ndarray", within.residual))
-            cycles += 1
-        size = euclidean_norm(unknowns)
-        change = euclidean_norm(unknowns - state.unknowns) / size if size > 0 else 0.0
-        change = change if np.isfinite(size) else np.inf
-        return State(unknowns=unknowns, cycles=cycles, memory=(change, within))
-
-    def measure(self, state: State) -> Measured:
-        change, within = state.memory
-        measured = Measured(0) if within is None else super().measure(within)
-        return replace(measured, cycles=state.cycles, relative_change=change)
+            return *iterate(self.step, self.norms.of, self.step(start), test, run), test
+        test = ChangeTest(rtol, limit, self.norms.of)
+        first = self.whole_step(start)
+        return *iterate(self.whole_step, self.measure_whole, first, test, run), test

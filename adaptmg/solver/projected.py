@@ -113,7 +113,8 @@ class ProjectedRun:
         if start.cycles == "complete":
             cycles = self._cycles(multigrid, level)
             first = cycles.step(State(unknowns=unknowns))
-            state, _ = iterate(cycles, first, StopTest(start.rtol, self.max_cycles))
+            stop = StopTest(start.rtol, self.max_cycles)
+            state, _ = iterate(cycles.step, cycles.norms.of, first, stop)
             unknowns = state.unknowns
         else:
             for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):

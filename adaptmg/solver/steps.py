@@ -24,7 +24,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import project, prolonged_start
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.active_set import coarsest_solution
-from adaptmg.solver.iterate import Flowing, Measure, Measured, State, StopTest, iterate
+from adaptmg.solver.iterate import Flowing, Measure, State, StopTest, iterate
 from adaptmg.solver.record import Outcome, Run, Status
 
 
@@ -75,10 +75,12 @@ class Stepped:
             )
         else:
             unknowns = levels.begin(start)
-        steps = self.steps(levels, len(hierarchy) - 1, unknowns)
+        finest = len(hierarchy) - 1
+        step = self.step_on(levels, finest, unknowns)
+        measure = Measure(levels.finest, run).of
         stop = StopTest(self.rtol, self.max_cycles, levels.shortfall)
         with run.phase("cycles"):
-            state, status = iterate(steps, State(unknowns=unknowns), stop, run)
+            state, status = iterate(step, measure, State(unknowns=unknowns), stop, run)
         return levels.outcome(state, status, stop, self.rtol)
 
     def coarsest(self, levels: LocalLevels) -> np.ndarray:
@@ -91,57 +93,41 @@ class Stepped:
 
     def start_steps(self, levels: LocalLevels, number: int, unknowns: np.ndarray) -> np.ndarray:
         """Return what a few steps on a level of the nested start make of unknowns."""
-        steps = self.steps(levels, number, unknowns)
+        step = self.step_on(levels, number, unknowns)
         state = State(unknowns=unknowns)
         for _ in range(self.start_cycles):
-            state = steps.step(state)
+            state = step(state)
         return state.unknowns
 
-    def steps(self, levels: LocalLevels, number: int, unknowns: np.ndarray) -> UserSteps:
-        """Return the steps that the method sets up for the levels up to one."""
+    def step_on(
+        self, levels: LocalLevels, number: int, unknowns: np.ndarray
+    ) -> Callable[[State], State]:
+        """Return the step that the method sets up for the levels up to one, checked and counted."""
         hierarchy = levels.hierarchy
+        run = levels.run
         finest = number == len(hierarchy) - 1
-        with levels.run.phase("setup"):
+        with run.phase("setup"):
             below = hierarchy if finest else hierarchy.truncated(finest=number)
             made = self.method.setup(below, State(unknowns=unknowns))
         words = "an object with step(state) -> state"
         stepper = checks.offers("solver: what setup returns", made, "step", words)
-        return UserSteps(stepper, number, levels.problem(number), levels.run, finest)
+        system = levels.problem(number).system
 
+        def step(state: State) -> State:
+            new = stepper.step(replace(state, passes=0.0))
+            checks.instance("solver: what step returns", new, State, "an am.State")
+            for name in ("unknowns", "residual"):
+                array = getattr(new, name)
+                if array is not None and array.shape != (system.n_dofs,):
+                    raise ValueError(
+                        f"solver: {name} of the State that step returns must have the shape "
+                        f"({system.n_dofs},), got {array.shape}"
+                    )
+            run.count(new.passes, system.nonzeros)
+            run.visit(number, "smooth")
+            return replace(new, cycles=state.cycles + 1)
 
-class UserSteps:
-    """The steps of a user-defined method on a level, checked, counted and measured."""
-
-    def __init__(
-        self, stepper: Stepper, level: int, local: LocalProblem, run: Run, finest: bool = False
-    ) -> None:
-        self.stepper = stepper
-        self.level = level
-        self.local = local
-        self.run = run
-        self.norms = Measure(local, run if finest else None)
-
-    def step(self, state: State) -> State:
-        new = self.stepper.step(replace(state, passes=0.0))
-        checks.instance("solver: what step returns", new, State, "an am.State")
-        shape = (self.local.system.n_dofs,)
-        for name in ("unknowns", "residual"):
-            array = getattr(new, name)
-            if array is not None and array.shape != shape:
-                raise ValueError(
-                    f"solver: {name} of the State that step returns must have the shape {shape}, "
-                    f"got {array.shape}"
-                )
-        self.run.count(new.passes, self.local.system.nonzeros)
-        self.run.visit(self.level, "smooth")
-        return replace(new, cycles=state.cycles + 1)
-
-    def measure(self, state: State) -> Measured:
-        residual = state.residual
-        if residual is None:
-            self.run.count(1, self.local.system.nonzeros)
-            residual = self.local.residual(state.unknowns)
-        return self.norms(state.cycles, state.unknowns, residual)
+        return step
 
 
 def nested_start(

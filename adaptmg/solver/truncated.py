@@ -480,7 +480,8 @@ class TruncatedRun:
         with self.run.phase("cycles"):
             first = parts.begin(start)
             del start  # long vectors limit the size of a problem
-            state, status = iterate(cycles, cycles.step(first), stop, self.run)
+            # no name keeps a state: the test may let go of what is large
+            state, status = iterate(cycles.step, cycles.measure, cycles.step(first), stop, self.run)
         failed = status in (Status.STALLED, Status.DIVERGED) and stop.rtol > 0 and not stop.rests()
         return Outcome(
             problem.with_prescribed(state.iterate),
@@ -563,7 +564,7 @@ class TruncatedRun:
         if start.cycles == "complete":
             cycles = TruncatedCycles(parts, problem)
             stop = TruncatedTest(cycles, start.rtol, self.COMPLETE_LIMIT)
-            state, _ = iterate(cycles, cycles.step(state), stop)
+            state, _ = iterate(cycles.step, cycles.measure, cycles.step(state), stop)
         else:
             enough = start.cycles_on(problem, self.problems[number + 1])
             state = self._few_cycles(parts, problem, state, enough)
