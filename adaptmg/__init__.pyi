@@ -44,6 +44,7 @@ from .multigrid import (
     PaperCorrection as PaperCorrection,
     PyAMG as PyAMG,
 )
+from .multigrid.truncated_parts import Truncated as Truncated
 from .problem import (
     Assembly as Assembly,
     Axisymmetric as Axisymmetric,
@@ -102,7 +103,6 @@ from .solver.record import Status as Status
 from .solver.result import NotConverged as NotConverged, Result as Result
 from .solver.iterate import State as State
 from .solver.solve import solve as solve
-from .solver.truncated import Truncated as Truncated
 from .study.study import Study as Study
 from .transfer import (
     Interpolation as Interpolation,

@@ -28,6 +28,10 @@ VARIANTS = {
     "no rigid motions": am.Truncated(rigid_motions=False),
     "no search": am.Truncated(search=False),
     "no interface sweeps": am.Truncated(interface_sweeps=0),
+    "two symmetric sweeps": am.Truncated(smooth=2),
+    "over-relaxed sweeps, 1.3": am.Truncated(
+        smooth=am.ProjectedGaussSeidel(omega=1.3, order="symmetric")
+    ),
     "no past iterates": am.Truncated(recombine=0),
     "two past iterates": am.Truncated(recombine=2),
     "V(1,1)": am.Truncated(correct=am.Cycle(pre=1, post=1)),

@@ -19,7 +19,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
+from adaptmg.discrete.coordinates import from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import ZERO, in_loop, inner, read, read_upper, times
@@ -30,6 +32,7 @@ from adaptmg.smoother.system import (
     HELD,
     SLIPS,
     TANGENTIAL,
+    NodalContact,
     local_contact,
     turn_held,
 )
@@ -123,6 +126,16 @@ class TruncatedContact:
             self.values,
         )
 
+    @property
+    def conditions(self) -> NodalContact:
+        """Return the contact conditions, as the parts in contact frames read them."""
+        held = None
+        if len(self.driven):
+            held = np.zeros(len(self.nodes), dtype=bool)
+            held[self.driven] = True
+        reference = self.reference.reshape(len(self.nodes), self.dim - 1)
+        return NodalContact(self.gap, reference, self.limit, self.friction, held)
+
     def start(self, unknowns: np.ndarray) -> None:
         """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible
         ones, in place."""
@@ -212,6 +225,31 @@ class TruncatedContact:
         self._clear(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
         return cut
+
+    def project_by(
+        self,
+        project: Callable[[NodalContact, np.ndarray, np.ndarray], np.ndarray],
+        unknowns: np.ndarray,
+    ) -> None:
+        """Make a corrected iterate admissible, in place, by a user-defined function of the
+        conditions and of local values (n_contact, dim) before and after the correction; what is
+        truncated stays as before."""
+        shape = len(self.nodes), self.dim
+        frames = self.frames.reshape(*shape, self.dim)
+        before = self.values.reshape(shape)
+        held = np.zeros(shape, dtype=bool)
+        held[:, 0] = self.codes & CLOSED != 0
+        held[:, 1:] = (self.codes & TANGENTIAL == HELD)[:, None]
+        after = to_frames(frames, unknowns.reshape(-1, self.dim)[self.nodes])
+        after[held] = before[held]
+        values = checks.array(
+            "project: what project returns", project(self.conditions, before.copy(), after), shape
+        )
+        values = np.where(held, before, values)
+        values[:, 0] = np.minimum(values[:, 0], self.gap)
+        values[self.driven, 1] = 0.0
+        self.values[:] = values.reshape(-1)
+        unknowns.reshape(-1, self.dim)[self.nodes] = from_frames(frames, values)
 
     def _project(self, unknowns: np.ndarray, move: bool) -> int:
         return project(

@@ -2,14 +2,14 @@ r"""TruncatedStep: one step of the truncated nonsmooth Newton multigrid, on one 
 below it.
 
 1. *Smoother* (:meth:`~TruncatedStep.smooth`): a backward and a forward projected Gauss-Seidel
-   sweep, local sweeps over the interface between bodies, and the rigid motions that only contact
-   holds go to their least energy.
+   sweep, or a user-defined smoother, local sweeps over the interface between bodies, and the rigid
+   motions that only contact holds go to their least energy.
 2. *Linearisation* (:meth:`~TruncatedStep.linearise`): update the contact status, drop closed
    normals and held tangents from the residual, and truncate the coarse matrices where the status
    has changed.
 3. *Coarse correction*: a linear V-cycle on the truncated coarse problem, from a recombination of
    the last iterates.
-4. *Projection* onto the admissible displacements.
+4. *Projection* onto the admissible displacements, which may be user-defined.
 5. *Search* for the least energy along the correction, where the friction is frozen.
 
 With frozen friction this is a truncated nonsmooth Newton multigrid method (C. Graeser, R.
@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy import linalg, sparse
@@ -45,12 +45,13 @@ from adaptmg.multigrid.linear_cycle import LinearCycle, least_weights, regular_m
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
 from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.multigrid.volume_pressures import VolumePressures
 from adaptmg.smoother.blocks import ZERO
 from adaptmg.smoother.factorisation import Eliminated, dofs_of, eliminate
 from adaptmg.smoother.interior_point import dense_factors, interior_point
-from adaptmg.smoother.system import LocalSystem, NodalContact
+from adaptmg.smoother.system import LocalSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +115,11 @@ class TruncatedStep:
         number: int,
         problem: DiscreteProblem,
         contact: TruncatedContact,
-        depth: int,
-        motions: bool = True,
+        options: Truncated,
         interface: Interface | None = None,
-        interface_sweeps: int = 0,
-        search: bool = True,
+        smoother: FrameSmoother | None = None,
     ) -> None:
-        self.searches = search
+        self.options = options
         self.cycle = cycle
         self.number = number
         self.contact = contact
@@ -135,10 +134,8 @@ class TruncatedStep:
             contact,
         )
         self.pressures = VolumePressures(problem)
-        self.depth = depth
         self.interface = interface
-        self._interface_sweeps = 0 if interface is None else interface_sweeps
-        self._settles = motions
+        self.smoother = smoother
         self._applied: TruncatedStatus | None = None
         self._take(problem)
 
@@ -150,7 +147,9 @@ class TruncatedStep:
 
     def _take(self, problem: DiscreteProblem) -> None:
         self.load = problem.load_from_prescribed()
-        self.motions = RigidMotions.of(problem, self.contact, self.load) if self._settles else None
+        self.motions = None
+        if self.options.rigid_motions:
+            self.motions = RigidMotions.of(problem, self.contact, self.load)
 
     def begin(self, iterate: np.ndarray) -> TruncatedState:
         """Return the state of an iterate (n_unknowns,), which becomes admissible, in place."""
@@ -182,8 +181,8 @@ class TruncatedStep:
         if shorten:
             way = contact.way(proposed)
             proposed[:] = unknowns + way * (proposed - unknowns)
-        contact.project(proposed)
-        if state.linearised.frozen and self.searches:
+        self._project(contact, proposed)
+        if state.linearised.frozen and self.options.search:
             self._search(state, proposed, contact)
         smoothed = () if combined is state.iterate else ((state.iterate, state.left),)
         pressures = iterate[len(proposed) :]
@@ -198,16 +197,16 @@ class TruncatedStep:
             cycles=state.cycles + 1,
             correction=energy,
             corrected=True,
-            past=((combined, left), *smoothed, *state.past)[: self.depth],
+            past=((combined, left), *smoothed, *state.past)[: self.options.recombine],
             cautious=max(state.cautious - 1, 0),
         )
 
     def smooth(self, state: TruncatedState) -> TruncatedState:
         """Improve an iterate locally, in place, and leave f - A u in its residual: of a state that
         is made of :meth:`correct` and goes on to :meth:`linearise`."""
-        self._projected_sweeps(state)
+        self._sweep(state)
         if self.interface is not None:
-            for k in range(self._interface_sweeps):
+            for k in range(self.options.interface_sweeps):
                 backward = k % 2 == 0
                 order = self.interface.backward if backward else self.interface.forward
                 self._interface_sweep(state, self.interface, order)
@@ -332,6 +331,27 @@ class TruncatedStep:
         self.level.restrict(changed - truncated, restricted)
         return pressures, np.append(restricted, -volumes.compliance * pressures)
 
+    def _project(self, contact: TruncatedContact, unknowns: np.ndarray) -> None:
+        """Make a corrected iterate admissible, in place."""
+        projection = self.options.project
+        if projection is None:
+            contact.project(unknowns)
+        else:
+            contact.project_by(projection.project, unknowns)
+
+    def _sweep(self, state: TruncatedState) -> None:
+        """Sweep over all nodes."""
+        if self.smoother is None:
+            for _ in range(cast("int", self.options.smooth)):
+                self._projected_sweeps(state)
+            return
+        unknowns, pressures = self.parts(state)
+        load = self._balanced(pressures)
+        passes = self.smoother.smooth(load, state.contact, unknowns, state.residual)
+        self.cycle.recorder.count(passes, self.matrix.nonzeros)
+        self.cycle.recorder.count(1.0, self.matrix.nonzeros)  # the residual
+        self.cycle.recorder.visit(self.number, "smooth")
+
     def _projected_sweeps(self, state: TruncatedState) -> None:
         """A backward and a forward sweep in one pass over the matrix."""
         matrix = self.matrix
@@ -425,7 +445,7 @@ class TruncatedStep:
                 low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
             proposed[:] = unknowns + low * change
             contact.values[:] = state.contact.values
-            contact.project(proposed)
+            self._project(contact, proposed)
 
     def distance(self, one: np.ndarray, other: np.ndarray) -> float:
         """Return the A-norm of the difference of two displacements (n_dofs,); half a pass."""
@@ -536,11 +556,10 @@ class CoarseContact:
             rest = coarse
         particular, load = self.eliminated.reduce(rest)
         c = state.contact
-        conditions = NodalContact(c.gap, c.reference.reshape(len(c.nodes), -1), c.limit, c.friction)
         solution = interior_point(
             self.unknowns,
             load,
-            conditions,
+            c.conditions,
             self.stiffness,
             self.TOLERANCE,
             c.values.reshape(len(c.nodes), -1),

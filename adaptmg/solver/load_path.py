@@ -30,6 +30,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
+from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
@@ -53,7 +54,7 @@ from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import KINDS, NotConverged, Result
 from adaptmg.solver.statics import check_statics_of, warn_of_several_solutions
 from adaptmg.solver.store import StepStore, damage, fingerprint
-from adaptmg.solver.truncated import Truncated, TruncatedRun
+from adaptmg.solver.truncated import TruncatedRun
 
 if TYPE_CHECKING:
     import pandas

@@ -25,12 +25,13 @@ from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import CoarseSolve, Correction, Cycle, Monotone, NestedStart
+from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.projected import ProjectedRun
 from adaptmg.solver.record import Outcome, Run, Status
-from adaptmg.solver.truncated import Truncated, TruncatedRun
+from adaptmg.solver.truncated import TruncatedRun
 
 _LOG = logging.getLogger(__name__)
 

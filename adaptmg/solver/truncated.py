@@ -20,27 +20,21 @@ for a while, the iteration has stalled, and another method takes over."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import numpy as np
 
-from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.multigrid.cycle import Cycle, NestedStart
-from adaptmg.multigrid.linear_cycle import (
-    LinearCorrection,
-    LinearCycle,
-    LinearSmoother,
-    LinearSolve,
-)
+from adaptmg.multigrid.cycle import NestedStart
+from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.projected_sweeps import Interface
-from adaptmg.multigrid.split_matrix import SplitMatrix, galerkin_levels, nodal_prolongations
+from adaptmg.multigrid.split_matrix import galerkin_levels, nodal_prolongations
 from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedState, TruncatedStep
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.solver.active_set import coarsest_solution
@@ -242,105 +236,6 @@ class TruncatedCycles:
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Truncated:
-    """Truncated nonsmooth Newton multigrid: the fast method.
-
-    One symmetric sweep on the finest level, and after the first cycle one on the next coarser
-    level, after its correction alone; on the others one before and after the correction where the
-    matrix has more than 1.25 times the entries a row of the finest one (Galerkin products of
-    independent meshes), else two. Where bodies touch each other, two sweeps over the nodes within
-    two elements of the interface follow each smoothing of the finest level, backward and forward:
-    where a joint is soft they bring the rate from .6 or .7 to .4, for a few per cent of a cycle on
-    large meshes and a tenth on small graded ones.
-
-    Parameters
-    ----------
-    recombine : int
-        Past iterates recombined with the present one, 0 to 4, in turns recombined ones and those
-        that they were made from.
-    coarse_solve : LinearSolve, optional
-        A user-defined solver of the coarsest linear problems, anything with ``setup(matrix) ->
-        object with solve(rhs)`` (:class:`~adaptmg.multigrid.linear_cycle.LinearSolve`). Default: LU
-        factors.
-    coarse_smoother : LinearSmoother, optional
-        A user-defined smoother of the linear problems between the coarsest level and the finest,
-        anything with ``setup(matrix) -> object with smooth(rhs, x) -> passes``. Default:
-        Gauss-Seidel sweeps. The smoother of the finest level, projected sweeps that leave the
-        residual behind, is part of the method.
-    correct : Cycle, PyAMG or user-defined, optional
-        What solves the truncated linear problem below the finest level: a
-        :class:`~adaptmg.multigrid.cycle.Cycle` of shape "V", "W" or "F" with its numbers of
-        sweeps, cycles of pyamg (:class:`~adaptmg.multigrid.linear_cycle.PyAMG`), or anything with
-        ``setup(matrices, prolongations) -> object with solve(rhs)``
-        (:class:`~adaptmg.multigrid.linear_cycle.LinearCorrection`). Default: a V-cycle with the
-        sweeps above.
-    coarse_contact, rigid_motions, search : bool
-        Parts of the step that may be left out, to see what they buy (``studies/parts.py``): contact
-        problems on a coarse level while the contact status is unknown, the least energy of the
-        rigid motions that only contact holds, and the search for the least energy along a
-        correction.
-    interface_sweeps : int
-        Sweeps near the interface of two bodies.
-
-    Examples
-    --------
-    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
-    >>> am.solve(grids, am.Multigrid(correction=am.Truncated())).status.name
-    'CONVERGED'
-    """
-
-    #: how much denser than the finest matrix a coarse one is that is smoothed once only
-    #: half changes 28 of 119 solves, paths and loops, twice 10; cycles 691, 720, 686 (campaign
-    #: constants)
-    DENSE: ClassVar[float] = 1.25
-    recombine: int = 4
-    coarse_solve: LinearSolve | None = None
-    coarse_smoother: LinearSmoother | None = None
-    correct: Cycle | LinearCorrection | None = None
-    coarse_contact: bool = True
-    rigid_motions: bool = True
-    search: bool = True
-    interface_sweeps: int = 2
-
-    def __post_init__(self) -> None:
-        checks.convert(self, checks.flag, "coarse_contact", "rigid_motions", "search")
-        checks.integer("interface_sweeps", self.interface_sweeps)
-        if isinstance(self.correct, Cycle):
-            checks.choice("shape of correct", self.correct.shape, ("V", "W", "F"))
-        elif self.correct is not None:
-            words = "a Cycle, am.PyAMG() or offer setup(matrices, prolongations)"
-            checks.offers("correct", self.correct, "setup", words)
-        if self.correct is not None and not isinstance(self.correct, Cycle):
-            for name in ("coarse_solve", "coarse_smoother"):
-                if getattr(self, name) is not None:
-                    raise ValueError(
-                        f"{name} must be None with correct={checks.shown(self.correct)}, which "
-                        "solves all coarse problems itself"
-                    )
-        if checks.integer("recombine", self.recombine) > 4:
-            raise ValueError(f"recombine must be 0 to 4, got {self.recombine!r}")
-        if self.coarse_solve is not None:
-            checks.offers(
-                "coarse_solve",
-                self.coarse_solve,
-                "setup",
-                "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution",
-            )
-        if self.coarse_smoother is not None:
-            checks.offers(
-                "coarse_smoother",
-                self.coarse_smoother,
-                "setup",
-                "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes",
-            )
-
-    def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
-        """Return the sweeps on each of the levels, coarsest first."""
-        rows = [level.nonzeros / level.n_nodes for level in levels]
-        return [1 if row > self.DENSE * rows[-1] else 2 for row in rows]
-
-
 class TruncatedRun:
     """One run of the truncated multigrid; options as of :class:`adaptmg.Multigrid`."""
 
@@ -508,19 +403,12 @@ class TruncatedRun:
                 interface = Interface(
                     levels[number], cast("Coupling", problem.coupling), problem.fixed
                 )
+            smoother = None
+            if not isinstance(parts.smooth, int):
+                smoother = FrameSmoother(parts.smooth, problem, levels[number])
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
-            step = TruncatedStep(
-                self.cycle,
-                number,
-                problem,
-                contact,
-                parts.recombine,
-                parts.rigid_motions,
-                interface,
-                parts.interface_sweeps,
-                parts.search,
-            )
+            step = TruncatedStep(self.cycle, number, problem, contact, parts, interface, smoother)
             if number == len(levels) - 1 and not self.cycle.reads_diagonals:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:-1]:

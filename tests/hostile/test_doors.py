@@ -5,6 +5,7 @@ import dataclasses
 import inspect
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -100,7 +101,7 @@ FIELDS = {
         "theta rotation": 0.5,
         "rtol": 0.1,
         "growth": 2.0,
-        "cycles max_cycles max_steps max_sweeps passes pre post recombine interface_sweeps": 2,
+        "cycles max_cycles max_steps max_sweeps passes pre post recombine interface_sweeps smooth": 2,
         "moment": 0.0,
         "path": Path("a.step"),
         "allow_interference nested_start condensed coarse_contact rigid_motions search": False,
@@ -138,6 +139,7 @@ FIELDS = {
         "cycle correct": am.Cycle(),
         "smoother coarse_smoother": am.ProjectedGaussSeidel(),
         "correction": am.Monotone(),
+        "project": SimpleNamespace(project=lambda contact, before, after: after),
         "coarse": am.CoarseSolve(),
         "quantity": am.ContactForce(),
         "levels": lambda: grids().levels,

@@ -154,6 +154,24 @@ def _methods():
         counts,
         ("negative",),
     )
+    yield from each(
+        "passes of smooth",
+        lambda v: _truncated(smooth=SimpleNamespace(smooth=lambda *arguments: v)),
+        counts,
+        ("negative",),
+    )
+    values = {
+        "None": lambda after: None,
+        "short": lambda after: after[1:],
+        "NaN": lambda after: after * np.nan,
+    }
+    yield from each(
+        "project",
+        lambda v: _truncated(
+            project=SimpleNamespace(project=lambda contact, before, after: v(after))
+        ),
+        values,
+    )
 
 
 class _Linear:

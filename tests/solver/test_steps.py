@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import UPPER_ON_LOWER, bar_hierarchy, bar_on_block, bumpy
+from norms import far
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
@@ -246,7 +248,89 @@ def test_parts_that_are_left_out_change_no_solution(part, exact, bar):
     assert result.status.ok and error(result, exact, bar) <= 1.05e-8
 
 
+class BackAndForth:
+    """The sweeps of the default, by the public smoother."""
+
+    def smooth(self, system, contact, load, unknowns, sweeps):
+        for order in ("backward", "forward"):
+            sweep = am.ProjectedGaussSeidel(order=order)
+            sweep.smooth(system, contact, load, unknowns, sweeps)
+        return 0.0  # and one for the residual, as the default
+
+
+class CutSlips:
+    """The projection of the default, written out."""
+
+    def project(self, contact, before, after):
+        assert (before[:, 0] <= contact.gap).all()
+        rubs = (contact.limit > 0) | ((before[:, 0] == contact.gap) & (contact.friction > 0))
+        earlier, slip = (values[:, 1:] - contact.slip_reference for values in (before, after))
+        turned = rubs & earlier.any(axis=1) & (np.einsum("nt,nt->n", earlier, slip) <= 0)
+        after[turned, 1:] = contact.slip_reference[turned]
+        return after
+
+
+def cases_of_parts():
+    pair = bar_on_block(am.Coulomb(0.5), UPPER_ON_LOWER, gap=bumpy)
+    rubber = replace(
+        am.cases.greco_bar(law=am.Coulomb(0.4)),
+        material=am.PlaneStrain(young=1.3e11, poisson=0.4999),
+        elements="smoothed",
+    )
+    sizes = (20e-3, 10e-3, 5e-3)
+    return {
+        "bar": am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4, 8)),
+        "graded": am.Hierarchy.graded(am.cases.greco_bar(), sizes=sizes, contact_ratio=2),
+        "block": am.Hierarchy.uniform(am.cases.greco_block(law=am.Coulomb(0.5)), (1, 2, 4)),
+        "pair": bar_hierarchy(pair, 2),
+        "rubber": am.Hierarchy.uniform(rubber, (2, 4, 8)),
+    }
+
+
+@pytest.mark.parametrize("part", [{"smooth": BackAndForth()}, {"project": CutSlips()}], ids=list)
+@pytest.mark.parametrize("case", ["bar", "graded", "block", "pair", "rubber"])
+def test_user_defined_sweeps_and_projections_give_the_iterates_of_the_default(case, part):
+    grids = cases_of_parts()[case]
+    for method in (am.FullMultigrid, am.Multigrid):
+        expected = am.solve(grids, method())
+        result = am.solve(grids, method(correction=am.Truncated(**part)))
+        assert result.cycles == expected.cycles and far(result, expected) <= 1e-9
+        if case != "graded":
+            # a coarse level counts the smoother with its nonzeros, which include those of empty rows
+            assert result.work_units == pytest.approx(expected.work_units, rel=1e-12)
+        for name in ("residual", "status_changes"):
+            first, last = (run.history[name][:3] for run in (expected, result))
+            np.testing.assert_allclose(last, first, rtol=1e-6, atol=1e-12)
+
+
+def test_user_defined_parts_follow_a_load_path(bar):
+    path = am.LoadPath({"left": [0.5, 1, 0.5, 0]}, default=1.0)
+    parts = am.Truncated(smooth=BackAndForth(), project=CutSlips())
+    expected = am.solve_path(bar, path)
+    for one, other in zip(
+        am.solve_path(bar, path, am.FullMultigrid(correction=parts)), expected, strict=True
+    ):
+        assert one.cycles == other.cycles and far(one, other) <= 1e-8
+
+
+def test_more_sweeps_on_the_finest_level_take_fewer_cycles():
+    grids = am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8, 16, 32))
+    over = am.ProjectedGaussSeidel(omega=1.3, order="symmetric")
+    once, four, relaxed = (
+        am.solve(grids, am.Multigrid(correction=am.Truncated(smooth=smooth, recombine=0)))
+        for smooth in (1, 4, over)
+    )
+    assert four.cycles < once.cycles and four.work_units > once.work_units
+    assert far(four, once) <= 2e-8 and far(relaxed, once) <= 2e-8
+
+
 def test_options_of_the_parts_are_checked():
+    with pytest.raises(TypeError, match="smooth must be an integer"):
+        am.Truncated(smooth="twice")
+    with pytest.raises(ValueError, match="smooth must be >= 1"):
+        am.Truncated(smooth=0)
+    with pytest.raises(TypeError, match="project must be None or offer"):
+        am.Truncated(project=3)
     with pytest.raises(ValueError, match="shape of correct"):
         am.Truncated(correct=am.Cycle(shape="complete"))
     with pytest.raises(TypeError, match="correct"):
