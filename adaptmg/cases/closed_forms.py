@@ -397,7 +397,8 @@ def cattaneo(
         reference |= {"stick": slip.stick, "partial_slip": slip, "sources": sources}
     a = form.half_width
     r = radius
-    (x, y), edge = _on_circle(r, SLAVE_REACH * a), _block_contact(r, a)
+    x, y = _on_circle(r, SLAVE_REACH * a)
+    edge = _block_contact(r, a)
     upper = am.Outline(
         vertices=((-r, r), (-x, y), (0.0, 0.0), (x, y), (r, r)),
         boundaries=("side", "contact", "contact", "side", "top"),

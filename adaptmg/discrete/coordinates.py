@@ -307,7 +307,8 @@ def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
     frames = np.empty((len(n), contact.dim, contact.dim))
     frames[:, 0] = n
     if contact.dim == 2:
-        frames[:, 1, 0], frames[:, 1, 1] = -n[:, 1], n[:, 0]
+        frames[:, 1, 0] = -n[:, 1]
+        frames[:, 1, 1] = n[:, 0]
         return frames
     # the Cartesian axis nearest the tangent plane, projected into it; a fixed axis lies in the
     # plane and goes first
@@ -315,7 +316,8 @@ def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
     axis = np.eye(3)[np.argmin(key, axis=1)]
     t1 = axis - np.sum(axis * n, axis=1)[:, None] * n
     t1 /= np.linalg.norm(t1, axis=1)[:, None]
-    frames[:, 1], frames[:, 2] = t1, np.cross(n, t1)
+    frames[:, 1] = t1
+    frames[:, 2] = np.cross(n, t1)
     return frames
 
 

@@ -157,7 +157,8 @@ def isotropic(
 
 def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np.ndarray:
     """Tensors (1 or n, k, k) of an anisotropic material at points."""
-    (i, j), k = _PAIRS.T, 2 * material.dim
+    i, j = _PAIRS.T
+    k = 2 * material.dim
     axes = anisotropy.rotations(points)
     turn = axes[:, i][:, :, i] * axes[:, j][:, :, j] + axes[:, i][:, :, j] * axes[:, j][:, :, i]
     turn[:, :3] *= 0.5

@@ -214,7 +214,8 @@ class StressData:
         if not self.axisymmetric or self.smoothed:
             return energy
         # what the hoop strain varies within elements adds
-        (rule, weights), hoop = quadrature_rule(3, AXISYMMETRIC_DEGREE), hoop_strain(mesh, u)
+        rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
+        hoop = hoop_strain(mesh, u)
         radii = mesh.points[mesh.elements, 0] @ rule.T
         rise = u[mesh.elements, 0] @ rule.T / radii - hoop[:, None]
         stiffness = self.of_elements(mesh).of_hoop()[:, 2] * mesh.volumes
@@ -389,7 +390,9 @@ def _fits(
     size = np.maximum.reduceat(np.abs(away), first).max(axis=1)
     terms = np.ones((len(rows), away.shape[1] + 1))
     np.divide(away, size[rows, None], out=terms[:, 1:])
-    (n, k), samples = (len(places), terms.shape[1]), values.take(patches.indices, axis=0)
+    n = len(places)
+    k = terms.shape[1]
+    samples = values.take(patches.indices, axis=0)
     # numbers of all nodes side by side
     matrix = np.empty((k, k, n))
     sides = np.empty((k, values.shape[1], n))

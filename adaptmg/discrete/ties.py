@@ -88,7 +88,8 @@ def tie_interfaces(posed: Posed) -> list[MortarInterface]:
     taken[posed.inclined.nodes[posed.inclined.moving]] = True
     parts: list[MortarInterface] = []
     for tie in posed.problem.ties:
-        slave, master = posed.surfaces[tie.slave], posed.surfaces[tie.master]
+        slave = posed.surfaces[tie.slave]
+        master = posed.surfaces[tie.master]
         if isinstance(tie, Periodic):
             parts.append(_periodic(tie, posed.mesh, slave.nodes, master.nodes, taken, posed.fixed))
             taken[parts[-1].nodes] = True

@@ -440,7 +440,8 @@ def graded_sizes(
 ) -> np.ndarray:
     """Return the largest sizes below these that grow by at most ``growth`` per distance along
     edges."""
-    n, (i, j, lengths) = mesh.n_nodes, _edges(mesh) if edges is None else edges
+    n = mesh.n_nodes
+    i, j, lengths = _edges(mesh) if edges is None else edges
     # sizes are distances from a further node, whose edge to each of the others is as long as the
     # size there
     weights = np.concatenate([growth * lengths, sizes])

@@ -72,7 +72,8 @@ def mesh_of(
     file holds, and what is to be said of facets that no element has."""
     _check(contents)
     points, elements, block, cell, notes = _cut(contents)
-    points, table = unit * points, facet_table(elements, len(points))
+    points = unit * points
+    table = facet_table(elements, len(points))
     sets = (
         {}
         if body is not None

@@ -66,7 +66,8 @@ class TruncatedContact:
     @classmethod
     def of(cls, problem: DiscreteProblem, level: SplitMatrix) -> TruncatedContact:
         """Return the contact nodes of a level whose matrix is ``level``."""
-        dim, (contact, frames) = problem.dim, local_contact(problem)
+        dim = problem.dim
+        contact, frames = local_contact(problem)
         nodes = problem.contact.nodes.astype(np.int32)
         contact_of = np.full(problem.n_nodes, -1, dtype=np.int32)
         contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
@@ -275,10 +276,8 @@ class TruncatedContact:
         at its beginning; slipping nodes only."""
         shape = len(self.nodes), self.dim
         at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
-        before, change = (
-            before.reshape(shape)[at, 1:],
-            (self.values - before).reshape(shape)[at, 1:],
-        )
+        change = (self.values - before).reshape(shape)[at, 1:]
+        before = before.reshape(shape)[at, 1:]
         slope = friction_slope(
             before - self.reference.reshape(-1, self.dim - 1)[at], change, self._bound[at]
         )

@@ -106,7 +106,8 @@ class Rectangle(Domain):
     @cached_property
     def outline(self) -> Outline:
         """Return the same as an outline."""
-        (x0, y0), (x1, y1) = self.lower, self.upper
+        x0, y0 = self.lower
+        x1, y1 = self.upper
         return Outline(
             vertices=((x0, y0), (x1, y0), (x1, y1), (x0, y1)), boundaries=self.boundaries
         )
@@ -420,7 +421,8 @@ class Circle(Domain):
     @property
     def outline(self) -> Outline:
         """Return the same as an outline of four arcs, which begins at the right."""
-        (x, y), r = self.centre, self.radius
+        x, y = self.centre
+        r = self.radius
         return Outline(
             vertices=((x + r, y), (x, y + r), (x - r, y), (x, y - r)),
             boundaries=(self.boundary,) * 4,

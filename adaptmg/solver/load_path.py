@@ -662,7 +662,8 @@ class PathLoop:
         if near is not None:
             displacement = self.grids.finest.discrete.relative(near.displacement)
             return np.append(displacement, near.pressures)
-        (earlier, forces_earlier), (last, last_forces) = self.recent[0], self.recent[-1]
+        earlier, forces_earlier = self.recent[0]
+        last, last_forces = self.recent[-1]
         change = last_forces - forces_earlier
         # not through BLAS, whose threads cost more than they gain
         size = float(np.einsum("i,i->", change, change))

@@ -402,7 +402,8 @@ def _axis_motions(
         size = float(np.ptp(x, axis=0).max())
         for a, b in [(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)]:
             turn = np.zeros((len(nodes), dim))
-            turn[:, a], turn[:, b] = (centre - x)[:, b] / size, (x - centre)[:, a] / size
+            turn[:, a] = (centre - x)[:, b] / size
+            turn[:, b] = (x - centre)[:, a] / size
             columns.append(turn)
     return np.stack([column.reshape(-1) for column in columns], axis=1), centre, size
 
