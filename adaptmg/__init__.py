@@ -20,7 +20,7 @@ Result      Result, Status, NotConverged, Certificate, PathResult; contact state
 Adapt       adapt (each Step); indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
             MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate,
             GoalEstimate; module estimate
-Matrices    discretise, DiscreteProblem, ContactNodes; discrete
+Matrices    discretise, DiscreteProblem, ContactNodes, Bounds; ScalarProblem; discrete
 Show        plot, export
 Sweep       Study; designs and tables in study
 

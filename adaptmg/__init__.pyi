@@ -16,7 +16,9 @@ from . import (
 )
 from ._threads import set_threads as set_threads
 from .discrete.discretise import discretise as discretise
+from .discrete.contact_nodes import Bounds as Bounds
 from .discrete.problem import ContactNodes as ContactNodes, DiscreteProblem as DiscreteProblem
+from .discrete.scalar import ScalarProblem as ScalarProblem
 from .estimate.adapt import adapt as adapt
 from .estimate.engines import Bisect as Bisect, Remesh as Remesh
 from .estimate.estimate import (

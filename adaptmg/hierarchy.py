@@ -19,6 +19,7 @@ from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.scalar import ScalarProblem
 from adaptmg.level import (
     Level,
     check_coarse_to_fine,
@@ -112,7 +113,9 @@ class Hierarchy:
 
     @classmethod
     def uniform(
-        cls, problem: ContactProblem, divisions: Sequence[Divisions | Mapping[str, Divisions]]
+        cls,
+        problem: ContactProblem | ScalarProblem,
+        divisions: Sequence[Divisions | Mapping[str, Divisions]],
     ) -> Hierarchy:
         """Return structured grids of a rectangle or box.
 
@@ -120,7 +123,7 @@ class Hierarchy:
 
         Parameters
         ----------
-        problem : ContactProblem
+        problem : ContactProblem or ScalarProblem
             With a Rectangle or Box as domain.
         divisions : sequence of int, tuple of int or mapping
             Cells along the sides, coarse to fine; nested where each divides the next. Of several
@@ -218,7 +221,7 @@ class Hierarchy:
     @classmethod
     def from_meshes(
         cls,
-        problem: ContactProblem,
+        problem: ContactProblem | ScalarProblem,
         meshes: Sequence[Any],
         transfer: Transfer | None = None,
         contact_rows: bool = True,
@@ -227,7 +230,7 @@ class Hierarchy:
 
         Parameters
         ----------
-        problem : ContactProblem
+        problem : ContactProblem or ScalarProblem
         meshes : sequence of ngsolve.Mesh, MeshArrays or paths of mesh files (.msh, .vol)
             Checked before use; the boundary names must be those of the problem.
         transfer : Transfer, optional
@@ -241,17 +244,21 @@ class Hierarchy:
         begin = clock()
         from adaptmg.mesh import as_mesh
 
-        checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+        checks.instance(
+            "problem", problem, (ContactProblem, ScalarProblem), "a ContactProblem or ScalarProblem"
+        )
         is_single = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
         arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if is_single else meshes, ())]
         return cls._build(problem, lambda: arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
     def from_prolongations(
-        cls, discrete: DiscreteProblem, prolongations: Sequence[sparse.csr_array]
+        cls,
+        discrete: DiscreteProblem,
+        prolongations: Sequence[sparse.csr_array],
+        contact: bool = False,
     ) -> Hierarchy:
-        """Return a hierarchy of a user's matrix and coarse spaces, with Galerkin matrices; no
-        contact problem on the coarse levels.
+        """Return a hierarchy of a user's matrix and coarse spaces, with Galerkin matrices.
 
         Parameters
         ----------
@@ -260,21 +267,32 @@ class Hierarchy:
         prolongations : sequence of sparse matrices
             Coarse to fine, each from a level to the next finer: all of nodes (n_nodes, n_nodes
             coarse), acting on every component, or all of dofs (n_dofs, n_dofs coarse).
+        contact : bool
+            Pose the contact problem on the coarse levels too, which a nested start and ``Monotone``
+            need: gaps of coarse nodes are the smallest over the contact nodes that they reach
+            (:func:`adaptmg.transfer.contact.restricted_problem`). Prolongations are then of nodes,
+            with weights >= 0 at contact nodes.
         """
+        from adaptmg.transfer.contact import restricted_problem
         from adaptmg.transfer.galerkin import coarse_spaces
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
         begin = clock()
         checked, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
-        levels = [
-            Level(None, None, P, galerkin=A)
-            for P, A in zip([None, *checked[:-1]], matrices, strict=True)
-        ]
-        levels.append(Level(discrete, None, checked[-1]))
+        levels = [Level(discrete, None, checked[-1])]
+        for P, above, A in zip(
+            [None, *checked[:-1]][::-1], checked[::-1], matrices[::-1], strict=True
+        ):
+            problem = None
+            if checks.flag("contact", contact):
+                problem = restricted_problem(levels[0].discrete, above, A)
+            levels.insert(0, Level(problem, None, P, galerkin=A))
         return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})
 
     @classmethod
-    def algebraic(cls, discrete: DiscreteProblem, max_coarse: int = 300) -> Hierarchy:
+    def algebraic(
+        cls, discrete: DiscreteProblem, max_coarse: int = 300, contact: bool = False
+    ) -> Hierarchy:
         """Return coarse spaces by smoothed aggregation (pyamg), for a bare matrix.
 
         Parameters
@@ -284,6 +302,8 @@ class Hierarchy:
             fast.
         max_coarse : int
             Nodes (rows of blocks) of the coarsest level at most.
+        contact : bool
+            As of :meth:`from_prolongations`, for scalar problems.
         """
         from adaptmg.transfer.galerkin import aggregated_prolongations
 
@@ -300,14 +320,14 @@ class Hierarchy:
                 f"max_coarse must be below {discrete.n_nodes}, the number of nodes, got {max_coarse}: "
                 "there is nothing to coarsen"
             )
-        levels = cls.from_prolongations(discrete, prolongations).levels
+        levels = cls.from_prolongations(discrete, prolongations, contact).levels
         return cls(levels, None, "smoothed aggregation", {"transfer": clock() - begin})
 
     @classmethod
     @one_blas_thread()
     def _build(
         cls,
-        problem: ContactProblem,
+        problem: ContactProblem | ScalarProblem,
         mesh: Callable[[], list[MeshArrays]],
         transfer: Transfer | None,
         origin: str,
@@ -317,6 +337,8 @@ class Hierarchy:
         """The levels on the meshes that ``mesh`` makes."""
         compiled = compiling_seconds()
         meshes = mesh()
+        if isinstance(problem, ScalarProblem):
+            return cls._scalar(problem, meshes, transfer, origin, begin)
         problem = Posed.of(problem, meshes[-1]).problem
         for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
             warn_user(message)
@@ -336,6 +358,31 @@ class Hierarchy:
         if compiling_seconds() > compiled:
             timings["compiling"] = compiling_seconds() - compiled
         return cls(tuple(levels), problem, origin, timings, transfer, contact_rows)
+
+    @classmethod
+    def _scalar(
+        cls,
+        problem: ScalarProblem,
+        meshes: list[MeshArrays],
+        transfer: Transfer | None,
+        origin: str,
+        begin: float,
+    ) -> Hierarchy:
+        """The levels of a scalar problem."""
+        check_coarse_to_fine(meshes)
+        builder = the_transfer(transfer)
+        meshed = clock()
+        levels = [Level(problem.on(mesh), mesh) for mesh in meshes]
+        assembled = clock()
+        for k in range(1, len(levels)):
+            rows = builder.build(meshes[k - 1], meshes[k])
+            levels[k] = Level(levels[k].discrete, meshes[k], rows)
+        timings = {
+            "mesh": meshed - begin,
+            "assembly": assembled - meshed,
+            "transfer": clock() - assembled,
+        }
+        return cls(tuple(levels), None, origin, timings, transfer)
 
     def __len__(self) -> int:
         return len(self.levels)

@@ -18,6 +18,7 @@ from adaptmg._checks import indices_frozen, shape_of
 from adaptmg._text import shortened
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.scalar import ScalarProblem
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.problem import Assembly, ContactProblem, Cracked, PointForce, PointSpring, PointSupport
 from adaptmg.problem.plane_domains import Domain, with_vertex
@@ -265,9 +266,10 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
     )
 
 
-def need_domain(problem: ContactProblem) -> None:
+def need_domain(problem: ContactProblem | ScalarProblem) -> None:
     """Raise ValueError unless the problem has a domain to mesh."""
-    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+    words = "a ContactProblem, or for uniform and from_meshes a ScalarProblem"
+    checks.instance("problem", problem, (ContactProblem, ScalarProblem), words)
     if problem.domain is None:
         raise ValueError(
             "problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes "

@@ -20,6 +20,7 @@ from adaptmg.cases.closed_forms import (
 )
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
 from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
+from adaptmg.cases.scalar import elastic_plastic_torsion, obstacle_problem
 from adaptmg.problem import ContactProblem
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "coulomb_transition",
     "curved_obstacle",
     "dovetail",
+    "elastic_plastic_torsion",
     "flat_punch",
     "get",
     "greco_bar",
@@ -42,6 +44,7 @@ __all__ = [
     "hertz_sphere",
     "incline",
     "leaning_strut",
+    "obstacle_problem",
     "two_block_patch",
     "upset_block",
 ]

@@ -3,8 +3,10 @@ problem."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +43,9 @@ class ContactNodes:
     masters : tuple of str, optional
         For each of ``names`` the boundary of another body that it may touch; "" (the default) is a
         rigid obstacle.
+    opposite_gaps : (n_contact,) array, optional
+        Of scalar problems (dim 1) gaps to a second obstacle, against the normal: u_n >= -gap. An
+        infinite one is no obstacle, nor is then an infinite one of ``gaps``. Default infinite.
     taken_over : (n_contact, n_nodes) sparse array, optional
         Next to nodes of the boundary without a contact condition: what each contact node takes over
         of their boundary mass, over its own. Its force acts there too, in these proportions.
@@ -63,6 +68,7 @@ class ContactNodes:
     names: tuple[str, ...]
     masters: tuple[str, ...]
     taken_over: sparse.csr_array
+    opposite_gaps: np.ndarray
 
     def __init__(
         self,
@@ -77,6 +83,7 @@ class ContactNodes:
         names: tuple[str, ...] = ("contact",),
         masters: tuple[str, ...] | None = None,
         taken_over: sparse.sparray | sparse.spmatrix | None = None,
+        opposite_gaps: ArrayLike | None = None,
     ) -> None:
         numbers = checks.array("nodes", nodes, (None,), integer=True)
         checks.flag("allow_interference", allow_interference)
@@ -85,7 +92,19 @@ class ContactNodes:
         if len(np.unique(numbers)) < n or numbers.min(initial=0) < 0:
             raise ValueError("nodes must be distinct and >= 0")
         directions = _unit_normals(normals, n)
-        distances = bounded("gaps", gaps, (n,), checks.VAST)
+        scalar = directions.shape[1] == 1
+        opposite = np.full(n, np.inf) if opposite_gaps is None else opposite_gaps
+        if scalar:
+            distances = _limits("gaps", gaps, n)
+            opposite = _limits("opposite_gaps", opposite, n)
+            _check_sides(directions, distances, opposite)
+        elif np.isfinite(opposite).any():
+            raise ValueError(
+                "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "
+                "nodes of each face have gaps to the one that they face"
+            )
+        else:
+            distances = bounded("gaps", gaps, (n,), checks.VAST)
         if not allow_interference and distances.min(initial=0.0) < 0:
             i = int(np.argmin(distances))
             raise ValueError(
@@ -121,6 +140,7 @@ class ContactNodes:
             names=slaves,
             masters=faced,
             taken_over=taken,
+            opposite_gaps=opposite,
         )
 
     __repr__ = brief
@@ -146,8 +166,27 @@ class ContactNodes:
 
     @property
     def dim(self) -> int:
-        """Return the space dimension."""
+        """Return the number of unknowns of a node: the space dimension, of scalar problems 1."""
         return self.normals.shape[1]
+
+    @property
+    def two_sided(self) -> bool:
+        """Return whether a node has an obstacle on the side that its normal points away from."""
+        return bool(np.isfinite(self.opposite_gaps).any())
+
+    def facing(self, u_n: np.ndarray) -> ContactNodes:
+        """Return nodes with normals and gaps of the obstacles that are nearest at normal
+        displacements (n_contact,); they have no others."""
+        if not self.two_sided:
+            return self
+        turned = self.gaps - u_n > self.opposite_gaps + u_n
+        result = copy.copy(self)
+        result.__dict__.update(
+            normals=np.where(turned[:, None], -self.normals, self.normals),
+            gaps=np.where(turned, self.opposite_gaps, self.gaps),
+            opposite_gaps=np.full(len(self), np.inf),
+        )
+        return result
 
     @property
     def measures(self) -> np.ndarray:
@@ -158,8 +197,11 @@ class ContactNodes:
 def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:
     """Return the normals (n, dim) of contact nodes, read-only, of length 1 to rounding."""
     normals = bounded("normals", value, (n, None), 2.0)
-    if normals.shape[1] not in (2, 3):
-        raise ValueError(f"normals must have shape ({n}, 2) or ({n}, 3), got {normals.shape}")
+    if normals.shape[1] not in (1, 2, 3):
+        raise ValueError(
+            f"normals must have shape ({n}, 2) or ({n}, 3), of scalar problems ({n}, 1), got "
+            f"{normals.shape}"
+        )
     lengths = np.linalg.norm(normals, axis=1)
     if np.abs(lengths - 1).max(initial=0.0) > 1e-6:
         i = int(np.argmax(np.abs(lengths - 1)))
@@ -169,6 +211,118 @@ def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:
     normals = normals / lengths[:, None]
     normals.flags.writeable = False
     return normals
+
+
+def _limits(name: str, value: ArrayLike, n: int) -> np.ndarray:
+    """Return gaps (n,), read-only, of which some may be infinite."""
+    given = checks.real_array(value)
+    if given is None or given.shape != (n,):
+        return bounded(name, value, (n,), checks.VAST)  # which raises
+    none = np.isposinf(given)
+    limits = np.where(none, np.inf, bounded(name, np.where(none, 0.0, given), (n,), checks.VAST))
+    limits.flags.writeable = False
+    return limits
+
+
+def _check_sides(normals: np.ndarray, gaps: np.ndarray, opposite: np.ndarray) -> None:
+    """ValueError unless scalar problems have one normal, and a node has room between its limits."""
+    if len(normals) and (normals != normals[0]).any():
+        raise ValueError(
+            "normals of a scalar problem must all be [1.0] or all be [-1.0]: give limits on both "
+            "sides as bounds=am.Bounds(lower=, upper=)"
+        )
+    room = gaps + opposite
+    if not (room >= 0).all():
+        i = int(np.argmin(room))
+        raise ValueError(
+            f"contact node {i} must have room between its limits, got {-opposite[i]:.6g} to "
+            f"{gaps[i]:.6g} along its normal"
+        )
+    if np.isinf(np.minimum(gaps, opposite)).any():
+        raise ValueError("every contact node must have a finite gap: leave the others out")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bounds:
+    """Limits of unknowns, lower <= u <= upper, for :class:`adaptmg.DiscreteProblem`.
+
+    Parameters
+    ----------
+    lower, upper : float or array, optional
+        Of a scalar problem, with one unknown a node (a membrane, torsion, a pressure), a number or
+        one a node, (n_nodes,). Of a body (n_nodes, dim), in Cartesian components: at most one finite
+        limit a node, which is then a contact node. Infinite or None: no limit.
+    weights : (n_nodes,) array, optional
+        Lumped masses, to turn nodal forces into pressures. Default 1.
+
+    Examples
+    --------
+    A rod of three free nodes over a floor at -0.1:
+
+    >>> from scipy import sparse
+    >>> rod = sparse.diags_array([-np.ones(4), 2 * np.ones(5), -np.ones(4)], offsets=[-1, 0, 1])
+    >>> discrete = am.DiscreteProblem(matrix=rod, load=np.full(5, -0.1), bounds=am.Bounds(lower=-0.1),
+    ...                               fixed=np.array([True, False, False, False, True]))
+    >>> result = am.solve(discrete, am.SingleGrid())
+    >>> result.displacement[:, 0].round(3).tolist()
+    [0.0, -0.1, -0.1, -0.1, 0.0]
+    """
+
+    lower: ArrayLike | None = None
+    upper: ArrayLike | None = None
+    weights: ArrayLike | None = None
+
+    def at_nodes(self, fixed: np.ndarray) -> ContactNodes:
+        """Return the contact nodes of a problem with these fixed dofs (n_dofs,), which have no
+        limits."""
+        lower, upper = self._nodal(fixed)
+        nodes = np.flatnonzero((np.isfinite(lower) | np.isfinite(upper)).any(axis=1))
+        sides = np.stack([-lower[nodes], upper[nodes]], axis=2)  # gaps against the axes, and along
+        weights = None if self.weights is None else np.asarray(self.weights)[nodes]
+        parts: dict[str, Any]
+        if lower.shape[1] == 1:
+            main = 0 if self.upper is None else 1
+            normals = np.full((len(nodes), 1), 2.0 * main - 1.0)
+            parts = {"gaps": sides[:, 0, main], "opposite_gaps": sides[:, 0, 1 - main]}
+        else:
+            row, component, side = np.nonzero(np.isfinite(sides))
+            if len(row) > len(nodes):
+                node = nodes[row[1:][np.diff(row) == 0][0]]
+                raise ValueError(
+                    f"bounds: node {node} has several finite limits, a node of a body can have one: "
+                    "give the nodes of each face of the body the limit that this face meets"
+                )
+            normals = np.zeros(sides.shape[:2])
+            normals[row, component] = 2.0 * side - 1.0
+            parts = {"gaps": sides[row, component, side]}
+        return ContactNodes(
+            nodes=nodes, normals=normals, weights=weights, allow_interference=True, **parts
+        )
+
+    def _nodal(self, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return both limits (n_nodes, dim), infinite at fixed dofs."""
+        given = {
+            "lower": -np.inf if self.lower is None else self.lower,
+            "upper": np.inf if self.upper is None else self.upper,
+        }
+        arrays = {name: checks.real_array(value) for name, value in given.items()}
+        dim = max((a.shape[1] for a in arrays.values() if a is not None and a.ndim == 2), default=1)
+        shape = (len(fixed) // dim, dim)
+        limits = []
+        for (name, array), edge in zip(arrays.items(), (-np.inf, np.inf), strict=True):
+            if array is None or np.isnan(array).any():
+                raise ValueError(
+                    f"bounds.{name} must be numbers, infinite where there is no limit, got "
+                    f"{checks.shown(given[name])}"
+                )
+            if array.shape not in ((), shape, shape[: 1 + (dim > 1)]):
+                raise ValueError(
+                    f"bounds.{name} must be a number or have shape {shape[: 1 + (dim > 1)]}, got "
+                    f"{array.shape}"
+                )
+            limit = np.broadcast_to(array.reshape(-1, dim) if array.ndim else array, shape)
+            limits.append(np.where(fixed.reshape(shape), edge, limit))
+        return limits[0], limits[1]
 
 
 def _checked_masters(value: object) -> tuple[str, ...]:

@@ -306,6 +306,8 @@ def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
     n = contact.normals
     frames = np.empty((len(n), contact.dim, contact.dim))
     frames[:, 0] = n
+    if contact.dim == 1:
+        return frames
     if contact.dim == 2:
         frames[:, 1, 0] = -n[:, 1]
         frames[:, 1, 1] = n[:, 0]

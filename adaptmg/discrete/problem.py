@@ -6,7 +6,8 @@ outward unit normal n and :math:`u_n = u\cdot n,\; p = -r_n,\; f_t = r_t`
 .. math:: u_n \le g_0,\quad p \ge 0,\quad p\,(g_0 - u_n) = 0,\qquad |f_t| \le s + \mu p,
 
 and :math:`f_t` is opposite to the slip :math:`u_t - u_t^{\mathrm{previous}}` wherever that is not
-zero. Degree of freedom ``dim * node + component``. Between bodies all this is meant in relative
+zero. Degree of freedom ``dim * node + component``. A scalar problem has one unknown a node (dim 1)
+and no tangents. Between bodies all this is meant in relative
 coordinates (:mod:`adaptmg.discrete.coordinates`), which :meth:`DiscreteProblem.coupled` makes."""
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from adaptmg import _checks as checks
 from adaptmg._checks import indices_frozen
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
+    Bounds,
     ContactNodes,
     bounded,
     check_bounds,
@@ -38,7 +40,7 @@ from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
 from adaptmg.discrete.elasticity import rigid_body_modes
 from adaptmg.discrete.supports import Inclined
 from adaptmg.discrete.volumes import Volumes
-from adaptmg.problem.laws import Law, check_law
+from adaptmg.problem.laws import Frictionless, Law, check_law
 
 Value = TypeVar("Value")
 Others = ParamSpec("Others")
@@ -53,7 +55,9 @@ class Computed(dict):
 
 def _rigid_motions(problem: DiscreteProblem) -> np.ndarray | None:
     """Return the rigid motions of a problem to which none were given; None without coordinates."""
-    if problem._motions is not None:
+    if problem.dim == 1:
+        motions = np.ones((problem.n_dofs, 1))
+    elif problem._motions is not None:
         motions = problem._motions()
     elif problem.coordinates is not None:
         motions = rigid_body_modes(problem.coordinates)
@@ -76,16 +80,20 @@ class DiscreteProblem(Unknowns):
         N.
     fixed : (n_dofs,) bool array
         Prescribed dofs. The normal component at a contact node must not be fixed.
-    law : Law
-        With nodal parameters (see :mod:`adaptmg.problem.laws`).
+    law : Law, optional
+        With nodal parameters (see :mod:`adaptmg.problem.laws`). Default: frictionless, as scalar
+        problems are.
     contact : ContactNodes
-        Where contact may occur.
+        Where contact may occur; or ``bounds``.
+    bounds : Bounds
+        Limits of the unknowns, in place of ``contact``: its nodes are then those with limits.
     fixed_values : (n_dofs,) array, optional
         Prescribed values at fixed dofs (others are ignored), m; default 0.
     coordinates : (n_nodes, dim) array, optional
-        Node positions, m.
+        Node positions, m; of scalar problems in one to three dimensions.
     near_nullspace : (n_dofs, k) array, optional
-        Rigid-body modes of the free body; made from ``coordinates`` where not given.
+        Rigid-body modes of the free body; made from ``coordinates`` where not given, of scalar
+        problems a constant.
     name : str
         For tables.
     coupling, bodies, strain_free, inclined, ties, volumes
@@ -135,8 +143,9 @@ class DiscreteProblem(Unknowns):
         matrix: sparse.sparray | sparse.spmatrix,
         load: ArrayLike,
         fixed: ArrayLike,
-        law: Law,
-        contact: ContactNodes,
+        law: Law | None = None,
+        contact: ContactNodes | None = None,
+        bounds: Bounds | None = None,
         fixed_values: ArrayLike | None = None,
         coordinates: ArrayLike | None = None,
         near_nullspace: ArrayLike | None = None,
@@ -148,8 +157,15 @@ class DiscreteProblem(Unknowns):
         ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = (),
         volumes: Volumes | None = None,
     ) -> None:
-        checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
-        check_law("law", law)
+        law = Frictionless() if law is None else check_law("law", law)
+        if (contact is None) == (bounds is None):
+            raise ValueError(
+                "contact=ContactNodes(...) or bounds=Bounds(...) must be given, one of them"
+            )
+        if bounds is not None:
+            checks.instance("bounds", bounds, Bounds, "Bounds(...)")
+            contact = bounds.at_nodes(checked_mask("fixed", fixed))
+        contact = checks.instance("contact", contact, ContactNodes, "ContactNodes(...)")
         checks.boundary_name("name", name)
         dim = contact.dim
         blocks = checked_matrix(matrix, dim)
@@ -180,7 +196,7 @@ class DiscreteProblem(Unknowns):
             volumes=Volumes.none(n // dim, dim) if volumes is None else volumes,
         )
         if coordinates is not None:
-            shape = (n // dim, dim)
+            shape = (n // dim, None if dim == 1 else dim)
             self.__dict__["coordinates"] = bounded("coordinates", coordinates, shape, checks.VAST)
         if near_nullspace is not None:
             modes = bounded("near_nullspace", near_nullspace, (n, None))
@@ -243,8 +259,9 @@ class DiscreteProblem(Unknowns):
         )
 
     def __repr__(self) -> str:
+        where = f"in {self.dim}D" if self.dim > 1 else "of a scalar problem"
         return shortened(
-            f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes in {self.dim}D, {self.fixed.sum()} of "
+            f"DiscreteProblem {self.name!r}: {self.n_nodes} nodes {where}, {self.fixed.sum()} of "
             f"{self.n_dofs} dofs fixed, {len(self.contact)} contact nodes, {self.law!r}"
         )
 
@@ -309,6 +326,15 @@ class DiscreteProblem(Unknowns):
         """Return whether matrix, fixed dofs, contact nodes and normals are those of another one."""
         return self._structure is other._structure
 
+    def facing(self, displacement: np.ndarray) -> DiscreteProblem:
+        """Return the same with the obstacles alone that are nearest at a displacement (n_nodes,
+        dim): for what looks at one of two sides."""
+        if not self.contact.two_sided:
+            return self
+        moved = displacement[self.contact.nodes]
+        faced = self.contact.facing(np.einsum("nd,nd->n", moved, self.contact.normals))
+        return self.posing(contact=faced)
+
     def residual(self, solution: np.ndarray) -> np.ndarray:
         """Return b - A u - B'p (n_dofs,), N, of a solution (n_unknowns,); dual."""
         displacement, pressures = self.parts(solution)
@@ -328,6 +354,10 @@ class DiscreteProblem(Unknowns):
         :func:`remembered_of_structure`."""
         check_size("load", largest_entry(self.load))
         check_bounds(self.law, len(self.contact))
+        if self.dim == 1 and np.any(self.law.bounds(len(self.contact))):
+            raise ValueError(
+                "law must be am.Frictionless() in a scalar problem: it has no tangents"
+            )
         self.__dict__.update(_structure=Computed(), _computed=Computed())
 
     def _check_fixed_at_contact(self) -> None:

@@ -111,19 +111,20 @@ def correction_contact(
     fine_slip = values[:, 1:] - contact.slip_reference
     # |E| is a bound of what a correction changes in a slip that is held along one tangent
     fine_slip[contact.driven] = 0.0
-    gap, slip, limit = _transported(
-        correction,
-        coarse,
-        correction.transport(
-            reach,
-            contact.gap - values[:, 0],
-            fine_slip,
-            sliding_limit(system, contact, residual),
-            initial,
-        ),
-    )
+    fine_limit = sliding_limit(system, contact, residual)
+
+    def transported(opening: np.ndarray) -> tuple[np.ndarray, ...]:
+        returned = correction.transport(reach, opening, fine_slip, fine_limit, initial)
+        return _transported(correction, coarse, returned)
+
+    gap, slip, limit = transported(contact.gap - values[:, 0])
+    lowest = None
+    if contact.lowest is not None:
+        lowest = -transported(values[:, 0] - contact.lowest)[0]
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
-    return NodalContact(gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit))
+    return NodalContact(
+        gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit), lowest=lowest
+    )
 
 
 def _transported(
@@ -270,6 +271,8 @@ def _tangential_part(rotation: np.ndarray) -> np.ndarray:
     """Normal to normal exactly; tangents by the nearest rotation, the identity in 2D."""
     result = np.zeros_like(rotation)
     result[:, 0, 0] = 1.0
+    if rotation.shape[1] == 1:
+        return result
     if rotation.shape[1] == 2:
         result[:, 1, 1] = 1.0
         return result
@@ -699,7 +702,7 @@ class NestedStart:
 def project(local: LocalProblem, unknowns: np.ndarray) -> None:
     """Put normal displacements that exceed the gap back onto the obstacle, in place."""
     normal = local.system.nodes.astype(np.int64) * local.system.dim
-    unknowns[normal] = np.minimum(unknowns[normal], local.contact.gap)
+    unknowns[normal] = local.contact.clamped(unknowns[normal])
 
 
 def prolonged_start(

@@ -112,6 +112,8 @@ class RigidMotions:
     ) -> RigidMotions | None:
         """Return the free motions of a problem, None if it has none or its near_nullspace is
         unknown."""
+        if problem.dim == 1:  # a constant, which truncation shifts
+            return None
         coefficients, cartesian = _free_motions(problem)
         if not coefficients.shape[1]:
             return None

@@ -53,7 +53,7 @@ class TruncatedContact:
     diagonal: np.ndarray  # (n_contact * dim * dim,): Cartesian diagonal blocks
     blocks: np.ndarray  # (n_contact * dim * (dim + 1) / 2,): upper triangles of the local ones
     gap: np.ndarray  # (n_contact,), m
-    reference: np.ndarray  # (n_contact * (dim - 1),)
+    reference: np.ndarray  # (n_contact * (dim - 1),); of scalar problems the lowest values
     limit: np.ndarray  # (n_contact,), N
     friction: np.ndarray  # (n_contact,)
     values: np.ndarray  # (n_contact * dim,): local unknowns
@@ -84,7 +84,7 @@ class TruncatedContact:
             diagonal.reshape(-1),
             np.ascontiguousarray(local[:, row, column]).reshape(-1),
             contact.gap,
-            contact.slip_reference.reshape(-1),
+            contact.reference,
             contact.limit,
             contact.friction,
             np.zeros(n * dim),
@@ -101,7 +101,7 @@ class TruncatedContact:
         return replace(
             self,
             gap=contact.gap,
-            reference=contact.slip_reference.reshape(-1),
+            reference=contact.reference,
             driven=contact.driven,
             codes=np.full_like(self.codes, -1),
         )
@@ -130,11 +130,15 @@ class TruncatedContact:
     @property
     def conditions(self) -> NodalContact:
         """Return the contact conditions, as the parts in contact frames read them."""
+        n = len(self.nodes)
+        if self.dim == 1:
+            slips = np.empty((n, 0))
+            return NodalContact(self.gap, slips, self.limit, self.friction, lowest=self.reference)
         held = None
         if len(self.driven):
-            held = np.zeros(len(self.nodes), dtype=bool)
+            held = np.zeros(n, dtype=bool)
             held[self.driven] = True
-        reference = self.reference.reshape(len(self.nodes), self.dim - 1)
+        reference = self.reference.reshape(n, self.dim - 1)
         return NodalContact(self.gap, reference, self.limit, self.friction, held)
 
     def start(self, unknowns: np.ndarray) -> None:
@@ -154,6 +158,9 @@ class TruncatedContact:
         before = self.values.reshape(n, dim)[:, 0]
         change = np.einsum("nd,nd->n", normals, unknowns.reshape(-1, dim)[self.nodes]) - before
         left = self.gap - before
+        if self.dim == 1:
+            left = np.where(change > 0, left, before - self.reference)
+            change = np.abs(change)
         closing = (self.codes & CLOSED == 0) & (change > left)
         return float((left[closing] / change[closing]).min(initial=1.0))
 
@@ -167,6 +174,8 @@ class TruncatedContact:
     def linearise_friction(self) -> None:
         """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns;
         zero elsewhere."""
+        if self.dim == 1:
+            return
         slip = self.values.reshape(-1, self.dim)[:, 1:] - self.reference.reshape(-1, self.dim - 1)
         direction = np.zeros(slip.shape)
         hessian = np.zeros((*slip.shape, self.dim - 1))
@@ -224,7 +233,7 @@ class TruncatedContact:
         cut."""
         cut = self._project(unknowns, True)
         self._clear(unknowns)
-        self.values.reshape(-1, self.dim)[self.driven, 1] = 0.0
+        self.values.reshape(-1, self.dim)[self.driven, 1:2] = 0.0
         return cut
 
     def project_by(
@@ -247,8 +256,8 @@ class TruncatedContact:
             "project: what project returns", project(self.conditions, before.copy(), after), shape
         )
         values = np.where(held, before, values)
-        values[:, 0] = np.minimum(values[:, 0], self.gap)
-        values[self.driven, 1] = 0.0
+        values[:, 0] = self.conditions.clamped(values[:, 0])
+        values[self.driven, 1:2] = 0.0
         self.values[:] = values.reshape(-1)
         unknowns.reshape(-1, self.dim)[self.nodes] = from_frames(frames, values)
 
@@ -275,6 +284,8 @@ class TruncatedContact:
         """Return the slope of sum g |slip| along the step from local unknowns ``before`` less that
         at its beginning; slipping nodes only."""
         shape = len(self.nodes), self.dim
+        if self.dim == 1:
+            return lambda alpha: 0.0
         at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         change = (self.values - before).reshape(shape)[at, 1:]
         before = before.reshape(shape)[at, 1:]
@@ -316,7 +327,7 @@ def classify(
         r = times(frames, dim * dim * k, read(residual, dim * np.uint64(nodes[k]), zero))
         w = read(values, dim * k, zero)
         place = read_reference(reference, k, zero)
-        code = CLOSED if w[0] == gap[k] else 0
+        code = CLOSED if _touches(w, gap[k], place) else 0
         if limit[k] > 0.0 or (code and friction[k] > 0.0):
             code += _tangential(w, place)
         changed += code != codes[k]
@@ -330,8 +341,18 @@ def classify(
 
 
 @in_loop
+def _touches(w, gap, reference):
+    """Return whether a node is at an obstacle: of scalar problems there are two."""
+    if len(w) == 1:
+        return w[0] == gap or w[0] == reference[0]
+    return w[0] == gap
+
+
+@in_loop
 def _tangential(w, reference):
     """The code of the slip; in 3D it is without direction."""
+    if len(w) == 1:
+        return 0
     if len(w) == 2:
         if w[1] == reference[0]:
             return HELD
@@ -403,9 +424,12 @@ def project(dim, codes, nodes, frames, gap, reference, values, u, local, move):
                 local[a] += frames[(dim * k + a) * dim + b] * u[at + b]
         tangential = codes[k] & TANGENTIAL
         if codes[k] & CLOSED:
-            local[0] = gap[k]
+            local[0] = values[dim * k]  # the gap, of scalar problems on either side
         elif local[0] > gap[k]:
             local[0] = gap[k]
+            cut += 1
+        elif dim == 1 and local[0] < reference[k]:
+            local[0] = reference[k]
             cut += 1
         stop = tangential == HELD
         if tangential >= SLIPS:

@@ -61,6 +61,8 @@ def write(array, at, v):
 @in_loop
 def nothing(like):
     """Return zeros, as many as ``like`` has entries."""
+    if len(like) == 1:
+        return (0.0,)
     if len(like) == 2:
         return 0.0, 0.0
     return 0.0, 0.0, 0.0
@@ -115,6 +117,8 @@ def negative(v):
 @in_loop
 def multiply(v, w):
     """Multiply component by component."""
+    if len(v) == 1:
+        return (v[0] * w[0],)
     if len(v) == 2:
         return v[0] * w[0], v[1] * w[1]
     return v[0] * w[0], v[1] * w[1], v[2] * w[2]
@@ -176,6 +180,8 @@ def transposed_times(blocks, at, v):
 @in_loop
 def upper(blocks, at, like):
     """Return the upper triangle, row by row, of the block at a position."""
+    if len(like) == 1:
+        return (blocks[at],)
     if len(like) == 2:
         return blocks[at], blocks[at + ONE], blocks[at + THREE]
     return (
@@ -191,6 +197,8 @@ def upper(blocks, at, like):
 @in_loop
 def read_upper(triangles, k, like):
     """Return the k-th of the upper triangles of symmetric blocks."""
+    if len(like) == 1:
+        return (triangles[k],)
     if len(like) == 2:
         at = THREE * k
         return triangles[at], triangles[at + ONE], triangles[at + TWO]
@@ -208,6 +216,8 @@ def read_upper(triangles, k, like):
 @in_loop
 def over(m, divisor):
     """Return an upper triangle over a number."""
+    if len(m) == 1:
+        return (m[0] / divisor,)
     if len(m) == 3:
         return m[0] / divisor, m[1] / divisor, m[2] / divisor
     return (
@@ -223,6 +233,8 @@ def over(m, divisor):
 @in_loop
 def plus_symmetric(v, m, w):
     """Return v + M w, M symmetric, given by its upper triangle."""
+    if len(v) == 1:
+        return (v[0] + m[0] * w[0],)
     if len(v) == 2:
         return v[0] + m[0] * w[0] + m[1] * w[1], v[1] + m[1] * w[0] + m[2] * w[1]
     return (
@@ -236,6 +248,8 @@ def plus_symmetric(v, m, w):
 def inverse_square(blocks, at, v):
     """Return v' B^-1 v for the symmetric block B at a position."""
     m = upper(blocks, at, v)
+    if len(v) == 1:
+        return v[0] * v[0] / m[0]
     if len(v) == 2:
         return (m[2] * v[0] * v[0] - 2.0 * m[1] * v[0] * v[1] + m[0] * v[1] * v[1]) / (
             m[0] * m[2] - m[1] * m[1]

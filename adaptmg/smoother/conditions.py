@@ -21,7 +21,8 @@ A node is active where :math:`z_n > 0`, sticks where :math:`|z_t| \le B > 0` and
 Newton step
 :math:`\delta` then satisfies (S. Hueber, G. Stadler, B. Wohlmuth, SIAM J. Sci. Comput. 30, 2008, doi:10.1137/060671061)
 
-- active :math:`\delta_n = g_0 - w_n`, otherwise :math:`(A\delta)_n = q_n`;
+- active :math:`\delta_n = g_0 - w_n` (of a scalar problem to the obstacle on that side), otherwise
+  :math:`(A\delta)_n = q_n`;
 - stick :math:`\delta_t = -\tau`;
 - slip, with :math:`z = z_t/|z_t|,\ \Pi = I - z z^T` and :math:`\mu = 0` where not active,
 
@@ -68,7 +69,7 @@ def natural_at_nodes(
         ZERO[dim],
         np.ascontiguousarray(blocks).reshape(-1),
         contact.gap,
-        contact.slip_reference.reshape(-1),
+        contact.reference,
         contact.limit,
         contact.friction,
         np.ascontiguousarray(values).reshape(-1),
@@ -107,7 +108,8 @@ def states(
     to ``small`` (m) counts as zero."""
     slip = np.linalg.norm(values[:, 1:] - contact.slip_reference, axis=1)
     held = (slip <= small) & (contact.limit + contact.friction * normal_force > 0)
-    return contact_states(contact_codes(~(contact.gap - values[:, 0] > small), held), normal_force)
+    closed = ~(contact.opening(values[:, 0]) > small)
+    return contact_states(contact_codes(closed, held), normal_force)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +150,9 @@ def linearise(
     factor: float,
 ) -> Linearised:
     """Decide the status of every contact node and set up its equations."""
+    if contact.lowest is not None:
+        aim = unknowns + residual / (factor * stiffness)
+        return _clamped(contact, unknowns, residual, aim[:, 0])
     tangential = factor * stiffness[:, 1:].max(axis=1)
     with np.errstate(invalid="ignore"):
         augmented = residual[:, 0] + factor * stiffness[:, 0] * (unknowns[:, 0] - contact.gap)
@@ -187,8 +192,33 @@ def _beside_held(
     return equations
 
 
+def _clamped(
+    contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, aim: np.ndarray
+) -> Linearised:
+    """The equations of nodes with one unknown: those that aim (n_contact,) beyond an obstacle are
+    active there."""
+    n = len(aim)
+    none = np.empty((n, 0))
+    target = contact.clamped(aim)
+    active = np.isfinite(target) & (target != aim)
+    change = np.where(active, target - unknowns[:, 0], 0.0)
+    return Linearised(
+        active=active,
+        slip=np.ones(n, dtype=bool),
+        direction=none,
+        coupling=np.zeros(n),
+        curvature=none[:, :, None],
+        force=residual.copy(),
+        prescribed=active[:, None],
+        change=change[:, None],
+    )
+
+
 def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) -> Linearised:
     """Let every node that has an obstacle touch and, where the law has friction, stick."""
+    if contact.lowest is not None:
+        below = contact.gap - unknowns[:, 0] > unknowns[:, 0] - contact.lowest
+        return _clamped(contact, unknowns, residual, np.where(below, -np.inf, np.inf))
     active = np.isfinite(contact.gap)
     slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
     zero = np.zeros(len(active))

@@ -33,9 +33,9 @@ from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system, turn_held
 
 #: dofs up to which factorisations take over where cycles do not converge, by dimension
-FACTORISED = {2: 200_000, 3: 60_000}
+FACTORISED = {1: 200_000, 2: 200_000, 3: 60_000}
 #: entries in a row of a matrix of linear elements
-_ENTRIES = {2: 15, 3: 45}
+_ENTRIES = {1: 7, 2: 15, 3: 45}
 
 
 def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
@@ -327,7 +327,7 @@ def eliminate(
 
 
 #: dofs up to which the condensation of a problem is remembered, by dimension
-REMEMBERED = {2: 10_000, 3: 3_000}
+REMEMBERED = {1: 10_000, 2: 10_000, 3: 3_000}
 
 
 def condense_problem(problem: DiscreteProblem, lenient: bool = False) -> Condensed:

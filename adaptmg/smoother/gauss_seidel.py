@@ -130,7 +130,7 @@ class ProjectedGaussSeidel:
                 system.inverse,
                 system.contact_of,
                 contact.gap,
-                contact.slip_reference.reshape(-1),
+                contact.reference,
                 contact.limit,
                 contact.friction,
                 load,

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from scipy import linalg
@@ -55,6 +55,7 @@ class Conditions:
     slip_reference: np.ndarray
     limit: np.ndarray
     friction: np.ndarray
+    lowest: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,8 @@ def interior_point(
     """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in ``most`` steps or
     fewer. ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible
     displacement."""
+    if contact.lowest is not None and np.isfinite(contact.lowest).any():
+        return _between(unknowns, load, contact, stiffness, tolerance, offset, most)
     springs = list(_SPRINGS)
     method = _Method(unknowns, load, contact, springs.pop(0) * stiffness, offset)
     best = method.iterate()
@@ -98,6 +101,69 @@ def interior_point(
         steps = steps + 1
         best, since = (present, 0) if present.slack < best.slack else (best, since + 1)
     return replace(best, steps=steps)
+
+
+def _between(
+    unknowns: Span,
+    load: np.ndarray,
+    contact: NodalContact | Conditions,
+    stiffness: np.ndarray,
+    tolerance: float,
+    offset: np.ndarray | float,
+    most: int,
+) -> Interior:
+    """As :func:`interior_point`, with a second obstacle at some nodes: each is a further node, whose
+    displacement is that of the first one turned round."""
+    lowest = cast("np.ndarray", contact.lowest)
+    n = len(lowest)
+    span = _TwoSided(unknowns, np.flatnonzero(np.isfinite(lowest)))
+    conditions = Conditions(
+        gap=np.append(contact.gap, -lowest[span.nodes]),
+        slip_reference=np.zeros((n + len(span.nodes), 0)),
+        limit=np.zeros(n + len(span.nodes)),
+        friction=np.zeros(n + len(span.nodes)),
+    )
+    both = interior_point(
+        span,
+        load,
+        conditions,
+        np.concatenate([stiffness, stiffness[span.nodes]]),
+        tolerance,
+        span.doubled(np.broadcast_to(offset, (n, 1))),
+        most,
+    )
+    return replace(both, values=both.values[:n], forces=span.summed(both.forces, -1.0))
+
+
+class _TwoSided:
+    """Unknowns of which some nodes have a second obstacle; see :class:`Span`."""
+
+    def __init__(self, unknowns: Span, nodes: np.ndarray) -> None:
+        self.unknowns = unknowns
+        self.nodes = nodes
+
+    def doubled(self, values: np.ndarray) -> np.ndarray:
+        """Return values (n, 1) of the nodes, and those of the further ones behind."""
+        return np.concatenate([values, -values[self.nodes]])
+
+    def summed(self, parts: np.ndarray, sign: float) -> np.ndarray:
+        """Return the parts of the nodes, with ``sign`` times those of the further ones."""
+        n = len(parts) - len(self.nodes)
+        total = parts[:n].copy()
+        total[self.nodes] += sign * parts[n:]
+        return total
+
+    def product(self, unknowns: np.ndarray) -> np.ndarray:
+        return self.unknowns.product(unknowns)
+
+    def values(self, unknowns: np.ndarray) -> np.ndarray:
+        return self.doubled(self.unknowns.values(unknowns))
+
+    def restricted(self, forces: np.ndarray) -> np.ndarray:
+        return self.unknowns.restricted(self.summed(forces, -1.0))
+
+    def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        return self.unknowns.factors(self.summed(blocks, 1.0))
 
 
 class _Method:

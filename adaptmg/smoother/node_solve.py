@@ -29,6 +29,9 @@ must be decoupled there, and its entry :math:`M_{11}` is given with the sign tur
 one equation for :math:`\tau_2`, with the friction :math:`(s + \mu p)\,\tau_2/\sqrt{\tau_1^2 +
 \tau_2^2}`, which has one root.
 
+A node with one unknown (a scalar problem) has no tangent, but may have an obstacle on each side: w is
+c / M, clamped. Its lowest value stands where others have the displacement of zero slip.
+
 The bound is never lagged: p is p of the solution. A solution exists for every mu >= 0; in 2D it is
 unique if
 :math:`\mu|a| < b`. Where several exist the first of open, stick, slip is taken. If open is rejected, every root of the
@@ -54,8 +57,10 @@ MAX_STEPS = 200
 
 @in_loop
 def solve(m, c, gap, reference, limit, friction):
-    """Solve the problem of one node in 2D or 3D: block (upper triangle), force and reference as
-    tuples, so is w."""
+    """Solve the problem of one node with one to three unknowns: block (upper triangle), force and
+    reference as tuples, so is w."""
+    if len(c) == 1:
+        return (min(max(c[0] / m[0], reference[0]), gap),)
     if len(c) == 2:
         return solve_2d(m[0], m[1], m[2], c[0], c[1], gap, reference[0], limit, friction)
     return solve_3d(
@@ -87,8 +92,8 @@ def natural_at(d, r, w, gap, reference, limit):
 @in_loop
 def read_reference(reference, k, like):
     """Return the tangential displacement of zero slip of contact node k, a tuple with one entry
-    less than ``like``."""
-    if len(like) == 2:
+    less than ``like``; of a node with one unknown its lowest value."""
+    if len(like) < 3:
         return (reference[k],)
     return reference[TWO * k], reference[TWO * k + ONE]
 

@@ -46,6 +46,25 @@ class NodalContact:
     limit: np.ndarray  # (n_contact,): nodal Tresca limit, N
     friction: np.ndarray  # (n_contact,): Coulomb coefficient
     held: np.ndarray | None = None  # (n_contact,) bool
+    #: (n_contact,): smallest normal displacement, m, -inf without a second obstacle; of scalar
+    #: problems only, None of others
+    lowest: np.ndarray | None = None
+
+    @property
+    def reference(self) -> np.ndarray:
+        """The flat array that kernels read next to the gap: displacements of zero slip, of scalar
+        problems the lowest values."""
+        return self.slip_reference.reshape(-1) if self.lowest is None else self.lowest
+
+    def opening(self, normal: np.ndarray) -> np.ndarray:
+        """Return the distances (n_contact,), m, of normal displacements to the nearest obstacle."""
+        above = self.gap - normal
+        return above if self.lowest is None else np.minimum(above, normal - self.lowest)
+
+    def clamped(self, normal: np.ndarray) -> np.ndarray:
+        """Return normal displacements (n_contact,) put back between the obstacles, m."""
+        below = np.minimum(normal, self.gap)
+        return below if self.lowest is None else np.maximum(below, self.lowest)
 
     @property
     def driven(self) -> np.ndarray:
@@ -228,6 +247,7 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         limit=np.array(limit, dtype=np.float64),
         friction=np.array(friction, dtype=np.float64),
         held=normal_held,
+        lowest=-problem.contact.opposite_gaps - lifted[:, 0] if problem.dim == 1 else None,
     )
 
 

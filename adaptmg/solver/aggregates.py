@@ -38,10 +38,10 @@ from adaptmg.smoother.blocks import ONE, ZERO, in_loop, increase, inner, read, s
 from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_point
 
 #: nodes of an aggregate and its depth in the graph, by dimension
-_SIZE = {2: (64, 4), 3: (80, 3)}
+_SIZE = {1: (64, 4), 2: (64, 4), 3: (80, 3)}
 #: beyond this number of nodes, by dimension: least nodes of an aggregate, and about the most aggregates, which bound
 #: the cost of the coarse matrix
-_MANY, _LARGE, _MOST = {2: 40_000, 3: 24_000}, 100, {2: 1800, 3: 200}
+_MANY, _LARGE, _MOST = {1: 40_000, 2: 40_000, 3: 24_000}, 100, {1: 3600, 2: 1800, 3: 200}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
 #: of the diagonal, added to it: a status may take motions from an aggregate
@@ -138,7 +138,7 @@ class Aggregates:
         size, depth = _SIZE[dim]
         if n > _MANY[dim]:
             size = max(_LARGE, n // _MOST[dim])
-            depth = round(0.9 * size ** (1 / dim))
+            depth = round(0.9 * size ** (1 / max(dim, 2)))
         sizes = np.repeat([size, round(size ** ((dim - 1) / dim))], bodies)
         label = np.full(n, -1, dtype=np.int32)
         _grow(
@@ -158,9 +158,10 @@ class Aggregates:
         self.label = label[inside]
         self.count = int(label.max(initial=-1)) + 1
         self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
-        self.motions = self._rigid(
-            np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates, inside
-        )
+        self.motions = np.ones((len(self.label), 1, 1))  # of scalar problems a constant
+        if dim > 1:
+            points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
+            self.motions = self._rigid(points, inside)
         # a narrow band: the place of each aggregate, and how far it reaches
         pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
         found = _adjacent(matrix.indptr, matrix.indices, label, *pairs)
@@ -207,7 +208,7 @@ def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, ba
     * dim,) comes as 0: what the matrix makes there of the motions of one aggregate, until the next
     one comes."""
     dim = np.uint64(len(zero))
-    modes = np.uint64(3 * len(zero) - 3)
+    modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
     for i in range(len(indptr) - 1):
         if starts[i] == starts[i + 1]:
             continue
@@ -246,7 +247,7 @@ def _transfer(down, starts, label, motions, place, zero, vector, values):
     """Add the work of a vector (n_dofs,) on the motions of the aggregates to ``values``
     (n_coarse,), or up the motions times ``values`` to the vector."""
     dim = np.uint64(len(zero))
-    modes = 3 * len(zero) - 3
+    modes = len(zero) * (len(zero) + 1) // 2
     for i in range(len(starts) - 1):
         for at in range(starts[i], starts[i + 1]):
             for q in range(modes):
@@ -427,8 +428,10 @@ def changed_status(
     limit: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces
-    (n_contact, dim) that it ends with; None if it is not found. ``stiffness`` and ``limit``
+    (n_contact, dim) that it ends with; None if it is not found, or of a scalar problem. ``stiffness`` and ``limit``
     (n_contact,): of the nodes, N/m, and of friction without pressure, N."""
+    if problem.dim == 1:
+        return None
     coarse = _smoothed_of(problem)
     load = coarse.span.T @ residual
     n = len(problem.contact)

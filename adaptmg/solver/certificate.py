@@ -273,12 +273,13 @@ class Evidence:
         pressures: np.ndarray = NO_PRESSURES,
         residual: np.ndarray | None = None,
     ) -> None:
+        shape = (problem.n_nodes, problem.dim)
+        self.u = displacement.reshape(shape)
+        problem = problem.facing(self.u)
         self.problem = problem
         self.contact = contact
         self.pressures = pressures
         self.nodes = problem.contact.nodes
-        shape = (problem.n_nodes, problem.dim)
-        self.u = displacement.reshape(shape)
         self.unknowns = problem.relative(self.u)
         load = problem.load - problem.volumes.forces(pressures)
         residual = (

@@ -76,7 +76,7 @@ _FREE = 1e-5
 #: constants)
 _SHIFT, _REFINEMENTS, _BALANCED = 1e-14, 4, 1e-6
 #: dofs up to which a factorisation is taken where the steps do not settle, by dimension
-FACTORISED = {2: 100_000, 3: 30_000}
+FACTORISED = {1: 100_000, 2: 100_000, 3: 30_000}
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +100,8 @@ class FrozenStatus:
 def _inverses(problem: DiscreteProblem) -> np.ndarray:
     """The inverses of the diagonal blocks by cofactors."""
     blocks = nodal_blocks(problem)
+    if blocks.shape[1] == 1:
+        return 1 / blocks
     if blocks.shape[1] == 2:
         adjugates = np.empty_like(blocks)
         adjugates[:, 0, 0], adjugates[:, 1, 1] = blocks[:, 1, 1], blocks[:, 0, 0]

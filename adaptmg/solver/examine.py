@@ -329,9 +329,15 @@ class Examiner:
         held = self.held
         contact = self.discrete.contact
         small = 1e-12 * np.abs(solved).max(initial=0.0)
-        u = to_frames(frames, discrete.at_contact(solved.reshape(discrete.n_nodes, discrete.dim)))
-        slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
         force = self._at_contact(residual)
+        u = to_frames(frames, discrete.at_contact(solved.reshape(discrete.n_nodes, discrete.dim)))
+        if contact.two_sided:  # the nearest obstacle is reported
+            contact = contact.facing(u[:, 0])
+            turned = contact.normals * frames[:, 0]
+            frames = contact.normals[:, None]
+            force = turned * force
+            u = turned * u
+        slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
         force_n = np.maximum(force[:, 0], 0.0)
         force_t = np.where(held, 0.0, -force[:, 1:])
         limit = self.contact.limit + self.contact.friction * force_n
@@ -514,8 +520,11 @@ class Sizes:
 
 
 def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
-    """Return a sentence for each contact boundary of which a part touches on few nodes."""
+    """Return a sentence for each contact boundary of which a part touches on few nodes; none of
+    scalar problems, whose obstacles lie behind all nodes."""
     advice = []
+    if contact.frames.shape[1] == 1:
+        return advice
     for k, name in enumerate(contact.names):
         on_boundary = contact.boundary == k
         touching = on_boundary & (contact.state != OPEN)

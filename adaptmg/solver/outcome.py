@@ -37,10 +37,10 @@ from adaptmg.solver.steps import Method, Stepped
 _LOG = logging.getLogger(__name__)
 
 #: unknowns up to which one mesh is factorised, by dimension
-FACTORISED = {2: 30_000, 3: 6_000}
+FACTORISED = {1: 30_000, 2: 30_000, 3: 6_000}
 #: unknowns of a coarsest level from which its factors cost much, and nodes of a level over those of the next coarser
 #: one below which, there, the two are too close
-LARGE_COARSEST, WIDE = 1500, {2: 2, 3: 4}
+LARGE_COARSEST, WIDE = 1500, {1: 2, 2: 2, 3: 4}
 
 
 def tolerance_argument(rtol: float | None, solver: Solver | Method | None) -> float | None:

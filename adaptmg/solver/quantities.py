@@ -43,7 +43,7 @@ class Quantities:
 
     @property
     def dim(self) -> int:
-        """Return the space dimension."""
+        """Return the space dimension, of scalar problems 1."""
         return self.displacement.shape[1]
 
     def probe(self, points: ArrayLike) -> np.ndarray:
@@ -207,13 +207,15 @@ class Quantities:
         closed[contact.node[chosen & contact.closed]] = True
         points = [mesh.points[closed]]
         for number in np.unique(contact.boundary[chosen]):
-            facets = mesh.boundary_facets(contact.names[number])
+            facets = mesh.elements
+            if self.dim > 1:
+                facets = mesh.boundary_facets(contact.names[number])
             for a, b in combinations(facets.T, 2):
                 ends = closed[a] != closed[b]
                 points.append(0.5 * (mesh.points[a[ends]] + mesh.points[b[ends]]))
         surface = np.concatenate(points)
         if not len(surface):
-            return np.zeros(self.dim)
+            return np.zeros(mesh.dim)
         low = surface.min(axis=0)
         high = surface.max(axis=0)
         # up to rounding, as in meshes that are turned profiles
@@ -230,17 +232,17 @@ class Quantities:
         import pandas
 
         contact = self.contact
-        axes = "xyz"[: self.dim]
+        axes = "xyz"[: need_mesh(self).dim]
         force_unit, area_unit = contact.units
         moment_unit = "N m" if self.dim == 3 else "N"
         moment_axes = axes if self.dim == 3 else "z"
-        if contact.axisymmetric:
+        if contact.axisymmetric or self.dim == 1:
             moment_axes = ""
         rows = []
         for number, (name, pair) in enumerate(zip(contact.names, contact.pair_names, strict=True)):
             on_boundary = contact.boundary == number
             total = self.resultant(name)
-            turning = total.turning
+            turning = total.turning if self.dim > 1 else np.empty(0)
             largest = contact.pressure[on_boundary].max(initial=0.0)
             area = contact.measures[on_boundary & contact.closed].sum()
             rows.append(
@@ -248,7 +250,7 @@ class Quantities:
                     "pair": pair,
                     **contact.counts(on_boundary),
                     f"area [{area_unit}]": area,
-                    **_columns("force", force_unit, axes, total.force),
+                    **_columns("force", force_unit, "u" if self.dim == 1 else axes, total.force),
                     **_columns("moment", moment_unit, moment_axes, turning),
                     **_columns("half_width", "m", axes, self._extent(on_boundary)),
                     "max_pressure [Pa]": largest,
@@ -295,7 +297,7 @@ class Quantities:
         checks.instance("boundary", boundary, str, "a string")
         nodes, forces = self._forces_on(boundary)
         total = forces.sum(axis=0)
-        if self.mesh is None:
+        if self.mesh is None or self.dim == 1:
             return Resultant(total, None)
         about = np.zeros(self.dim) if about is None else checks.vector("about", about, self.dim)
         turning = moment(self.mesh.points[nodes] - about, forces)

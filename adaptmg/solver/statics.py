@@ -178,6 +178,8 @@ class _Body:
 
     def _words(self, nodes: np.ndarray, field: np.ndarray) -> str:
         """A motion (n, dim) of some nodes as text."""
+        if self.problem.dim == 1:
+            return "constant"
         motions, centre, size = _axis_motions(self.problem, nodes)
         twist = np.linalg.lstsq(motions, field.reshape(-1), rcond=None)[0]
         most = 1e-6 * np.abs(field).max()
@@ -336,7 +338,9 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     corners, directions, half_length = _friction_polygon(dim)
     edges = friction[rubbing, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubbing])
     k = body.motions.shape[1]
-    edges = np.concatenate([-normal[~rubbing], (edges - normal[rubbing, None]).reshape(-1, k)])
+    front = ~rubbing & np.isfinite(contact.gaps[on_body])
+    behind = normal[np.isfinite(contact.opposite_gaps[on_body])] if dim == 1 else normal[:0]
+    edges = np.concatenate([-normal[front], behind, (edges - normal[rubbing, None]).reshape(-1, k)])
     segments = np.einsum("st,ntk->nsk", directions, tangential[limited]).reshape(-1, k)
     return _Forces(edges.T, segments.T, np.repeat(limit[limited] * half_length, len(directions)))
 
@@ -363,6 +367,8 @@ def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray)
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Corners (n, dim - 1) of the polygon about the unit disc; directions and half length of the
     segments it sums."""
+    if dim == 1:
+        return np.empty((0, 0)), np.empty((0, 0)), 0.0
     if dim == 2:
         return np.array([[1.0], [-1.0]]), np.array([[1.0]]), 1.0
     angle = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
@@ -396,7 +402,7 @@ def _axis_motions(
     centre = np.zeros(problem.dim)
     size = 1.0
     columns = [np.tile(axis, (len(nodes), 1)) for axis in np.eye(dim)]
-    if problem.coordinates is not None:
+    if problem.coordinates is not None and dim > 1:
         x = problem.coordinates[nodes]
         centre = x.mean(axis=0)
         size = float(np.ptp(x, axis=0).max())
@@ -464,11 +470,13 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
     """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is
     not cheap, or bodies are held by contact, the one with all other nodes of the finest held, which
     is larger."""
+    finest = grids.finest.discrete
+    if not finest.law.bounds(len(finest.contact))[1].any():
+        return
     examined = grids[0].discrete_or_none
     critical = np.array([np.nan])
     if (
         examined is not None
-        and examined.law.bounds(len(examined.contact))[1].any()
         and examined.n_dofs <= _SMALL
         and (len(examined.contact) * examined.dim <= _SMALL_CONTACT)
     ):
@@ -477,7 +485,7 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
         ):  # a singular interior is refused elsewhere
             critical = critical_friction(examined)
     if examined is None or np.isnan(critical).any():
-        examined = grids.finest.discrete
+        examined = finest
         critical = _critical(contact_blocks(examined))
     friction = examined.law.bounds(len(examined.contact))[1]
     beyond = friction >= critical

@@ -63,6 +63,7 @@ from adaptmg.discrete.coordinates import relative_prolongation
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.laws import NodalLaw
 from adaptmg.transfer.interpolation import CLIP, Transfer, csr_from_weights, nodes_of_bodies
 
 
@@ -359,6 +360,45 @@ def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     return sets.reduced(np.maximum, opening, np.inf)
 
 
+def restricted_problem(
+    fine: DiscreteProblem, nodal: sparse.csr_array, matrix: sparse.bsr_array
+) -> DiscreteProblem:
+    """Return the contact problem on a coarse space, from its Galerkin matrix and the nodal
+    prolongation from there: with the smallest gap over each S_k, the mean normal, summed limits and
+    the coefficient of the fine node with the largest weight.
+
+    ValueError for a prolongation of dofs, or with negative weights at contact nodes."""
+    if nodal.shape[0] != fine.n_nodes:
+        raise ValueError(
+            "contact=True needs prolongations of nodes (n_nodes, n_nodes coarse), got one of shape "
+            f"{nodal.shape}: give those, or leave contact=False"
+        )
+    contact = fine.contact
+    rows = sparse.csr_array(nodal[contact.nodes], copy=True)
+    rows.eliminate_zeros()
+    nodes = np.unique(rows.indices)
+    weights = sparse.csr_array(rows[:, nodes])
+    reach = supports(weights)
+    normals = weights.T @ (contact.weights[:, None] * contact.normals)
+    limit, friction = fine.law.bounds(len(contact))
+    return DiscreteProblem(
+        matrix=matrix,
+        load=(nodal.T @ fine.load_from_prescribed().reshape(-1, fine.dim)).reshape(-1),
+        fixed=np.zeros(matrix.shape[0], dtype=bool),
+        law=NodalLaw(summed_limit(reach, limit), reach.injected(friction, 0.0)),
+        contact=ContactNodes(
+            nodes=nodes,
+            normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
+            gaps=smallest_gap(reach, contact.gaps),
+            opposite_gaps=smallest_gap(reach, contact.opposite_gaps),
+            weights=weights.T @ contact.weights,
+            slip_reference=reach.injected(contact.slip_reference, 0.0),
+            allow_interference=True,
+        ),
+        name=f"{fine.name}, coarse",
+    )
+
+
 def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     """Return the opening of the fine node with the largest weight in S_k; as :func:`smallest_gap`.
     No guarantee."""
@@ -377,6 +417,8 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     empty. In 3D slips within 1e-6 rad of the shortest count as parallel to it; the guarantee then
     holds up to 1e-6 ``sum_i g_i sum_k P_ik |E_k|``."""
     slip = slip if stick is None else np.where(stick[:, None], 0.0, slip)
+    if slip.shape[1] == 0:
+        return np.empty((len(sets.main), 0))
     if slip.shape[1] == 1:
         # one of the two is 0 unless all have one sign
         low = sets.reduced(np.minimum, slip, 0.0)

@@ -190,4 +190,11 @@ def aggregated_prolongations(
             max_levels=10,
         )
     found = [sparse.csr_array(level.P) for level in made.levels[:-1]]
+    if dim == modes.shape[1] == 1:
+        # coarse unknowns are values, for which a coarse obstacle makes sense: rows with sum 1
+        sizes = [np.where(level.B[:, 0] != 0.0, level.B[:, 0], 1.0) for level in made.levels]
+        found = [
+            sparse.csr_array(sparse.diags_array(1 / fine) @ P @ sparse.diags_array(coarse))
+            for fine, P, coarse in zip(sizes, found, sizes[1:], strict=False)
+        ]
     return found[::-1]

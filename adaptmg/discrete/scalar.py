@@ -1,0 +1,126 @@
+r"""ScalarProblem: one unknown a node, a membrane over or between obstacles, say, on meshes of the
+package.
+
+.. math:: -\nabla\cdot(k\,\nabla u) = f,\qquad l \le u \le h,
+
+with u given on a part of the boundary and limits at the nodes, by linear elements, with equality
+where no limit is met. For a membrane k is its tension (N/m), f a pressure and u a deflection; for
+Prandtl's stress function of a twisted bar u is bounded by the yield stress in shear times the
+distance to the boundary. Elsewhere on the boundary no flux enters. The obstacle acts by nodal
+forces; over the lumped masses :math:`\int\varphi_i` they are pressures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _checks as checks
+from adaptmg._checks import FieldLike
+from adaptmg._text import brief, html_fields
+from adaptmg.discrete.contact_nodes import Bounds
+from adaptmg.discrete.elasticity import shape_gradients
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.geometry.quadrature import integration
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.plane_domains import Domain
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScalarProblem:
+    """A scalar problem with limits, for :meth:`adaptmg.Hierarchy.from_meshes` and ``uniform``.
+
+    Parameters
+    ----------
+    domain : Domain, optional
+        For ``uniform``; meshes may be given instead.
+    conductivity : float or callable
+        k > 0, number or function of position, taken at the centroids of elements.
+    load : float or callable
+        f per area (3D: volume), number or function of position.
+    lower, upper : float or callable, optional
+        Limits of u at the nodes, numbers or functions of position; None: no limit.
+    held : sequence of str, optional
+        Boundaries where u is prescribed; default all.
+    value : float or callable
+        What u is there.
+    name : str
+    reference : mapping
+        Known quantities of the solution, for cases.
+
+    Examples
+    --------
+    >>> membrane = am.ScalarProblem(domain=am.Rectangle(width=1.0, height=1.0), load=-1.0, lower=-0.05)
+    >>> grids = am.Hierarchy.uniform(membrane, divisions=(4, 8, 16))
+    >>> round(float(am.solve(grids).displacement.min()), 3)
+    -0.05
+    """
+
+    domain: Domain | None = None
+    conductivity: FieldLike = 1.0
+    load: FieldLike = 0.0
+    lower: FieldLike | None = None
+    upper: FieldLike | None = None
+    held: Sequence[str] | None = None
+    value: FieldLike = 0.0
+    name: str = "scalar problem"
+    reference: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = brief
+    _repr_html_ = html_fields
+
+    def __post_init__(self) -> None:
+        checks.boundary_name("name", self.name)
+        if self.held is not None:
+            object.__setattr__(self, "held", checks.strings("held", self.held))
+
+    def on(self, mesh: MeshArrays) -> DiscreteProblem:
+        """Return the problem discretised on a mesh of triangles or tetrahedra.
+
+        ValueError for boundaries that the mesh has not, a conductivity that is not positive, and
+        limits that leave no room."""
+        checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
+        fixed = np.zeros(mesh.n_nodes, dtype=bool)
+        for boundary in mesh.boundaries if self.held is None else self.held:
+            fixed[mesh.boundary_nodes(boundary)] = True
+        values = np.zeros(mesh.n_nodes)
+        values[fixed] = checks.field("value", self.value, mesh.points[fixed])
+        limits = {
+            name: None if limit is None else checks.field(name, limit, mesh.points)
+            for name, limit in (("lower", self.lower), ("upper", self.upper))
+        }
+        cells = mesh.elements
+        masses = np.bincount(
+            cells.reshape(-1), np.repeat(mesh.volumes / cells.shape[1], cells.shape[1])
+        )
+        return DiscreteProblem(
+            matrix=self._stiffness(mesh),
+            load=self._load(mesh),
+            fixed=fixed,
+            fixed_values=values,
+            bounds=Bounds(**limits, weights=masses),
+            coordinates=mesh.points,
+            name=f"{self.name}, {mesh.n_nodes} nodes",
+        )
+
+    def _stiffness(self, mesh: MeshArrays) -> sparse.csr_array:
+        slopes, measures = shape_gradients(mesh)
+        centroids = mesh.points[mesh.elements].mean(axis=1)
+        k = checks.field("conductivity", self.conductivity, centroids)
+        if not (k > 0).all():
+            raise ValueError(f"conductivity must be > 0, got {k.min():.6g}")
+        entries = (k * measures)[:, None, None] * (slopes @ slopes.swapaxes(1, 2))
+        row = np.broadcast_to(mesh.elements[:, :, None], entries.shape).reshape(-1)
+        column = np.broadcast_to(mesh.elements[:, None], entries.shape).reshape(-1)
+        shape = (mesh.n_nodes, mesh.n_nodes)
+        # entries that vanish stay: coarse matrices have them
+        return sparse.coo_array((entries.reshape(-1), (row, column)), shape=shape).tocsr()
+
+    def _load(self, mesh: MeshArrays) -> np.ndarray:
+        rule, points, weights = integration(mesh.points, mesh.elements, mesh.volumes, False)
+        density = checks.field("load", self.load, points.reshape(-1, mesh.dim))
+        forces = (weights * density.reshape(weights.shape)) @ rule
+        return np.bincount(mesh.elements.reshape(-1), forces.reshape(-1))
