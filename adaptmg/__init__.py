@@ -5,7 +5,7 @@ throughout.
 
 Problem     ContactProblem; Contact, ContactPair, Tied, Periodic (obstacles Plane, GapFunction,
             Moving, Rigid); Support, Symmetry, Spring, PointSupport, PointSpring; Pressure, Traction, BodyForce,
-            PointForce, InitialStrain, Preload; Frictionless, Coulomb, Tresca; LoadPath
+            PointForce, InitialStrain, Preload; Frictionless, Coulomb, Tresca, StateLaw; LoadPath
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
 Domain      Rectangle, Circle, Polygon, Outline, Cracked; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut,
             Fuse, Common, Moved; Assembly of several bodies; ready problems in cases, problem data

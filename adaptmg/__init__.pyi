@@ -86,6 +86,7 @@ from .problem import (
     Rigid as Rigid,
     Solid as Solid,
     Spring as Spring,
+    StateLaw as StateLaw,
     StepFile as StepFile,
     Support as Support,
     Symmetry as Symmetry,

@@ -34,6 +34,9 @@ class ContactNodes:
         Lumped boundary mass (m in 2D, m^2 in 3D), to turn nodal forces into tractions. Default 1.
     slip_reference : (n_contact, dim) array, optional
         Displacement against which slip is measured, m (only its tangential part counts). Default 0.
+    accumulated_slip : (n_contact,) array, optional
+        Length of the slips before ``slip_reference``, m, which a :class:`adaptmg.StateLaw` sees.
+        Default 0.
     allow_interference : bool
         Accept negative gaps.
     boundary : (n_contact,) array of int, optional
@@ -63,6 +66,7 @@ class ContactNodes:
     gaps: np.ndarray
     weights: np.ndarray
     slip_reference: np.ndarray
+    accumulated_slip: np.ndarray
     allow_interference: bool
     boundary: np.ndarray
     names: tuple[str, ...]
@@ -78,6 +82,7 @@ class ContactNodes:
         gaps: ArrayLike,
         weights: ArrayLike | None = None,
         slip_reference: ArrayLike | None = None,
+        accumulated_slip: ArrayLike | None = None,
         allow_interference: bool = False,
         boundary: ArrayLike | None = None,
         names: tuple[str, ...] = ("contact",),
@@ -117,6 +122,10 @@ class ContactNodes:
                 f"weights must be > 0, and at least {SMALLEST:g}, got {masses.min():.6g}"
             )
         reference = np.zeros_like(directions) if slip_reference is None else slip_reference
+        slid = np.zeros(n) if accumulated_slip is None else accumulated_slip
+        slid = bounded("accumulated_slip", slid, (n,), checks.VAST)
+        if not slid.min(initial=0.0) >= 0:
+            raise ValueError(f"accumulated_slip must be >= 0, got {slid.min():.6g}")
         places = np.zeros(n, dtype=np.int64) if boundary is None else boundary
         places = checks.array("boundary", places, (n,), integer=True)
         if not ((places >= 0) & (places < len(slaves))).all():
@@ -135,6 +144,7 @@ class ContactNodes:
             gaps=distances,
             weights=masses,
             slip_reference=bounded("slip_reference", reference, directions.shape, checks.VAST),
+            accumulated_slip=slid,
             allow_interference=bool(allow_interference),
             boundary=places,
             names=slaves,

@@ -35,7 +35,7 @@ from scipy import sparse
 from adaptmg._checks import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.supports import Inclined
-from adaptmg.problem.laws import Law
+from adaptmg.problem.laws import Law, sampled_friction
 
 #: the largest weight that counts as none
 NEGLIGIBLE = 1e-6
@@ -164,7 +164,8 @@ def held_slaves(
     """Return the numbers of the contact nodes that a support holds along the surface, not so what
     they face, where friction acts: their slip is not an unknown."""
     fixed = fixed.reshape(weights.shape[0], -1)
-    limit, friction = law.bounds(len(nodes))
+    limit, _ = law.bounds(len(nodes))
+    friction = sampled_friction(law, len(nodes)).max(axis=0)
     rows = sparse.csr_array(weights[nodes])
     facing = facing_part(rows)
     acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (facing.sum(axis=1) > 0)

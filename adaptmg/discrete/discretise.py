@@ -30,6 +30,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
+from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import InitialStrain
 
 
@@ -141,7 +142,9 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     if old.coupling is not None:
         # which slave nodes carry multipliers depends on where friction acts
         carrying, before = (
-            np.maximum(*friction.bounds(len(contact))) > 0 for friction in (law, old.law)
+            (acting.bounds(len(contact))[0] > 0)
+            | sampled_friction(acting, len(contact)).any(axis=0)
+            for acting in (law, old.law)
         )
         if not np.array_equal(carrying, before):
             return assembled(posed)

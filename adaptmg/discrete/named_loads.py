@@ -50,10 +50,14 @@ class LoadSteps:
         )
 
     def step(
-        self, discrete: DiscreteProblem, factors: Mapping[str, float], slip_reference: np.ndarray
+        self,
+        discrete: DiscreteProblem,
+        factors: Mapping[str, float],
+        slip_reference: np.ndarray,
+        accumulated_slip: np.ndarray,
     ) -> DiscreteProblem:
         """Return the problem of a load step; slips count from ``slip_reference`` (n_contact, dim),
-        m."""
+        and come after ``accumulated_slip`` (n_contact,), m."""
         volumes = discrete.volumes
         if len(volumes) and self.strains:
             data = self.stress_data(factors)
@@ -62,6 +66,7 @@ class LoadSteps:
             self.load(factors),
             self.fixed_values(factors),
             slip_reference,
+            accumulated_slip,
             self.strain_free(factors),
             factors,
             volumes,

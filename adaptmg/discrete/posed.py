@@ -62,7 +62,7 @@ from adaptmg.discrete.ties import jump_of, tie_interfaces
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.mesh.step import exact_surfaces
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.laws import Elastic, Law, NodalLaw, check_law
+from adaptmg.problem.laws import Elastic, FollowsState, Law, NodalLaw, NodalStateLaw, check_law
 from adaptmg.problem.surfaces import ContactPair
 
 
@@ -380,6 +380,7 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
         check_law("law", law)  # a user's own may return anything
         return law
     bounds = np.zeros((2, len(contact)))
+    following: list[tuple[FollowsState, np.ndarray]] = []
     for k, boundary_law in enumerate(laws):
         on_boundary = contact.boundary == k
         if not on_boundary.any():
@@ -388,4 +389,8 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
         check_law("law", law)
         check_bounds(law, int(on_boundary.sum()))
         bounds[:, on_boundary] = law.bounds(int(on_boundary.sum()))
+        if isinstance(law, FollowsState):
+            following.append((law, np.flatnonzero(on_boundary)))
+    if following:
+        return NodalStateLaw(bounds[0], bounds[1], tuple(following))
     return NodalLaw(*bounds)

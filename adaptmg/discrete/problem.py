@@ -40,7 +40,7 @@ from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
 from adaptmg.discrete.elasticity import rigid_body_modes
 from adaptmg.discrete.supports import Inclined
 from adaptmg.discrete.volumes import Volumes
-from adaptmg.problem.laws import Frictionless, Law, check_law
+from adaptmg.problem.laws import FollowsState, Frictionless, Law, check_law, friction_at
 
 Value = TypeVar("Value")
 Others = ParamSpec("Others")
@@ -282,6 +282,7 @@ class DiscreteProblem(Unknowns):
         load: np.ndarray,
         fixed_values: np.ndarray,
         slip_reference: np.ndarray,
+        accumulated_slip: np.ndarray,
         strain_free: tuple[np.ndarray, float] | None,
         factors: Mapping[str, float],
         volumes: Volumes,
@@ -291,11 +292,12 @@ class DiscreteProblem(Unknowns):
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a
         coupling relative ones), N and m; slips count from ``slip_reference`` (n_contact, dim), as
-        :meth:`at_contact` has it, m. ``factors`` are those of the step, and ``volumes`` have its
-        initial strains."""
+        :meth:`at_contact` has it, and come after ``accumulated_slip`` (n_contact,), m. ``factors``
+        are those of the step, and ``volumes`` have its initial strains."""
         contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
+        object.__setattr__(contact, "accumulated_slip", accumulated_slip)
         values = bounded("fixed_values", np.where(self.fixed, fixed_values, 0.0), (self.n_dofs,))
         prescribed = self.inclined.prescribed(factors)
         acting = self.inclined.posed(load, prescribed)
@@ -335,6 +337,17 @@ class DiscreteProblem(Unknowns):
         faced = self.contact.facing(np.einsum("nd,nd->n", moved, self.contact.normals))
         return self.posing(contact=faced)
 
+    def friction_at(self, normal_force: np.ndarray, slip: np.ndarray) -> np.ndarray:
+        """Return the coefficients of friction (n_contact,) at nodal forces, N, and slips, m: those of
+        the law, which may depend on both."""
+        if not isinstance(self.law, FollowsState):
+            return np.asarray(self.law.bounds(len(self.contact))[1])
+        contact = self.contact
+        # conditions of nodes that take over a part of others are sums
+        pressure = normal_force / contact.measures
+        slip = slip * contact.weights / contact.measures + contact.accumulated_slip
+        return friction_at(self.law, pressure, slip)
+
     def residual(self, solution: np.ndarray) -> np.ndarray:
         """Return b - A u - B'p (n_dofs,), N, of a solution (n_unknowns,); dual."""
         displacement, pressures = self.parts(solution)
@@ -348,6 +361,12 @@ class DiscreteProblem(Unknowns):
                 f"grids: {what} cannot solve for smoothed elements with poisson above .4; use "
                 "am.FullMultigrid(), am.Multigrid(correction=am.Truncated()) or am.ActiveSet()"
             )
+
+    def need_given_friction(self, what: str, instead: str) -> None:
+        """Raise ValueError if the coefficient depends on pressure or slip, which ``what`` cannot
+        follow, but what is named ``instead`` can."""
+        if isinstance(self.law, FollowsState):
+            raise ValueError(f"law: {what} cannot follow a StateLaw; use {instead}")
 
     def _complete(self) -> None:
         """Check what the user's functions return, and start a structure; see

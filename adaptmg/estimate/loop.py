@@ -591,10 +591,12 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     discrete = finest.discrete
     loads = load_steps(cast("Posed", hierarchy.posed), discrete)
     reference = discrete.contact.slip_reference
+    slips = discrete.contact.accumulated_slip
     if k > 0:
+        slips = slips + results.slip_path()[k - 1]
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
     step = step_problem(problem, factors)
-    discrete = loads.step(discrete, factors, reference)
+    discrete = loads.step(discrete, factors, reference, slips)
     levels = (*hierarchy.levels[:-1], finest.posing(discrete=discrete))
     return replace(hierarchy, levels=levels, problem=step)
 

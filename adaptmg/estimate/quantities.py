@@ -54,6 +54,7 @@ class GoalView:
     @classmethod
     def of(cls, solved: Solved) -> GoalView:
         """Return the view of a result."""
+        solved.discrete.need_given_friction("am.Goal", "am.Residual() or am.Recovery()")
         u = solved.result.displacement
         state = np.asarray(solved.result.contact.state).astype(int)
         return cls(solved.problem, solved.mesh, u, linearised_contact(solved.discrete, u, state))

@@ -32,7 +32,9 @@ from adaptmg.smoother.system import (
     HELD,
     SLIPS,
     TANGENTIAL,
+    FrictionAt,
     NodalContact,
+    friction_bound,
     local_contact,
     turn_held,
 )
@@ -61,6 +63,9 @@ class TruncatedContact:
     pressure: np.ndarray  # (n_contact,): p >= 0, N
     direction: np.ndarray  # (n_contact * (dim - 1),): of the slip
     hessian: np.ndarray  # (n_contact * (dim - 1)^2,): of the friction
+    #: of a law that depends on pressure and slip, as of :class:`~adaptmg.smoother.system.NodalContact`
+    friction_at: FrictionAt | None
+    hardening: np.ndarray  # (n_contact,): derivative of s + mu p by the slip where it rises, N/m
     driven: np.ndarray  # (k,) int: nodes that slip along a first tangent which a support holds
 
     @classmethod
@@ -92,6 +97,8 @@ class TruncatedContact:
             np.zeros(n),
             np.zeros(n * (dim - 1)),
             np.zeros(n * (dim - 1) ** 2),
+            contact.friction_at,
+            np.zeros(n),
             contact.driven,
         )
 
@@ -102,6 +109,8 @@ class TruncatedContact:
             self,
             gap=contact.gap,
             reference=contact.reference,
+            friction=contact.friction,
+            friction_at=contact.friction_at,
             driven=contact.driven,
             codes=np.full_like(self.codes, -1),
         )
@@ -167,9 +176,26 @@ class TruncatedContact:
     def update_status(self, residual: np.ndarray) -> tuple[int, float, float]:
         """Find the status after a sweep; ``residual`` is f - A u (n_dofs,). Returns what
         :func:`classify` does."""
+        if self.friction_at is not None:
+            self._follow(self.friction_at, residual)
         return classify(
             ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes, self.pressure
         )
+
+    def _follow(self, friction_at: FrictionAt, residual: np.ndarray) -> None:
+        """Take the coefficients of friction at the present unknowns and forces."""
+        n = len(self.nodes)
+        normals = self.frames.reshape(n, self.dim, self.dim)[:, 0]
+        forces = np.einsum("nd,nd->n", normals, residual.reshape(-1, self.dim)[self.nodes])
+        slip = self.values.reshape(n, -1)[:, 1:] - self.reference.reshape(n, -1)
+        size = np.linalg.norm(slip, axis=1)
+        # new arrays: copies share the old ones
+        self.friction = friction_at(forces, size)
+        # in the coarse matrices: friction that rises by .5 over 2e-6 m of slip (greco_bar, 1089
+        # nodes, and dovetail) takes 11 and 14 cycles, without 13 and 15; with the derivative by p
+        # the cycles stay the same
+        _, _, rise = friction_bound(friction_at, np.maximum(forces, 0.0), size)
+        self.hardening = np.maximum(rise, 0.0)
 
     def linearise_friction(self) -> None:
         """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns;
@@ -184,9 +210,10 @@ class TruncatedContact:
         largest = np.abs(slip[at]).max(axis=1, keepdims=True)
         size = largest * np.linalg.norm(slip[at] / largest, axis=1, keepdims=True)
         direction[at] = along = slip[at] / size
+        hessian[at] = self.hardening[at, None, None] * along[:, :, None] * along[:, None, :]
         if self.dim == 3:
             across = np.eye(2) - along[:, :, None] * along[:, None, :]
-            hessian[at] = (self._bound[at, None] / size)[:, :, None] * across
+            hessian[at] += (self._bound[at, None] / size)[:, :, None] * across
             direction[self.driven, 0] = 0.0
             hessian[self.driven, 0] = 0.0
             hessian[self.driven, :, 0] = 0.0

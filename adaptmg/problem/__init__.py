@@ -12,6 +12,7 @@ from adaptmg.problem.laws import (
     PlaneStrain,
     PlaneStress,
     Solid,
+    StateLaw,
     Tresca,
 )
 from adaptmg.problem.load_path import LoadPath, step_problem
@@ -74,6 +75,7 @@ __all__ = [
     "Rigid",
     "Solid",
     "Spring",
+    "StateLaw",
     "StepFile",
     "Support",
     "Symmetry",

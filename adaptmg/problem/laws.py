@@ -18,7 +18,9 @@ With the compressive nodal force p >= 0 every contact law here has the form
 
 a Tresca limit s plus a Coulomb part. A user-defined law is any object with the two methods
 :meth:`at_nodes` and
-:meth:`bounds`.
+:meth:`bounds`. With a third, ``at_state(pressure, slip)``, :math:`\mu` depends on the pressure in
+Pa and the slip in m: the coefficient follows the iterates of a solver, as :math:`\mu p` does (the
+diagonal process), until it is that of the solution.
 """
 
 from __future__ import annotations
@@ -389,6 +391,40 @@ def check_law(name: str, law: object) -> Law:
     return cast("Law", law)
 
 
+@runtime_checkable
+class FollowsState(Protocol):
+    """The further method of a law whose coefficient depends on pressure and slip."""
+
+    def at_state(self, pressure: np.ndarray, slip: np.ndarray) -> np.ndarray:
+        """Return the coefficients of friction (n_contact,) at pressures, Pa, and slips along the
+        load path so far, m, both (n_contact,)."""
+        ...
+
+
+#: pressures, Pa, and slips, m, at which such laws are examined; larger ones of iterates are cut
+_PRESSURES = (0.0, *np.logspace(0, 12, 13).tolist())
+_SLIPS = (0.0, *np.logspace(-9, 3, 13).tolist())
+
+
+def sampled_friction(law: Law, n: int) -> np.ndarray:
+    """Return coefficients (k, n) of n contact nodes: of a law that depends on pressure and slip at
+    many states, of others in one row."""
+    if not isinstance(law, FollowsState):
+        return np.asarray(law.bounds(n)[1])[None]
+    return np.array(
+        [law.at_state(np.full(n, p), np.full(n, s)) for p in _PRESSURES for s in _SLIPS]
+    )
+
+
+def friction_at(law: FollowsState, pressure: np.ndarray, slip: np.ndarray) -> np.ndarray:
+    """Return the coefficients at the pressures and slips (n,) of an iterate, which may be anything:
+    what is no number counts as zero."""
+    return law.at_state(
+        np.clip(np.nan_to_num(pressure), 0.0, _PRESSURES[-1]),
+        np.clip(np.nan_to_num(slip), 0.0, _SLIPS[-1]),
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class NodalLaw:
     """Limits and coefficients of the contact nodes of boundaries with laws of their own."""
@@ -403,6 +439,19 @@ class NodalLaw:
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
         return self.slip_limit, self.friction
+
+
+@dataclass(frozen=True, eq=False)
+class NodalStateLaw(NodalLaw):
+    """The same where laws depend on pressure and slip."""
+
+    laws: tuple[tuple[FollowsState, np.ndarray], ...]  # each with its nodes, numbers (k,)
+
+    def at_state(self, pressure: np.ndarray, slip: np.ndarray) -> np.ndarray:
+        friction = self.friction.copy()
+        for law, at in self.laws:
+            friction[at] = law.at_state(pressure[at], slip[at])
+        return friction
 
 
 def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
@@ -525,3 +574,72 @@ class Coulomb(checks.Checked):
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(n_contact), _nodal("friction", self.friction, n_contact)
+
+
+def _state_function(name: str, value: object) -> object:
+    if not callable(value) or isinstance(value, type):
+        raise TypeError(
+            f"{name} must be a function of pressures and slips, got {checks.described(value)}; a number "
+            "or a function of position belongs in Coulomb(...)"
+        )
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class StateLaw(checks.Checked):
+    """Friction whose coefficient depends on pressure and slip: ``|f_t| <= friction(p, slip) * p``.
+
+    The coefficient follows the iterates of a solver until it is that of their pressures and slips,
+    and the certificate recomputes it from the result. Friction times pressure should not fall with
+    the pressure, nor friction with the slip faster than the bodies can follow: there may then be
+    several solutions, and a warning says so.
+
+    Parameters
+    ----------
+    friction : callable
+        Takes pressures (n,) in Pa and slips (n,) in m, and returns coefficients (n,), finite and
+        >= 0 for pressures up to 1e12 and slips up to 1e3 (larger ones are cut). The slip is the
+        length of the way in contact, back and forth, of all steps of a load path
+        (:meth:`PathResult.slip_path`) and of the present step. On a DiscreteProblem the pressure
+        is the nodal force over ``ContactNodes.weights``.
+
+    Examples
+    --------
+    >>> law = am.StateLaw(lambda pressure, slip: 0.1 + 0.3 / (1 + pressure / 50e6))
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(law=law), divisions=(2, 4))
+    >>> contact = am.solve(grids).contact
+    >>> friction = contact.limit / contact.force_n            # of the result
+    >>> bool(np.allclose(friction, 0.1 + 0.3 / (1 + contact.pressure / 50e6)))
+    True
+    """
+
+    friction: Annotated[Callable[[np.ndarray, np.ndarray], ArrayLike], _state_function]
+
+    __repr__ = brief
+    _repr_html_ = html_fields
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        sampled_friction(self, 2)
+
+    def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> StateLaw:
+        return self
+
+    def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return no limit, and the coefficients without pressure and slip."""
+        zero = np.zeros(n_contact)
+        return zero, self.at_state(zero, zero)
+
+    def at_state(self, pressure: np.ndarray, slip: np.ndarray) -> np.ndarray:
+        """Return the coefficients (n_contact,) at pressures, Pa, and slips, m, checked."""
+        friction = checks.array(
+            "friction(pressure, slip)", self.friction(pressure, slip), pressure.shape
+        )
+        wrong = friction < 0
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise ValueError(
+                f"friction(pressure, slip) must be >= 0, got {friction[i]:.6g} at {pressure[i]:.3g} Pa and "
+                f"{slip[i]:.3g} m: cut it off by numpy.maximum"
+            )
+        return friction

@@ -153,12 +153,13 @@ def linearise(
     if contact.lowest is not None:
         aim = unknowns + residual / (factor * stiffness)
         return _clamped(contact, unknowns, residual, aim[:, 0])
+    contact, hardening = contact.tangent(unknowns, residual)
     tangential = factor * stiffness[:, 1:].max(axis=1)
     with np.errstate(invalid="ignore"):
         augmented = residual[:, 0] + factor * stiffness[:, 0] * (unknowns[:, 0] - contact.gap)
     active = augmented > 0
     tau = unknowns[:, 1:] - contact.slip_reference
-    bound = contact.limit + contact.friction * np.maximum(augmented, 0.0)
+    bound = np.maximum(contact.limit + contact.friction * np.maximum(augmented, 0.0), 0.0)
     trial = residual[:, 1:] + tangential[:, None] * tau
     size = np.linalg.norm(trial, axis=1)
     slip = ~((size <= bound) & (bound > 0))
@@ -166,6 +167,8 @@ def linearise(
     equations = _equations(
         contact, unknowns, residual, active, slip, trial, size, bound, tangential
     )
+    along = equations.direction[:, :, None] * equations.direction[:, None, :]
+    equations.curvature[:] += (active * hardening)[:, None, None] * along
     return _beside_held(contact, tau, residual, equations)
 
 

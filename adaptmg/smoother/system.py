@@ -14,7 +14,8 @@ it is held and SLIP otherwise: :func:`contact_states`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 
@@ -29,7 +30,13 @@ from adaptmg.discrete.problem import (
     nodal_blocks,
     remembered_of_structure,
 )
+from adaptmg.problem.laws import FollowsState
 from adaptmg.transfer.galerkin import without_fixed
+
+#: coefficients of friction (n_contact,) at nodal forces, N, and slips, m
+FrictionAt = Callable[[np.ndarray, np.ndarray], np.ndarray]
+#: step of differences over pressures, and over slips of at least the second, m
+_DIFFERENCE, _SHORTEST = 1e-6, 1e-9
 
 
 @dataclass
@@ -39,7 +46,8 @@ class NodalContact:
 
     ``held``, in 3D: nodes whose first tangent alone is held by a support; minus its slip_reference
     is the slip along it. Their diagonal blocks have that entry with the sign turned
-    (:mod:`adaptmg.smoother.node_solve`)."""
+    (:mod:`adaptmg.smoother.node_solve`). ``friction_at``: of a law that depends on pressure and slip,
+    the coefficients (n_contact,) at nodal forces, N, and slips, m."""
 
     gap: np.ndarray  # (n_contact,): largest normal displacement, m; +inf without an obstacle
     slip_reference: np.ndarray  # (n_contact, dim - 1): tangential displacement of zero slip, m
@@ -49,6 +57,7 @@ class NodalContact:
     #: (n_contact,): smallest normal displacement, m, -inf without a second obstacle; of scalar
     #: problems only, None of others
     lowest: np.ndarray | None = None
+    friction_at: FrictionAt | None = None
 
     @property
     def reference(self) -> np.ndarray:
@@ -66,6 +75,25 @@ class NodalContact:
         below = np.minimum(normal, self.gap)
         return below if self.lowest is None else np.maximum(below, self.lowest)
 
+    def follow(self, values: np.ndarray, residual: np.ndarray) -> None:
+        """Take the coefficients of the law, in place, at unknowns of the contact nodes and b - A w
+        there, both (n_contact, dim)."""
+        if self.friction_at is not None:
+            slip = np.linalg.norm(values[:, 1:] - self.slip_reference, axis=1)
+            self.friction[:] = self.friction_at(residual[:, 0], slip)
+
+    def tangent(
+        self, values: np.ndarray, residual: np.ndarray
+    ) -> tuple[NodalContact, np.ndarray | float]:
+        """Return the conditions whose bound s + mu p is the tangent of B = mu(p, |slip|) p at such
+        unknowns, by differences, and dB / d|slip| (n_contact,), N/m."""
+        if self.friction_at is None:
+            return self, 0.0
+        force = np.maximum(residual[:, 0], 0.0)
+        slip = np.linalg.norm(values[:, 1:] - self.slip_reference, axis=1)
+        bound, slope, hardening = friction_bound(self.friction_at, force, slip)
+        return replace(self, limit=self.limit + bound - slope * force, friction=slope), hardening
+
     @property
     def driven(self) -> np.ndarray:
         """Contact nodes (k,) that slip along a held tangent, indices."""
@@ -74,6 +102,20 @@ class NodalContact:
             if self.held is None
             else np.flatnonzero(self.held & (self.slip_reference[:, 0] != 0))
         )
+
+
+def friction_bound(
+    friction_at: FrictionAt, force: np.ndarray, slip: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the bound B = mu(p, s) p (n_contact,), N, and its derivatives by p >= 0 and s, by
+    differences."""
+    friction = friction_at(force, slip)
+    pressed = (1 + _DIFFERENCE) * force
+    rise = friction_at(pressed, slip) * pressed - friction * force
+    slope = np.divide(rise, pressed - force, out=friction.copy(), where=pressed > force)
+    step = _DIFFERENCE * max(slip.max(initial=0.0), _SHORTEST)
+    hardening = (friction_at(force, slip + step) - friction) * force / step
+    return friction * force, slope, hardening
 
 
 @dataclass(eq=False)
@@ -248,6 +290,7 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         friction=np.array(friction, dtype=np.float64),
         held=normal_held,
         lowest=-problem.contact.opposite_gaps - lifted[:, 0] if problem.dim == 1 else None,
+        friction_at=problem.friction_at if isinstance(problem.law, FollowsState) else None,
     )
 
 

@@ -351,6 +351,7 @@ class _Newton:
         residual = self.local.residual(state.unknowns)
         forces, reduced = self.equations_of.contact_residual(residual)
         at_contact = state.unknowns.reshape(-1, system.dim)[system.nodes]
+        contact.follow(at_contact, forces)
         equations = (
             hold_all(contact, at_contact, forces)
             if hold

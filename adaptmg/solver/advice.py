@@ -23,7 +23,9 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.sides import STIFFER
 from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
 from adaptmg.problem import Contact, ContactPair, InitialStrain, Plane, PlaneStress
-from adaptmg.smoother.system import OPEN
+from adaptmg.problem.laws import FollowsState
+from adaptmg.smoother.system import OPEN, SLIP, contact_blocks, friction_bound
+from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
 
 #: what locking means, measured: a roller (plane strain, frictionless, squeezed between planes) on adapted meshes of
@@ -47,6 +49,8 @@ PARTNER = 0.9
 CORNER = 0.4
 #: where they turn by less the surface is plane, in coordinates of five digits
 FLAT = 1e-4
+#: a friction bound falls with the pressure if its derivative is below minus this: less is rounding of differences
+FALLING = 1e-6
 #: slips matter beyond an element and this share of the contact boundary
 SLID = 0.01
 
@@ -159,6 +163,38 @@ def advise_on_chords(
                 "do not match, chords press like gaps, and peaks of pressure are too large. Give the problem "
                 f"its domain, which knows its arcs, or take elements of at most {size:.2g} m along both sides",
             )
+
+
+def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
+    """Warn of friction that falls with pressure or slip in a way that may have several solutions."""
+    law = discrete.law
+    if not isinstance(law, FollowsState):
+        return
+    force = contact.force_n
+    slip = np.linalg.norm(contact.slip, axis=1) * contact.measures / contact.weights
+    _, slope, hardening = friction_bound(discrete.friction_at, force, slip)
+    falling = contact.closed & (slope < -FALLING)
+    if falling.any():
+        i = int(np.argmin(np.where(falling, slope, 0.0)))
+        advise(
+            "falling",
+            f"friction times pressure falls with the pressure at {np.count_nonzero(falling)} contact nodes "
+            f"(at {contact.pressure[i]:.3g} Pa): the solution may not be unique, and methods may not "
+            "converge; let the coefficient fall more slowly than 1 / pressure",
+            RuntimeWarning,
+        )
+    blocks = contact_blocks(discrete)[:, 1:, 1:]
+    stiffness = np.abs(np.diagonal(blocks, axis1=1, axis2=2)).max(axis=1)
+    weak = (contact.state == SLIP) & (-hardening > stiffness)
+    if weak.any():
+        i = int(np.argmax(np.where(weak, -hardening / stiffness, 0.0)))
+        advise(
+            "weakening",
+            f"friction falls with the slip {-hardening[i] / stiffness[i]:.2g} times faster than the body "
+            f"follows at {np.count_nonzero(weak)} contact nodes: they may jump, and the solution may not be "
+            "unique; let friction fall over a longer slip",
+            RuntimeWarning,
+        )
 
 
 def advise_on_results(posed: Posed | None, results: Sequence[Result]) -> None:

@@ -426,20 +426,21 @@ def changed_status(
     here: AtNodes,
     stiffness: np.ndarray,
     limit: np.ndarray,
+    friction: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces
-    (n_contact, dim) that it ends with; None if it is not found, or of a scalar problem. ``stiffness`` and ``limit``
-    (n_contact,): of the nodes, N/m, and of friction without pressure, N."""
+    (n_contact, dim) that it ends with; None if it is not found, or of a scalar problem.
+    ``stiffness``, ``limit`` and ``friction`` (n_contact,): of the nodes, N/m, of friction without
+    pressure, N, and its coefficient."""
     if problem.dim == 1:
         return None
     coarse = _smoothed_of(problem)
     load = coarse.span.T @ residual
-    n = len(problem.contact)
     dim = problem.dim
     # where a support holds a tangent its reaction takes the place of friction
     free = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     slip = to_frames(coarse.frames, here.slip)[:, 1:]
-    conditions = Conditions(here.gap, -slip, limit * free, problem.law.bounds(n)[1] * free)
+    conditions = Conditions(here.gap, -slip, limit * free, friction * free)
     solution = interior_point(
         coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH
     )

@@ -298,9 +298,11 @@ class Evidence:
         )
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
-        self.limit, self.coefficient = problem.law.bounds(len(self.nodes))
-        self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         self.gap, self.slip = self._kinematics()
+        self.limit, _ = problem.law.bounds(len(self.nodes))
+        slip = np.linalg.norm(self.slip, axis=1)
+        self.coefficient = problem.friction_at(self.pressure, slip)
+        self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
         # what holds ties is as large as it must be; its counterpart on masters is not a violation
         tying = np.where(problem.fixed & ~problem.held, -residual, 0.0)
         self.tying = tying
@@ -565,7 +567,9 @@ class Evidence:
         contact = self.problem.contact
         matrix = self.problem.matrix
         residual = problem.residual(np.append(self.unknowns, self.pressures))
-        solution = changed_status(problem, residual, conditions, self.stiffness, self.limit)
+        solution = changed_status(
+            problem, residual, conditions, self.stiffness, self.limit, self.coefficient
+        )
         if solution is None:
             return held
         change, exerted = solution

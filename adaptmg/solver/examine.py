@@ -279,7 +279,9 @@ class Examiner:
         solved, pressures = discrete.parts(solution)
         free = np.where(discrete.fixed, 0.0, residual)
         at_contact = self._at_contact(free)
-        natural = natural_at_nodes(self.contact, self.blocks, self._values(solved), at_contact)
+        values = self._values(solved)
+        self.contact.follow(values, at_contact)
+        natural = natural_at_nodes(self.contact, self.blocks, values, at_contact)
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
         exerted = euclidean_norm(at_contact.reshape(-1))
@@ -339,6 +341,7 @@ class Examiner:
             u = turned * u
         slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
         force_n = np.maximum(force[:, 0], 0.0)
+        self.contact.follow(self._values(solved), force)
         force_t = np.where(held, 0.0, -force[:, 1:])
         limit = self.contact.limit + self.contact.friction * force_n
         state = states(self.contact, self._values(solved), force_n, small)

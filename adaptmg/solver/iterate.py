@@ -383,6 +383,8 @@ class Measure:
         (n_dofs,)."""
         system = self.local.system
         sizes = self.sizes
+        at_contact = (vector.reshape(-1, system.dim)[system.nodes] for vector in (unknowns, r))
+        self.local.contact.follow(*at_contact)
         natural = euclidean_norm(natural_residual(self.local, unknowns, r))
         contact = euclidean_norm(r.reshape(-1, system.dim)[system.nodes].reshape(-1))
         forces = sizes.forces(unknowns, contact)

@@ -18,6 +18,7 @@ from functools import partial
 from typing import TYPE_CHECKING, cast, overload
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from adaptmg import _checks as checks
 from adaptmg._files import make_folder
@@ -31,6 +32,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
 from adaptmg.multigrid.truncated_parts import Truncated
+from adaptmg.problem.laws import FollowsState
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
@@ -179,10 +181,7 @@ class PathResult(Sequence[Result]):
 
         The sum of ``|slip|`` over the steps after which it is in contact.
         """
-        ways = [
-            np.linalg.norm(result.contact.slip, axis=1) * result.contact.closed
-            for result in self.results
-        ]
+        ways = [way_in_contact(result) for result in self.results]
         return np.cumsum(ways, axis=0) if ways else np.zeros((0, 0))
 
     def save(self, folder: str | os.PathLike[str]) -> None:
@@ -222,6 +221,12 @@ class PathResult(Sequence[Result]):
             store.head["fingerprint"],
             steps,
         )
+
+
+def way_in_contact(result: Result) -> np.ndarray:
+    """Return the lengths of the slips of a step (n_contact,), m, at nodes that it leaves in
+    contact."""
+    return np.linalg.norm(result.contact.slip, axis=1) * result.contact.closed
 
 
 _HEAD = "path.json"
@@ -443,6 +448,8 @@ class PathLoop:
             for level in grids.levels[0 if grids.discretised else -1 :]
         ]
         self.coarse: list[np.ndarray] | None = None
+        #: (n_contact,): length of the slips so far, m, which the law may see
+        self.accumulated_slip = finest.discrete.contact.accumulated_slip
         #: the solutions of the last two steps, and the forces that led there
         self.recent = [(np.zeros(finest.discrete.n_unknowns), np.zeros(finest.discrete.n_dofs))]
 
@@ -634,7 +641,7 @@ class PathLoop:
                 reference = level.discrete.contact.slip_reference
                 if len(self.recent) > 1:
                     reference = problem.at_contact(self.levels[number - n_unused])
-                step = loads.step(problem, factors, reference)
+                step = loads.step(problem, factors, reference, self._accumulated(problem))
                 if posed is not None and places:
                     step = moved(posed, step, places, self.controls.places)
                 level = level.posing(discrete=step)
@@ -650,11 +657,25 @@ class PathLoop:
         self.coarse = coarse
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
+        self.accumulated_slip = self.accumulated_slip + way_in_contact(result)
         solution = np.append(displacement, result.pressures)
         self.recent = [*self.recent[-1:], (solution, forces)]
         self.levels = (
             coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
         )
+
+    def _accumulated(self, problem: DiscreteProblem) -> np.ndarray:
+        """Return the length of the slips before this step on a level (n_contact,), m: those at the
+        nearest contact nodes of the finest one."""
+        finest = self.grids.finest.discrete
+        if problem is finest:
+            return self.accumulated_slip
+        fine = finest.coordinates
+        coarse = problem.coordinates
+        if not isinstance(finest.law, FollowsState) or fine is None or coarse is None:
+            return problem.contact.accumulated_slip
+        nearest = cKDTree(fine[finest.contact.nodes]).query(coarse[problem.contact.nodes])[1]
+        return self.accumulated_slip[nearest]
 
     def _start(self, forces: np.ndarray, near: Result | None) -> np.ndarray:
         """A start (n_unknowns,) for a step with these forces: a result near to it, or where all

@@ -25,7 +25,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
-from adaptmg.solver.advice import advise
+from adaptmg.solver.advice import advise, advise_on_law
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
@@ -226,6 +226,7 @@ def result_of(
     status = _confirmed(
         outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")
     )
+    advise_on_law(examiner.discrete, examined.contact)
     least = examined.checked.energy_rounding
     rtol = outcome.rtol
     if status.ok and 0 < rtol < examined.checked.energy_error <= least:

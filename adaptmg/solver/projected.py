@@ -210,6 +210,10 @@ class SingleGrid:
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         hierarchy.finest.discrete.need_no_volumes("SingleGrid")
+        if self.stop == "change":
+            hierarchy.finest.discrete.need_given_friction(
+                'SingleGrid(stop="change")', 'stop="error"'
+            )
         with run.phase("setup"):
             local = local_system(hierarchy.finest.discrete)
         problem = local

@@ -33,6 +33,7 @@ from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.loads import largest_nodal_stiffness
 from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_structure
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.smoother.system import contact_blocks
@@ -237,7 +238,8 @@ def _check_body(body: _Body) -> None:
     load = problem.load[dofs]
     scale = float(np.abs(load).sum()) or 1.0
     work = load @ body.motions / scale
-    limit, friction = problem.law.bounds(len(problem.contact))
+    limit, _ = problem.law.bounds(len(problem.contact))
+    friction = sampled_friction(problem.law, len(problem.contact)).max(axis=0)
     forces = _contact_forces(body, limit / scale, friction)
     unbalanced, motion = forces.least_unbalanced(work)
     if unbalanced > _UNBALANCED:

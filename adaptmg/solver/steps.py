@@ -67,6 +67,9 @@ class Stepped:
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         hierarchy.finest.discrete.need_no_volumes("a user-defined method")
+        hierarchy.finest.discrete.need_given_friction(
+            "a user-defined method", "am.FullMultigrid() or am.ActiveSet()"
+        )
         levels = LocalLevels(hierarchy, run)
         if start is None and self.start_cycles and len(hierarchy) > 1:
             hierarchy.need_discretised("the nested start of a user-defined method")

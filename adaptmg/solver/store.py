@@ -39,6 +39,7 @@ from adaptmg._files import make_folder, opened, read_bytes, write_bytes
 from adaptmg._text import printable
 from adaptmg.discrete.named_loads import LoadSteps
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.laws import sampled_friction
 from adaptmg.solver.fingerprint import value_parts
 
 Kinds = tuple[type[Any], ...]
@@ -395,7 +396,13 @@ def fingerprint(
         "contact": [
             _sums(part) for part in (contact.nodes, contact.normals, contact.gaps, contact.weights)
         ],
-        "law": [_sums(part) for part in finest.law.bounds(len(contact))],
+        "law": [
+            _sums(part)
+            for part in (
+                finest.law.bounds(len(contact))[0],
+                sampled_friction(finest.law, len(contact)),
+            )
+        ],
         "path": {"steps": steps}
         | {name: list(map(float, values)) for name, values in factors.items()},
     }
