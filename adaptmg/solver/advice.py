@@ -51,6 +51,8 @@ CORNER = 0.4
 FLAT = 1e-4
 #: a friction bound falls with the pressure if its derivative is below minus this: less is rounding of differences
 FALLING = 1e-6
+#: shares of a slip at which it is examined whether friction falls faster than the body follows
+ON_THE_WAY = (0.0, *np.logspace(-3, 0, 7).tolist())
 #: slips matter beyond an element and this share of the contact boundary
 SLID = 0.01
 
@@ -172,7 +174,7 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
         return
     force = contact.force_n
     slip = np.linalg.norm(contact.slip, axis=1) * contact.measures / contact.weights
-    _, slope, hardening = friction_bound(discrete.friction_at, force, slip)
+    _, slope, _ = friction_bound(discrete.friction_at, force, slip)
     falling = contact.closed & (slope < -FALLING)
     if falling.any():
         i = int(np.argmin(np.where(falling, slope, 0.0)))
@@ -183,6 +185,11 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
             "converge; let the coefficient fall more slowly than 1 / pressure",
             RuntimeWarning,
         )
+    # what has jumped has passed the slips where friction falls fastest
+    hardening = np.min(
+        [friction_bound(discrete.friction_at, force, share * slip)[2] for share in ON_THE_WAY],
+        axis=0,
+    )
     blocks = contact_blocks(discrete)[:, 1:, 1:]
     stiffness = np.abs(np.diagonal(blocks, axis1=1, axis2=2)).max(axis=1)
     weak = (contact.state == SLIP) & (-hardening > stiffness)
