@@ -325,7 +325,7 @@ class Surface:
     @cached_property
     def vectors(self) -> np.ndarray:
         """Return the area vectors (n, dim)."""
-        start, *ends = (self.points.take(corners, axis=0) for corners in self.facets.T)
+        start, *ends = [self.points.take(corners, axis=0) for corners in self.facets.T]
         if self.points.shape[1] == 2:
             return (ends[0] - start)[:, ::-1] * [1.0, -1.0]
         return 0.5 * np.cross(ends[0] - start, ends[1] - start)

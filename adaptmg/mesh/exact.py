@@ -86,7 +86,7 @@ def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
 def _swept(outline: Outline) -> Iterator[tuple[str, Revolved]]:
     """The edges of an outline, swept along z."""
     for i, name in enumerate(outline.boundaries):
-        edge = outline.edge(i)
+        edge = outline.edges[i]
         if isinstance(edge, Arc):
             surface = round_about((*edge.center, 0.0), _AXIS, edge.radius)
         else:
@@ -104,7 +104,7 @@ def _turned(domain: Revolution) -> Iterator[tuple[str, Revolved]]:
     origin = np.zeros(3)
     axis = np.array(_AXIS)
     for i, name in enumerate(domain.polygon.boundaries):
-        edge = domain.polygon.edge(i)
+        edge = domain.polygon.edges[i]
         if isinstance(edge, Arc):
             yield name, Revolved(origin, axis, np.array(edge.center), edge.radius, False)
         else:

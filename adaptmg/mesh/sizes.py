@@ -89,7 +89,7 @@ def distance_to_boundaries(
     else:
         outline = domain.outline
         distances = [
-            outline.edge(i).distance(points)
+            outline.edges[i].distance(points)
             for i, name in enumerate(outline.boundaries)
             if name in boundaries
         ]

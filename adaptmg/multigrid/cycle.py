@@ -519,7 +519,10 @@ class MultigridCycle:
     ) -> None:
         if sweeps:
             system = self.levels[level].system
-            passes = self.smoother.smooth(system, contact, load, unknowns, sweeps)
+            passes = checks.nonnegative(
+                "smoother: the passes that smooth returns",
+                self.smoother.smooth(system, contact, load, unknowns, sweeps),
+            )
             self.recorder.count(passes, system.nonzeros)
             self.recorder.visit(level, "smooth", sweeps)
 

@@ -52,11 +52,11 @@ class SplitMatrix:
     strips: Strips  # the order of the sweeps
     aside: tuple[sparse.bsr_array, np.ndarray] | None = None  # what :meth:`complete` makes L from
 
-    @property
+    @cached_property
     def n_nodes(self) -> int:
         return len(self.lower_indptr) - 1
 
-    @property
+    @cached_property
     def n_dofs(self) -> int:
         return self.n_nodes * self.dim
 

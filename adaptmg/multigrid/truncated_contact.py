@@ -308,19 +308,15 @@ class TruncatedContact:
         return self._project(unknowns, False) <= 1 + self.FEW * len(self.nodes)
 
     def friction_slope(self, before: np.ndarray) -> Callable[[float], float]:
-        """Return the slope of sum g |slip| along the step from local unknowns ``before`` less that
-        at its beginning; slipping nodes only."""
+        """Return the slope of sum g |slip| along the step from local unknowns ``before``; slipping
+        nodes only."""
         shape = len(self.nodes), self.dim
         if self.dim == 1:
             return lambda alpha: 0.0
         at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         change = (self.values - before).reshape(shape)[at, 1:]
-        before = before.reshape(shape)[at, 1:]
-        slope = friction_slope(
-            before - self.reference.reshape(-1, self.dim - 1)[at], change, self._bound[at]
-        )
-        first = slope(0.0)
-        return lambda alpha: slope(alpha) - first
+        slip = before.reshape(shape)[at, 1:] - self.reference.reshape(-1, self.dim - 1)[at]
+        return friction_slope(slip, change, self._bound[at])
 
 
 def friction_slope(

@@ -195,7 +195,10 @@ class FrameSmoother:
         values = contact.values.reshape(-1, system.dim)
         # turned to and fro a closed gap would no longer be closed to the last digit
         at_nodes[nodes] = values
-        passes = self.smoother.smooth(system, contact.conditions, forces, w, 1)
+        passes = checks.nonnegative(
+            "smooth: the passes that smooth returns",
+            self.smoother.smooth(system, contact.conditions, forces, w, 1),
+        )
         w[system.fixed] = 0.0
         at_nodes[nodes, 0] = np.minimum(at_nodes[nodes, 0], contact.gap)
         values[:] = at_nodes[nodes]

@@ -288,7 +288,7 @@ class TruncatedStep:
 
     def parts(self, state: TruncatedState) -> tuple[np.ndarray, np.ndarray]:
         """Return the displacement (n_dofs,) of an iterate, and its pressures (n_groups,)."""
-        return self.displacement(state), state.iterate[self._n_dofs :]
+        return state.iterate[: self._n_dofs], state.iterate[self._n_dofs :]
 
     def base_matrix(self, number: int) -> sparse.bsr_array:
         """The matrix of a coarser level without truncation."""
@@ -433,9 +433,10 @@ class TruncatedStep:
         change = proposed - unknowns
         gain = _product(state.residual, change)
         of_friction = contact.friction_slope(state.contact.values)
+        at_begin = of_friction(0.0)
 
         def slope(part: float) -> float:
-            return part * curvature - gain + of_friction(part)
+            return part * curvature - gain + (of_friction(part) - at_begin)
 
         if not slope(1.0) <= 0.0:
             low = 0.0

@@ -562,7 +562,7 @@ class Assembly(Domain):
         """Return the names of the bodies, in order."""
         return tuple(self.parts)
 
-    @property
+    @cached_property
     def boundaries(self) -> tuple[str, ...]:
         """Return the distinct boundary names "body.edge", body by body."""
         return tuple(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from adaptmg import _checks as checks
@@ -348,25 +348,25 @@ class ContactProblem(checks.Checked):
             return self.domain.bodies
         return () if isinstance(self.material, Elastic) else tuple(self.material)
 
-    @property
+    @cached_property
     def contact_boundaries(self) -> tuple[str, ...]:
         """Return the boundaries that carry contact nodes, in the order of ``contact``; of a pair
         the slave."""
         return tuple(c.boundary for c in self.contact)
 
-    @property
+    @cached_property
     def masters(self) -> tuple[str, ...]:
         """Return for each of ``contact`` the master boundary, "" for a rigid obstacle."""
         return tuple(c.master if isinstance(c, ContactPair) else "" for c in self.contact)
 
-    @property
+    @cached_property
     def pair_boundaries(self) -> tuple[str, ...]:
         """Return the distinct names of all boundaries that may touch, masters too: where meshes are
         to be fine."""
         pairs = zip(self.contact_boundaries, self.masters, strict=True)
         return tuple(dict.fromkeys(name for pair in pairs for name in pair if name))
 
-    @property
+    @cached_property
     def tied_boundaries(self) -> tuple[str, ...]:
         """Return the distinct names of all tied boundaries."""
         return tuple(dict.fromkeys(name for tie in self.ties for name in (tie.slave, tie.master)))

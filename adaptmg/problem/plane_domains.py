@@ -296,10 +296,6 @@ class Outline(Domain):
             center, 0.5 * (math.hypot(ax, ay) + math.hypot(bx, by)), math.atan2(ay, ax), angle
         )
 
-    def edge(self, i: int) -> Arc | Segment:
-        """Return edge i."""
-        return self.edges[i]
-
     @cached_property
     def edges(self) -> tuple[Arc | Segment, ...]:
         """Return all edges, made once: a size field asks for the distance to some of them several
@@ -329,7 +325,7 @@ class Outline(Domain):
         """Return the exact area, m^2."""
         return sum(self._areas())
 
-    @property
+    @cached_property
     def lengths(self) -> tuple[float, ...]:
         """Return the length of each edge, m."""
         return tuple(edge.length for edge in self.edges)
@@ -444,7 +440,9 @@ def with_vertex(
     outline = domain.outline
     near = 1e-9 * float((domain.upper - domain.lower).max())
     away = [
-        np.inf if i in outline.arcs and not arcs else outline.edge(i).distance(np.array([point]))[0]
+        np.inf
+        if i in outline.arcs and not arcs
+        else outline.edges[i].distance(np.array([point]))[0]
         for i in range(len(outline.vertices))
     ]
     i = int(np.argmin(away))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from typing import Any, cast
 
 import numpy as np
@@ -237,7 +238,7 @@ def result_of(
             "result.rtol",
         )
         rtol = least
-    keys = dict.fromkeys(key for row in run.history for key in row)
+    keys = dict.fromkeys(chain.from_iterable(run.history))
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(
         displacement=examined.displacement,

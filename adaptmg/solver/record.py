@@ -11,7 +11,6 @@ from typing import Protocol
 
 import numpy as np
 
-from adaptmg import _checks as checks
 from adaptmg._numba import clock, compiling_seconds
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.examine import Examined
@@ -85,11 +84,7 @@ class Run:
     PATH_LIMIT = 100_000
 
     def count(self, passes: float, nonzeros: int) -> None:
-        """Count ``passes`` over a matrix of ``nonzeros`` stored entries, checked here for
-        user-defined parts."""
-        passes = checks.nonnegative(
-            "the passes over the matrix that a smoother or linear solver returns", passes
-        )
+        """Count ``passes`` over a matrix of ``nonzeros`` stored entries."""
         self.work_units += passes * nonzeros / self.unit
 
     def visit(self, level: int, action: str, times: int = 1) -> None:
@@ -130,10 +125,11 @@ class Run:
         try:
             yield
         finally:
-            compiled = compiling_seconds() - self._compiled
-            self._compiled = compiling_seconds()
-            if compiled:
-                self.timings["compiling"] = self.timings.get("compiling", 0.0) + compiled
+            compiled = compiling_seconds()
+            if compiled > self._compiled:
+                before = self.timings.get("compiling", 0.0)
+                self.timings["compiling"] = before + compiled - self._compiled
+                self._compiled = compiled
             seconds = clock() - begin - (self.untimed_seconds - untimed)
             self.timings[name] = self.timings.get(name, 0.0) + seconds - self._nested_seconds
             self._nested_seconds = outside + seconds
