@@ -344,8 +344,8 @@ def _checked_masters(value: object) -> tuple[str, ...]:
 
 # entries of matrices and nodal forces beyond these come from no physical problem: energies leave
 # the range of float64
-LARGEST, SMALLEST = 1e140, 1e-140
-_ASYMMETRY = 1e-8
+LARGEST = 1e140
+SMALLEST = 1 / LARGEST
 
 
 def bounded(
@@ -428,7 +428,7 @@ def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
     scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))
     rows, columns = (place // dim for place in difference.coords)
     asymmetry = np.abs(difference.data) / (scale[rows] * scale[columns])
-    if asymmetry.max(initial=0.0) > _ASYMMETRY:
+    if asymmetry.max(initial=0.0) > checks.ALIKE:
         worst = int(np.argmax(asymmetry))
         raise ValueError(
             f"matrix must be symmetric; |A - A'| reaches {asymmetry[worst]:.2g} of the diagonal, between "

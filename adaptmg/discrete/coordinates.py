@@ -32,14 +32,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg._checks import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.supports import Inclined
 from adaptmg.problem.laws import Law, sampled_friction
 
-#: the largest weight that counts as none
-NEGLIGIBLE = 1e-6
-_ROUNDING = 1e-13
 _MOST_LINKS = 16  # bodies in a row of which each is the slave of the next
 
 
@@ -125,7 +123,7 @@ def relative_prolongation(
         return nodal
     inner = nodal if coarse is None else sparse.csr_array(nodal @ coarse.upward)
     result = inner.copy() if fine is None else sparse.csr_array(inner - fine.weights @ inner)
-    result.data[np.abs(result.data) < _ROUNDING] = 0.0
+    result.data[np.abs(result.data) < checks.ROUNDING] = 0.0
     result.eliminate_zeros()
     result.sort_indices()
     return narrowed(result)
@@ -169,10 +167,10 @@ def held_slaves(
     rows = sparse.csr_array(weights[nodes])
     facing = facing_part(rows)
     acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (facing.sum(axis=1) > 0)
-    held = (fixed[nodes] & (facing @ fixed.astype(float) <= NEGLIGIBLE)).any(axis=1)
+    held = (fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)).any(axis=1)
     either = np.any(fixed, axis=1)
     either[inclined.nodes] = True
-    held |= np.isin(nodes, inclined.nodes) & (facing @ either.astype(float) <= NEGLIGIBLE)
+    held |= np.isin(nodes, inclined.nodes) & (facing @ either.astype(float) <= checks.SIX_DIGITS)
     return np.flatnonzero(acts & held)
 
 
@@ -296,7 +294,7 @@ class Unknowns:
                 facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float))
             )
             total = np.asarray(weights.sum(axis=1)).ravel()
-            carried = total > NEGLIGIBLE
+            carried = total > checks.SIX_DIGITS
             scale = sparse.diags_array(1 / total[carried], format="csr")
             result.append((held[carried], sparse.csr_array(scale @ weights[carried]), c))
         return result

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.laws import Anisotropy, Axisymmetric, Elastic, PlaneStress
 
@@ -24,8 +25,6 @@ Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]
 #: of the shear modulus: the part of Lame's first constant that acts on the means of smoothed elements around edges
 EDGE_PART = 4.0
 
-# of the largest radius: nodes on the axis may lie this far behind it by rounding
-_ROUNDING = 1e-9
 #: components of the columns, and where they stand in the order of Voigt
 _PAIRS = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)])
 _VOIGT = [0, 1, 2, 5, 3, 4]
@@ -64,7 +63,7 @@ def body_materials(mesh: MeshArrays, material: Materials) -> tuple[Elastic, ...]
                 + ", ".join(type(elastic).__name__ for elastic in materials)
             )
         r = mesh.points[:, 0]
-        if r.min() < -_ROUNDING * r.max():
+        if r.min() < -checks.ALIKE * r.max():
             raise ValueError(
                 f"axisymmetric bodies lie at radii x >= 0, got x = {r.min():.6g} m at node "
                 f"{int(np.argmin(r))}"

@@ -74,11 +74,8 @@ if TYPE_CHECKING:
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
 
-_ROUNDING = 1e-12  # of the bodies' size
-_KNOWN = 1e-9  # the same of surfaces of STEP files, found from samples
 _LEAST_COVERED = 0.25  # of the part of a slave node
 _OFFSET = 1e-2  # of the shortest edge of facets at a slave node: how far off its normal its partner may lie
-_NEGLIGIBLE = 1e-13  # of the largest entry in a row of B, and of the measure around a node
 _SYMMETRY_TILT = np.cos(
     np.pi / 6
 )  # normals within 30 degrees of a plane of symmetry are put into it
@@ -188,7 +185,7 @@ def pair_interface(
             )
     if not pair.allow_interference:
         known = isinstance(slave, Curved)
-        tolerance = np.full(len(gaps), (_KNOWN if known else _ROUNDING) * surfaces.size)
+        tolerance = np.full(len(gaps), (checks.ALIKE if known else checks.ROUNDING) * surfaces.size)
         if pair.gap is None:
             tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
             # the surfaces themselves must overlap, and not only a mean of their distance with
@@ -392,7 +389,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     gaps = np.bincount(
         slave.ravel(), np.einsum("piq,pq->pi", tests, parts.distances).ravel(), minlength=n_nodes
     )
-    least = _NEGLIGIBLE * surfaces.slave_side.lumped(surfaces.axisymmetric)
+    least = checks.ROUNDING * surfaces.slave_side.lumped(surfaces.axisymmetric)
     nodes = np.flatnonzero(diagonal > least)
     if taken is not None and without_multiplier[parts.slave].any():
         node_share = _shares(surfaces.slave_side, diagonal > least, surfaces.axisymmetric).T
@@ -448,7 +445,9 @@ def _without_rounding(coupling: sparse.csr_array) -> sparse.csr_array:
     """A matrix without entries that are zero to rounding, its rows scaled to the sum 1."""
     row = np.repeat(np.arange(coupling.shape[0]), np.diff(coupling.indptr))
     size = np.abs(coupling.data)
-    coupling.data[size <= _NEGLIGIBLE * np.maximum.reduceat(size, coupling.indptr[:-1])[row]] = 0.0
+    coupling.data[
+        size <= checks.ROUNDING * np.maximum.reduceat(size, coupling.indptr[:-1])[row]
+    ] = 0.0
     coupling.eliminate_zeros()
     coupling = sparse.csr_array(sparse.diags_array(1 / coupling.sum(axis=1)) @ coupling)
     coupling.sort_indices()

@@ -410,7 +410,6 @@ def nearest_pieces(
 
 # -- in space -------------------------------------------------------------------------------------------------------
 
-_LEAST_OF_TRIANGLE = 1e-6  # of a triangle: less is left out
 _GRAZING = 1e-2  # a master facet faces a slave facet if it leans towards its normal by more than this angle (rad)
 _STRIP = (
     1e-3  # a covariance S of a smaller ratio det(S) / trace(S)^2 is taken in its principal axes
@@ -533,7 +532,7 @@ def _common_parts(
         shapes,
         distances,
         local[..., :2] - origin[:, None],
-        covered >= _LEAST_OF_TRIANGLE * surfaces.slave_side.measures,
+        covered >= _LEAST_OF_EDGE**2 * surfaces.slave_side.measures,
     )
 
 

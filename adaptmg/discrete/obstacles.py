@@ -19,15 +19,11 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg.discrete.mortar import MortarInterface, taken_over
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.supports import TANGENTIAL
 from adaptmg.problem.contact_problem import Contact
 from adaptmg.problem.surfaces import ContactPair, Moving, Obstacle, Rigid
 
 if TYPE_CHECKING:
     from adaptmg.discrete.posed import Posed
-
-_ROUNDING = 1e-12  # of the size of a body: a negative gap below this is rounding, not interference
-_TURNED = 1e-14  # normals that turn by less than this do not
 
 
 def in_front_of(posed: Posed, k: int) -> MortarInterface:
@@ -42,7 +38,7 @@ def in_front_of(posed: Posed, k: int) -> MortarInterface:
     )
     gaps = np.array(gaps, dtype=np.float64)
     if gaps.min(initial=0.0) < 0:
-        gaps[(gaps < 0) & (gaps > -_ROUNDING * np.linalg.norm(mesh.sides))] = 0.0
+        gaps[(gaps < 0) & (gaps > -checks.ROUNDING * np.linalg.norm(mesh.sides))] = 0.0
     if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
         raise ValueError(
@@ -51,7 +47,7 @@ def in_front_of(posed: Posed, k: int) -> MortarInterface:
             "allow_interference=True for an interference fit"
         )
     free = free_normals(posed, k, normals)
-    movable = (np.linalg.norm(free, axis=1) > TANGENTIAL) & (posed.untied[nodes] == k)
+    movable = (np.linalg.norm(free, axis=1) > checks.ALIKE) & (posed.untied[nodes] == k)
     weights = surface.lumped(problem.axisymmetric)[nodes[movable]]
     distances = gaps[movable]
     taken = None
@@ -97,7 +93,7 @@ def check_held(
         over = np.where(_held_in_part(free, normals), np.abs(along), along - gaps)
         over[(free == normals).all(axis=1)] = 0.0
         i = int(np.argmax(over))
-        if over[i] > _ROUNDING * (np.abs([along[i], gaps[i]]).max() + posed.mesh.sides.max()):
+        if over[i] > checks.ROUNDING * (np.abs([along[i], gaps[i]]).max() + posed.mesh.sides.max()):
             raise ValueError(
                 f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {over[i]:.6g} "
                 "m inside its obstacle: move the support less, or the obstacle"
@@ -133,7 +129,7 @@ def along_free(
 
 def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Return where (n,) supports hold a part of the normal, however small, and not all of it."""
-    return (np.linalg.norm(free, axis=1) > TANGENTIAL) & (free != normals).any(axis=1)
+    return (np.linalg.norm(free, axis=1) > checks.ALIKE) & (free != normals).any(axis=1)
 
 
 def free_normals(posed: Posed, k: int, normals: np.ndarray) -> np.ndarray:
@@ -145,7 +141,7 @@ def free_normals(posed: Posed, k: int, normals: np.ndarray) -> np.ndarray:
     boundary = posed.problem.contact[k].boundary
     nodes = posed.surfaces[boundary].nodes
     directions = posed.directions.get(boundary, normals[:0])
-    clash = (np.abs(normals @ directions.T) > TANGENTIAL).any(axis=1)
+    clash = (np.abs(normals @ directions.T) > checks.ALIKE).any(axis=1)
     if clash.any():
         i = int(np.argmax(clash))
         raise ValueError(
@@ -212,7 +208,7 @@ def moved(
         normals[rows], gaps[rows] = along_free(free, direct[at], gap[at] + taken @ gap)
         motion = obstacle.motion(points) - before[k].motion(points)
         reference[rows] += motion[at] + taken @ motion
-    turned = np.abs(normals - contact.normals).max(initial=0.0) > _TURNED
+    turned = np.abs(normals - contact.normals).max(initial=0.0) > checks.ROUNDING
     new = replace(
         contact,
         normals=normals if turned else contact.normals,

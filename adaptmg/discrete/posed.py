@@ -48,7 +48,6 @@ from adaptmg.discrete.mortar import MortarInterface, curved, pair_interface, sla
 from adaptmg.discrete.obstacles import free_normals, in_front_of, may_overlap, with_motions
 from adaptmg.discrete.sides import with_sides, young_of
 from adaptmg.discrete.supports import (
-    TANGENTIAL,
     Held,
     Inclined,
     held_by,
@@ -328,7 +327,7 @@ class Posed:
         surface = self.surfaces[contact.slave]
         slave_nodes = surface.nodes
         free = free_normals(self, k, self.outward[k])
-        partly = np.linalg.norm(free, axis=1) < 1 - TANGENTIAL
+        partly = np.linalg.norm(free, axis=1) < 1 - checks.ALIKE
         without = slave_nodes[
             partly | (self.untied[slave_nodes] != k) | np.isin(slave_nodes, excluded)
         ]

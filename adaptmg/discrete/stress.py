@@ -327,10 +327,6 @@ def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> fl
     return float(young * volume / np.ptp(mesh.points[mesh.elements[elements], preload.direction]))
 
 
-#: pivots below this part of the number of samples: these lie on a line, or in a plane
-_SINGULAR = 1e-5
-
-
 def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the cells of :func:`~adaptmg.discrete.elasticity.apart`, and nodal values (n,
     n_values) of those (n_elements, n_values) of elements."""
@@ -405,7 +401,8 @@ def _fits(
         matrix[a] = cast("np.ndarray", sums @ terms).T
         sides[a] = cast("np.ndarray", sums @ samples).T
     means = sides[0] / matrix[0, 0]
-    limit = _SINGULAR * matrix[0, 0]
+    # samples on a line, or in a plane, have pivots below
+    limit = checks.SIX_DIGITS * matrix[0, 0]
     for a in range(k):
         good &= matrix[a, a] > limit
         matrix[a, a, ~good] = 1.0

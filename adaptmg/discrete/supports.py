@@ -37,11 +37,6 @@ from adaptmg.problem.loads import (
     times,
 )
 
-_AT_POINT = 1e-9  # of the size of the mesh: nodes nearer to a point lie at it
-_ALONG_AXIS = 1e-9  # of the cosine with an axis or a mean normal; of prescribed values
-_PARALLEL = 1e-6  # directions that differ by less count as one
-TANGENTIAL = 1e-8  # a component of a unit normal below this is none
-
 
 @dataclass(frozen=True, eq=False)
 class Inclined:
@@ -194,7 +189,7 @@ def node_at(mesh: MeshArrays, point: Sequence[float], body: str | None = None) -
     )
     nodes = np.unique(elements)
     away = np.linalg.norm(mesh.points[nodes] - point, axis=1)
-    near = nodes[away <= _AT_POINT * mesh.sides.max()]
+    near = nodes[away <= checks.ALIKE * mesh.sides.max()]
     if not len(near):
         nearest = mesh.points[nodes[np.argmin(away)]]
         raise ValueError(
@@ -254,13 +249,13 @@ def held_by(
         if normal is not None:
             normals = surfaces[cast("str", support.boundary)].normals  # with a normal, no point
             direction = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
-            if not (normals @ direction).min() > 1 - _ALONG_AXIS:
+            if not (normals @ direction).min() > 1 - checks.ALIKE:
                 raise ValueError(
                     f"the support on {support.boundary!r} holds its normal, and the boundary is not plane: "
                     "name each of its plane parts"
                 )
             axis = int(np.argmax(np.abs(direction)))
-            if np.abs(direction[axis]) <= 1 - _ALONG_AXIS:
+            if np.abs(direction[axis]) <= 1 - checks.ALIKE:
                 directions.append((direction, None, normal))
             elif components[axis] is not None:
                 raise ValueError(
@@ -294,7 +289,7 @@ def held_directions(holds: Sequence[Held]) -> dict[str, np.ndarray]:
         result[name] = np.array(sorted({tuple(direction.tolist()) for direction in directions}))
         if (np.abs(directions).max(axis=1) < 1.0).any():  # axes stay unchanged, to the bit
             _, sizes, rows = np.linalg.svd(result[name], full_matrices=False)
-            result[name] = rows[sizes > _PARALLEL]
+            result[name] = rows[sizes > checks.SIX_DIGITS]
     return result
 
 
@@ -311,9 +306,9 @@ def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
         _, at, entries = np.intersect1d(nodes, hold.nodes, return_indices=True)
         rows[at, k] = hold.direction
         values[at, k] = hold.values[entries]
-    inverse = np.linalg.pinv(rows, rcond=_PARALLEL)
+    inverse = np.linalg.pinv(rows, rcond=checks.SIX_DIGITS)
     left = np.einsum("nsd,ndt,nt->ns", rows, inverse, values) - values
-    wrong = np.abs(left).max(axis=1) > _ALONG_AXIS * np.abs(values).max()
+    wrong = np.abs(left).max(axis=1) > checks.ALIKE * np.abs(values).max()
     if wrong.any():
         i = int(np.argmax(wrong))
         names = dict.fromkeys(

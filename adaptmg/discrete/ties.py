@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.mortar import MortarInterface, pair_interface
@@ -25,8 +26,6 @@ from adaptmg.problem.surfaces import ContactPair, Periodic, Tied
 
 if TYPE_CHECKING:
     from adaptmg.discrete.posed import Posed
-
-_OFFSET = 1e-6  # of the size of the mesh: how far a partner on the other side of a cell may lie off its place
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +135,7 @@ def _periodic(
     # scipy-stubs: of several points
     found = cKDTree(points[master]).query(points[slave] - shift)
     away, partner = cast("tuple[np.ndarray, np.ndarray]", found)
-    if len(slave) != len(master) or away.max() > _OFFSET * size:
+    if len(slave) != len(master) or away.max() > checks.SIX_DIGITS * size:
         i = int(np.argmax(away))
         raise ValueError(
             f"periodic sides {tie.master!r} and {tie.slave!r} do not match: {len(master)} and "

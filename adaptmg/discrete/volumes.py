@@ -29,6 +29,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg._numba import kernel, read_only
 from adaptmg.discrete.elasticity import (
     apart,
@@ -52,8 +53,6 @@ from adaptmg.mesh.arrays import MeshArrays
 GROUP = {2: 4, 3: 8}
 #: of a problem without groups
 NO_PRESSURES = read_only(np.empty(0))
-#: kappa over the shear modulus up to which there are no groups
-_NONE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +161,7 @@ def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes:
     edge = np.minimum(lame, EDGE_PART * shear)
     kappa = np.where([one.anisotropy is None for one in materials], lame - edge, 0.0)
     # a ratio of .4 has a kappa of rounding
-    soft = (kappa > _NONE * shear)[mesh.element_body]
+    soft = (kappa > checks.ALIKE * shear)[mesh.element_body]
     if not soft.any():
         return Volumes.none(mesh.n_nodes, dim)
     # a node of two bodies has a group in each

@@ -413,10 +413,6 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     return plain, contact
 
 
-#: slips up to this part of the largest displacement are rounding
-_STILL = 1e-12
-
-
 def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     """Return squares (n_elements,) from complementarity and from friction, N m. At the nodes the
     conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction at its
@@ -468,7 +464,7 @@ def _friction(state: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     limit = np.where(opens, fixed, contact.limit)
     length = np.linalg.norm(contact.slip, axis=1)
     moves = (contact.state != State.STICK) & (
-        length > _STILL * np.abs(state.result.displacement).max(initial=0.0)
+        length > checks.ROUNDING * np.abs(state.result.displacement).max(initial=0.0)
     )
     along = np.where(moves[:, None], -contact.slip, contact.force_t)
     size = np.linalg.norm(along, axis=1)

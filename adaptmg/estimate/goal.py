@@ -241,8 +241,11 @@ def _sizes(functionals: list[Functional]) -> np.ndarray:
 
 #: an error over what halving all elements takes from it
 _WHOLE = 4 / 3
-#: residual of the equations of the new nodes, and the steps to a restart: their condition is about ten
-_RTOL, _STEPS = 1e-2, 30
+#: residual of the equations of the new nodes, whose condition is about ten: half changes estimates of
+#: 32 goals by 1 % at most, twice by 3 %, 1e-1 by 29 %
+_RTOL = 1e-2
+#: steps to a restart
+_STEPS = 30
 
 
 class HalvedError:

@@ -235,22 +235,16 @@ class LoopParts:
     rtol: float | None = None
 
 
-#: nodes of the next mesh over those of the last, below which it is not worth making
+#: nodes of the next mesh over those of the last, below which it is not worth making, and of one
+#: between them: measured 1.15 and 1.6 change none of 20 loops to 700 nodes; between levels 1.2 and 1.4
+#: make 8 % more and 3 % less work of 10 of them
 LEAST_GROWTH = 1.3
-#: sums of squares that are rounding, over the square of the norm, as of solutions which are linear; over the value of
-#: a goal (forces that equilibrium gives: 1e-17)
-EXACT, EXACT_GOAL = 1e-16, 1e-13
 #: tolerance of the solves: resultants hold to 1e-4 and better on bodies of 20 : 1, and compliances, which see algebraic
 #: errors to first order and those of the mesh to second, to a tenth of the latter. Marks need a hundredth of the
 #: estimate, but a result is what the user keeps; from 1e-2 to 1e-6 loops take 0 to 10 % more processor time
 RTOL = 1e-6
 #: times that an engine is asked for a mesh that is not too large
 ATTEMPTS = 3
-#: the estimate must fall by this factor over meshes of so much more nodes, or the loop ends (coarse meshes that do not
-#: resolve a problem hardly better it at first)
-PROGRESS, OVER = 0.95, 4.0
-#: nodes from which that is asked: with fewer, contact may have none where it will be, and estimates mean little
-RESOLVED = 500
 
 
 class AdaptiveLoop:
@@ -309,24 +303,16 @@ class AdaptiveLoop:
                 f"tolerance met: the estimate is {relative:.3g}, the tolerance {limits.tolerance:g}"
             )
         estimate = last.estimate
-        exact = (
-            EXACT * estimate.norm**2 if estimate.value is None else EXACT_GOAL * abs(estimate.value)
-        )
+        # solutions that are linear: solves to RTOL leave 6e-13 of the square of the norm in patch tests
+        exact = (checks.SIX_DIGITS * estimate.norm) ** 2
+        if estimate.value is not None:
+            exact = checks.ROUNDING * abs(estimate.value)
         if estimate.squares.sum() <= exact:
             return "no progress: the indicator finds no error beyond rounding"
         if self._full(last.nodes):
             return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
             return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
-        for before in reversed(self.done[:-2]):
-            if before.nodes >= RESOLVED and last.nodes >= OVER * before.nodes:
-                falls = np.sqrt(last.estimate.squares.sum() / before.estimate.squares.sum())
-                if falls > PROGRESS:
-                    return (
-                        f"no progress: from {before.nodes} to {last.nodes} nodes the estimate falls by "
-                        f"{1 - falls:.1%} only"
-                    )
-                break
         return ""
 
     def _full(self, nodes: int) -> bool:
@@ -521,14 +507,14 @@ def _applies(solver: Solver, hierarchy: Hierarchy) -> bool:
     return len(hierarchy) > 1 or not isinstance(solver, Multigrid)
 
 
-#: largest local size ratio (its 99 % quantile) between neighbours
+#: largest local size ratio (its 99 % quantile) between neighbours, also where a level could be dropped:
+#: half makes 46 % more work in 10 loops with 8 % fewer cycles, twice 14 % less with 6 % more
 RATIO = 4.5
-#: the same where a level could be dropped: what it saves must not cost cycles
-THINNED = 3.5
-#: nodes of a level over those of the next coarser one below which the two are too close
+#: nodes of a level over those of the next coarser one below which the two are too close: 1.35 and 2.4
+#: change none of 10 loops by bisection; 1.35 none by meshing anew
 CLOSE = 1.7
-#: meshes put between two neighbours at most, and how many more nodes than the coarser one each must have
-MOST_BETWEEN, GROWTH = 4, 1.2
+#: meshes put between two neighbours at most
+MOST_BETWEEN = 4
 
 
 def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarchy:
@@ -542,7 +528,9 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarch
         middle = between(hierarchy.problem, finest, mesh)
         if middle is not None:
             middle = sound_mesh(engine, "intermediate", hierarchy.problem, middle, finest)
-        if middle is None or not GROWTH * finest.n_nodes <= middle.n_nodes <= mesh.n_nodes / GROWTH:
+        if middle is None or not (
+            LEAST_GROWTH * finest.n_nodes <= middle.n_nodes <= mesh.n_nodes / LEAST_GROWTH
+        ):
             break
         hierarchy = hierarchy.append(middle)
     return hierarchy.append(mesh)
@@ -561,7 +549,7 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
         middle = hierarchy[level]
         if (
             finer.n_nodes < CLOSE * middle.n_nodes
-            and size_ratio(need_mesh(hierarchy[level - 1]), need_mesh(finer)) <= THINNED
+            and size_ratio(need_mesh(hierarchy[level - 1]), need_mesh(finer)) <= RATIO
         ):
             hierarchy = hierarchy.without(level)
     return hierarchy

@@ -36,8 +36,6 @@ from adaptmg.smoother.system import ContactState as State
 from adaptmg.transfer import PointLocator
 
 _AXES = {"x": 0, "y": 1, "z": 2}
-#: how far outside its element a point may lie, over the size of the element
-_OUTSIDE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +244,7 @@ class Displacement:
         for point, element, weights, distance in zip(
             self.points, at.element, at.weights, at.distance, strict=True
         ):
-            if view.coarse is None and distance > _OUTSIDE * mesh.element_sizes[element]:
+            if view.coarse is None and distance > checks.SIX_DIGITS * mesh.element_sizes[element]:
                 raise ValueError(f"points: {point} lies {distance:.3g} m outside the mesh")
             nodal = np.zeros(mesh.points.shape)
             nodal[mesh.elements[element], k] = weights
@@ -464,7 +462,7 @@ class Opening:
         distance = np.linalg.norm(shape @ mesh.points[facets[k]] - point)
         if (
             view.coarse is None
-            and distance > _OUTSIDE * np.ptp(mesh.points[facets[k]], axis=0).max()
+            and distance > checks.SIX_DIGITS * np.ptp(mesh.points[facets[k]], axis=0).max()
         ):
             raise ValueError(
                 f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}"

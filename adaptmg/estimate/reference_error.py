@@ -35,13 +35,6 @@ from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.solver.result import Result
 from adaptmg.transfer.interpolation import PointLocator, nodes_of_bodies
 
-#: of the largest force: less is what the solver leaves at free nodes
-_IDLE = 1e-12
-#: of the energy: the accuracy of its differences, with solutions to a relative 1e-8
-_RESOLVED = 1e-8
-# from a node to the middle of an element
-_INWARD = 1e-9
-
 
 @dataclass(frozen=True)
 class EnergyError:
@@ -83,12 +76,12 @@ class Reference:
         mesh = state.mesh
         forces = _exerted(state.discrete, result)
         prescribed = _constants(state.posed)
-        acting = np.abs(forces).max(axis=1) > _IDLE * np.abs(forces).max()
+        acting = np.abs(forces).max(axis=1) > checks.ROUNDING * np.abs(forces).max()
         owner = nodes_of_bodies(mesh, "hierarchy")
         # just inside one of the elements at each node: the faces of a crack lie at one place
         inside = np.empty(mesh.points.shape)
         inside[mesh.elements] = mesh.points[mesh.elements].mean(axis=1, keepdims=True)
-        places = mesh.points + _INWARD * (inside - mesh.points)
+        places = mesh.points + checks.ALIKE * (inside - mesh.points)
         loaded = {body: np.flatnonzero(acting & (owner == k)) for k, body in enumerate(mesh.bodies)}
         return cls(
             state.problem,
@@ -151,7 +144,7 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     squared = (
         reference.energy - 2 * reference.against(result) + result_energy + reference.own_error**2
     )
-    if -_RESOLVED * reference.energy <= squared < 0:
+    if -checks.ALIKE * reference.energy <= squared < 0:
         squared = 0.0
     if not squared >= 0:
         raise ValueError(

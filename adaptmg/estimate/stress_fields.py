@@ -36,6 +36,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, facet_keys, need_mesh
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import PointForce
+from adaptmg.solver.advice import CORNER
 from adaptmg.solver.examine import ContactResult, energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
@@ -47,8 +48,6 @@ _BACK = {
     4: np.array([[0, 3], [3, 1]]),
     6: np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]]),
 }
-#: Lame's first constant over the shear modulus where it is infinite
-_VAST = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +83,7 @@ class ElementStress:
             self.data.shear,
             np.zeros(len(self.data.lame), dtype=bool),
             self.mesh,
-            _VAST,
+            1 / checks.ALIKE,
         )
 
     @cached_property
@@ -172,10 +171,6 @@ _OTHER_STEP = (
     "of a load step, or where forces are prescribed, give hierarchy.with_problem("
     "adaptmg.problem.step_problem(problem, factors, result.motions))"
 )
-#: relative difference of loads that agree; those of the result are exact to rounding
-_LOADS_AGREE = 1e-6
-#: of A u, over the diagonal times u: bodies that their supports move strain no element
-_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,8 +262,10 @@ class Solved:
             inclined.free_part(nodes, nodal_forces.reshape(-1, self.mesh.dim)).reshape(-1)
             for nodal_forces in (load, expected, posed)
         )
-        rounding = _ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
-        allowed = max(_LOADS_AGREE * max(euclidean_norm(forces), euclidean_norm(load)), rounding)
+        rounding = checks.ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
+        allowed = max(
+            checks.SIX_DIGITS * max(euclidean_norm(forces), euclidean_norm(load)), rounding
+        )
         if not min(euclidean_norm(load - expected), euclidean_norm(load - posed)) <= allowed:
             raise ValueError(
                 "result has other loads than those of hierarchy.problem: " + _OTHER_STEP
@@ -276,9 +273,9 @@ class Solved:
         contact = self.result.contact
         gaps = self.discrete.contact.gaps * contact.weights / contact.measures
         left = contact.gap + contact.u_n - gaps
-        if np.abs(left).max(initial=0.0) > _LOADS_AGREE * np.abs([contact.gap, contact.u_n]).max(
-            initial=0.0
-        ):
+        if np.abs(left).max(initial=0.0) > checks.SIX_DIGITS * np.abs(
+            [contact.gap, contact.u_n]
+        ).max(initial=0.0):
             raise ValueError(
                 "result has its obstacles in other places than hierarchy.problem: " + _OTHER_STEP
             )
@@ -313,10 +310,6 @@ def solved(hierarchy: Hierarchy, result: Result) -> Solved:
     state = Solved(posed, hierarchy.finest.discrete, result)
     state.check_loads()
     return state
-
-
-#: cosine of the angle up to which one surface is the continuation of another
-_STRAIGHT = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,12 +399,12 @@ def _on_surface(
             filled[at] = True
     values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
     if name in contact.names and not filled.all():
-        # nodes that belong to another contact boundary
+        # nodes that belong to another contact boundary, which may go on straight
         of_node = np.zeros((2, *mesh.points.shape))
         of_node[:, contact.node] = contact.normal, contact.force / contact.weights[:, None]
         normals, tractions = of_node[:, nodes]
         straight = ~filled & (
-            np.einsum("nd,nd->n", normals, surface.node_normals[nodes]) > _STRAIGHT
+            np.einsum("nd,nd->n", normals, surface.node_normals[nodes]) > np.cos(CORNER)
         )
         values[straight] = tractions[straight]
         _fill(surface, filled | straight | ~normals.any(axis=1), values)

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 _LABELS = ("facet_labels", "element_body")
 # pictures: pixels of the longer side, elements beyond which only the boundary is drawn, the view
 # from above and right
-_SIZE, _MANY, _VIEW = 480, 20_000, np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
+_SIZE = 480
+_MANY = 20_000
+_VIEW = np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 
 
 def _frozen(name: str, array: ArrayLike, dtype: type) -> np.ndarray:

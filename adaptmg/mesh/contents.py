@@ -29,8 +29,6 @@ from adaptmg.mesh.shapes import KINDS, around_centres, cut_note, dimension, midd
 from adaptmg.mesh.soundness import check_stranger
 from adaptmg.mesh.structured import merged
 
-_FLAT = 1e-9
-
 
 @dataclass(eq=False)
 class Contents:
@@ -144,7 +142,7 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
     elements, block, cell = map(np.concatenate, zip(*parts, strict=True))
     used = points[np.unique(elements)]
-    if dim == 2 and np.ptp(used[:, 2]) > _FLAT * np.ptp(used[:, :2], axis=0).max():
+    if dim == 2 and np.ptp(used[:, 2]) > checks.ALIKE * np.ptp(used[:, :2], axis=0).max():
         raise ValueError(
             "it holds plane elements only, but they are not in a plane z = constant: z runs from "
             f"{used[:, 2].min():.6g} to {used[:, 2].max():.6g}; a body in space needs solid elements"
@@ -157,7 +155,7 @@ def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: in
     """The cells of which a part is flat, or lies the other way than the whole."""
     sizes = signed_measures(points, cells)
     whole = np.bincount(owner, sizes, minlength=n)
-    return np.unique(owner[sizes * np.sign(whole[owner]) <= 1e-9 * np.abs(whole[owner])])
+    return np.unique(owner[sizes * np.sign(whole[owner]) <= checks.ALIKE * np.abs(whole[owner])])
 
 
 def _pieces(

@@ -18,7 +18,7 @@ from adaptmg.problem.plane_domains import Box, Domain, Outline
 from adaptmg.problem.plane_edges import Arc, Segment
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 
-_AXIS = (0.0, 0.0, 1.0)
+_AXIS = np.eye(3)[2]
 
 
 def surfaces_of(domain: Domain | None) -> dict[str, list[Revolved]]:

@@ -29,6 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import (
     MeshArrays,
     Surface,
@@ -44,6 +45,7 @@ from adaptmg.mesh.improve import drafted, improved, mean_ratios
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, NetgenUnfinished, limit_s, netgen, read_s
 from adaptmg.mesh.onto_domain import onto_domain
 from adaptmg.mesh.sizes import (
+    GRADING,
     MAX_BISECTIONS,
     SizeField,
     Unfit,
@@ -80,19 +82,23 @@ _MAX_GRADING = 0.6
 _ATTEMPTS = (1.0, 0.7, 0.5)
 #: how many times larger than wanted the elements of a draft may be (not two powers of two, which would refine levels
 #: whose sizes are halved from one draft), and nodes that it has at least
-_FACTORS, _LEAST = (7.2, 4.0, 1.8), 100
+_FACTORS = (7.2, 4.0, 1.8)
+_LEAST = 100
 # smallest angle of a draft, degrees: elements whose nodes all lie on the boundary keep theirs
 _MIN_ANGLE = 12.0
 # mean ratios of tetrahedra (1 if equilateral) that are bisected, if they are at most this share, as
 # they are not in thin plates; passes, with moves after each: of seven coarse bars (.06 to .2, 1 to 5
 # degrees) six got past .2 in four
-_POOR, _POOR_SHARE, _RELIEFS, _MOVES = 0.2, 0.1, 8, 3
+_POOR = 0.2
+_POOR_SHARE = 0.1
+_RELIEFS = 8
+_MOVES = 3
 # smallest angle of tetrahedra, degrees, below which a mesh is warned of, as of triangles
 _SHARP = 1.0
 # area over the square of the longest edge, below which a triangle is flat: 1 degree
-_FLAT = 0.5 * math.tan(math.radians(1.0))
-# of the largest coordinate: what scaling to unit size and back may move a node by
-_ROUNDED, _DIGITS = 1e-9, 14
+_FLAT = math.tan(math.radians(_SHARP)) / 2
+# digits that rounding leaves of the coordinates of plane faces
+_DIGITS = 14
 
 
 def _raised(size: float, largest: float) -> float:
@@ -282,7 +288,7 @@ class SolidSizes:
     size: float  # largest
     names: tuple[str, ...] = ()  # boundaries along which they are
     near: float = 1.0
-    grading: float = 0.3  # growth of the edge length per distance, above 0 and at most 1
+    grading: float = GRADING  # growth of the edge length per distance, above 0 and at most 1
     function: float | SizeField | None = None
 
     def drafts(self, factor: float, slower: float) -> SolidSizes:
@@ -642,7 +648,7 @@ def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndar
     reach = float(np.abs(points).max())
     for face in unit.boundaries:
         nodes = unit.boundary_nodes(face)
-        for axis in np.flatnonzero(np.ptp(points[nodes], axis=0) < _ROUNDED * reach):
+        for axis in np.flatnonzero(np.ptp(points[nodes], axis=0) < checks.ALIKE * reach):
             points[nodes, axis] = (
                 round(float(np.median(points[nodes, axis])), _DIGITS - math.ceil(math.log10(reach)))
                 + 0.0

@@ -30,6 +30,7 @@ from netgen import occ
 from netgen.geom2d import SplineGeometry
 from netgen.occ import Dir, Face, OCCGeometry, Pnt, Solid, TopoDS_Shape, Vec, X, Y, Z
 
+from adaptmg import _checks as checks
 from adaptmg._machine import limit_memory, memory
 from adaptmg.problem.combined_domains import Combination, Common, Cracked, Cut
 from adaptmg.problem.plane_domains import Box, Domain, Outline
@@ -52,11 +53,7 @@ _KINDS |= {22: "pyramid", 23: "wedge", 25: "hexahedron"}
 _MAX_TURN = math.radians(80.0)
 # longest edge on an arc, of its radius; Netgen rounds the number of edges of a piece
 _MAX_EDGE = 0.4
-_NO_LIMIT = 1e99
-# volumes of boolean operations add up to 1e-9 of the operands
-_VOLUME_TOLERANCE = 1e-6
 # parameters of samples of surfaces: angles of those that are turned
-_FLAT = 1e-9  # differences of the normals of plane faces
 _ACROSS, _ALONG = (0.1, 0.5, 0.9, 1.3, 1.7), (0.01, 0.04, 0.07, 0.1, 0.13)
 # where Gmsh puts the nodes that VTK counts in order, of kinds that meshio leaves alone
 _ORDER = {
@@ -253,7 +250,7 @@ def _spline_geometry(
             "leftdomain": 1,
             "rightdomain": int(i in domain.twins.values()),
             "bc": str(i),
-            "maxh": sides.get(name, _NO_LIMIT),
+            "maxh": sides.get(name, checks.VAST),
         }
         first = corners[i]
         last = corners[domain.following[i]]
@@ -404,7 +401,7 @@ def face_sides() -> tuple[np.ndarray, np.ndarray]:
     for face in _Held.shape.faces:
         boxes.append([_place(p) for p in face.bounding_box])
         normal = _samples(face)[..., 3:].reshape(-1, 3)
-        if not np.ptp(normal, axis=0).max() < _FLAT:
+        if not np.ptp(normal, axis=0).max() < checks.ALIKE:
             normals.append([math.nan] * 3)
             continue
         # the surface does not know which side is outside: the face and its turned copy next to it
@@ -586,7 +583,7 @@ def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoD
         check = a.mass + b.mass - common.mass
     if not (
         math.isfinite(shape.mass)
-        and abs(shape.mass - check) <= _VOLUME_TOLERANCE * (a.mass + b.mass)
+        and abs(shape.mass - check) <= checks.SIX_DIGITS * (a.mass + b.mass)
     ):
         raise ValueError(
             f"OCC could not combine the parts of {domain!r}: the volumes do not add up "

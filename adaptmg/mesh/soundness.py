@@ -30,10 +30,6 @@ from adaptmg.mesh.arrays import (
     sound_by_construction,
 )
 
-# volume over longest edge to the power dim (0.43 for an equilateral triangle), below which an
-# element is degenerate
-_FLAT = 1e-10
-
 
 def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
     """Return the mesh itself if it is sound.
@@ -88,7 +84,7 @@ def _at(points: np.ndarray) -> str:
 def _check_elements(mesh: MeshArrays) -> None:
     unit = "m^2" if mesh.dim == 2 else "m^3"
     inverted = np.flatnonzero(mesh.volumes < 0)
-    flat = np.flatnonzero(np.abs(mesh.volumes) <= _FLAT * mesh.element_sizes**mesh.dim)
+    flat = np.flatnonzero(np.abs(mesh.volumes) <= checks.ALIKE * mesh.element_sizes**mesh.dim)
     for bad, what in ((flat, "degenerate"), (inverted, "inverted")):
         if len(bad):
             e = int(bad[0])
@@ -246,7 +242,7 @@ def least_angle(points: np.ndarray, elements: np.ndarray) -> float:
     over."""
     if not (
         signed_measures(points, elements)
-        > _FLAT * longest_edges(points[elements]) ** points.shape[1]
+        > checks.ALIKE * longest_edges(points[elements]) ** points.shape[1]
     ).all():
         return 0.0
     return float(_angles(points, elements)[0].min(initial=180.0))

@@ -22,23 +22,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, Surface, pair_keys, trusted
 from adaptmg.mesh.soundness import least_angle
 from adaptmg.problem.plane_edges import Arc, Segment
 
-# of solids of unit size: by how much points may miss the surface through them; nodes of a draft
-# theirs
-_EXACT, _NEAR = 1e-9, 1e-6
-# nodes end this near to their surfaces; steps at most; angle between normals below which two
-# surfaces are one
-_ON, _STEPS, _SAME = 1e-13, 60, 1e-8
+# steps of Newton's method at most
+_STEPS = 60
 #: smallest angle that a refined element must have where nodes moved, degrees
 _FLAT = 10.0
 # steps from a chord to its surface, which square the angle of the arc each time: 0.5 -> 1e-16 in 5
 _NEWTON = 6
 # cosine between a direction and the normal of a surface below which it does not lead onto it, and
 # between facets and the surface behind them
-_GRAZING, _PARALLEL = 0.1, 0.5
+_GRAZING = 0.1
+_PARALLEL = 0.5
 # corners of a facet lie nearer to the surface behind it than this part of the extent of the boundary,
 # else the mesh is another one than that of the domain: nodes of files have six digits
 _MOVED = 1e-5
@@ -190,7 +188,7 @@ def nearest(
         if surface.edge is not None:
             foot = (middle - gaps[:, None] * gradients)[:, :2]
             fits &= surface.edge.distance(foot) < _BESIDE * length
-        nearer = fits & (away < best - _SAME * length)
+        nearer = fits & (away < best - checks.ALIKE * length)
         best = np.where(nearer, away, best)
         number[nearer] = k
     return number
@@ -212,7 +210,7 @@ def surface_through(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     centred = points - centre
     for kind in (_plane, _sphere, _cylinder, _turned):
         surface = kind(centred, normals)
-        if surface is not None and np.abs(surface.gaps(centred)[0]).max() <= _EXACT:
+        if surface is not None and np.abs(surface.gaps(centred)[0]).max() <= checks.ALIKE:
             return replace(surface, origin=surface.origin + centre)
     return None
 
@@ -238,7 +236,7 @@ def _sphere(points: np.ndarray, normals: np.ndarray) -> Revolved:
 
 def _cylinder(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     axis = np.linalg.svd(normals)[2][-1]
-    if np.abs(normals @ axis).max() > _EXACT:
+    if np.abs(normals @ axis).max() > checks.ALIKE:
         return None
     centre, radius = _round(points - np.outer(points @ axis, axis), normals)
     return Revolved(centre, axis, np.array([1.0, 0.0]), abs(radius), True)
@@ -249,7 +247,7 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     axis = complexes[-1, :3]
     moment = complexes[-1, 3:]
     length = np.linalg.norm(axis)
-    if length < _EXACT:
+    if length < checks.ALIKE:
         return None
     axis = axis / length
     moment = moment / length
@@ -261,7 +259,7 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     slopes = np.column_stack(
         [(normals * away).sum(axis=1) / np.where(r > 0, r, 1.0), normals @ axis]
     )
-    if np.ptp(slopes, axis=0).max() <= _EXACT:
+    if np.ptp(slopes, axis=0).max() <= checks.ALIKE:
         return Revolved(origin, axis, slopes[0], float((plane @ slopes[0]).mean()), True)
     centre, radius = _round(plane, slopes)
     return Revolved(origin, axis, centre, abs(radius), False)
@@ -284,7 +282,9 @@ def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> l
     for label, face in enumerate(mesh.boundaries):
         nodes = mesh.points[np.unique(mesh.facets[mesh.facet_labels == label])]
         fitting = [
-            s for s in candidates[int(face)] if np.abs(s.gaps(nodes)[0]).max(initial=0.0) <= _NEAR
+            s
+            for s in candidates[int(face)]
+            if np.abs(s.gaps(nodes)[0]).max(initial=0.0) <= checks.SIX_DIGITS
         ]
         if not fitting:
             raise Misplaced(f"nodes of face {face} do not lie on its surface")
@@ -310,7 +310,7 @@ def settled(
         if not len(rest):
             break
         places[rest] -= np.einsum(
-            "nij,nj->ni", np.linalg.pinv(gradients[far], rcond=_SAME), gaps[far]
+            "nij,nj->ni", np.linalg.pinv(gradients[far], rcond=checks.SIX_DIGITS), gaps[far]
         )
     return places, rest
 
@@ -327,7 +327,7 @@ def onto_surfaces(
     pairs = np.unique(pair_keys(mesh.facets[row, corner], mesh.facet_labels[row], len(surfaces)))
     nodes, first, count = np.unique(pairs // len(surfaces), return_index=True, return_counts=True)
     labels = (pairs % len(surfaces))[np.stack([first, first + count - 1], axis=1)]
-    places, missed = settled(surfaces, mesh.points[nodes], labels, _ON)
+    places, missed = settled(surfaces, mesh.points[nodes], labels, checks.ROUNDING)
     if len(missed):
         raise Misplaced(f"{len(missed)} nodes do not reach the surfaces of their faces")
     points = mesh.points.copy()

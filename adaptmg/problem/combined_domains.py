@@ -37,8 +37,6 @@ from adaptmg.problem.plane_edges import Arc, Segment, check_simple, meetings
 from adaptmg.problem.solid_domains import SOLID, SolidDomain
 
 Path = tuple[tuple[float, ...], ...]
-# of the extent: ends of cracks this near to a vertex or an edge lie on it
-_NEAR = 1e-9
 _SIDES = ("left", "right")
 
 
@@ -415,7 +413,7 @@ class Cracked(SolidDomain):
         opens."""
         body = self.domain.outline
         paths: dict[str, Path] = {}
-        near = _NEAR * float((self.upper - self.lower).max())
+        near = checks.ALIKE * float((self.upper - self.lower).max())
         for name, path in self.cracks.items():
             ends = []
             for end in (path[0], path[-1]):
@@ -449,8 +447,8 @@ def _check_plane(name: str, path: np.ndarray) -> None:
     extent = float(np.ptp(path, axis=0).max())
     length = float(np.linalg.norm(normal))
     if (
-        not length > _NEAR * extent**2
-        or not np.abs((path - path[0]) @ normal).max() <= _NEAR * extent * length
+        not length > checks.ALIKE * extent**2
+        or not np.abs((path - path[0]) @ normal).max() <= checks.ALIKE * extent * length
     ):
         raise ValueError(
             f"cracks[{name!r}] must be the corners of a plane polygon, got {checks.shown(path.tolist())}"

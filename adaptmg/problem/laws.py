@@ -40,8 +40,6 @@ from adaptmg._checks import FieldLike, Size
 from adaptmg._text import brief, html_fields
 
 _AnyLaw = TypeVar("_AnyLaw")
-_FROM_LIMIT = 1e-9  # closer to its limits, one modulus is of the size of rounding of the other
-_ORTHOGONAL, _SYMMETRIC = 1e-6, 1e-9
 
 #: three material axes as rows, or points (n, dim) -> (n, 3, 3)
 Axes = np.ndarray | Sequence[Sequence[float]] | Callable[[np.ndarray], np.ndarray]
@@ -96,7 +94,7 @@ class Anisotropy:
 def _check_axes(axes: np.ndarray) -> None:
     """ValueError unless the rows of matrices (n, 3, 3) are orthonormal."""
     wrong = np.abs(axes @ axes.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
-    if not wrong.max(initial=0.0) <= _ORTHOGONAL:
+    if not wrong.max(initial=0.0) <= checks.SIX_DIGITS:
         raise ValueError(
             "the rows of axes must be orthonormal (three unit vectors at right angles), got "
             f"{axes[int(np.argmax(wrong))].tolist()}"
@@ -129,7 +127,7 @@ def _positive_definite(matrix: np.ndarray) -> bool:
     """Return whether the eigenvalues of a matrix are positive once its diagonal is scaled to 1."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     return bool(
-        scale.all() and np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() > _FROM_LIMIT
+        scale.all() and np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() > checks.ALIKE
     )
 
 
@@ -160,9 +158,9 @@ class Elastic(checks.Checked):
                 "young and poisson of an anisotropic material follow from its stiffness: make another by "
                 "orthotropic(...) or anisotropic(...)"
             )
-        if not -1 + _FROM_LIMIT < self.poisson <= 0.5:
+        if not -1 + checks.ALIKE < self.poisson <= 0.5:
             raise ValueError(
-                f"poisson must be > -1 (by more than {_FROM_LIMIT:g}) and <= 0.5, got {self.poisson!r}"
+                f"poisson must be > -1 (by more than {checks.ALIKE:g}) and <= 0.5, got {self.poisson!r}"
             )
 
     def __repr__(self) -> str:
@@ -200,7 +198,7 @@ class Elastic(checks.Checked):
     @property
     def incompressible(self) -> bool:
         """Return whether ``lame`` is so large that only smoothed elements can take it."""
-        return self.lame > self.shear_modulus / _FROM_LIMIT
+        return self.lame > self.shear_modulus / checks.ALIKE
 
 
 class _Plane(Elastic):
@@ -348,7 +346,7 @@ class Solid(Elastic):
         3
         """
         c = checks.array("stiffness", stiffness, (6, 6))
-        if not np.abs(c - c.T).max() <= _SYMMETRIC * np.abs(c).max():
+        if not np.abs(c - c.T).max() <= checks.ALIKE * np.abs(c).max():
             raise ValueError("stiffness must be symmetric")
         if not _positive_definite(c):
             raise ValueError("stiffness must be positive definite")

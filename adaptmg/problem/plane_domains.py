@@ -20,7 +20,6 @@ from adaptmg._checks import Name, Size
 from adaptmg._text import brief
 from adaptmg.problem.plane_edges import Arc, Segment, check_simple
 
-_ROUND = 1e-9  # radii at the two ends of an arc may differ by this much of the radius
 _CHORD = math.radians(3.0)
 
 
@@ -257,17 +256,17 @@ class Outline(Domain):
         first = np.linalg.norm(a - c)
         last = np.linalg.norm(b - c)
         name = f"arcs[{i}] ({self.boundaries[i]!r})"
-        if not abs(first - last) <= _ROUND * max(first, last) or not first > 0:
+        if not abs(first - last) <= checks.ALIKE * max(first, last) or not first > 0:
             raise ValueError(
                 f"{name}: the centre {self.arcs[i]} must have the same distance > 0 from both vertices, "
                 f"got {first:.12g} and {last:.12g} m"
             )
-        if not np.linalg.norm(b - a) > _ROUND * first:
+        if not np.linalg.norm(b - a) > checks.ALIKE * first:
             raise ValueError(
                 f"{name}: both vertices are {self.vertices[i]}; cut a full circle into three edges "
                 "or more"
             )
-        if not np.linalg.norm(a + b - 2 * c) > 1e-6 * first:
+        if not np.linalg.norm(a + b - 2 * c) > checks.SIX_DIGITS * first:
             raise ValueError(
                 f"{name}: an arc of 180 degrees has no shorter side; cut it into two edges"
             )
@@ -438,7 +437,7 @@ def with_vertex(
     """Return a plane domain with a vertex at a point of a straight edge, or of any; itself if it
     lies elsewhere."""
     outline = domain.outline
-    near = 1e-9 * float((domain.upper - domain.lower).max())
+    near = checks.ALIKE * float((domain.upper - domain.lower).max())
     away = [
         np.inf
         if i in outline.arcs and not arcs

@@ -11,10 +11,8 @@ import numpy as np
 
 from adaptmg import _checks as checks
 
-# of the extent: edges as short as this cannot be meshed
-_SHORTEST = 1e-9
 # points at which neighbours meet again are known to 1e-9 of the extent, as vertices of arcs are
-_SAME = 1e4
+_SAME = 10 * checks.ALIKE / checks.ROUNDING
 
 
 @dataclass(frozen=True)
@@ -179,9 +177,9 @@ def check_simple(
     lengths = np.linalg.norm(b - a, axis=1)
     extent = float(np.ptp(a, axis=0).max())
     k = int(np.argmin(lengths))
-    if not lengths[k] > _SHORTEST * extent:
+    if not lengths[k] > checks.ALIKE * extent:
         raise ValueError(
-            f"{what}: edge {k} ({names[k]!r}) must be longer than {_SHORTEST:g} of the extent, got "
+            f"{what}: edge {k} ({names[k]!r}) must be longer than {checks.ALIKE:g} of the extent, got "
             f"{lengths[k] / extent:.2g}"
         )
     grown = np.where(straight, 0.0, lengths)[:, None]

@@ -405,10 +405,6 @@ def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     return sets.injected(opening, np.inf)
 
 
-#: slips in 3D count as parallel up to this angle, rad
-_PARALLEL = 1e-6
-
-
 def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = None) -> np.ndarray:
     """Return safe reference slips U_k (n_coarse_contact, dim - 1) of the tangential correction, m.
 
@@ -436,7 +432,7 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     dot = fine_slip[:, 0] * best[:, 0] + fine_slip[:, 1] * best[:, 1]
     cross = fine_slip[:, 0] * best[:, 1] - fine_slip[:, 1] * best[:, 0]
     other = ~(dot > 0.0) | (
-        np.abs(cross) > np.sin(_PARALLEL) * (size[shortest[coarse]] * size[sets.nodes])
+        np.abs(cross) > checks.SIX_DIGITS * (size[shortest[coarse]] * size[sets.nodes])
     )
     parallel = filled & (np.bincount(coarse[other], minlength=len(sets.main)) == 0)
     return np.where(parallel[:, None], slip[shortest], 0.0)

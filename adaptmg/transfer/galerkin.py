@@ -12,8 +12,6 @@ from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread, seeded
 from adaptmg.discrete.contact_nodes import checked_mask
 
-_SMALLEST = 1e-40  # largest weight of a prolongation at least; its inverse is the most
-
 
 def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
     """Return P'AP (n_dofs coarse, n_dofs coarse) of a matrix of square blocks, with P = nodal on
@@ -100,7 +98,7 @@ def _prolongation(name: str, value: object) -> sparse.csr_array:
     P = sparse.csr_array(given, dtype=np.float64, copy=True)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs
     P.sum_duplicates()
     largest = np.abs(P.data).max(initial=0.0)
-    if not _SMALLEST <= largest <= 1 / _SMALLEST:
+    if not checks.TINIEST <= largest <= 1 / checks.TINIEST:
         raise ValueError(f"{name} must have weights of about 1, the largest is {largest:.3g}")
     return P
 

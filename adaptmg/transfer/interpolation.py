@@ -134,6 +134,7 @@ def body_locators(coarse: MeshArrays, fine: MeshArrays) -> list[tuple[int | None
     return pairs
 
 
+# nodes of 24 round shapes lie up to .067 outside meshes of 2.5 times their size: measured half would do
 OUTSIDE_TOLERANCE = 0.25
 """How far outside the coarse mesh a fine node may lie, over the size of the nearest element. A chord of a curved
 boundary misses the arc by less; different units, a shifted body or a missing part do not."""
@@ -228,11 +229,10 @@ def _rows(
     )
 
 
+# 1e-12 and 1e-8 leave the cycles of 8 random pairs (59) and the entries to .2 %; with 1e-9 affine
+# fields are missed by 2e-9 on meshes whose nodes differ by 1e-9
 CLIP = 1e-10
 """Weights smaller than this are removed: they would put spurious nodes into minima over the support of P."""
-
-_REACHED = 1e-10
-"""A sum, or a first moment over the size of its row, that differs by less from what is asked for is restored."""
 
 
 def csr_from_weights(columns: np.ndarray, weights: np.ndarray, n_columns: int) -> sparse.csr_array:
@@ -274,7 +274,7 @@ def _with_moments(
     inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
     multiplier[wrong] = np.einsum("nij,nj->ni", inverse, residual[wrong])
     left = np.einsum("nij,nj->ni", gram, multiplier[wrong]) - residual[wrong]
-    reached[wrong] = np.abs(left).max(axis=1) <= _REACHED
+    reached[wrong] = np.abs(left).max(axis=1) <= CLIP
     data = matrix.data + np.einsum("ek,ek->e", q, multiplier[row])
     return sparse.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape), reached
 

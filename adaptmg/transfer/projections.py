@@ -24,6 +24,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg._checks import narrowed
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.clipping import PIECES, SNAP, common_moments
@@ -143,6 +144,7 @@ def _patch_coefficients(fine: MeshArrays, node: np.ndarray, element: np.ndarray)
     return np.einsum("pka,pa->pk", q, c[node])
 
 
+# half keeps 19 % more entries of the prolongations of 8 random pairs, twice 17 % fewer; always 59 cycles
 _DROP = 1e-3
 """Entries of the L2 projection of smaller magnitude are removed; the mass system is solved to a hundredth of this."""
 
@@ -227,7 +229,7 @@ def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, dr
     return cast("Any", solution)
 
 
-COVERED = 1e-11
+COVERED = checks.ALIKE
 """An element of which more than this share lies outside the coarse mesh is integrated by quadrature."""
 
 

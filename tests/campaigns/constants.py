@@ -6,10 +6,12 @@ NUMBER counts values: two a constant, in the order of folders.
 
 A number counts if it stands under an upper-case name in a module or a class and is a float. It is
 set to a half and to twice (to a hundredth and a hundred times below 1e-4: bounds of rounding), and
-solves of random problems, load paths and forces, adaptive loops and discretisations of pairs are
-made again. A row says of how many of them cycles, statuses or numbers of nodes change, and by how
-much displacements and estimates do. Constants that compiled kernels read are frozen in these: such
-rows are left out. A fault is a solve that ends otherwise than before."""
+what its folder takes part in is computed again: solves of random problems, load paths and forces,
+adaptive loops and estimates, discretisations of turned and shifted pairs, random meshes of plane and
+solid domains. A row says of how many of them cycles, statuses or numbers of nodes change, and by how
+much displacements, estimates, edges and angles do. Constants that compiled kernels read are frozen
+in these: such rows are left out, as are those of Netgen's own process. A fault is a row that ends
+otherwise than before."""
 
 from __future__ import annotations
 
@@ -24,8 +26,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import conforming_pairs
 import numpy as np
 import pandas as pd
+import random_outlines
+import rounded_shapes
 from campaign import main
 from random_loops import random_loop
 from random_problems import random_floating, random_problem, random_rubber
@@ -39,8 +44,20 @@ ROUNDING = 1e-4
 CHANGED = 1e-6
 #: nodes of the largest problem that is solved, unknowns of the largest one by the active set
 LARGEST, LARGEST_ACTIVE = 2500, 2500
-#: folders whose numbers steer
-FOLDERS = ("discrete", "estimate", "mesh", "multigrid", "smoother", "solver", "transfer")
+#: rows of the families of meshes and pairs, of each kind
+N_ROWS = {"pairs": 40, "meshes": 80, "solids": 30}
+#: what is computed with the numbers of each folder; those of the root take part in everything
+FAMILIES = {
+    "": ("pairs", "meshes", "solids", "loops", "solves"),
+    "discrete": ("pairs", "loops", "solves"),
+    "estimate": ("loops",),
+    "mesh": ("meshes", "solids", "loops"),
+    "multigrid": ("solves",),
+    "problem": ("pairs", "meshes", "solids"),
+    "smoother": ("solves",),
+    "solver": ("solves",),
+    "transfer": ("pairs", "loops", "solves"),
+}
 
 
 @dataclass(frozen=True)
@@ -102,8 +119,8 @@ def numbers() -> list[Number]:
     """Every number of the package that can be varied."""
     found = []
     package = Path(am.__file__).parent
-    for path in sorted(path for folder in FOLDERS for path in (package / folder).rglob("*.py")):
-        if path.name in ("__init__.py", "netgen_worker.py"):
+    for path in sorted(path for folder in FAMILIES for path in (package / folder).glob("*.py")):
+        if path.name in ("__init__.py", "__main__.py", "netgen_worker.py"):
             continue
         module = ".".join(("adaptmg", *path.relative_to(package).with_suffix("").parts))
         tree = ast.parse(path.read_text())
@@ -183,9 +200,132 @@ def paths() -> dict[str, tuple[am.Hierarchy, am.LoadPath]]:
     }
 
 
+def _turned(rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
+    """Points in a plane at another place, turned and of another size."""
+    angle = rng.uniform(0, 2 * np.pi)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return 10 ** rng.uniform(-1, 1) * points @ turn + rng.uniform(-1, 1, 2)
+
+
+def _matched(seed: int) -> tuple:
+    """Two blocks, turned: meshes that match in part of the seeds, offset in others."""
+    rng = np.random.default_rng((seed, 40))
+    left, below = rng.choice([0.0, float(rng.uniform(-0.4, 0.4))]), rng.choice([0.0, 1e-3])
+    lower = [(left, -1 - below), (left + 1.5, -1 - below), (left + 1.5, -below), (left, -below)]
+    upper = [(0.0, 0.0), (1.0, 0.0), (1.0, 0.7), (0.0, 0.7)]
+    corners = _turned(rng, np.array([*upper, *lower]))
+    names = ("bottom", "right", "top", "left")
+    parts = {
+        name: am.Polygon(vertices=corners[k : k + 4], boundaries=names)
+        for name, k in (("upper", 0), ("lower", 4))
+    }
+    along, across = corners[1] - corners[0], corners[3] - corners[0]
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        contact=am.ContactPair(
+            "upper.bottom", "lower.top", sides=str(rng.choice(["auto", "given"]))
+        ),
+        material=am.PlaneStrain(young=1e9, poisson=float(rng.choice([0.3, 0.4, 0.45, 0.49]))),
+        law=am.Coulomb(0.3) if rng.random() < 0.5 else am.Frictionless(),
+        elements=str(rng.choice(["linear", "smoothed"])),
+        supports=(
+            am.Support("lower.bottom", x=0.0, y=0.0),
+            am.Support("upper.left", normal=0.0)
+            if rng.random() < 0.5
+            else am.Support("upper.top", normal=-1e-3 * float(np.linalg.norm(across))),
+        ),
+        loads=(am.Pressure("upper.top", 1e6),),
+    )
+    size = float(np.linalg.norm(along)) / int(rng.integers(4, 9))
+    other = size * float(rng.choice([1.0, rng.uniform(0.6, 1.6)]))
+    return _discretised(problem, am.mesh.graded(problem.domain, {"upper": size, "lower": other}))
+
+
+def _conforming(seed: int) -> tuple:
+    """A pin in its bush, or a bead or ball in its cup, with coarse rims."""
+    rng = np.random.default_rng((seed, 41))
+    problem, r, _ = conforming_pairs._posed(rng)
+    sizes = {"inner": 0.2 * r, "outer": float(rng.uniform(0.15, 0.3)) * r}
+    return _discretised(problem, am.mesh.graded(problem.domain, sizes, ("inner.rim", "outer.hole")))
+
+
+def _shape(mesh: am.MeshArrays) -> tuple:
+    """Counts of a mesh, and its angles, edges and volume."""
+    quality = am.mesh.quality(mesh)
+    numbers = (quality.min_angle, mesh.element_sizes.max(), mesh.volumes.sum())
+    return (mesh.n_nodes, len(mesh.elements), len(mesh.facets)), np.array(numbers)
+
+
+def _plane(seed: int) -> tuple:
+    """A mesh of a random outline, or of a rounded shape."""
+    rng = np.random.default_rng((seed, 42))
+    if seed % 2:
+        outline, _ = random_outlines.random_outline(rng)
+    else:
+        shape = rounded_shapes.SHAPES[seed // 2 % len(rounded_shapes.SHAPES)](rng, True)
+        outline = shape.placed(10 ** rng.uniform(-3, 1) * np.eye(2), rng.uniform(-1, 1, 2))
+    extent = float((outline.upper - outline.lower).max())
+    name = str(rng.choice(outline.boundaries))
+    ratio = float(rng.choice([1.0, 4.0, 16.0]))
+    size = extent * 10 ** rng.uniform(-1.2, -0.5)
+    mesh = am.mesh.graded(outline, size, [name] if ratio > 1 else [], ratio)
+    marked = np.arange(len(mesh.elements)) < len(mesh.elements) // 3
+    return _shape(am.mesh.onto_domain(outline, am.mesh.bisect(mesh, marked)[0], mesh.n_nodes))
+
+
+def solid(rng: np.random.Generator) -> tuple[am.problem.Domain, str]:
+    """A random solid of unit size, and one of its boundaries."""
+    a, b, c = (float(x) for x in rng.uniform(0.3, 1.0, 3))
+    box = am.Box(width=a, depth=b, height=c)
+    hole = am.Cylinder((a / 2, b / 2, -1.0), (0.0, 0.0, 1.0), 0.3 * min(a, b), 3.0)
+    profile = am.Polygon(
+        vertices=((0.2, 0.0), (0.2 + a, 0.0), (0.2 + b, c), (0.2, c)),
+        boundaries=("bottom", "side", "top", "bore"),
+    )
+    kinds = (
+        (box, "bottom"),
+        (am.Cylinder((0, 0, 0), tuple(rng.normal(size=3)), a, b), "side"),
+        (am.Ball((0.0, a, 0.0), b), "surface"),
+        (am.Cut(box, hole), "bottom"),
+        (am.Revolution(profile), "side"),
+        (am.Extrusion(replace(profile, boundaries=("a", "b", "c", "d")), c), "b"),
+        (am.Cut(am.Ball((0.0, 0.0, 0.0), a), am.Box(width=2.0, depth=2.0, height=2.0)), "surface"),
+    )
+    return kinds[rng.integers(len(kinds))]
+
+
+def _solid(seed: int) -> tuple:
+    """A mesh of a random solid, bisected onto its faces."""
+    rng = np.random.default_rng((seed, 43))
+    domain, name = solid(rng)
+    offset = tuple(rng.uniform(-1, 1, 3))
+    domain = am.Moved(domain, offset, angle=90 * rng.uniform(), axis=tuple(rng.normal(size=3)))
+    ratio = float(rng.choice([1.0, 3.0]))
+    size = float(rng.uniform(0.25, 0.45))
+    mesh = am.mesh.graded(domain, size, [name] if ratio > 1 else [], ratio)
+    marked = np.arange(len(mesh.elements)) < len(mesh.elements) // 3
+    return _shape(am.mesh.onto_domain(domain, am.mesh.bisect(mesh, marked)[0], mesh.n_nodes))
+
+
+def _settled(row: Callable[[int], tuple], seed: int) -> tuple:
+    try:
+        return row(seed)
+    except ValueError as error:
+        return (type(error).__name__, str(error)[:20]), np.zeros(0)
+
+
 @cache
-def battery() -> dict[str, Callable[[], tuple]]:
+def battery(family: str) -> dict[str, Callable[[], tuple]]:
     """What is computed with each value of a constant."""
+    plain = {"pairs": (_matched, _conforming), "meshes": (_plane,), "solids": (_solid,)}
+    if family in plain:
+        return {
+            f"{row.__name__[1:]} {seed}": lambda row=row, seed=seed: _settled(row, seed)
+            for row in plain[family]
+            for seed in range(N_ROWS[family])
+        }
+    if family == "loops":
+        return {f"loop {seed}": lambda seed=seed: _loop(seed) for seed in range(300, 320)}
     rows: dict[str, Callable[[], tuple]] = {}
     families = (random_problem, random_slender, random_gaps, random_floating, random_rubber)
     for seed in range(300, 340):
@@ -205,22 +345,20 @@ def battery() -> dict[str, Callable[[], tuple]]:
             rows[f"matrix {seed}"] = lambda p=problem, m=mesh: _discretised(p, m)
     for name, (grids, path) in paths().items():
         rows[f"path {name}"] = lambda grids=grids, path=path: _path(grids, path)
-    for seed in range(300, 308):
-        rows[f"loop {seed}"] = lambda seed=seed: _loop(seed)
     return rows
 
 
-def computed() -> dict[str, tuple]:
-    """Every row of the battery."""
+def computed(families: tuple[str, ...]) -> dict[str, tuple]:
+    """Every row of some families."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return {name: row() for name, row in battery().items()}
+        return {name: row() for family in families for name, row in battery(family).items()}
 
 
 @cache
-def before() -> dict[str, tuple]:
+def before(families: tuple[str, ...]) -> dict[str, tuple]:
     """What the package computes as it is."""
-    return computed()
+    return computed(families)
 
 
 def _changed(now: np.ndarray, was: np.ndarray) -> float:
@@ -235,7 +373,9 @@ def measure(seed: int) -> dict[str, Any]:
     was = number.value()
     step = 100.0 if abs(was) < ROUNDING else 2.0
     factor = step if seed % 2 else 1 / step
-    expected = before()
+    folder = number.module.split(".")[1]
+    families = FAMILIES["" if folder.startswith("_") else folder]
+    expected = before(families)
     whole = getattr(number.holder(), number.name)
     other = number.with_value(was * factor)
     readers = [
@@ -247,7 +387,7 @@ def measure(seed: int) -> dict[str, Any]:
     for place in places:
         setattr(place, number.name, other)
     try:
-        found = computed()
+        found = computed(families)
     except Exception as error:
         found = {}
         print(f"{number} * {factor:g}: {type(error).__name__}: {error}", file=sys.stderr)
@@ -258,7 +398,11 @@ def measure(seed: int) -> dict[str, Any]:
     ends = [name for name in found if found[name][0][0] != expected[name][0][0]]
     values = {name: _changed(found[name][1], expected[name][1]) for name in found}
     cycles = [
-        sum(row[0][1] for name, row in rows.items() if name[0] in "nf" and len(row[0]) == 3)
+        sum(
+            row[0][1]
+            for name, row in rows.items()
+            if name.startswith(("nested", "from")) and len(row[0]) == 3
+        )
         for rows in ({name: expected[name] for name in found}, found)
     ]
     return {
