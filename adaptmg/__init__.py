@@ -5,14 +5,16 @@ throughout.
 
 Problem     ContactProblem; Contact, ContactPair, Tied, Periodic (obstacles Plane, GapFunction,
             Moving, Rigid); Support, Symmetry, Spring, PointSupport, PointSpring; Pressure, Traction, BodyForce,
-            PointForce, InitialStrain, Preload; Frictionless, Coulomb, Tresca, StateLaw; LoadPath
+            PointForce, InitialStrain, Preload; Frictionless, Coulomb, Tresca, StateLaw; LoadPath,
+            Dynamics
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
 Domain      Rectangle, Circle, Polygon, Outline, Cracked; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut,
             Fuse, Common, Moved; Assembly of several bodies; ready problems in cases, problem data
             in problem
 Grids       Hierarchy (a Level for each grid): uniform, graded, from_meshes, ...; transfers
             Interpolation, PseudoL2, L2, LumpedL2, QuasiInterpolation; mesh, MeshArrays, SizeNear
-Solve       solve, solve_path; Multigrid, FullMultigrid, SingleGrid, ActiveSet with Direct or AMG; set_threads
+Solve       solve, solve_path, march (impact); Multigrid, FullMultigrid, SingleGrid, ActiveSet with
+            Direct or AMG; set_threads
 Ingredients State (a step of yours), PyAMG, Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel;
             corrections Truncated, Monotone, PaperCorrection; modules multigrid, smoother, transfer,
             solver

@@ -36,6 +36,7 @@ from .estimate.quantities import (
     Opening as Opening,
 )
 from .estimate.loop import Step as Step
+from .evolution.march import march as march
 from .hierarchy import Hierarchy as Hierarchy, Level as Level
 from .mesh import MeshArrays as MeshArrays, SizeNear as SizeNear
 from .multigrid import (
@@ -62,6 +63,7 @@ from .problem import (
     Cracked as Cracked,
     Cut as Cut,
     Cylinder as Cylinder,
+    Dynamics as Dynamics,
     Extrusion as Extrusion,
     Frictionless as Frictionless,
     Fuse as Fuse,

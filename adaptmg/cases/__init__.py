@@ -19,6 +19,7 @@ from adaptmg.cases.closed_forms import (
     hertz_sphere,
 )
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
+from adaptmg.cases.impact import impact_bar
 from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
 from adaptmg.cases.scalar import elastic_plastic_torsion, obstacle_problem
 from adaptmg.problem import ContactProblem
@@ -42,6 +43,7 @@ __all__ = [
     "greco_block",
     "hertz_cylinder",
     "hertz_sphere",
+    "impact_bar",
     "incline",
     "leaning_strut",
     "obstacle_problem",

@@ -12,11 +12,13 @@ matrix (in axisymmetry with the factor :math:`2\pi r`); between bodies see
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread
@@ -65,8 +67,13 @@ def discretise(
     return assembled(Posed.of(problem, mesh), slip_reference)
 
 
-def assembled(posed: Posed, slip_reference: np.ndarray | None = None) -> DiscreteProblem:
-    """Return the problem of what is posed; see :func:`discretise`."""
+def assembled(
+    posed: Posed,
+    slip_reference: np.ndarray | None = None,
+    effective: Callable[[sparse.bsr_array], sparse.bsr_array] | None = None,
+) -> DiscreteProblem:
+    """Return the problem of what is posed; see :func:`discretise`. ``effective`` makes the matrix
+    of a time step from the stiffness."""
     problem = posed.problem
     mesh = posed.mesh
     posed.check_held()
@@ -76,8 +83,9 @@ def assembled(posed: Posed, slip_reference: np.ndarray | None = None) -> Discret
         before = checks.array("slip_reference", slip_reference, mesh.points.shape)[contact.nodes]
         contact = replace(contact, slip_reference=before + contact.slip_reference)
     materials = posed.materials
+    matrix = supported_stiffness(mesh, materials, problem.supports, problem.elements)
     parts = {
-        "matrix": supported_stiffness(mesh, materials, problem.supports, problem.elements),
+        "matrix": matrix if effective is None else effective(matrix),
         "load": load_vector(mesh, problem.loads, materials, problem.elements),
         "fixed": posed.fixed.reshape(-1),
         "fixed_values": values.reshape(-1),

@@ -3,6 +3,7 @@ NGSolve."""
 
 from adaptmg.problem.combined_domains import Assembly, Common, Cracked, Cut, Fuse
 from adaptmg.problem.contact_problem import Contact, ContactProblem
+from adaptmg.problem.dynamics import Dynamics
 from adaptmg.problem.laws import (
     Axisymmetric,
     Coulomb,
@@ -49,6 +50,7 @@ __all__ = [
     "Cut",
     "Cylinder",
     "Domain",
+    "Dynamics",
     "Elastic",
     "Extrusion",
     "Frictionless",

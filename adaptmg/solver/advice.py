@@ -212,8 +212,13 @@ def advise_on_results(posed: Posed | None, results: Sequence[Result]) -> None:
         _advise_on_contact(results)
     for result in results:
         if posed is not None:
-            _advise_on_strains(posed, result)
-            _advise_on_slips(posed, result)
+            advise_on_motion(posed, result)
+
+
+def advise_on_motion(posed: Posed, result: Result) -> None:
+    """Warn of large strains and of large slips."""
+    _advise_on_strains(posed, result)
+    _advise_on_slips(posed, result)
 
 
 def _advise_on_contact(results: Sequence[Result]) -> None:

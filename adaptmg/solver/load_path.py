@@ -252,7 +252,7 @@ def _stored(k: int, result: Result) -> Result:
 
 def _results(store: StepStore, steps: int) -> list[tuple[Result, list[np.ndarray] | None]]:
     """The results, and the displacements of coarse levels that were stored with them."""
-    stored = store.steps()
+    stored = list(store.steps())
     if len(stored) > steps:
         raise ValueError(
             f"{store.folder / f'step_{steps:04d}.npz'} is not a step of this path, which has {steps}: "

@@ -224,26 +224,29 @@ def result_of(
             examined.displacement,
             posed.problem.axisymmetric,
         )
-    status = _confirmed(
-        outcome, examined.residual, examined.checked, getattr(solver, "stop", "error")
-    )
     advise_on_law(examiner.discrete, examined.contact)
-    least = examined.checked.energy_rounding
+    status = outcome.status
     rtol = outcome.rtol
-    if status.ok and 0 < rtol < examined.checked.energy_error <= least:
-        advise(
-            "rounding",
-            f"rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} (slender "
-            "ones answer to rounding with their condition): the result has that tolerance, in "
-            "result.rtol",
-        )
-        rtol = least
+    error = outcome.error_estimate
+    checked = examined.checked
+    if checked is not None:
+        status = _confirmed(outcome, examined.residual, checked, getattr(solver, "stop", "error"))
+        error = np.fmax(error, checked.energy_error)
+        least = checked.energy_rounding
+        if status.ok and 0 < rtol < checked.energy_error <= least:
+            advise(
+                "rounding",
+                f"rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} (slender "
+                "ones answer to rounding with their condition): the result has that tolerance, in "
+                "result.rtol",
+            )
+            rtol = least
     keys = dict.fromkeys(chain.from_iterable(run.history))
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(
         displacement=examined.displacement,
         reaction=examined.reaction,
-        checked=examined.checked,
+        checked=checked,
         status=status,
         cycles=outcome.cycles,
         contact=replace(
@@ -251,7 +254,7 @@ def result_of(
         ),
         work_units=run.work_units,
         residual=examined.residual,
-        error_estimate=float(np.fmax(outcome.error_estimate, examined.checked.energy_error)),
+        error_estimate=float(error),
         rate=outcome.rate,
         rtol=rtol,
         history=history,

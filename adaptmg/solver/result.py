@@ -100,6 +100,14 @@ class Result(Quantities):
     pressures : (n_groups,) array
         Of nearly incompressible bodies with smoothed elements: what the mean volume strains of
         groups of nodes add to the stress, Pa, tension positive (:mod:`adaptmg.discrete.volumes`).
+    time : float
+        Of a step of :func:`adaptmg.march` its end, s; else 0.
+    velocity : (n_nodes, dim) array
+        At that time, m/s; else empty.
+    energies : dict of str to float
+        At that time, N m (plane: N): "kinetic", "strain", "load" (the potential of loads, 0 of the
+        undeformed bodies), and those lost so far by "friction", "contact" and "damping". Their sum
+        stays the same. Empty of other results.
 
     Examples
     --------
@@ -140,6 +148,9 @@ class Result(Quantities):
     springs: dict[str, list[float]] = field(default_factory=dict)
     motions: dict[str, list[float]] = field(default_factory=dict)
     pressures: np.ndarray = field(default_factory=lambda: np.empty(0))
+    time: float = 0.0
+    velocity: np.ndarray = field(default_factory=lambda: np.empty(0))
+    energies: dict[str, float] = field(default_factory=dict)
 
     @property
     def method(self) -> str:

@@ -324,15 +324,16 @@ class StepStore:
             content = packed(value, self.kinds, more, {"step": number, "key": self.key})
             write_bytes(self._step_file(number), content)
 
-    def steps(self) -> list[Stored]:
-        numbers = self._numbers()
+    def steps(self, most: int | None = None) -> Iterator[Stored]:
+        """Read the steps, at most so many, one after the other."""
+        numbers = self._numbers()[:most]
         for expected, number in enumerate(numbers):
             if number != expected:
                 raise ValueError(
                     f"{self._step_file(expected)} is missing, though {self._step_file(number).name} is "
                     "there: put it back, or remove the steps after it"
                 )
-        return [self._read(number) for number in numbers]
+        yield from map(self._read, numbers)
 
     def _read(self, number: int) -> Stored:
         file = self._step_file(number)

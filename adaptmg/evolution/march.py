@@ -1,0 +1,478 @@
+r"""march: bodies that move, hit each other and rebound, step by step in time.
+
+With the lumped mass M, the stiffness K, the loads f and the time step :math:`\tau` a step of the
+contact-stabilised Newmark method (P. Deuflhard, R. Krause, S. Ertel, Int. J. Numer. Meth. Engng. 73,
+2008, doi:10.1002/nme.2119) takes the free motion :math:`\tilde u = u^k + \tau v^k` to the nearest
+admissible one :math:`u_p` in the norm of M, and solves the contact problem
+
+.. math:: \Big(\tfrac12 K + \tfrac{\beta}{\tau} K + \tfrac{2}{\tau^2} M\Big) u^{k+1} =
+   f - \tfrac12 K u^k + \tfrac{\beta}{\tau} K u^k + \tfrac{2}{\tau^2} M u_p + F,\qquad
+   v^{k+1} = v^k + \tfrac{2}{\tau}\,(u^{k+1} - u_p)
+
+with the damping :math:`\beta`. Its contact forces F are the means over the step, and friction acts on
+the slip of the step. The energy changes by
+
+.. math:: F \cdot (u^{k+1} - u^k) - \tfrac{2}{\tau^2}\,(u_p - \tilde u)\cdot M\,(u^{k+1} - u_p)
+   - \tfrac{\beta}{\tau}\,(u^{k+1} - u^k)\cdot K\,(u^{k+1} - u^k),
+
+where no term is positive: friction, contact and damping take energy, and nothing adds any. The
+matrix does not depend on the step, and has an inverse without supports: what multigrid sets up for
+it stays from step to step. Bodies that nothing holds are solved for relative to their mean
+displacement, so that errors do not grow with the way that they fly."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from adaptmg import _checks as checks
+from adaptmg._text import say
+from adaptmg._threads import one_blas_thread
+from adaptmg.discrete.coordinates import to_frames
+from adaptmg.discrete.discretise import assembled
+from adaptmg.discrete.elasticity import nodes_of_pieces
+from adaptmg.discrete.inertia import lumped_mass, nodal_velocity, with_mass
+from adaptmg.discrete.loads import load_vector, supported_stiffness
+from adaptmg.discrete.named_loads import load_steps
+from adaptmg.discrete.posed import Posed
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.stress import StressData
+from adaptmg.discrete.supports import supported_nodes
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.dynamics import Dynamics
+from adaptmg.problem.laws import Frictionless
+from adaptmg.problem.load_path import obstacles_in_path
+from adaptmg.problem.loads import InitialStrain, PointSpring, Spring
+from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.advice import advise_on_motion, advise_on_problem, once
+from adaptmg.solver.examine import Examiner
+from adaptmg.solver.load_path import step_method
+from adaptmg.solver.load_steps import Past, TruncatedSteps
+from adaptmg.solver.multigrid import handed_over
+from adaptmg.solver.outcome import (
+    checked_outcome,
+    displacement_argument,
+    grids_argument,
+    method_argument,
+    result_of,
+)
+from adaptmg.solver.record import Run, Solver
+from adaptmg.solver.result import KINDS, NotConverged, Result
+from adaptmg.solver.store import StepStore, fingerprint
+
+_HEAD = "march.json"
+#: of the size of the mesh: an overlap at the start below this is rounding
+_OVERLAP = 1e-9
+
+
+@one_blas_thread()
+def march(
+    grids: Hierarchy,
+    dynamics: Dynamics,
+    method: Solver | None = None,
+    *,
+    start: ArrayLike | Result | None = None,
+    rtol: float | None = None,
+    certify_every: int = 10,
+    store: str | os.PathLike[str] | None = None,
+    depends: Mapping[str, object] | None = None,
+    throw: bool = True,
+    progress: Callable[[int, dict[str, float]], None] | bool | None = None,
+) -> Iterator[Result]:
+    """Follow bodies in time: a contact problem for each time step, on the finest level of a
+    hierarchy.
+
+    The method is the contact-stabilised Newmark method (:mod:`adaptmg.evolution.march`), of second
+    order without contact. Loads and supports are constant in time. Bodies need no supports.
+
+    Parameters
+    ----------
+    grids : Hierarchy
+        Of meshes, made from a ContactProblem. ValueError for Rigid and Moving obstacles and Preload,
+        and for smoothed elements with Poisson's ratios above .4.
+    dynamics : Dynamics
+        Densities, initial velocities, time step, end and damping.
+    method : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
+        The solver of a time step; default that of :func:`adaptmg.solve`. It begins at the free
+        motion, so that FullMultigrid goes on as a Multigrid.
+    start : (n_nodes, dim) array or Result, optional
+        Displacement at time 0, m; default 0. Under weight, that of ``am.solve(grids)`` begins at
+        rest.
+    rtol : float, optional
+        Tolerance of the default method, where none is given; default as of :func:`adaptmg.solve`.
+        The error is relative to the displacement in the norm of the matrix of a time step, of
+        bodies that nothing holds without the mean displacement before the step: the energy changes
+        by about ``rtol`` of the kinetic energy in a step.
+    certify_every : int
+        The first step, and each one after this number of steps, is certified; others end by the
+        estimate of the method, and their result has no certificate.
+    store : path, optional
+        A folder where every finished step is kept immediately, as a file that
+        :meth:`adaptmg.Result.load` reads. A march that was interrupted, or had an earlier end, goes
+        on there with the same bits; a folder of another march is refused.
+    depends : mapping of str to value, optional
+        For the store, as of :func:`adaptmg.solve_path`.
+    throw : bool
+        Raise NotConverged if a step does not reach the tolerance. False ends the march with that
+        step, whose status says it.
+    progress : callable or bool, optional
+        Called with the number of the step and each row of its history. True: write a line a step to
+        standard error.
+
+    Yields
+    ------
+    Result
+        At the end of each step: ``time``, displacement, ``velocity``, ``energies``; forces are means
+        over the step, slips those of the step.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.impact_bar(), divisions=((1, 10), (2, 20)))
+    >>> dynamics = am.Dynamics(density=1.0, initial_velocity=(0.0, -10.0), step=0.02, end=0.1)
+    >>> for result in am.march(grids, dynamics):
+    ...     speed = result.velocity[:, 1].mean()
+    >>> round(float(speed), 9), round(result.time, 3)
+    (-10.0, 0.1)
+    """
+    checks.instance("dynamics", dynamics, Dynamics, "am.Dynamics(density=, step=, end=)")
+    checks.integer("certify_every", certify_every, 1)
+    checks.flag("throw", throw)
+    if not isinstance(progress, bool):
+        checks.optional_callable(
+            "progress", progress, "the number of a step and a row of its history (or a bool)"
+        )
+    made, solver, choice = method_argument(method, _time_step_grids(grids, dynamics), rtol)
+    if isinstance(getattr(solver, "rtol", None), str):
+        raise ValueError("method: rtol must be a number in a march, got 'discretisation'")
+    loop = March(made, dynamics, solver, choice, start)
+    steps = None
+    if store is not None:
+        # neither the end nor the number of steps matters to a step
+        parts = {
+            "method": solver,
+            "dynamics": replace(dynamics, end=dynamics.step),
+            "certify_every": certify_every,
+            "start": loop.motion.displacement,
+        }
+        loads = [
+            None if posed is None else load_steps(posed, level.discrete)
+            for posed, level in zip(map(made.posed_on, made.levels), made.levels, strict=True)
+        ]
+        mark = fingerprint(made, loads, {}, 1, parts, depends)
+        steps = StepStore.resumed(store, _HEAD, {"fingerprint": mark}, KINDS)
+    return _results(loop, steps, certify_every, throw, progress)
+
+
+def _results(
+    loop: March,
+    store: StepStore | None,
+    certify_every: int,
+    throw: bool,
+    progress: Callable[[int, dict[str, float]], None] | bool | None,
+) -> Iterator[Result]:
+    """Yield the results of the steps, those of the store first."""
+    n_steps = loop.dynamics.n_steps
+    k = 0
+    for stored in () if store is None else store.steps(n_steps):
+        loop.take(stored.value)
+        yield stored.value
+        k += 1
+    kinds: set[str] = set()
+    while k < n_steps:
+        with one_blas_thread(), once(kinds):
+            callback = partial(progress, k) if callable(progress) else None
+            result = loop.step(k, k % certify_every == 0, callback)
+        if progress is True:
+            say(
+                f"step {k} of {n_steps}, {result.time:.4g} s: {result.status.name} after "
+                f"{result.cycles} cycles and {result.seconds:.2g} s"
+            )
+        if throw and not result.status.ok:
+            error = NotConverged(result)
+            error.add_note(f"in time step {k} of {n_steps}: a smaller step is easier to solve")
+            raise error
+        if store is not None and result.status.ok:
+            store.put(k, result)
+        yield result
+        if not result.status.ok:
+            return
+        k += 1
+
+
+def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
+    """Return the hierarchy with the matrices of a time step; ValueError for what does not move so."""
+    grids = grids_argument(grids)
+    problem = grids.problem
+    posed = [grids.posed_on(level) for level in grids.levels]
+    if any(posed_level is None for posed_level in posed):
+        raise ValueError(
+            "grids must be levels with meshes, made from a ContactProblem: masses come from them"
+        )
+    if problem.by_force or obstacles_in_path(problem):
+        raise ValueError(
+            "grids: march has no Rigid or Moving obstacles and no Preload: pose an obstacle that "
+            "moves as a body with a density, in a ContactPair"
+        )
+    grids.finest.discrete.need_no_volumes("march")
+    levels = []
+    for level, posed_level in zip(grids.levels, cast("list[Posed]", posed), strict=True):
+        discrete = assembled(
+            posed_level,
+            effective=partial(
+                with_mass,
+                factor=0.5 + dynamics.damping / dynamics.step,
+                mass=2 / dynamics.step**2 * lumped_mass(posed_level, dynamics),
+            ),
+        )
+        levels.append(level.posing(discrete=discrete))
+    return replace(grids, levels=tuple(levels))
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The state of bodies at a time."""
+
+    displacement: np.ndarray  # (n_nodes, dim), m
+    velocity: np.ndarray  # (n_nodes, dim), m/s
+    internal: np.ndarray  # (n_nodes, dim): K u, N
+    lost: Mapping[str, float]  # energy lost so far, by cause, N m
+
+
+class March:
+    """The time steps of a problem, on a hierarchy with the matrices of a step."""
+
+    def __init__(
+        self,
+        grids: Hierarchy,
+        dynamics: Dynamics,
+        solver: Solver,
+        choice: str,
+        start: ArrayLike | Result | None,
+    ) -> None:
+        self.grids = grids
+        self.dynamics = dynamics
+        self.solver = solver
+        self.choice = choice
+        self.method = step_method(solver)
+        if isinstance(self.method, TruncatedSteps):
+            # with mass no rigid motion is without energy
+            self.method.parts = replace(self.method.parts, rigid_motions=False)
+        self.posed = cast("Posed", grids.posed)
+        self.discrete = grids.finest.discrete
+        problem = self.posed.problem
+        mesh = self.posed.mesh
+        shape = mesh.points.shape
+        self.stiffness = supported_stiffness(
+            mesh, self.posed.materials, problem.supports, problem.elements
+        )
+        self.stress_data = StressData.of(
+            mesh, self.posed.materials, problem.loads, problem.elements
+        )
+        self.forces = self.discrete.physical_forces(self.discrete.whole_load).reshape(shape)
+        strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
+        expanding = load_vector(mesh, strains, self.posed.materials, problem.elements)
+        #: the part of the forces that initial strains make, and the energy of suppressing these
+        self.expanding = expanding.reshape(shape)
+        self.suppressed = 0.5 * self.stress_data.suppressed(mesh) if strains else 0.0
+        self.mass = lumped_mass(self.posed, dynamics)[:, None]
+        self.flying = self._flying()
+        displacement = displacement_argument("start", start, self.discrete)
+        at_start = np.zeros(shape) if displacement is None else self.discrete.physical(displacement)
+        velocity = self._held(nodal_velocity(self.posed, dynamics), 0.0)
+        lost = {"friction": 0.0, "contact": 0.0, "damping": 0.0}
+        self.motion = self._motion(self._held(at_start, 1.0), velocity, lost)
+        overlap = self._overlap(self.motion.displacement).max(initial=0.0)
+        if overlap > _OVERLAP * mesh.sides.max():
+            raise ValueError(
+                f"start: bodies overlap by {overlap:.3g} m at the start; give start=am.solve(grids)"
+            )
+        advise_on_problem(self.posed)
+
+    def _flying(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return the nodes of what hangs together, and along which axes (dim,) bool nothing holds
+        it."""
+        problem = self.posed.problem
+        held = self.posed.fixed.copy()
+        held[self.posed.inclined.nodes] = True
+        if problem.axisymmetric:
+            held[:, 0] = True
+        for support in problem.supports:
+            if isinstance(support, Spring | PointSpring):
+                held[supported_nodes(self.posed.mesh, support, self.posed.surfaces)] = True
+        return [(nodes, ~np.any(held[nodes], axis=0)) for nodes in nodes_of_pieces(self.posed.mesh)]
+
+    def _shift(self, displacement: np.ndarray) -> np.ndarray:
+        """Return the mean displacement (n_nodes, dim) of each body along axes that nothing holds."""
+        result = np.zeros_like(displacement)
+        for nodes, free in self.flying:
+            result[nodes] = np.where(free, displacement[nodes].mean(axis=0), 0.0)
+        return result
+
+    def _motion(
+        self,
+        displacement: np.ndarray,
+        velocity: np.ndarray,
+        lost: Mapping[str, float],
+    ) -> Motion:
+        """Return the state with a displacement, m, and a velocity, m/s."""
+        strained = (displacement - self._shift(displacement)).reshape(-1)
+        internal = (self.stiffness @ strained).reshape(displacement.shape)
+        return Motion(displacement, velocity, internal, lost)
+
+    def _held(self, vectors: np.ndarray, share: float) -> np.ndarray:
+        """Return vectors (n_nodes, dim) with a ``share`` of what supports and ties prescribe."""
+        discrete = self.discrete
+        relative = discrete.relative(vectors)
+        fixed = discrete.fixed.reshape(relative.shape)
+        values = discrete.fixed_values.reshape(relative.shape)
+        relative = np.where(fixed, share * values, relative)
+        inclined = discrete.inclined
+        relative = inclined.free_part(np.arange(discrete.n_nodes), relative)
+        relative[inclined.nodes] += share * inclined.prescribed({})
+        return discrete.physical(relative)
+
+    def _normal(self, relative: np.ndarray) -> np.ndarray:
+        """Return the normal displacement (n_contact,) of contact nodes, m."""
+        contact = self.discrete.contact
+        return np.einsum("nd,nd->n", contact.normals, self.discrete.at_contact(relative))
+
+    def _overlap(self, displacement: np.ndarray) -> np.ndarray:
+        """Return how far (n_contact,) contact nodes are beyond their gaps, m."""
+        return self._normal(self.discrete.relative(displacement)) - self.discrete.contact.gaps
+
+    def _admissible(self, displacement: np.ndarray) -> np.ndarray:
+        """Return the admissible displacement (n_nodes, dim) that is nearest in the norm of the mass."""
+        overlap = np.maximum(self._overlap(displacement), 0.0)
+        if not overlap.any():
+            return displacement
+        contact = self.discrete.contact
+        if self.discrete.coupling is None:
+            result = displacement.copy()
+            result[contact.nodes] -= overlap[:, None] * contact.normals
+            return result
+        problem = self._of_mass
+        unknowns = problem.relative(displacement).reshape(-1)
+        posed = problem.posing(load=problem.matrix @ unknowns)
+        nearest = ActiveSet().run(Hierarchy.single(posed), Run(unit=posed.matrix.nnz), None)
+        return posed.physical(nearest.solution)
+
+    @cached_property
+    def _of_mass(self) -> DiscreteProblem:
+        """The contact problem, without friction, whose matrix is the mass."""
+        mass = partial(with_mass, factor=0.0, mass=self.mass[:, 0])
+        return assembled(self.posed, effective=mass).posing(law=Frictionless())
+
+    def step(
+        self, k: int, certified: bool, callback: Callable[[dict[str, float]], None] | None
+    ) -> Result:
+        """Take time step k and return its result."""
+        motion = self.motion
+        step = self.dynamics.step
+        run = Run(unit=self.discrete.matrix.nnz, callback=callback)
+        with run.phase("setup"):
+            free = motion.displacement + step * motion.velocity
+            admissible = self._admissible(free)
+            shift = self._shift(motion.displacement)
+            grids = self._posed(admissible - shift, shift)
+            discrete = grids.finest.discrete
+            examiner = Examiner(discrete, certified=certified)
+            if certified:
+                run.examiner = examiner
+            # not with the acceleration of the step before: errors that alternate would grow, up to
+            # the tolerance, and the steps of a bar take 1.82 cycles for 1.72
+            first = discrete.relative(admissible - shift).reshape(-1)
+            past = Past([], first, first, given=True, near=True)
+        outcome, _ = self.method.run(grids, examiner, run, past)
+        outcome = handed_over(checked_outcome(outcome, self.solver, discrete), grids, run)
+        with run.phase("result"):
+            result = result_of(
+                grids, examiner, run, outcome, self.solver, self.stress_data, self.choice
+            )
+            result = self._complete(k, result, free, admissible, shift)
+        if certified:
+            advise_on_motion(self.posed, result)
+        return result
+
+    def take(self, result: Result) -> None:
+        """Go past a step."""
+        lost = {cause: result.energies[cause] for cause in self.motion.lost}
+        self.motion = self._motion(result.displacement, result.velocity, lost)
+
+    def _posed(self, admissible: np.ndarray, shift: np.ndarray) -> Hierarchy:
+        """Return the hierarchy with the problem of a step, relative to a ``shift`` of the bodies."""
+        motion = self.motion
+        discrete = self.discrete
+        dynamics = self.dynamics
+        load = (
+            self.forces
+            - (0.5 - dynamics.damping / dynamics.step) * motion.internal
+            + 2 / dynamics.step**2 * self.mass * admissible
+        )
+        shifted = discrete.relative(shift)
+        before = discrete.at_contact(discrete.relative(motion.displacement) - shifted)
+        posed = discrete.with_step(
+            discrete.relative_forces(load.reshape(-1)),
+            discrete.fixed_values - shifted.reshape(-1),
+            before,
+            None,
+            {},
+            discrete.volumes,
+        )
+        # the contact nodes of the step are a copy
+        gaps = discrete.contact.gaps - self._normal(shifted)
+        object.__setattr__(posed.contact, "gaps", gaps)
+        finest = self.grids.finest.posing(discrete=posed)
+        return replace(self.grids, levels=(*self.grids.levels[:-1], finest))
+
+    def _complete(
+        self,
+        k: int,
+        result: Result,
+        free: np.ndarray,
+        admissible: np.ndarray,
+        shift: np.ndarray,
+    ) -> Result:
+        """Return the result of a step with what belongs to its time, not relative to a shift."""
+        motion = self.motion
+        step = self.dynamics.step
+        displacement = result.displacement + shift
+        gained = 2 / step * (displacement - admissible)
+        contact = result.contact
+        # as of a contact result, the means of what nodes take over
+        share = contact.measures / contact.weights
+        moved = to_frames(contact.frames, self.discrete.at_contact(self.discrete.relative(shift)))
+        moved /= share[:, None]
+        new = self._motion(displacement, motion.velocity + gained, motion.lost)
+        change = displacement - motion.displacement
+        # at open nodes the tolerance leaves forces, and gaps may be long
+        moved_in = (self._overlap(motion.displacement) + share * contact.gap) * contact.closed
+        losses = {
+            "friction": -np.sum(contact.force_t * contact.slip * share[:, None]),
+            "contact": -np.sum(contact.force_n * moved_in)
+            + np.sum((admissible - free) * self.mass * gained) / step,
+            "damping": self.dynamics.damping
+            / step
+            * np.sum(change * (new.internal - motion.internal)),
+        }
+        energies = {
+            "kinetic": 0.5 * np.sum(self.mass * new.velocity**2),
+            "strain": np.sum(displacement * (0.5 * new.internal - self.expanding))
+            + self.suppressed,
+            "load": -np.sum(displacement * (self.forces - self.expanding)),
+        }
+        energies |= {cause: motion.lost[cause] + loss for cause, loss in losses.items()}
+        self.motion = replace(new, lost={cause: energies[cause] for cause in motion.lost})
+        return replace(
+            result,
+            displacement=displacement,
+            contact=replace(contact, u_n=contact.u_n + moved[:, 0], u_t=contact.u_t + moved[:, 1:]),
+            time=(k + 1) * step,
+            velocity=new.velocity,
+            energies={name: float(value) for name, value in energies.items()},
+        )

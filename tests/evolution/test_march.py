@@ -1,0 +1,283 @@
+"""Bodies in time, against closed forms, in any position and of any kind."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import rotation, turned
+
+import adaptmg as am
+
+# the published numbers of the bar are those of large strains
+pytestmark = pytest.mark.filterwarnings("ignore:strains exceed")
+RNG = np.random.default_rng(42)
+KINDS = ("plane", "axisymmetric", "solid")
+
+
+def bar(kind, divisions, **options):
+    """Grids of the bar of the cases, a cylinder or a prism, turned at random, and the direction in
+    which it flies."""
+    problem = am.cases.impact_bar(**options)
+    dim = 3 if kind == "solid" else 2
+    turn = {"plane": RNG.uniform(0, 6), "axisymmetric": 0.0, "solid": RNG.uniform(-2, 2, 3)}[kind]
+    material = problem.material
+    domain = problem.domain
+    if kind == "axisymmetric":
+        material = am.Axisymmetric(young=material.young, poisson=0.0)
+    if kind == "solid":
+        material = am.Solid(young=material.young, poisson=0.0)
+        domain = am.Box(width=domain.width, depth=domain.width, height=domain.height)
+    down = rotation(turn) @ -np.eye(dim)[-1]
+    wall = am.Plane(point=down * problem.contact[0].obstacle.point[1] * -1, normal=-down)
+    meshes = [turned(am.mesh.structured(domain, n), turn) for n in divisions]
+    contact = am.Contact("bottom", wall)
+    problem = replace(problem, material=material, domain=None, contact=contact)
+    return am.Hierarchy.from_meshes(problem, meshes), down
+
+
+def total(result):
+    return sum(result.energies.values())
+
+
+def mechanical(result):
+    return sum(result.energies[name] for name in ("kinetic", "strain", "load"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bar_that_hits_a_wall(kind):
+    # Doyen, Ern, Piperno 2011
+    n = 40
+    divisions = ((2, 2, 20), (4, 4, 40)) if kind == "solid" else ((2, 20), (4, 40))
+    grids, down = bar(kind, divisions)
+    reference = grids.problem.reference
+    step = 10.0 / n / reference["wave_speed"]
+    dynamics = am.Dynamics(density=1.0, initial_velocity=10 * down, step=step, end=1.5)
+    forces, times, energies = [], [], []
+    for result in am.march(grids, dynamics, rtol=1e-12, certify_every=50):
+        forces.append(-result.resultant("contact").force @ down)
+        times.append(result.time - 0.5 * step)
+        energies.append(mechanical(result))
+        assert total(result) == pytest.approx(energies[0], rel=1e-6)
+    forces, times = np.array(forces), np.array(times)
+    expected = reference["force"] * (np.pi if kind == "axisymmetric" else 1.0)
+    pressed = forces[(times > 0.6) & (times < 1.05)]
+    assert abs(pressed.mean() / expected - 1) < 0.01
+    assert pressed.std() < 0.01 * expected
+    contact = times[forces > 0.5 * expected]
+    assert abs(contact[0] - reference["begin"]) < 2 * step
+    assert abs(contact[-1] - reference["end"]) < 3 * step
+    assert np.diff(energies).max() < 1e-10 * energies[0]
+    assert energies[-1] > 0.97 * energies[0]
+    assert np.einsum("nd,d->n", result.velocity, down).mean() == pytest.approx(-10, rel=0.06)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_free_flight_is_exact(kind):
+    divisions = ((1, 1, 10), (2, 2, 20)) if kind == "solid" else ((1, 10), (2, 20))
+    grids, down = bar(kind, divisions, gap=1e5)
+    velocity = 100.0 * (down if kind == "axisymmetric" else RNG.uniform(-1, 1, len(down)))
+    dynamics = am.Dynamics(density=1.0, initial_velocity=velocity, step=0.3, end=60.0)
+    *_, last = am.march(grids, dynamics)
+    way = 60.0 * velocity
+    assert np.abs(last.displacement - way).max() < 1e-11 * np.linalg.norm(way)
+    assert last.energies["strain"] < 1e-12 * last.energies["kinetic"]
+    assert last.time == pytest.approx(60.0)
+
+
+def moving_block(turn, elements):
+    """A block between springs and an oblique symmetry plane that weight and a push move on a rough
+    floor."""
+    turning = rotation(turn)
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1e3, poisson=0.3),
+        contact=am.Contact("bottom", am.Plane(turning @ (0.0, -0.02), turning @ (0.0, 1.0))),
+        law=am.Coulomb(0.3),
+        supports=[am.Symmetry("left"), am.Spring("top", normal=5.0, tangential=2.0)],
+        loads=[am.Pressure("right", 2.0), am.BodyForce(tuple(turning @ (0.0, -1.0)))],
+        elements=elements,
+    )
+    square = am.Rectangle(width=1.0, height=1.0)
+    meshes = [turned(am.mesh.structured(square, n), turn) for n in (4, 8)]
+    grids = am.Hierarchy.from_meshes(problem, meshes)
+    dynamics = am.Dynamics(
+        density=1.0,
+        initial_velocity=tuple(turning @ (0.1, -0.5)),
+        step=0.004,
+        end=0.2,
+        damping=1e-4,
+    )
+    results = list(am.march(grids, dynamics, rtol=1e-11))
+    energies = np.array([total(result) for result in results])
+    assert np.ptp(energies) < 1e-8 * abs(energies).max()
+    assert min(results[-1].energies[name] for name in ("friction", "contact", "damping")) > 0
+    return results[-1].displacement @ turning, results[-1].reaction @ turning
+
+
+@pytest.mark.parametrize("elements", ["linear", "smoothed"])
+def test_motion_does_not_depend_on_the_axes(elements):
+    for straight, oblique in zip(
+        moving_block(0.0, elements), moving_block(0.9, elements), strict=True
+    ):
+        np.testing.assert_allclose(oblique, straight, atol=1e-7 * np.abs(straight).max())
+
+
+def test_tied_halves_move_like_a_whole():
+    problem = am.cases.impact_bar()
+    dynamics = am.Dynamics(density=1.0, initial_velocity=(0, -10), step=0.01, end=0.6)
+    whole = am.Hierarchy.uniform(problem, ((1, 10), (2, 20)))
+    meshes = [
+        am.mesh.merged(
+            {
+                name: am.mesh.structured(am.Rectangle(width=1, height=5, origin=(0, y)), (k, 5 * k))
+                for name, y in (("lower", 0.0), ("upper", 5.0))
+            }
+        )
+        for k in (1, 2)
+    ]
+    halves = replace(
+        problem,
+        domain=None,
+        contact=am.Contact("lower.bottom", problem.contact[0].obstacle),
+        ties=am.Tied("upper.bottom", "lower.top"),
+    )
+    tied = am.Hierarchy.from_meshes(halves, meshes)
+    for one, two in zip(
+        am.march(whole, dynamics, rtol=1e-11), am.march(tied, dynamics, rtol=1e-11), strict=True
+    ):
+        np.testing.assert_allclose(
+            two.resultant("contact").force, one.resultant("contact").force, atol=1e-6
+        )
+        top = [result.displacement[result.mesh.points[:, 1] == 10.0] for result in (one, two)]
+        np.testing.assert_allclose(top[1], top[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("cells", [(16, 4), (12, 3)], ids=["matching", "not matching"])
+def test_equal_bars_exchange_their_velocities(cells):
+    turn = 0.7
+    along = rotation(turn) @ (1.0, 0.0)
+    finest = {"left": (16, 4), "right": cells}
+
+    def bars(coarser):
+        domains = (am.Rectangle(width=2, height=0.5, origin=(x, 0)) for x in (0.0, 2.05))
+        return turned(
+            am.mesh.merged(
+                {
+                    name: am.mesh.structured(domain, tuple(k // coarser for k in n))
+                    for domain, (name, n) in zip(domains, finest.items(), strict=True)
+                }
+            ),
+            turn,
+        )
+
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=100.0, poisson=0.0),
+        contact=am.ContactPair("left.right", "right.left"),
+        law=am.Frictionless(),
+    )
+    grids = am.Hierarchy.from_meshes(problem, [bars(2), bars(1)])
+    dynamics = am.Dynamics(
+        density={"left": 1.0, "right": 1.0},
+        initial_velocity={"left": lambda x: 0.2 * np.tile(along, (len(x), 1))},
+        step=0.0125,
+        end=1.2,
+    )
+    results = list(am.march(grids, dynamics, rtol=1e-12))
+    energies = [mechanical(result) for result in results]
+    assert np.diff(energies).max() < 1e-10 * energies[0]
+    mesh = grids.finest.mesh
+    for body, expected in (("left", 0.0), ("right", 0.2)):
+        elements = mesh.element_body == mesh.bodies.index(body)
+        velocities = results[-1].velocity[mesh.elements[elements]].mean(axis=1)
+        mean = np.average(velocities, axis=0, weights=mesh.volumes[elements])
+        np.testing.assert_allclose(mean, expected * along, atol=0.05 * 0.2)
+
+
+def test_a_sliding_block_stops():
+    gravity, friction, density, speed = 9.81, 0.3, 2000.0, 1.0
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=0.4, height=0.1),
+        material=am.PlaneStrain(young=1e8, poisson=0.3),
+        contact=am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1))),
+        law=am.Coulomb(friction),
+        loads=[am.BodyForce((0.0, -density * gravity))],
+    )
+    grids = am.Hierarchy.uniform(problem, ((8, 2), (16, 4)))
+    rest = am.solve(grids)
+    time = speed / (friction * gravity)
+    dynamics = am.Dynamics(
+        density=density,
+        initial_velocity=(speed, 0.0),
+        step=time / 80,
+        end=1.2 * time,
+        damping=time / 300,
+    )
+    *_, last = am.march(grids, dynamics, start=rest)
+    way = (last.displacement - rest.displacement)[:, 0]
+    np.testing.assert_allclose(way, speed**2 / (2 * friction * gravity), rtol=1e-3)
+    assert last.energies["friction"] == pytest.approx(0.5 * density * 0.04 * speed**2, rel=1e-3)
+    assert last.contact.counts()["stick"] == len(last.contact)
+
+
+def test_an_interrupted_march_goes_on_with_the_same_bits(tmp_path):
+    grids, down = bar("plane", ((1, 10), (2, 20)), gap=0.5)
+    dynamics = am.Dynamics(density=1.0, initial_velocity=10 * down, step=0.01, end=0.2)
+    whole = list(am.march(grids, dynamics))
+    begun = am.march(grids, replace(dynamics, end=0.1), store=tmp_path)
+    for _ in range(7):
+        next(begun)
+    resumed = list(am.march(grids, dynamics, store=tmp_path))
+    assert len(resumed) == len(whole) == 20
+    for one, other in zip(whole, resumed, strict=True):
+        assert np.array_equal(one.displacement, other.displacement)
+        assert np.array_equal(one.velocity, other.velocity)
+        assert one.energies == other.energies
+    loaded = am.Result.load(tmp_path / "step_0012.npz")
+    assert loaded.time == whole[12].time and np.array_equal(loaded.velocity, whole[12].velocity)
+    with pytest.raises(ValueError, match=r"another run: .*dynamics"):
+        am.march(grids, replace(dynamics, step=0.02), store=tmp_path)
+
+
+def test_what_does_not_move_is_refused():
+    problem = am.cases.impact_bar()
+    grids = am.Hierarchy.uniform(problem, ((1, 10),))
+    dynamics = am.Dynamics(density=1.0, step=0.1, end=1.0)
+    wall = problem.contact[0].obstacle
+
+    def against(obstacle):
+        return grids.with_problem(replace(problem, contact=am.Contact("bottom", obstacle)))
+
+    rubber = replace(problem, material=am.PlaneStrain(young=1e6, poisson=0.49), elements="smoothed")
+    for posed, words in (
+        (grids.finest.discrete, "levels with meshes"),
+        (against(am.Moving(wall, displacement=(0, 1))), "Rigid or Moving .* ContactPair"),
+        (against(am.Rigid(wall, force=(None, 1.0))), "Rigid or Moving .* ContactPair"),
+        (grids.with_problem(rubber), "march cannot solve for smoothed"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            am.march(posed, dynamics)
+    for changes, words in (
+        ({"density": {"bar": 1.0}}, "body 'bar' does not exist; the bodies are body"),
+        ({"density": {}}, "body 'body' has none"),
+        ({"initial_velocity": (1.0, 0.0, 0.0)}, "initial_velocity of 'body'"),
+        ({"initial_velocity": {"bar": (0.0, 1.0)}}, "body 'bar' does not exist"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            am.march(grids, replace(dynamics, **changes))
+    with pytest.raises(TypeError, match=r"am\.Dynamics"):
+        am.march(grids, am.LoadPath())
+    with pytest.raises(ValueError, match=r"overlap by 0.5 m .*am\.solve"):
+        am.march(grids, dynamics, start=np.tile((0.0, -5.5), (22, 1)))
+    for changes in ({"density": 0.0}, {"step": -1.0}, {"end": 0.01}, {"damping": np.nan}):
+        with pytest.raises(ValueError, match=next(iter(changes))):
+            replace(dynamics, **changes)
+
+
+def test_a_step_that_does_not_converge_says_which():
+    grids = am.Hierarchy.uniform(am.cases.impact_bar(gap=0.01), ((1, 10), (2, 20)))
+    dynamics = am.Dynamics(density=1.0, initial_velocity=(0, -10), step=0.01, end=0.1)
+    few = am.SingleGrid(max_sweeps=2)
+    with pytest.raises(am.NotConverged) as caught:
+        list(am.march(grids, dynamics, few))
+    assert "time step 0 of 10" in caught.value.__notes__[0]
+    *_, last = am.march(grids, dynamics, few, throw=False)
+    assert not last.status.ok and last.time < 0.1
