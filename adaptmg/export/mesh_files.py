@@ -6,11 +6,11 @@ ParaView and others. meshio writes the formats that it knows.
 
 SI units; vectors have three components, z = 0 in 2D. No value is NaN.
 
-Point data: ``displacement`` m, ``reaction`` N (2D: N/m); at contact nodes ``contact_pressure`` Pa,
-``contact_traction`` Pa (the tangential traction on the body), ``contact_gap`` m, ``contact_slip``
-m, 0 elsewhere; ``contact_mask`` is 1 at contact nodes, where ``contact_state`` (0 open, 1 slip, 2
-stick) and ``contact_pair`` are not -1. Between two bodies the contact nodes are those of the slave
-surface, gap and slip relative to the master.
+Point data: ``displacement`` m, ``reaction`` N (2D: N/m), of time steps ``velocity`` m/s; at contact
+nodes ``contact_pressure`` Pa, ``contact_traction`` Pa (the tangential traction on the body),
+``contact_gap`` m, ``contact_slip`` m, 0 elsewhere; ``contact_mask`` is 1 at contact nodes, where
+``contact_state`` (0 open, 1 slip, 2 stick) and ``contact_pair`` are not -1. Between two bodies the
+contact nodes are those of the slave surface, gap and slip relative to the master.
 
 Cell data: ``body``, and with materials ``stress`` (xx, yy, zz, xy, yz, xz; axisymmetric: x = r, y
 axial, zz the hoop stress) and ``von_mises``, Pa, constant in each cell.
@@ -247,6 +247,8 @@ def _write(result: Result, path: Path) -> None:
         "reaction": _three(result.reaction),
         **_contact_data(result),
     }
+    if result.velocity.size:
+        points["velocity"] = _three(result.velocity)
     raw = meshio.Mesh(
         _three(mesh.points),
         [("triangle" if mesh.dim == 2 else "tetra", mesh.elements)],

@@ -127,6 +127,7 @@ def deformation(
     *,
     stress: bool = False,
     displacement: bool = False,
+    velocity: bool = False,
     states: bool = False,
     bodies: Sequence[str] | None = None,
     lines: bool | None = None,
@@ -152,6 +153,8 @@ def deformation(
         maximum.
     displacement : bool
         Colour by the length of the displacement, linear in each element.
+    velocity : bool
+        Colour by the speed, linear in each element; of a step of :func:`adaptmg.march`.
     states : bool
         Mark the contact surfaces with the states of their nodes: open, slip, stick.
     bodies : sequence of str, optional
@@ -170,12 +173,13 @@ def deformation(
     2
     """
     mesh = need_mesh(checks.instance("result", result, Result))
-    for name, value in (("stress", stress), ("displacement", displacement), ("states", states)):
+    shown = {"stress": stress, "displacement": displacement, "velocity": velocity}
+    for name, value in (shown | {"states": states}).items():
         checks.flag(name, value)
     if lines is not None:
         checks.flag("lines", lines)
     names = _names(mesh, bodies)
-    colors = _coloring(result, stress, displacement)
+    colors = _coloring(result, [name for name, value in shown.items() if value])
     factor = (
         _automatic_factor(result) if amplify is None else checks.nonnegative("amplify", amplify)
     )
@@ -266,10 +270,10 @@ class Coloring(NamedTuple):
     clipped: bool = False  # whether values lie above the scale
 
 
-def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | list[str]:
-    if stress and displacement:
-        raise ValueError("stress and displacement cannot both be the colours: draw two pictures")
-    if stress:
+def _coloring(result: Result, shown: Sequence[str]) -> Coloring | list[str]:
+    if len(shown) > 1:
+        raise ValueError(f"{' and '.join(shown)} cannot both be the colours: draw two pictures")
+    if "stress" in shown:
         values = 1e-6 * result.von_mises()
         largest = float(values.max())
         # a corner or the edge of a punch has one element of a stress far above all others
@@ -281,13 +285,18 @@ def _coloring(result: Result, stress: bool, displacement: bool) -> Coloring | li
             Normalize(0.0, top),
             clipped=largest > 1.001 * top,
         )
-    if displacement:
-        values = np.linalg.norm(result.displacement, axis=1)
-        factor, unit = style.scaled(float(values.max()), "m")
+    for name, symbol, unit in (("displacement", "u", "m"), ("velocity", "v", "m/s")):
+        if name not in shown:
+            continue
+        vectors = getattr(result, name)
+        if not vectors.size:
+            raise ValueError(f"{name}: this result has none; those of am.march have")
+        values = np.linalg.norm(vectors, axis=1)
+        factor, unit = style.scaled(float(values.max()), unit)
         return Coloring(
             factor * values,
             True,
-            f"displacement |u| [{unit}]",
+            f"{name} |{symbol}| [{unit}]",
             Normalize(0.0, factor * float(values.max()) or 1.0),
         )
     return style.body_fills(len(need_mesh(result).bodies))
