@@ -61,7 +61,7 @@ TASKS = {
     "solve": (
         "Solve",
         "Methods and their parts. Bare matrices are posed here, too.",
-        ("solver", "multigrid", "smoother", "discrete", "_threads"),
+        ("solver", "evolution", "multigrid", "smoother", "discrete", "_threads"),
     ),
     "results": (
         "Results",
