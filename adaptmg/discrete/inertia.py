@@ -8,7 +8,7 @@ to a free one, and admissible, is found node by node."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -20,47 +20,40 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.problem.dynamics import Dynamics
 from adaptmg.problem.loads import BodyForce
 
-Value = TypeVar("Value")
 
-
-def _of_bodies(name: str, value: Value | Mapping[str, Value], posed: Posed) -> dict[str, Value]:
-    """Return a value for each body; a mapping as it is, checked."""
-    bodies = posed.mesh.bodies
-    if not isinstance(value, Mapping):
-        return dict.fromkeys(bodies, value)
-    for body in value:
-        if body not in bodies:
-            raise ValueError(
-                f"{name}: body {body!r} does not exist; the bodies are {', '.join(bodies)}"
-            )
-    return dict(value)
+def _by_body(value: object, posed: Posed) -> Mapping[str, Any]:
+    """Return values by body, of all bodies unless they are given so."""
+    return value if isinstance(value, Mapping) else dict.fromkeys(posed.mesh.bodies, value)
 
 
 def lumped_mass(posed: Posed, dynamics: Dynamics) -> np.ndarray:
     """Return the masses (n_nodes,) of nodes, kg (plane: kg/m; axisymmetric: of the full
     circumference)."""
     mesh = posed.mesh
-    densities = _of_bodies("density", dynamics.density, posed)
-    missing = [body for body in mesh.bodies if body not in densities]
-    if missing:
-        raise ValueError(
-            f"density: body {missing[0]!r} has none; the bodies are {', '.join(mesh.bodies)}"
-        )
     # a force per volume along the last axis
     along = (0.0,) * (mesh.dim - 1)
-    forces = [BodyForce((*along, density), body=body) for body, density in densities.items()]
-    return load_vector(mesh, forces, posed.materials)[mesh.dim - 1 :: mesh.dim]
+    forces = [
+        BodyForce((*along, density), body=checks.choice("bodies of density", body, mesh.bodies))
+        for body, density in _by_body(dynamics.density, posed).items()
+    ]
+    mass = load_vector(mesh, forces, posed.materials)[mesh.dim - 1 :: mesh.dim]
+    if not mass.all():
+        raise ValueError(
+            f"density must be given for each body; the bodies are {', '.join(mesh.bodies)}"
+        )
+    return mass
 
 
 def nodal_velocity(posed: Posed, dynamics: Dynamics) -> np.ndarray:
     """Return the initial velocity (n_nodes, dim) of bodies, m/s, whatever holds them."""
-    result = np.zeros(posed.mesh.points.shape)
-    for body, value in _of_bodies("initial_velocity", dynamics.initial_velocity, posed).items():
+    points = posed.mesh.points
+    result = np.zeros(points.shape)
+    for body, value in _by_body(dynamics.initial_velocity, posed).items():
+        checks.choice("bodies of initial_velocity", body, posed.mesh.bodies)
         nodes = posed.bodies[body]
-        shape = len(nodes), posed.mesh.dim
         name = f"initial_velocity of {body!r}"
         if callable(value):
-            result[nodes] = checks.array(name, value(posed.mesh.points[nodes]), shape)
+            result[nodes] = checks.array(name, value(points[nodes]), points[nodes].shape)
         else:
             result[nodes] = checks.vector(name, value, posed.mesh.dim)
     return result

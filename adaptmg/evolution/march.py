@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import cast
 
@@ -38,23 +38,24 @@ from adaptmg.discrete.coordinates import to_frames
 from adaptmg.discrete.discretise import assembled
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.inertia import lumped_mass, nodal_velocity, with_mass
-from adaptmg.discrete.loads import load_vector, supported_stiffness
+from adaptmg.discrete.loads import supported_stiffness
 from adaptmg.discrete.named_loads import load_steps
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import supported_nodes
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.dynamics import Dynamics
 from adaptmg.problem.laws import Frictionless
 from adaptmg.problem.load_path import obstacles_in_path
-from adaptmg.problem.loads import InitialStrain, PointSpring, Spring
+from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise_on_motion, advise_on_problem, once
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_path import step_method
-from adaptmg.solver.load_steps import Past, TruncatedSteps
-from adaptmg.solver.multigrid import handed_over
+from adaptmg.solver.load_path import way_in_contact
+from adaptmg.solver.load_steps import Past, step_outcome
+from adaptmg.solver.multigrid import Multigrid, handed_over
 from adaptmg.solver.outcome import (
     checked_outcome,
     displacement_argument,
@@ -65,6 +66,7 @@ from adaptmg.solver.outcome import (
 from adaptmg.solver.record import Run, Solver
 from adaptmg.solver.result import KINDS, NotConverged, Result
 from adaptmg.solver.store import StepStore, fingerprint
+from adaptmg.solver.truncated import TruncatedRun
 
 _HEAD = "march.json"
 #: of the size of the mesh: an overlap at the start below this is rounding
@@ -158,13 +160,10 @@ def march(
             "method": solver,
             "dynamics": replace(dynamics, end=dynamics.step),
             "certify_every": certify_every,
-            "start": loop.motion.displacement,
+            "start": loop.displacement,
         }
-        loads = [
-            None if posed is None else load_steps(posed, level.discrete)
-            for posed, level in zip(map(made.posed_on, made.levels), made.levels, strict=True)
-        ]
-        mark = fingerprint(made, loads, {}, 1, parts, depends)
+        loads = load_steps(loop.posed, loop.discrete)
+        mark = fingerprint(made, [loads], {}, 1, parts, depends)
         steps = StepStore.resumed(store, _HEAD, {"fingerprint": mark}, KINDS)
     return _results(loop, steps, certify_every, throw, progress)
 
@@ -178,31 +177,31 @@ def _results(
 ) -> Iterator[Result]:
     """Yield the results of the steps, those of the store first."""
     n_steps = loop.dynamics.n_steps
-    k = 0
+    first = 0
     for stored in () if store is None else store.steps(n_steps):
         loop.take(stored.value)
         yield stored.value
-        k += 1
+        first += 1
     kinds: set[str] = set()
-    while k < n_steps:
+    for k in range(first, n_steps):
+        callback = partial(progress, k) if callable(progress) else None
         with one_blas_thread(), once(kinds):
-            callback = partial(progress, k) if callable(progress) else None
             result = loop.step(k, k % certify_every == 0, callback)
         if progress is True:
             say(
                 f"step {k} of {n_steps}, {result.time:.4g} s: {result.status.name} after "
                 f"{result.cycles} cycles and {result.seconds:.2g} s"
             )
-        if throw and not result.status.ok:
+        if not result.status.ok:
+            if not throw:
+                yield result
+                return
             error = NotConverged(result)
             error.add_note(f"in time step {k} of {n_steps}: a smaller step is easier to solve")
             raise error
-        if store is not None and result.status.ok:
+        if store is not None:
             store.put(k, result)
         yield result
-        if not result.status.ok:
-            return
-        k += 1
 
 
 def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
@@ -234,18 +233,12 @@ def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
     return replace(grids, levels=tuple(levels))
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """The state of bodies at a time."""
-
-    displacement: np.ndarray  # (n_nodes, dim), m
-    velocity: np.ndarray  # (n_nodes, dim), m/s
-    internal: np.ndarray  # (n_nodes, dim): K u, N
-    lost: Mapping[str, float]  # energy lost so far, by cause, N m
-
-
 class March:
-    """The time steps of a problem, on a hierarchy with the matrices of a step."""
+    """The time steps of a problem, on a hierarchy with the matrices of a step; displacement (n_nodes,
+    dim), m, and velocity, m/s, are those after the last step."""
+
+    displacement: np.ndarray
+    velocity: np.ndarray
 
     def __init__(
         self,
@@ -259,35 +252,32 @@ class March:
         self.dynamics = dynamics
         self.solver = solver
         self.choice = choice
-        self.method = step_method(solver)
-        if isinstance(self.method, TruncatedSteps):
+        self.step_solver = solver
+        if isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated):
             # with mass no rigid motion is without energy
-            self.method.parts = replace(self.method.parts, rigid_motions=False)
-        self.posed = cast("Posed", grids.posed)
+            correction = replace(solver.correction, rigid_motions=False)
+            self.step_solver = replace(solver, correction=correction)
+        self.multigrid: TruncatedRun | None = None
         self.discrete = grids.finest.discrete
+        self.posed = cast("Posed", grids.posed)
         problem = self.posed.problem
         mesh = self.posed.mesh
-        shape = mesh.points.shape
-        self.stiffness = supported_stiffness(
-            mesh, self.posed.materials, problem.supports, problem.elements
-        )
-        self.stress_data = StressData.of(
-            mesh, self.posed.materials, problem.loads, problem.elements
-        )
-        self.forces = self.discrete.physical_forces(self.discrete.whole_load).reshape(shape)
-        strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
-        expanding = load_vector(mesh, strains, self.posed.materials, problem.elements)
-        #: the part of the forces that initial strains make, and the energy of suppressing these
-        self.expanding = expanding.reshape(shape)
-        self.suppressed = 0.5 * self.stress_data.suppressed(mesh) if strains else 0.0
+        bodies = mesh, self.posed.materials
+        self.stiffness = supported_stiffness(*bodies, problem.supports, problem.elements)
+        self.stress_data = StressData.of(*bodies, problem.loads, problem.elements)
         self.mass = lumped_mass(self.posed, dynamics)[:, None]
+        forces = self.discrete.physical_forces(self.discrete.whole_load)
+        self.forces = forces.reshape(mesh.points.shape)
         self.flying = self._flying()
-        displacement = displacement_argument("start", start, self.discrete)
-        at_start = np.zeros(shape) if displacement is None else self.discrete.physical(displacement)
-        velocity = self._held(nodal_velocity(self.posed, dynamics), 0.0)
-        lost = {"friction": 0.0, "contact": 0.0, "damping": 0.0}
-        self.motion = self._motion(self._held(at_start, 1.0), velocity, lost)
-        overlap = self._overlap(self.motion.displacement).max(initial=0.0)
+        #: by cause the energy lost so far, N m, and the slips so far (n_contact,), m
+        self.lost = {"friction": 0.0, "contact": 0.0, "damping": 0.0}
+        self.slid = self.discrete.contact.accumulated_slip
+        first = displacement_argument("start", start, self.discrete)
+        relative = np.zeros(mesh.points.shape) if first is None else first
+        self.displacement = self._held(relative, 1.0)
+        velocity = nodal_velocity(self.posed, dynamics)
+        self.velocity = self._held(self.discrete.relative(velocity), 0.0)
+        overlap = self._overlap(self.displacement).max(initial=0.0)
         if overlap > _OVERLAP * mesh.sides.max():
             raise ValueError(
                 f"start: bodies overlap by {overlap:.3g} m at the start; give start=am.solve(grids)"
@@ -300,12 +290,12 @@ class March:
         problem = self.posed.problem
         held = self.posed.fixed.copy()
         held[self.posed.inclined.nodes] = True
-        if problem.axisymmetric:
-            held[:, 0] = True
+        held[:, 0] |= problem.axisymmetric
         for support in problem.supports:
             if isinstance(support, Spring | PointSpring):
                 held[supported_nodes(self.posed.mesh, support, self.posed.surfaces)] = True
-        return [(nodes, ~np.any(held[nodes], axis=0)) for nodes in nodes_of_pieces(self.posed.mesh)]
+        pieces = nodes_of_pieces(self.posed.mesh)
+        return [(nodes, ~np.any(held[nodes], axis=0)) for nodes in pieces]
 
     def _shift(self, displacement: np.ndarray) -> np.ndarray:
         """Return the mean displacement (n_nodes, dim) of each body along axes that nothing holds."""
@@ -314,53 +304,44 @@ class March:
             result[nodes] = np.where(free, displacement[nodes].mean(axis=0), 0.0)
         return result
 
-    def _motion(
-        self,
-        displacement: np.ndarray,
-        velocity: np.ndarray,
-        lost: Mapping[str, float],
-    ) -> Motion:
-        """Return the state with a displacement, m, and a velocity, m/s."""
+    def _internal(self, displacement: np.ndarray) -> np.ndarray:
+        """Return K u (n_nodes, dim), N."""
         strained = (displacement - self._shift(displacement)).reshape(-1)
-        internal = (self.stiffness @ strained).reshape(displacement.shape)
-        return Motion(displacement, velocity, internal, lost)
+        return (self.stiffness @ strained).reshape(displacement.shape)
 
-    def _held(self, vectors: np.ndarray, share: float) -> np.ndarray:
-        """Return vectors (n_nodes, dim) with a ``share`` of what supports and ties prescribe."""
+    def _held(self, relative: np.ndarray, share: float) -> np.ndarray:
+        """Return the vectors (n_nodes, dim) of relative ones, with a ``share`` of what supports and
+        ties prescribe."""
         discrete = self.discrete
-        relative = discrete.relative(vectors)
         fixed = discrete.fixed.reshape(relative.shape)
-        values = discrete.fixed_values.reshape(relative.shape)
-        relative = np.where(fixed, share * values, relative)
+        values = share * discrete.fixed_values.reshape(relative.shape)
         inclined = discrete.inclined
-        relative = inclined.free_part(np.arange(discrete.n_nodes), relative)
-        relative[inclined.nodes] += share * inclined.prescribed({})
-        return discrete.physical(relative)
-
-    def _normal(self, relative: np.ndarray) -> np.ndarray:
-        """Return the normal displacement (n_contact,) of contact nodes, m."""
-        contact = self.discrete.contact
-        return np.einsum("nd,nd->n", contact.normals, self.discrete.at_contact(relative))
+        nodes = np.arange(discrete.n_nodes)
+        held = inclined.free_part(nodes, np.where(fixed, values, relative))
+        held[inclined.nodes] += share * inclined.prescribed({})
+        return discrete.physical(held)
 
     def _overlap(self, displacement: np.ndarray) -> np.ndarray:
         """Return how far (n_contact,) contact nodes are beyond their gaps, m."""
-        return self._normal(self.discrete.relative(displacement)) - self.discrete.contact.gaps
+        discrete = self.discrete
+        moved = discrete.at_contact(discrete.relative(displacement))
+        return np.einsum("nd,nd->n", discrete.contact.normals, moved) - discrete.contact.gaps
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:
         """Return the admissible displacement (n_nodes, dim) that is nearest in the norm of the mass."""
         overlap = np.maximum(self._overlap(displacement), 0.0)
         if not overlap.any():
             return displacement
-        contact = self.discrete.contact
         if self.discrete.coupling is None:
+            contact = self.discrete.contact
             result = displacement.copy()
             result[contact.nodes] -= overlap[:, None] * contact.normals
             return result
         problem = self._of_mass
-        unknowns = problem.relative(displacement).reshape(-1)
-        posed = problem.posing(load=problem.matrix @ unknowns)
-        nearest = ActiveSet().run(Hierarchy.single(posed), Run(unit=posed.matrix.nnz), None)
-        return posed.physical(nearest.solution)
+        load = problem.matrix @ problem.relative(displacement).reshape(-1)
+        grids = Hierarchy.single(problem.posing(load=load))
+        nearest = ActiveSet().run(grids, Run(unit=problem.matrix.nnz), None)
+        return problem.physical(nearest.solution)
 
     @cached_property
     def _of_mass(self) -> DiscreteProblem:
@@ -372,61 +353,59 @@ class March:
         self, k: int, certified: bool, callback: Callable[[dict[str, float]], None] | None
     ) -> Result:
         """Take time step k and return its result."""
-        motion = self.motion
-        step = self.dynamics.step
         run = Run(unit=self.discrete.matrix.nnz, callback=callback)
         with run.phase("setup"):
-            free = motion.displacement + step * motion.velocity
+            free = self.displacement + self.dynamics.step * self.velocity
             admissible = self._admissible(free)
-            shift = self._shift(motion.displacement)
-            grids = self._posed(admissible - shift, shift)
+            shift = self._shift(self.displacement)
+            grids = self._posed(admissible, shift)
             discrete = grids.finest.discrete
             examiner = Examiner(discrete, certified=certified)
-            if certified:
-                run.examiner = examiner
+            run.examiner = examiner if certified else None
             # not with the acceleration of the step before: errors that alternate would grow, up to
             # the tolerance, and the steps of a bar take 1.82 cycles for 1.72
             first = discrete.relative(admissible - shift).reshape(-1)
             past = Past([], first, first, given=True, near=True)
-        outcome, _ = self.method.run(grids, examiner, run, past)
+        outcome, self.multigrid, _ = step_outcome(
+            self.step_solver, self.multigrid, grids, examiner, run, past
+        )
         outcome = handed_over(checked_outcome(outcome, self.solver, discrete), grids, run)
         with run.phase("result"):
-            result = result_of(
+            relative = result_of(
                 grids, examiner, run, outcome, self.solver, self.stress_data, self.choice
             )
-            result = self._complete(k, result, free, admissible, shift)
+            result = self._complete(k, relative, free, admissible, shift)
+            self.take(result)
         if certified:
             advise_on_motion(self.posed, result)
         return result
 
     def take(self, result: Result) -> None:
         """Go past a step."""
-        lost = {cause: result.energies[cause] for cause in self.motion.lost}
-        self.motion = self._motion(result.displacement, result.velocity, lost)
+        self.displacement = result.displacement
+        self.velocity = result.velocity
+        self.lost = {cause: result.energies[cause] for cause in self.lost}
+        self.slid = self.slid + way_in_contact(result)
 
     def _posed(self, admissible: np.ndarray, shift: np.ndarray) -> Hierarchy:
         """Return the hierarchy with the problem of a step, relative to a ``shift`` of the bodies."""
-        motion = self.motion
         discrete = self.discrete
-        dynamics = self.dynamics
-        load = (
-            self.forces
-            - (0.5 - dynamics.damping / dynamics.step) * motion.internal
-            + 2 / dynamics.step**2 * self.mass * admissible
-        )
+        step = self.dynamics.step
+        stiffness = self.dynamics.damping / step - 0.5
+        load = self.forces + stiffness * self._internal(self.displacement)
+        load += 2 / step**2 * self.mass * (admissible - shift)
         shifted = discrete.relative(shift)
-        before = discrete.at_contact(discrete.relative(motion.displacement) - shifted)
         posed = discrete.with_step(
             discrete.relative_forces(load.reshape(-1)),
             discrete.fixed_values - shifted.reshape(-1),
-            before,
+            discrete.at_contact(discrete.relative(self.displacement) - shifted),
+            self.slid,
             None,
             {},
             discrete.volumes,
         )
         # the contact nodes of the step are a copy
-        gaps = discrete.contact.gaps - self._normal(shifted)
-        object.__setattr__(posed.contact, "gaps", gaps)
+        object.__setattr__(posed.contact, "gaps", -self._overlap(shift))
         finest = self.grids.finest.posing(discrete=posed)
         return replace(self.grids, levels=(*self.grids.levels[:-1], finest))
 
@@ -439,40 +418,37 @@ class March:
         shift: np.ndarray,
     ) -> Result:
         """Return the result of a step with what belongs to its time, not relative to a shift."""
-        motion = self.motion
         step = self.dynamics.step
-        displacement = result.displacement + shift
-        gained = 2 / step * (displacement - admissible)
         contact = result.contact
-        # as of a contact result, the means of what nodes take over
+        displacement = result.displacement + shift
+        change = displacement - self.displacement
+        gained = 2 / step * (displacement - admissible)
+        velocity = self.velocity + gained
+        internal = self._internal(displacement)
+        # conditions of nodes that take over a part of others are sums, contact results are means
         share = contact.measures / contact.weights
-        moved = to_frames(contact.frames, self.discrete.at_contact(self.discrete.relative(shift)))
-        moved /= share[:, None]
-        new = self._motion(displacement, motion.velocity + gained, motion.lost)
-        change = displacement - motion.displacement
         # at open nodes the tolerance leaves forces, and gaps may be long
-        moved_in = (self._overlap(motion.displacement) + share * contact.gap) * contact.closed
+        closing = (self._overlap(self.displacement) + share * contact.gap) * contact.closed
+        rubbing = np.sum(contact.force_t * contact.slip, axis=1)
+        strained = np.sum(change * (internal - self._internal(self.displacement)))
         losses = {
-            "friction": -np.sum(contact.force_t * contact.slip * share[:, None]),
-            "contact": -np.sum(contact.force_n * moved_in)
-            + np.sum((admissible - free) * self.mass * gained) / step,
-            "damping": self.dynamics.damping
-            / step
-            * np.sum(change * (new.internal - motion.internal)),
+            "friction": -np.sum(share * rubbing),
+            "contact": np.sum((admissible - free) * self.mass * gained) / step
+            - np.sum(contact.force_n * closing),
+            "damping": self.dynamics.damping / step * strained,
         }
         energies = {
-            "kinetic": 0.5 * np.sum(self.mass * new.velocity**2),
-            "strain": np.sum(displacement * (0.5 * new.internal - self.expanding))
-            + self.suppressed,
-            "load": -np.sum(displacement * (self.forces - self.expanding)),
-        }
-        energies |= {cause: motion.lost[cause] + loss for cause, loss in losses.items()}
-        self.motion = replace(new, lost={cause: energies[cause] for cause in motion.lost})
+            "kinetic": 0.5 * np.sum(self.mass * velocity**2),
+            "strain": 0.5 * np.sum(displacement * internal),
+            "load": -np.sum(displacement * self.forces),
+        } | {cause: self.lost[cause] + loss for cause, loss in losses.items()}
+        shifted = self.discrete.at_contact(self.discrete.relative(shift)) / share[:, None]
+        moved = to_frames(contact.frames, shifted)
         return replace(
             result,
             displacement=displacement,
             contact=replace(contact, u_n=contact.u_n + moved[:, 0], u_t=contact.u_t + moved[:, 1:]),
             time=(k + 1) * step,
-            velocity=new.velocity,
+            velocity=velocity,
             energies={name: float(value) for name, value in energies.items()},
         )

@@ -15,9 +15,6 @@ from adaptmg import _checks as checks
 #: m/s: components, or a function of positions (n, dim) that returns velocities (n, dim)
 Velocity = tuple[float, ...] | Callable[[np.ndarray], np.ndarray]
 
-#: of a step: an end that exceeds a whole number of steps by less is that number of steps
-_ROUNDING = 1e-9
-
 
 def _by_body(check: Callable[[str, Any], Any], name: str, value: Any) -> Any:
     """Return a value, or a mapping of values by body, with each value checked."""
@@ -75,5 +72,5 @@ class Dynamics(checks.Checked):
 
     @property
     def n_steps(self) -> int:
-        """Return the number of time steps."""
-        return ceil(self.end / self.step - _ROUNDING)
+        """Return the number of time steps; a millionth of one more is rounding of the end."""
+        return ceil(self.end / self.step - 1e-6)

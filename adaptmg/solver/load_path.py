@@ -31,7 +31,6 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
-from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.laws import FollowsState
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
@@ -42,8 +41,7 @@ from adaptmg.solver.load_steps import (
     Controls,
     Past,
     coarse_displacements,
-    restarted,
-    resumed,
+    step_outcome,
 )
 from adaptmg.solver.multigrid import Multigrid, handed_over
 from adaptmg.solver.outcome import (
@@ -539,11 +537,8 @@ class PathLoop:
         self, grids: Hierarchy, run: Run, past: Past
     ) -> tuple[Outcome, list[np.ndarray] | None]:
         """Return the outcome of the solver, and the displacements that it finds on coarse levels."""
-        solver = self.step_solver
-        if not (isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)):
-            return restarted(solver, grids, self.examiner, run, past), None
-        outcome, self.multigrid, coarse = resumed(
-            solver, self.multigrid, grids, self.examiner, run, past
+        outcome, self.multigrid, coarse = step_outcome(
+            self.step_solver, self.multigrid, grids, self.examiner, run, past
         )
         self._hold(outcome.rtol)
         return outcome, coarse

@@ -42,6 +42,7 @@ from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.level import Level
 from adaptmg.mesh.arrays import need_mesh
+from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.contact_problem import Contact, ContactProblem
 from adaptmg.problem.loads import Preload
 from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
@@ -121,6 +122,20 @@ def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list
 #: extrapolation is taken where it leaves less than this share of the residual of the nested start, whose error
 #: is rough and soon smoothed away
 _EXTRAPOLATE = 0.05
+
+
+def step_outcome(
+    solver: Solver,
+    multigrid: TruncatedRun | None,
+    hierarchy: Hierarchy,
+    examiner: Examiner,
+    run: Run,
+    past: Past,
+) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
+    """Solve a step as :func:`resumed` does, or where the solver is another one, :func:`restarted`."""
+    if isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated):
+        return resumed(solver, multigrid, hierarchy, examiner, run, past)
+    return restarted(solver, hierarchy, examiner, run, past), None, None
 
 
 def restarted(

@@ -105,8 +105,8 @@ class Result(Quantities):
     velocity : (n_nodes, dim) array
         At that time, m/s; else empty.
     energies : dict of str to float
-        At that time, N m (plane: N): "kinetic", "strain", "load" (the potential of loads, 0 of the
-        undeformed bodies), and those lost so far by "friction", "contact" and "damping". Their sum
+        At that time, N m (plane: N): "kinetic", "strain", "load" (the potential of loads and initial
+        strains, 0 of the undeformed bodies), and those lost so far by "friction", "contact" and "damping". Their sum
         stays the same. Empty of other results.
 
     Examples
