@@ -195,12 +195,13 @@ class FrameSmoother:
         values = contact.values.reshape(-1, system.dim)
         # turned to and fro a closed gap would no longer be closed to the last digit
         at_nodes[nodes] = values
+        conditions = contact.conditions
         passes = checks.nonnegative(
             "smooth: the passes that smooth returns",
-            self.smoother.smooth(system, contact.conditions, forces, w, 1),
+            self.smoother.smooth(system, conditions, forces, w, 1),
         )
         w[system.fixed] = 0.0
-        at_nodes[nodes, 0] = np.minimum(at_nodes[nodes, 0], contact.gap)
+        at_nodes[nodes, 0] = conditions.clamped(at_nodes[nodes, 0])
         values[:] = at_nodes[nodes]
         u[:] = rotate_back(w, self.frames, nodes)
         residual[:] = rotate_back(forces - system.matrix @ w, self.frames, nodes)

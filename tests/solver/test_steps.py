@@ -1,6 +1,7 @@
 """Methods of the user's own: state in, state out; the parts of the truncated step."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -270,6 +271,7 @@ class CutSlips:
         return after
 
 
+@cache
 def cases_of_parts():
     pair = bar_on_block(am.Coulomb(0.5), UPPER_ON_LOWER, gap=bumpy)
     rubber = replace(
@@ -277,6 +279,8 @@ def cases_of_parts():
         material=am.PlaneStrain(young=1.3e11, poisson=0.4999),
         elements="smoothed",
     )
+    torsion = am.cases.elastic_plastic_torsion()
+    discs = [am.mesh.graded(torsion.domain, size) for size in (0.4, 0.2, 0.1)]
     sizes = (20e-3, 10e-3, 5e-3)
     return {
         "bar": am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4, 8)),
@@ -284,11 +288,12 @@ def cases_of_parts():
         "block": am.Hierarchy.uniform(am.cases.greco_block(law=am.Coulomb(0.5)), (1, 2, 4)),
         "pair": bar_hierarchy(pair, 2),
         "rubber": am.Hierarchy.uniform(rubber, (2, 4, 8)),
+        "torsion": am.Hierarchy.from_meshes(torsion, discs),
     }
 
 
 @pytest.mark.parametrize("part", [{"smooth": BackAndForth()}, {"project": CutSlips()}], ids=list)
-@pytest.mark.parametrize("case", ["bar", "graded", "block", "pair", "rubber"])
+@pytest.mark.parametrize("case", ["bar", "graded", "block", "pair", "rubber", "torsion"])
 def test_user_defined_sweeps_and_projections_give_the_iterates_of_the_default(case, part):
     grids = cases_of_parts()[case]
     for method in (am.FullMultigrid, am.Multigrid):
