@@ -1,5 +1,5 @@
-r"""iterate: the one loop over cycles, sweeps or Newton steps of every method; StopTest and
-ChangeTest: when it ends.
+r"""iterate: the one loop over cycles, sweeps or Newton steps of every method; nested_start: the
+start that comes from coarser levels; StopTest and ChangeTest: when the loop ends.
 
 With :math:`\delta_k` the A-norm of what step k changed, or an estimate of it, the rate is
 :math:`\rho_k = \delta_k/\delta_{k-1}`, and :math:`\rho` the larger of the last ratio and the geometric mean of the last
@@ -123,6 +123,27 @@ def iterate(
             given_up = status in (Status.STALLED, Status.LIMIT, Status.ROUNDING)
             return stop.state, Status.CONVERGED if given_up and stop.certified() else status
         stop.state = step(stop.state)
+
+
+def nested_start(
+    run: Run,
+    levels: int,
+    coarsest: Callable[[], Flowing],
+    prolonged: Callable[[int, Flowing], Flowing],
+    cycled: Callable[[int, Flowing], Flowing],
+) -> Flowing:
+    """Return the start on the finest of some levels: the solution of the ``coarsest``,
+    ``prolonged`` from level to level, ``cycled`` on those between."""
+    with run.phase("start"):
+        state = coarsest()
+    for number in range(1, levels):
+        with run.phase("start"):
+            state = prolonged(number, state)
+            run.visit(number, "start")
+            if number < levels - 1:
+                state = cycled(number, state)
+    run.start_work_units = run.work_units
+    return state
 
 
 class StopTest:

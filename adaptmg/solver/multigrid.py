@@ -158,6 +158,11 @@ class Multigrid:
         self, hierarchy: Hierarchy, run: Run, keeps: bool = False
     ) -> TruncatedRun | ProjectedRun:
         """Return what the method sets up for a hierarchy; ``keeps``: for several load steps."""
+        if len(hierarchy) < 2:
+            raise ValueError(
+                "grids must have at least two levels for multigrid, got one: use SingleGrid or "
+                "ActiveSet"
+            )
         if isinstance(self.correction, Truncated):
             return TruncatedRun(self.correction, hierarchy, run, self.rtol, self.max_cycles, keeps)
         return ProjectedRun(

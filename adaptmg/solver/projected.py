@@ -52,7 +52,6 @@ class ProjectedRun:
     initial: list[InitialContact] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
-        need_levels(self.hierarchy)
         self.hierarchy.need_discretised(f"the correction {type(self.correction).__name__}")
         self.hierarchy.finest.discrete.need_no_volumes(
             f"the correction {type(self.correction).__name__}"
@@ -155,14 +154,6 @@ class ProjectedRun:
             return multigrid.residual(level, local.load, unknowns)
 
         return Smoothing(Measure(local, run), smooth, residual, correct)
-
-
-def need_levels(hierarchy: Hierarchy) -> None:
-    """Refuse a single level."""
-    if len(hierarchy) < 2:
-        raise ValueError(
-            "grids must have at least two levels for multigrid, got one: use SingleGrid or ActiveSet"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

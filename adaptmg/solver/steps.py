@@ -24,7 +24,7 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.cycle import project, prolonged_start
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.active_set import coarsest_solution
-from adaptmg.solver.iterate import Flowing, Measure, State, StopTest, iterate
+from adaptmg.solver.iterate import Measure, State, StopTest, iterate, nested_start
 from adaptmg.solver.record import Outcome, Run, Status
 
 
@@ -131,27 +131,6 @@ class Stepped:
             return replace(new, cycles=state.cycles + 1)
 
         return step
-
-
-def nested_start(
-    run: Run,
-    levels: int,
-    coarsest: Callable[[], Flowing],
-    prolonged: Callable[[int, Flowing], Flowing],
-    cycled: Callable[[int, Flowing], Flowing],
-) -> Flowing:
-    """Return the start on the finest of some levels: the solution of the ``coarsest``,
-    ``prolonged`` from level to level, ``cycled`` on those between."""
-    with run.phase("start"):
-        state = coarsest()
-    for number in range(1, levels):
-        with run.phase("start"):
-            state = prolonged(number, state)
-            run.visit(number, "start")
-            if number < levels - 1:
-                state = cycled(number, state)
-    run.start_work_units = run.work_units
-    return state
 
 
 class LocalLevels:

@@ -39,10 +39,8 @@ from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedState, Trun
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import ROUNDING, Sizes
-from adaptmg.solver.iterate import Measured, StopTest, iterate, true_error
-from adaptmg.solver.projected import need_levels
+from adaptmg.solver.iterate import Measured, StopTest, iterate, nested_start, true_error
 from adaptmg.solver.record import Outcome, Run, Status
-from adaptmg.solver.steps import nested_start
 
 
 class TruncatedTest(StopTest):
@@ -258,7 +256,6 @@ class TruncatedRun:
         max_cycles: int,
         keeps: bool = False,
     ) -> None:
-        need_levels(hierarchy)
         self.parts = parts
         self.hierarchy = hierarchy
         self.run = run
