@@ -337,11 +337,11 @@ class Hierarchy:
         """The levels on the meshes that ``mesh`` makes."""
         compiled = compiling_seconds()
         meshes = mesh()
-        if isinstance(problem, ScalarProblem):
-            return cls._scalar(problem, meshes, transfer, origin, begin)
-        problem = Posed.of(problem, meshes[-1]).problem
-        for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
-            warn_user(message)
+        posed = None
+        if isinstance(problem, ContactProblem):
+            problem = posed = Posed.of(problem, meshes[-1]).problem
+            for message in (*_elsewhere(posed, meshes[-1]), *_overlaps(posed, meshes[-1])):
+                warn_user(message)
         checks.flag("contact_rows", contact_rows)
         builder = the_transfer(transfer)
         check_coarse_to_fine(meshes)
@@ -357,32 +357,7 @@ class Hierarchy:
         }
         if compiling_seconds() > compiled:
             timings["compiling"] = compiling_seconds() - compiled
-        return cls(tuple(levels), problem, origin, timings, transfer, contact_rows)
-
-    @classmethod
-    def _scalar(
-        cls,
-        problem: ScalarProblem,
-        meshes: list[MeshArrays],
-        transfer: Transfer | None,
-        origin: str,
-        begin: float,
-    ) -> Hierarchy:
-        """The levels of a scalar problem."""
-        check_coarse_to_fine(meshes)
-        builder = the_transfer(transfer)
-        meshed = clock()
-        levels = [Level(problem.on(mesh), mesh) for mesh in meshes]
-        assembled = clock()
-        for k in range(1, len(levels)):
-            rows = builder.build(meshes[k - 1], meshes[k])
-            levels[k] = Level(levels[k].discrete, meshes[k], rows)
-        timings = {
-            "mesh": meshed - begin,
-            "assembly": assembled - meshed,
-            "transfer": clock() - assembled,
-        }
-        return cls(tuple(levels), None, origin, timings, transfer)
+        return cls(tuple(levels), posed, origin, timings, transfer, contact_rows)
 
     def __len__(self) -> int:
         return len(self.levels)

@@ -212,10 +212,12 @@ def the_transfer(transfer: Transfer | None) -> Transfer:
     )
 
 
-def level_of(problem: ContactProblem, mesh: MeshArrays) -> Level:
+def level_of(problem: ContactProblem | ScalarProblem, mesh: MeshArrays) -> Level:
     """Return the problem on a mesh."""
     from adaptmg.discrete.discretise import assembled
 
+    if isinstance(problem, ScalarProblem):
+        return Level(problem.on(mesh), mesh)
     posed = Posed.of(problem, mesh)
     return Level(assembled(posed), mesh, posed=posed)
 
@@ -252,6 +254,9 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
     before."""
     from adaptmg.transfer.contact import between_levels
 
+    if above.discrete.dim == 1:
+        nodal = transfer.build(need_mesh(below), need_mesh(above))
+        return Level(above.discrete, above.mesh, nodal)
     rows = between_levels(
         transfer,
         need_mesh(below),

@@ -4,6 +4,7 @@ problem."""
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -100,9 +101,9 @@ class ContactNodes:
         scalar = directions.shape[1] == 1
         opposite = np.full(n, np.inf) if opposite_gaps is None else opposite_gaps
         if scalar:
-            distances = _limits("gaps", gaps, n)
-            opposite = _limits("opposite_gaps", opposite, n)
-            _check_sides(directions, distances, opposite)
+            distances = _limits("gaps", gaps, (n,))
+            opposite = _limits("opposite_gaps", opposite, (n,))
+            _check_room(distances, opposite)
         elif np.isfinite(opposite).any():
             raise ValueError(
                 "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "
@@ -179,16 +180,12 @@ class ContactNodes:
         """Return the number of unknowns of a node: the space dimension, of scalar problems 1."""
         return self.normals.shape[1]
 
-    @property
-    def two_sided(self) -> bool:
-        """Return whether a node has an obstacle on the side that its normal points away from."""
-        return bool(np.isfinite(self.opposite_gaps).any())
-
-    def facing(self, u_n: np.ndarray) -> ContactNodes:
-        """Return nodes with normals and gaps of the obstacles that are nearest at normal
-        displacements (n_contact,); they have no others."""
-        if not self.two_sided:
+    def facing(self, moved: np.ndarray) -> ContactNodes:
+        """Return nodes with the normals and gaps of the obstacles that are nearest at displacements
+        (n_contact, dim), and without others."""
+        if self.dim > 1:
             return self
+        u_n = np.einsum("nd,nd->n", moved, self.normals)
         turned = self.gaps - u_n > self.opposite_gaps + u_n
         result = copy.copy(self)
         result.__dict__.update(
@@ -223,33 +220,25 @@ def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:
     return normals
 
 
-def _limits(name: str, value: ArrayLike, n: int) -> np.ndarray:
-    """Return gaps (n,), read-only, of which some may be infinite."""
+def _limits(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Return an array, read-only, of which entries may be infinite."""
     given = checks.real_array(value)
-    if given is None or given.shape != (n,):
-        return bounded(name, value, (n,), checks.VAST)  # which raises
-    none = np.isposinf(given)
-    limits = np.where(none, np.inf, bounded(name, np.where(none, 0.0, given), (n,), checks.VAST))
+    endless = False if given is None else np.isinf(given)
+    finite = value if given is None else np.where(endless, 0.0, given)
+    limits = np.where(endless, given, bounded(name, finite, shape, checks.VAST))
     limits.flags.writeable = False
     return limits
 
 
-def _check_sides(normals: np.ndarray, gaps: np.ndarray, opposite: np.ndarray) -> None:
-    """ValueError unless scalar problems have one normal, and a node has room between its limits."""
-    if len(normals) and (normals != normals[0]).any():
+def _check_room(gaps: np.ndarray, opposite: np.ndarray) -> None:
+    """ValueError unless each node has an obstacle, and room between two."""
+    bad = ~(gaps + opposite >= 0) | np.isinf(np.minimum(gaps, opposite))
+    if bad.any():
+        i = int(np.argmax(bad))
         raise ValueError(
-            "normals of a scalar problem must all be [1.0] or all be [-1.0]: give limits on both "
-            "sides as bounds=am.Bounds(lower=, upper=)"
+            f"contact node {i} must have a finite limit, and room between two, got "
+            f"{-opposite[i]:.6g} to {gaps[i]:.6g} along its normal; leave out nodes without a limit"
         )
-    room = gaps + opposite
-    if not (room >= 0).all():
-        i = int(np.argmin(room))
-        raise ValueError(
-            f"contact node {i} must have room between its limits, got {-opposite[i]:.6g} to "
-            f"{gaps[i]:.6g} along its normal"
-        )
-    if np.isinf(np.minimum(gaps, opposite)).any():
-        raise ValueError("every contact node must have a finite gap: leave the others out")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -285,54 +274,34 @@ class Bounds:
     def at_nodes(self, fixed: np.ndarray) -> ContactNodes:
         """Return the contact nodes of a problem with these fixed dofs (n_dofs,), which have no
         limits."""
-        lower, upper = self._nodal(fixed)
-        nodes = np.flatnonzero((np.isfinite(lower) | np.isfinite(upper)).any(axis=1))
-        sides = np.stack([-lower[nodes], upper[nodes]], axis=2)  # gaps against the axes, and along
-        weights = None if self.weights is None else np.asarray(self.weights)[nodes]
-        parts: dict[str, Any]
-        if lower.shape[1] == 1:
-            main = 0 if self.upper is None else 1
-            normals = np.full((len(nodes), 1), 2.0 * main - 1.0)
-            parts = {"gaps": sides[:, 0, main], "opposite_gaps": sides[:, 0, 1 - main]}
-        else:
-            row, component, side = np.nonzero(np.isfinite(sides))
-            if len(row) > len(nodes):
-                node = nodes[row[1:][np.diff(row) == 0][0]]
+        shape = max(np.shape(self.lower), np.shape(self.upper), key=len) or fixed.shape
+        if math.prod(shape) != len(fixed):
+            raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
+        gaps = []  # against the axes, and along
+        for name, limit, sign in (("lower", self.lower, -1.0), ("upper", self.upper, 1.0)):
+            given = sign * np.inf if limit is None else limit
+            given = np.full(shape, given) if np.ndim(given) == 0 else given
+            values = sign * _limits(f"bounds.{name}", given, shape).reshape(-1)
+            gaps.append(np.where(fixed, np.inf, values))
+        dim = shape[1] if len(shape) == 2 else 1
+        sides = np.stack(gaps, axis=1).reshape(-1, dim, 2)
+        count = np.isfinite(sides).sum(axis=(1, 2))
+        nodes = np.flatnonzero(count)
+        node, component, side = np.nonzero(np.isfinite(sides))
+        normals = np.ones((len(nodes), dim))
+        parts: dict[str, Any] = {"gaps": sides[nodes, 0, 1], "opposite_gaps": sides[nodes, 0, 0]}
+        if dim > 1:
+            if (count > 1).any():
                 raise ValueError(
-                    f"bounds: node {node} has several finite limits, a node of a body can have one: "
-                    "give the nodes of each face of the body the limit that this face meets"
+                    f"bounds: node {np.argmax(count > 1)} has several finite limits, a node of a body "
+                    "can have one: give the nodes of each face of the body the limit that it meets"
                 )
-            normals = np.zeros(sides.shape[:2])
-            normals[row, component] = 2.0 * side - 1.0
-            parts = {"gaps": sides[row, component, side]}
+            normals = np.eye(dim)[component] * (2.0 * side - 1.0)[:, None]
+            parts = {"gaps": sides[node, component, side]}
+        weights = None if self.weights is None else np.asarray(self.weights)[nodes]
         return ContactNodes(
             nodes=nodes, normals=normals, weights=weights, allow_interference=True, **parts
         )
-
-    def _nodal(self, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return both limits (n_nodes, dim), infinite at fixed dofs."""
-        given = {
-            "lower": -np.inf if self.lower is None else self.lower,
-            "upper": np.inf if self.upper is None else self.upper,
-        }
-        arrays = {name: checks.real_array(value) for name, value in given.items()}
-        dim = max((a.shape[1] for a in arrays.values() if a is not None and a.ndim == 2), default=1)
-        shape = (len(fixed) // dim, dim)
-        limits = []
-        for (name, array), edge in zip(arrays.items(), (-np.inf, np.inf), strict=True):
-            if array is None or np.isnan(array).any():
-                raise ValueError(
-                    f"bounds.{name} must be numbers, infinite where there is no limit, got "
-                    f"{checks.shown(given[name])}"
-                )
-            if array.shape not in ((), shape, shape[: 1 + (dim > 1)]):
-                raise ValueError(
-                    f"bounds.{name} must be a number or have shape {shape[: 1 + (dim > 1)]}, got "
-                    f"{array.shape}"
-                )
-            limit = np.broadcast_to(array.reshape(-1, dim) if array.ndim else array, shape)
-            limits.append(np.where(fixed.reshape(shape), edge, limit))
-        return limits[0], limits[1]
 
 
 def _checked_masters(value: object) -> tuple[str, ...]:

@@ -328,15 +328,6 @@ class DiscreteProblem(Unknowns):
         """Return whether matrix, fixed dofs, contact nodes and normals are those of another one."""
         return self._structure is other._structure
 
-    def facing(self, displacement: np.ndarray) -> DiscreteProblem:
-        """Return the same with the obstacles alone that are nearest at a displacement (n_nodes,
-        dim): for what looks at one of two sides."""
-        if not self.contact.two_sided:
-            return self
-        moved = displacement[self.contact.nodes]
-        faced = self.contact.facing(np.einsum("nd,nd->n", moved, self.contact.normals))
-        return self.posing(contact=faced)
-
     def friction_at(self, normal_force: np.ndarray, slip: np.ndarray) -> np.ndarray:
         """Return the coefficients of friction (n_contact,) at nodal forces, N, and slips, m: those of
         the law, which may depend on both."""

@@ -269,13 +269,10 @@ def local_prolongation(
 
 def _tangential_part(rotation: np.ndarray) -> np.ndarray:
     """Normal to normal exactly; tangents by the nearest rotation, the identity in 2D."""
+    if rotation.shape[1] < 3:
+        return np.broadcast_to(np.eye(rotation.shape[1]), rotation.shape)
     result = np.zeros_like(rotation)
     result[:, 0, 0] = 1.0
-    if rotation.shape[1] == 1:
-        return result
-    if rotation.shape[1] == 2:
-        result[:, 1, 1] = 1.0
-        return result
     u, _, vt = np.linalg.svd(rotation[:, 1:, 1:])
     result[:, 1:, 1:] = u @ vt
     return result

@@ -173,6 +173,7 @@ def deformation(
     2
     """
     mesh = need_mesh(checks.instance("result", result, Result))
+    style.need_displacements(result)
     shown = {"stress": stress, "displacement": displacement, "velocity": velocity}
     for name, value in (shown | {"states": states}).items():
         checks.flag(name, value)

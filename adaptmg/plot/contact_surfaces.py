@@ -68,7 +68,8 @@ def contact(
     >>> len(am.plot.contact(result).axes)                               # pressure, friction, gap and slip
     3
     """
-    solid = checks.instance("result", result, Result).dim == 3
+    style.need_displacements(checks.instance("result", result, Result))
+    solid = result.dim == 3
     names = chosen_boundaries(result, boundary)
     if axes is not None:
         if len(names) != 1:

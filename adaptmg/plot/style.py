@@ -111,6 +111,15 @@ def new_figure(
     return figure
 
 
+def need_displacements(result: Result) -> None:
+    """Raise ValueError for a scalar result, which moves no points."""
+    if result.dim == 1:
+        raise ValueError(
+            "result must have displacements, got that of a scalar problem: draw result.displacement[:, 0] "
+            "on result.mesh (matplotlib's tricontourf), or write it by am.export.vtk"
+        )
+
+
 def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
     """Return ``ax``, or the axes of a new figure of ``size`` inches; three-dimensional where
     ``dim`` is 3."""

@@ -117,8 +117,6 @@ def negative(v):
 @in_loop
 def multiply(v, w):
     """Multiply component by component."""
-    if len(v) == 1:
-        return (v[0] * w[0],)
     if len(v) == 2:
         return v[0] * w[0], v[1] * w[1]
     return v[0] * w[0], v[1] * w[1], v[2] * w[2]

@@ -283,13 +283,19 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         u = to_frames(frames, problem.at_contact(problem.fixed_values))
         slip = u[:, 1] - np.einsum("nj,nj->n", frames[:, 1], problem.contact.slip_reference)
         reference[normal_held, 0] = -slip[normal_held]
+    gap = problem.contact.gaps
+    lowest = None
+    if problem.dim == 1:
+        along = problem.contact.normals[:, 0] > 0
+        lowest = -np.where(along, problem.contact.opposite_gaps, gap)
+        gap = np.where(along, gap, problem.contact.opposite_gaps)
     return NodalContact(
-        gap=problem.contact.gaps - lifted[:, 0],
+        gap=gap - lifted[:, 0],
         slip_reference=np.ascontiguousarray(reference),
         limit=np.array(limit, dtype=np.float64),
         friction=np.array(friction, dtype=np.float64),
         held=normal_held,
-        lowest=-problem.contact.opposite_gaps - lifted[:, 0] if problem.dim == 1 else None,
+        lowest=lowest,
         friction_at=problem.friction_at if isinstance(problem.law, FollowsState) else None,
     )
 
@@ -306,10 +312,13 @@ def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) ->
 @remembered_of_structure
 def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Return the frames (n_contact, dim, dim), and fixed dofs (n_dofs,) in local components: at
-    contact nodes a tangent that is a fixed Cartesian axis."""
+    contact nodes a tangent that is a fixed Cartesian axis. Scalar problems, whose nodes have
+    obstacles on both sides, count along the axis."""
     dim = problem.dim
     fixed = problem.fixed.reshape(-1, dim).copy()
-    frames = frames_of(problem.contact, fixed)
+    frames = (
+        np.abs(frames_of(problem.contact, fixed)) if dim == 1 else frames_of(problem.contact, fixed)
+    )
     at_contact = fixed[problem.contact.nodes]
     # tangent j is fixed if all of it lies in fixed Cartesian components
     share = np.einsum("nij,nj->ni", frames**2, at_contact.astype(float))

@@ -223,6 +223,8 @@ def advise_on_motion(posed: Posed, result: Result) -> None:
 
 def _advise_on_contact(results: Sequence[Result]) -> None:
     contact = results[0].contact
+    if results[0].dim == 1:  # a membrane may well stay off its obstacle
+        return
     moved = max(
         float(np.linalg.norm(result.displacement, axis=1).max(initial=0.0)) for result in results
     )

@@ -275,7 +275,9 @@ class Evidence:
     ) -> None:
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
-        problem = problem.facing(self.u)
+        if problem.dim == 1:  # of two obstacles the nearest
+            faced = problem.contact.facing(self.u[problem.contact.nodes])
+            problem = problem.posing(contact=faced)
         self.problem = problem
         self.contact = contact
         self.pressures = pressures

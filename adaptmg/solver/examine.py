@@ -338,12 +338,11 @@ class Examiner:
         small = 1e-12 * np.abs(solved).max(initial=0.0)
         force = self._at_contact(residual)
         u = to_frames(frames, discrete.at_contact(solved.reshape(discrete.n_nodes, discrete.dim)))
-        if contact.two_sided:  # the nearest obstacle is reported
-            contact = contact.facing(u[:, 0])
-            turned = contact.normals * frames[:, 0]
+        if discrete.dim == 1:  # the nearest obstacle is reported
+            contact = contact.facing(u)
             frames = contact.normals[:, None]
-            force = turned * force
-            u = turned * u
+            force = contact.normals * force
+            u = contact.normals * u
         slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
         force_n = np.maximum(force[:, 0], 0.0)
         self.contact.follow(self._values(solved), force)

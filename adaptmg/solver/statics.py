@@ -369,10 +369,8 @@ def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray)
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Corners (n, dim - 1) of the polygon about the unit disc; directions and half length of the
     segments it sums."""
-    if dim == 1:
-        return np.empty((0, 0)), np.empty((0, 0)), 0.0
-    if dim == 2:
-        return np.array([[1.0], [-1.0]]), np.array([[1.0]]), 1.0
+    if dim < 3:
+        return np.array([[1.0], [-1.0]])[:, : dim - 1], np.array([[1.0]])[:, : dim - 1], 1.0
     angle = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
     half = 0.5 * np.pi / _SEGMENTS
     corners = np.column_stack([np.cos(angle + half), np.sin(angle + half)]) / np.cos(half)

@@ -29,6 +29,7 @@ import numpy as np
 from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.coarse_obstacles import CoarseObstacles
 from adaptmg.multigrid.cycle import NestedStart
 from adaptmg.multigrid.linear_cycle import LinearCycle
 from adaptmg.multigrid.projected_sweeps import Interface
@@ -150,7 +151,7 @@ class TruncatedCycles:
         parts: TruncatedStep,
         problem: DiscreteProblem,
         origin: str = "given",
-        coarse: Callable[[], CoarseContact] | None = None,
+        coarse: Callable[[], CoarseContact | CoarseObstacles] | None = None,
         run: Run | None = None,
         nested: np.ndarray | None = None,
     ) -> None:
@@ -277,7 +278,7 @@ class TruncatedRun:
         self.problems: list[DiscreteProblem | Any] = [
             level.discrete_or_none for level in hierarchy.levels
         ]
-        self._coarse: CoarseContact | None = None
+        self._coarse: CoarseContact | CoarseObstacles | None = None
         self._keeps = keeps
         self._kept: dict[int, TruncatedStep] = {}
 
@@ -409,19 +410,18 @@ class TruncatedRun:
             if number == len(levels) - 1 and not self.cycle.reads_diagonals:
                 # the last use of the diagonal blocks but on the coarsest level
                 for level in levels[1:-1]:
-                    if level.n_dofs > CoarseContact.MOST:
+                    if level.n_dofs > CoarseContact.MOST and problem.dim > 1:
                         level.drop_diagonal()
             if self._keeps:
                 self._kept[number] = step
             return step
 
-    def _coarse_contact(self, step: TruncatedStep) -> CoarseContact:
+    def _coarse_contact(self, step: TruncatedStep) -> CoarseContact | CoarseObstacles:
         """The coarse contact problem of the finest level, made when it is first asked for."""
         if self._coarse is None or self._coarse.step is not step:
-            self._coarse = CoarseContact(
-                step,
-                [None if problem is None else problem.coordinates for problem in self.problems],
-            )
+            coordinates = [None if each is None else each.coordinates for each in self.problems]
+            scalar = step.contact.dim == 1
+            self._coarse = CoarseObstacles(step) if scalar else CoarseContact(step, coordinates)
         return self._coarse
 
     def _coarsest(self, start: NestedStart, past: list[np.ndarray] | None) -> list[np.ndarray]:

@@ -413,9 +413,7 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     empty. In 3D slips within 1e-6 rad of the shortest count as parallel to it; the guarantee then
     holds up to 1e-6 ``sum_i g_i sum_k P_ik |E_k|``."""
     slip = slip if stick is None else np.where(stick[:, None], 0.0, slip)
-    if slip.shape[1] == 0:
-        return np.empty((len(sets.main), 0))
-    if slip.shape[1] == 1:
+    if slip.shape[1] <= 1:
         # one of the two is 0 unless all have one sign
         low = sets.reduced(np.minimum, slip, 0.0)
         high = sets.reduced(np.maximum, slip, 0.0)

@@ -1,7 +1,11 @@
 """Scalar problems between obstacles: against bounded least squares, closed forms, and each other."""
 
+from dataclasses import replace
+
+import meshio
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.optimize import lsq_linear
 
 import adaptmg as am
@@ -71,3 +75,160 @@ def test_all_methods_agree_with_bounded_least_squares(two_sided):
         if two_sided:
             sides = contact.normal[contact.closed, 0]
             assert {-1.0, 1.0} == set(sides.tolist())
+
+
+def energy(problem, u):
+    return 0.5 * u @ (problem.matrix @ u) - problem.load @ u
+
+
+def test_the_energy_of_monotone_falls_in_each_cycle():
+    grids = membrane(9, True)
+    problem = grids.finest.discrete
+    falls = []
+    for cycles in range(1, 12):
+        solver = am.Multigrid(correction=am.Monotone(), max_cycles=cycles, rtol=1e-14)
+        u = am.solve(grids, solver, throw=False).displacement[:, 0]
+        falls.append(energy(problem, u))
+    assert (np.diff(falls) < 0).all() and falls[0] - falls[-1] > 1e-3 * abs(falls[-1])
+
+
+@pytest.mark.parametrize("divisions", [64, 128])
+def test_cycles_stay_few_on_fine_grids_where_all_nodes_may_touch(divisions):
+    def roof(x):
+        return np.minimum(x, 1 - x).min(axis=1)
+
+    problem = am.ScalarProblem(
+        domain=am.Rectangle(width=1.0, height=1.0), load=5.0, lower=lambda x: -roof(x), upper=roof
+    )
+    grids = am.Hierarchy.uniform(problem, [2**k for k in range(2, divisions.bit_length())])
+    assert am.solve(grids).cycles <= 8
+    cold = am.solve(grids, am.Multigrid())
+    assert cold.cycles <= 14 and not cold.fallback
+
+
+def on_disc(problem, sizes):
+    meshes = [am.mesh.graded(problem.domain, size) for size in sizes]
+    return am.Hierarchy.from_meshes(problem, meshes)
+
+
+def test_a_round_membrane_lies_on_its_floor_as_in_the_closed_form():
+    radius, tension, load, depth = 0.3, 7.0, 500.0, 0.5
+    problem = am.cases.obstacle_problem(radius=radius, tension=tension, load=load, depth=depth)
+    grids = on_disc(problem, [radius * h for h in (0.2, 0.1, 0.05)])
+    a = problem.reference["contact_radius"]
+    missed = []
+    for finest in (1, 2):
+        result = am.solve(grids.truncated(finest=finest))
+        exact = problem.reference["deflection"](result.mesh.points)
+        missed.append(np.abs(result.displacement[:, 0] - exact).max() / depth)
+    assert missed[1] < 5e-3 and missed[1] < 0.4 * missed[0]  # of second order
+    assert exact[np.linalg.norm(result.mesh.points, axis=1) < a] == pytest.approx(-depth)
+    assert result.resultant().force[0] == pytest.approx(np.pi * load * a**2, rel=2e-3)
+    assert result.max_pressure == pytest.approx(load, rel=1e-9)
+    assert result.probe([(0.0, 0.0), (0.0, a / 2)]) == pytest.approx(-depth)
+
+
+def test_a_round_bar_yields_outside_of_the_elastic_radius():
+    problem = am.cases.elastic_plastic_torsion(size=2.0, shear=3.0, twist=0.5, yield_stress=2.0)
+    assert problem.reference["elastic_radius"] == pytest.approx(4 / 3)
+    grids = on_disc(problem, (0.4, 0.2, 0.1))
+    result, mesh = am.solve(grids), grids.finest.mesh
+    torque = 2 * (mesh.volumes * result.displacement[mesh.elements, 0].mean(axis=1)).sum()
+    assert torque == pytest.approx(problem.reference["torque"], rel=2e-3)
+    r = np.linalg.norm(mesh.points[result.contact.node], axis=1)
+    assert (result.contact.closed == (r > 4 / 3))[np.abs(r - 4 / 3) > 0.1].all()
+    assert (result.contact.normal[result.contact.closed] == 1.0).all()
+
+
+@pytest.mark.parametrize("made", ["prolongations", "aggregates"])
+def test_coarse_spaces_of_a_bare_matrix_take_restricted_obstacles(made):
+    grids = membrane(3, True)
+    problem = grids.finest.discrete
+    exact = am.solve(grids, am.ActiveSet()).displacement
+    if made == "prolongations":
+        rows = [level.prolongation for level in grids.levels[1:]]
+        spaces = am.Hierarchy.from_prolongations(problem, rows, contact=True)
+    else:
+        spaces = am.Hierarchy.algebraic(problem, max_coarse=20, contact=True)
+    for above, below in zip(spaces.levels[:0:-1], spaces.levels[-2::-1], strict=True):
+        # whatever is admissible below is so above
+        assert len(below.discrete.contact) and below.discrete.contact.gaps.min() >= 0
+        lifted = above.prolong(np.ones(below.n_nodes))
+        assert lifted.max() < 1 + 1e-9
+    for solver in (am.FullMultigrid(**TIGHT), METHODS["monotone nested"]):
+        result = am.solve(spaces, solver)
+        assert np.abs(result.displacement - exact).max() < 1e-9
+
+
+def test_a_membrane_without_edges_rests_on_its_floor():
+    problem = am.ScalarProblem(
+        domain=am.Rectangle(width=1.0, height=2.0),
+        load=lambda x: -1.0 - 3 * np.cos(7 * x[:, 0]),
+        lower=lambda x: 0.1 * x[:, 1],
+        held=(),
+    )
+    grids = am.Hierarchy.uniform(problem, (4, 8, 16))
+    exact = am.solve(grids, am.ActiveSet()).displacement
+    result = am.solve(grids)
+    assert np.abs(result.displacement - exact).max() < 1e-7
+    assert result.contact.force_n.sum() == pytest.approx(-grids.finest.discrete.load.sum())
+    with pytest.raises(ValueError, match="nothing holds a constant"):
+        am.solve(am.Hierarchy.uniform(replace(problem, load=1.0), (4, 8)))
+
+
+def test_bounds_of_a_body_are_contact_nodes():
+    problem = am.cases.greco_bar(law=am.Frictionless())
+    discrete = am.discretise(problem, am.mesh.structured(problem.domain, 4))
+    lower = np.full((discrete.n_nodes, 2), -np.inf)
+    lower[discrete.contact.nodes, 1] = -discrete.contact.gaps
+    bounded = am.DiscreteProblem(
+        matrix=discrete.matrix,
+        load=discrete.load,
+        fixed=discrete.fixed,
+        bounds=am.Bounds(lower=lower),
+    )
+    assert am.solve(bounded).displacement == pytest.approx(
+        am.solve(discrete).displacement, abs=1e-15
+    )
+    lower[discrete.contact.nodes[0], 0] = -1.0
+    with pytest.raises(ValueError, match=r"several finite limits.*each face"):
+        am.Bounds(lower=lower).at_nodes(discrete.fixed)
+
+
+def test_a_result_is_saved_and_exported(tmp_path):
+    result = am.solve(membrane(2, True))
+    result.save(tmp_path / "run.npz")
+    again = am.Result.load(tmp_path / "run.npz")
+    assert (again.displacement == result.displacement).all() and str(again) == str(result)
+    assert (again.contact.table() == result.contact.table()).all(axis=None)
+    am.export.vtk(result, tmp_path / "run.vtu")
+    points = meshio.read(tmp_path / "run.vtu").point_data
+    assert (points["displacement"][:, 0] == result.displacement[:, 0]).all()
+    assert set(result.pairs()) >= {"force_u [N]", "half_width_y [m]"}
+
+
+def posed(**parts):
+    matrix = sparse.diags_array(np.full(3, 2.0))
+    given = {"matrix": matrix, "load": np.ones(3), "fixed": np.zeros(3, bool)}
+    return am.DiscreteProblem(**given | parts)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: posed(), "one of them"),
+        (lambda: posed(bounds=am.Bounds(lower=1.0, upper=0.0)), "room between two"),
+        (lambda: posed(bounds=am.Bounds(lower=[0.0, 1.0])), "3 entries, one a dof"),
+        (lambda: posed(bounds=am.Bounds(upper=np.array([0, np.nan, 1]))), "must be finite"),
+        (lambda: posed(bounds=am.Bounds(upper=1.0), law=am.Coulomb(0.1)), "no tangents"),
+        (lambda: posed(bounds=3), "Bounds"),
+        (lambda: am.plot.deformation(am.solve(membrane(2, False))), "scalar"),
+        (lambda: am.plot.contact(am.solve(membrane(2, False))), "scalar"),
+        (lambda: am.solve(membrane(2, False)).stress(), "no materials"),
+        (lambda: am.Hierarchy.graded(am.ScalarProblem()), "from_meshes"),
+        (lambda: am.cases.obstacle_problem(depth=0.3), "depth must be below 0.25"),
+    ],
+)
+def test_what_is_not_there_is_refused_with_a_remedy(call, words):
+    with pytest.raises((ValueError, TypeError), match=words):
+        call()

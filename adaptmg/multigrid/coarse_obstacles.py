@@ -1,0 +1,70 @@
+"""CoarseObstacles: corrections of scalar problems while the contact status is unknown, by a monotone
+cycle.
+
+Where all nodes may touch, a linear correction carries a membrane through its obstacle, and the nodes
+that the projection puts back are far too many: they come loose layer by layer. The obstacles of the
+coarser levels are here the smallest gaps over the nodes that a coarse one reaches (as those of
+:class:`~adaptmg.multigrid.cycle.Monotone`), on all levels: no correction goes through."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg.multigrid.cycle import CoarseSolve, CorrectionLevel, Cycle, Monotone, MultigridCycle
+from adaptmg.multigrid.truncated_step import TruncatedState, TruncatedStep
+from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
+from adaptmg.smoother.system import LocalSystem
+
+
+class CoarseObstacles:
+    """Monotone W-cycles below one level; as
+    :class:`~adaptmg.multigrid.truncated_step.CoarseContact`."""
+
+    def __init__(self, step: TruncatedStep) -> None:
+        self.step = step
+        levels = _levels(step)
+        safe = all((level.contact_prolongation.data > 0).all() for level in levels[1:])
+        #: the level below; None where weights at contact nodes are negative, and nothing is safe
+        self.number = step.number - 1 if safe else None
+        self.cycle = MultigridCycle(
+            levels,
+            Cycle(shape="W", pre=1, post=1),
+            ProjectedGaussSeidel(),
+            Monotone(),
+            CoarseSolve(),
+            step.cycle.recorder,
+        )
+
+    def __call__(self, state: TruncatedState) -> TruncatedState:
+        """Correct a smoothed iterate, in place."""
+        step = self.step
+        unknowns = step.displacement(state)
+        moved = unknowns.copy()
+        self.cycle.correct(step.number, state.contact.conditions, moved, state.residual, "W")
+        moved[step.matrix.fixed] = 0.0
+        return step.move(state, moved - unknowns)
+
+
+def _levels(step: TruncatedStep) -> list[CorrectionLevel]:
+    """The levels up to that of the step, coarsest first."""
+    result: list[CorrectionLevel] = []
+    nodes = step.contact.nodes
+    for number in range(step.number, -1, -1):
+        level = step.cycle.levels[number]
+        n = level.matrix.n_dofs
+        fixed = np.isin(np.arange(n), level.matrix.fixed)
+        # nothing reads the matrix of the level of the step
+        matrix = step.base_matrix(number) if result else sparse.bsr_array(sparse.eye_array(n))
+        if result:
+            free = sparse.diags_array((~fixed).astype(float))
+            result[0].prolongation = sparse.csr_array(
+                step.cycle.levels[number + 1].prolongation @ free
+            )
+            rows = result[0].prolongation[nodes]
+            rows.eliminate_zeros()
+            nodes = np.unique(rows.indices)
+            result[0].restriction = sparse.csr_array(result[0].prolongation.T)
+            result[0].contact_prolongation = rows[:, nodes]
+        result.insert(0, CorrectionLevel(LocalSystem.from_matrix(matrix, fixed, nodes)))
+    return result
