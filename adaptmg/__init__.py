@@ -5,8 +5,8 @@ throughout.
 
 Problem     ContactProblem; Contact, ContactPair, Tied, Periodic (obstacles Plane, GapFunction,
             Moving, Rigid); Support, Symmetry, Spring, PointSupport, PointSpring; Pressure, Traction, BodyForce,
-            PointForce, InitialStrain, Preload; Frictionless, Coulomb, Tresca, StateLaw; LoadPath,
-            Dynamics
+            PointForce, InitialStrain, Preload; Frictionless, Coulomb, Tresca, StateLaw;
+            NormalCompliance; LoadPath, Dynamics
 Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
 Domain      Rectangle, Circle, Polygon, Outline, Cracked; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut,
             Fuse, Common, Moved; Assembly of several bodies; ready problems in cases, problem data

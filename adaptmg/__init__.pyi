@@ -72,6 +72,7 @@ from .problem import (
     LoadPath as LoadPath,
     Moved as Moved,
     Moving as Moving,
+    NormalCompliance as NormalCompliance,
     Outline as Outline,
     Periodic as Periodic,
     Plane as Plane,

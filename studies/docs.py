@@ -23,7 +23,7 @@ from reproduce import read_measured
 import adaptmg as am
 
 ROOT = Path(__file__).resolve().parent.parent
-LAWS = ("Frictionless", "Tresca", "Coulomb", "StateLaw", "problem.Law")
+LAWS = ("Frictionless", "Tresca", "Coulomb", "StateLaw", "NormalCompliance", "problem.Law")
 DOMAINS = (
     "Rectangle",
     "Circle",

@@ -54,6 +54,8 @@ class ContactNodes:
         Next to nodes of the boundary without a contact condition: what each contact node takes over
         of their boundary mass, over its own. Its force acts there too, in these proportions.
         Default none.
+    compliance : (n_contact,) array, optional
+        By what the surface gives way, m/N: penetration over nodal force. Default 0.
 
     Examples
     --------
@@ -74,6 +76,7 @@ class ContactNodes:
     masters: tuple[str, ...]
     taken_over: sparse.csr_array
     opposite_gaps: np.ndarray
+    compliance: np.ndarray
 
     def __init__(
         self,
@@ -90,6 +93,7 @@ class ContactNodes:
         masters: tuple[str, ...] | None = None,
         taken_over: sparse.sparray | sparse.spmatrix | None = None,
         opposite_gaps: ArrayLike | None = None,
+        compliance: ArrayLike | None = None,
     ) -> None:
         numbers = checks.array("nodes", nodes, (None,), integer=True)
         checks.flag("allow_interference", allow_interference)
@@ -124,9 +128,10 @@ class ContactNodes:
             )
         reference = np.zeros_like(directions) if slip_reference is None else slip_reference
         slid = np.zeros(n) if accumulated_slip is None else accumulated_slip
-        slid = bounded("accumulated_slip", slid, (n,), checks.VAST)
-        if not slid.min(initial=0.0) >= 0:
-            raise ValueError(f"accumulated_slip must be >= 0, got {slid.min():.6g}")
+        slid = _nonnegative("accumulated_slip", slid, n)
+        soft = _nonnegative("compliance", np.zeros(n) if compliance is None else compliance, n)
+        if scalar and soft.any():
+            raise ValueError("compliance must be 0 in scalar problems")
         places = np.zeros(n, dtype=np.int64) if boundary is None else boundary
         places = checks.array("boundary", places, (n,), integer=True)
         if not ((places >= 0) & (places < len(slaves))).all():
@@ -152,6 +157,7 @@ class ContactNodes:
             masters=faced,
             taken_over=taken,
             opposite_gaps=opposite,
+            compliance=soft,
         )
 
     __repr__ = brief
@@ -199,6 +205,14 @@ class ContactNodes:
     def measures(self) -> np.ndarray:
         """Return the weights (n,) with what contact nodes take over."""
         return self.weights * (1 + self.taken_over.sum(axis=1))
+
+
+def _nonnegative(name: str, value: ArrayLike, n: int) -> np.ndarray:
+    """Return numbers (n,) >= 0, read-only."""
+    result = bounded(name, value, (n,), checks.VAST)
+    if not result.min(initial=0.0) >= 0:
+        raise ValueError(f"{name} must be >= 0, got {result.min():.6g}")
+    return result
 
 
 def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:

@@ -350,7 +350,18 @@ class Posed:
             names=problem.contact_boundaries,
             masters=problem.masters,
             taken_over=taken,
+            compliance=self._compliance(nodes, owner, rows.weights[touching]),
         )
+
+    def _compliance(self, nodes: np.ndarray, owner: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return by how much the surfaces at contact nodes give way, m/N."""
+        result = np.zeros(len(nodes))
+        for k, contact_part in enumerate(self.problem.contact):
+            if contact_part.compliance is not None:
+                at = owner == k
+                soft = contact_part.compliance.at_points(self.mesh.points[nodes[at]])
+                result[at] = soft / weights[at]
+        return result
 
     @cached_property
     def contact(self) -> ContactNodes:

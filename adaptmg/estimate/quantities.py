@@ -52,6 +52,8 @@ class GoalView:
     @classmethod
     def of(cls, solved: Solved) -> GoalView:
         """Return the view of a result."""
+        if solved.discrete.contact.compliance.any():
+            raise ValueError("contact: am.Goal cannot take NormalCompliance; use am.Residual()")
         solved.discrete.need_given_friction("am.Goal", "am.Residual() or am.Recovery()")
         u = solved.result.displacement
         state = np.asarray(solved.result.contact.state).astype(int)

@@ -17,7 +17,7 @@ moved alone, :math:`w_j \leftarrow w_j - W_{ji}\delta_i`, unless that would clos
 
 Arguments: ``zero``, dim zeros (see :mod:`adaptmg.smoother.blocks`); the arrays of a SplitMatrix, of
 a TruncatedContact and of an :class:`Interface`; ``values`` hold gap and reference exactly where a
-node touches and sticks."""
+node touches a rigid surface and sticks."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ ONE = np.uint64(1)
 
 # explicit fastmath: it would else be that of the sweep that is compiled first
 @inner_kernel(fastmath=False)
-def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
+def solve_at(k, frames, blocks, gap, reference, limit, friction, compliance, values, c):
     """Solve contact node k; ``c`` is the Cartesian force without the diagonal block."""
     dim = np.uint64(len(c))
     frame = dim * dim * k
@@ -61,6 +61,7 @@ def solve_at(k, frames, blocks, gap, reference, limit, friction, values, c):
         read_reference(reference, k, c),
         limit[k],
         friction[k],
+        compliance[k],
     )
     write(values, dim * k, w)
     return transposed_times(frames, frame, w)
@@ -83,6 +84,7 @@ def backward(
     reference,
     limit,
     friction,
+    compliance,
     values,
     u,
     kept,
@@ -100,7 +102,16 @@ def backward(
             new = times(inverse, dim * at, r)
         else:
             new = solve_at(
-                np.uint64(contact_of[i]), frames, blocks, gap, reference, limit, friction, values, r
+                np.uint64(contact_of[i]),
+                frames,
+                blocks,
+                gap,
+                reference,
+                limit,
+                friction,
+                compliance,
+                values,
+                r,
             )
         write(u, at, new)
         minus_transposed_row(row, -1, l_indptr, l_indices, lower, new, kept)
@@ -124,6 +135,7 @@ def forward(
     reference,
     limit,
     friction,
+    compliance,
     values,
     u,
     kept,
@@ -141,7 +153,9 @@ def forward(
             write(kept, at, zero)
         else:
             k = np.uint64(contact_of[i])
-            new = solve_at(k, frames, blocks, gap, reference, limit, friction, values, r)
+            new = solve_at(
+                k, frames, blocks, gap, reference, limit, friction, compliance, values, r
+            )
             write(kept, at, minus_times(r, diagonal, dim * dim * k, new))
         change = subtract(new, read(u, at, zero))
         write(u, at, new)
@@ -257,6 +271,7 @@ def local(
     reference,
     limit,
     friction,
+    compliance,
     values,
     u,
     residual,
@@ -280,6 +295,7 @@ def local(
                 reference,
                 limit,
                 friction,
+                compliance,
                 values,
                 force,
             )

@@ -216,7 +216,7 @@ class _Descent:
         """Take a step; returns its combination of motions (m,), None at a minimum."""
         o = self.contact
         slip = self.values[:, 1:] - self.reference
-        closed = self.values[:, 0] == o.gap
+        closed = self.values[:, 0] >= o.gap
         resists = (o.limit > 0) | (closed & (o.friction > 0))
         held = resists & ~slip.any(axis=1)
         free = self.motions.free(closed, held)
@@ -263,9 +263,10 @@ class _Descent:
                 change = change - np.linalg.lstsq(tangents[node], rest, rcond=_ZERO)[0]
                 held[node] = True
         change = free @ change
+        normal = np.maximum(self.values[:, 0], o.gap)  # of springs it is deeper
         # nodes that were closed or held, or are now, are so to the bit
         self.values += values @ change
-        self.values[:, 0] = np.where(closed, o.gap, np.minimum(self.values[:, 0], o.gap))
+        self.values[:, 0] = np.where(closed, normal, np.minimum(self.values[:, 0], o.gap))
         self.values[:, 1:] = np.where(held[:, None], self.reference, self.values[:, 1:])
         return change
 

@@ -336,6 +336,7 @@ class Truncation:
             o.friction,
             o.direction,
             o.hessian,
+            o.spring,
             newton,
             self.change,
             *np.empty((2, o.dim, o.dim)),
@@ -377,9 +378,9 @@ def _turn(dim, frames, k, inverse, rows, block, other):
 
 
 @inner_kernel
-def _truncated(a, code):
+def _truncated(a, code, spring):
     """Return whether component a of a contact node is out of the coarse problem."""
-    return code & CLOSED != 0 if a == 0 else code & TANGENTIAL == HELD
+    return code & CLOSED != 0 and not spring if a == 0 else code & TANGENTIAL == HELD
 
 
 @kernel
@@ -394,6 +395,7 @@ def changed_blocks(
     friction,
     direction,
     hessian,
+    spring,
     newton,
     change,
     block,
@@ -421,12 +423,16 @@ def changed_blocks(
         if l >= 0:
             _turn(dim, frames, l, no, no, block, other)
         if k >= 0 and k == l:
+            if codes[k] & CLOSED:
+                block[0, 0] += spring[k]
             for a in range(m):
                 for b in range(m):
                     block[1 + a, 1 + b] += hessian[m * m * k + m * a + b]
         for a in range(dim):
             for b in range(dim):
-                if (k >= 0 and _truncated(a, codes[k])) or (l >= 0 and _truncated(b, codes[l])):
+                if (k >= 0 and _truncated(a, codes[k], spring[k])) or (
+                    l >= 0 and _truncated(b, codes[l], spring[l])
+                ):
                     block[a, b] = 0.0
         if l >= 0:
             _turn(dim, frames, l, yes, no, block, other)

@@ -16,6 +16,7 @@ from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.surfaces import (
     AnyObstacle,
     ContactPair,
+    OwnCompliance,
     OwnLaw,
     Periodic,
     Rigid,
@@ -44,6 +45,8 @@ class Contact(checks.Checked):
     law : Frictionless, Tresca, Coulomb or user-defined, optional
         In place of the problem's. A node on two contact boundaries has the law of the one named
         first.
+    compliance : NormalCompliance, optional
+        Of its surface; default a rigid one.
 
     Examples
     --------
@@ -56,6 +59,7 @@ class Contact(checks.Checked):
     allow_interference: Flag = False
     _: KW_ONLY
     law: OwnLaw | None = None
+    compliance: OwnCompliance | None = None
 
 
 def _several(*types: type) -> partial:

@@ -641,3 +641,38 @@ class StateLaw(checks.Checked):
                 f"{slip[i]:.3g} m: cut it off by numpy.maximum"
             )
         return friction
+
+
+@dataclass(frozen=True, eq=False)
+class NormalCompliance(checks.Checked):
+    """Give a contact boundary a layer that yields in proportion to the pressure: a rough surface.
+
+    In place of no penetration, u_n - g0 = compliance * pressure where bodies touch: the peaks of
+    rough surfaces are pressed flat. It goes with every law of friction:
+    ``am.Contact(..., law=am.Coulomb(0.3), compliance=am.NormalCompliance(1e-13))``. The gap of a
+    result is negative where the layer is pressed.
+
+    Parameters
+    ----------
+    compliance : float or callable
+        m/Pa, >= 0 (a number or a function of position). Surfaces of steel as they are machined have
+        some 1e-14 to 1e-12; 0 is a rigid surface.
+
+    Examples
+    --------
+    >>> rough = am.Contact("bottom", am.Plane((0, 0), (0, 1)), compliance=am.NormalCompliance(1e-13))
+    >>> problem = am.cases.greco_bar()
+    >>> from dataclasses import replace
+    >>> contact = am.solve(am.Hierarchy.uniform(replace(problem, contact=rough), divisions=(2, 4))).contact
+    >>> bool(np.allclose(-contact.gap, 1e-13 * contact.pressure))
+    True
+    """
+
+    compliance: Annotated[FieldLike, partial(checks.function_or, check=checks.nonnegative)]
+
+    __repr__ = brief
+    _repr_html_ = html_fields
+
+    def at_points(self, points: np.ndarray) -> np.ndarray:
+        """Return the compliances (n,) at points (n, dim), m/Pa."""
+        return checks.field("compliance", self.compliance, points, minimum=0.0)

@@ -26,10 +26,11 @@ from numpy.typing import ArrayLike
 from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name, Size, Value
 from adaptmg._text import brief
-from adaptmg.problem.laws import Law, check_law
+from adaptmg.problem.laws import Law, NormalCompliance, check_law
 from adaptmg.problem.loads import Acting, Point, point, times
 
 OwnLaw = Annotated[Law, check_law]
+OwnCompliance = Annotated[NormalCompliance, partial(checks.instance, types=NormalCompliance)]
 Coordinates = Annotated[np.ndarray, point]
 _NO_ROTATION = cast("np.ndarray", 0.0)  # an array once it is checked
 
@@ -551,6 +552,8 @@ class ContactPair(_Sides):
     law : Frictionless, Tresca, Coulomb or user-defined, optional
         In place of the problem's. A node on two contact boundaries has the law of the one named
         first.
+    compliance : NormalCompliance, optional
+        Of its surfaces together; default rigid ones.
 
     Examples
     --------
@@ -567,6 +570,7 @@ class ContactPair(_Sides):
     reach: Size | None = None
     gap: Value | None = None
     law: OwnLaw | None = None
+    compliance: OwnCompliance | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -43,7 +43,13 @@ import numpy as np
 from adaptmg._numba import kernel
 from adaptmg.smoother.blocks import ZERO, read, upper, write
 from adaptmg.smoother.node_solve import natural_at, read_reference
-from adaptmg.smoother.system import LocalProblem, NodalContact, contact_codes, contact_states
+from adaptmg.smoother.system import (
+    STIFF,
+    LocalProblem,
+    NodalContact,
+    contact_codes,
+    contact_states,
+)
 
 
 def natural_residual(local: LocalProblem, unknowns: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -72,6 +78,7 @@ def natural_at_nodes(
         contact.reference,
         contact.limit,
         contact.friction,
+        contact.compliances,
         np.ascontiguousarray(values).reshape(-1),
         result,
     )
@@ -79,7 +86,7 @@ def natural_at_nodes(
 
 
 @kernel
-def _natural_residual(zero, diagonal, gap, reference, limit, friction, w, result):
+def _natural_residual(zero, diagonal, gap, reference, limit, friction, compliance, w, result):
     """Write D (prox_D(w + D^-1 r) - w) to ``result``, which comes as r = b - A w."""
     dim = np.uint64(len(zero))
     for node in range(len(gap)):
@@ -95,6 +102,7 @@ def _natural_residual(zero, diagonal, gap, reference, limit, friction, w, result
                 gap[k],
                 read_reference(reference, k, zero),
                 limit[k] + friction[k] * max(r[0], 0.0),
+                compliance[k],
             ),
         )
 
@@ -124,6 +132,7 @@ class Linearised:
     force: np.ndarray  # (n, dim): right-hand sides of the equations that are not prescriptions, N
     prescribed: np.ndarray  # (n, dim) bool: components whose change is given
     change: np.ndarray  # (n, dim): these changes, zero elsewhere, m
+    spring: np.ndarray  # (n,): of compliant surfaces at active nodes, N/m
 
     @property
     def symmetric(self) -> bool:
@@ -156,7 +165,10 @@ def linearise(
     contact, hardening = contact.tangent(unknowns, residual)
     tangential = factor * stiffness[:, 1:].max(axis=1)
     with np.errstate(invalid="ignore"):
-        augmented = residual[:, 0] + factor * stiffness[:, 0] * (unknowns[:, 0] - contact.gap)
+        # with c / (1 + c e) for c, so that both signs stay those of the condition
+        deeper = unknowns[:, 0] - contact.gap - contact.compliances * residual[:, 0]
+        normal = factor * stiffness[:, 0]
+        augmented = residual[:, 0] + normal / (1 + normal * contact.compliances) * deeper
     active = augmented > 0
     tau = unknowns[:, 1:] - contact.slip_reference
     bound = np.maximum(contact.limit + contact.friction * np.maximum(augmented, 0.0), 0.0)
@@ -169,6 +181,12 @@ def linearise(
     )
     along = equations.direction[:, :, None] * equations.direction[:, None, :]
     equations.curvature[:] += (active * hardening)[:, None, None] * along
+    soft = active & (contact.compliances * stiffness[:, 0] > STIFF)
+    spring = 1 / contact.compliances[soft]
+    equations.spring[soft] = spring
+    equations.prescribed[soft, 0] = False
+    equations.change[soft, 0] = 0.0
+    equations.force[soft, 0] -= spring * (unknowns[soft, 0] - contact.gap[soft])
     return _beside_held(contact, tau, residual, equations)
 
 
@@ -214,6 +232,7 @@ def _clamped(
         force=residual.copy(),
         prescribed=active[:, None],
         change=change[:, None],
+        spring=np.zeros(n),
     )
 
 
@@ -263,6 +282,10 @@ def _equations(
     prescribed[active, 0] = True
     prescribed[~slip, 1:] = True
     change = np.zeros_like(unknowns)
-    change[active, 0] = (contact.gap - unknowns[:, 0])[active]
+    surface = contact.gap + contact.compliances * residual[:, 0]
+    change[active, 0] = (surface - unknowns[:, 0])[active]
     change[~slip, 1:] = (contact.slip_reference - unknowns[:, 1:])[~slip]
-    return Linearised(active, slip, direction, coupling, curvature, force, prescribed, change)
+    spring = np.zeros(len(active))
+    return Linearised(
+        active, slip, direction, coupling, curvature, force, prescribed, change, spring
+    )

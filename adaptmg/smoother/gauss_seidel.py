@@ -133,6 +133,7 @@ class ProjectedGaussSeidel:
                 contact.reference,
                 contact.limit,
                 contact.friction,
+                contact.compliances,
                 load,
                 unknowns,
                 self.omega,
@@ -165,7 +166,7 @@ def _check(system: LocalSystem, contact: NodalContact, **vectors: np.ndarray) ->
 
 
 @inner_kernel(forceinline=True)
-def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, omega, r):
+def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, compliance, w, omega, r):
     """The new unknowns of a contact node from its residual."""
     dim = np.uint64(len(r))
     m = over(upper(diagonal, dim * dim * i, r), omega)
@@ -176,6 +177,7 @@ def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, w, ome
         read_reference(reference, contact, r),
         limit[contact],
         friction[contact],
+        compliance[contact],
     )
 
 
@@ -194,6 +196,7 @@ def _sweep(
     reference,
     limit,
     friction,
+    compliance,
     load,
     w,
     omega,
@@ -219,6 +222,7 @@ def _sweep(
                     reference,
                     limit,
                     friction,
+                    compliance,
                     w,
                     omega,
                     r,

@@ -2,10 +2,10 @@ r"""interior_point: a contact problem with a small dense matrix, by a primal-dua
 method.
 
 With w the displacement of the contact nodes in their frames, forces q = f - S w, the pressure p,
-the gap y, the bound B = s + mu p on friction, the slip :math:`\tau` and its bound v, each node has
-a pair and a pair of cones,
+the gap y, the compliance e of their surface, the bound B = s + mu p on friction, the slip
+:math:`\tau` and its bound v, each node has a pair and a pair of cones,
 
-.. math:: p\,y = \epsilon,\quad y = g_0 - w_n;\qquad
+.. math:: p\,y = \epsilon,\quad y = g_0 + e p - w_n;\qquad
           B v - q_t\cdot\tau = \epsilon,\quad v q_t = B\tau,\quad B \ge |q_t|,\quad v \ge |\tau|,
 
 and at :math:`\epsilon = 0` Coulomb's law exactly: B follows p, so that the equations are not
@@ -56,6 +56,7 @@ class Conditions:
     limit: np.ndarray
     friction: np.ndarray
     lowest: np.ndarray | None = None
+    compliance: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +187,8 @@ class _Method:
         self.load = load
         self.span = unknowns
         friction = np.where(np.isfinite(contact.gap), contact.friction, 0.0)
-        self.nodes = contact.gap, np.zeros((n, 2)), contact.limit, friction
+        compliance = np.zeros(n) if contact.compliance is None else contact.compliance
+        self.nodes = contact.gap, np.zeros((n, 2)), contact.limit, friction, compliance
         self.nodes[1][:, : dim - 1] = contact.slip_reference
         self.pairs = max(
             int(np.isfinite(contact.gap).sum() + ((contact.limit > 0) | (friction > 0)).sum()), 1
@@ -206,7 +208,7 @@ class _Method:
     def _lift(self, spring: np.ndarray) -> None:
         """Start from the pressures and gaps of springs, lifted to a mean size, and bounds of slips
         above these."""
-        state, (gap, reference, limit, friction) = self.state, self.nodes
+        state, (gap, reference, limit, friction, _) = self.state, self.nodes
         touches = np.isfinite(gap)
         rough = (limit > 0) | (friction > 0)
         pressures = (spring * state[:, 0])[touches]
@@ -378,7 +380,7 @@ def _way(b, q_1, q_2, db, dq_1, dq_2):
 
 
 @kernel
-def _measure(state, gap, reference, limit, friction):
+def _measure(state, gap, reference, limit, friction, compliance):
     """The sum of the products of all pairs, the largest error of a gap, and the largest
     displacement."""
     total = 0.0
@@ -389,7 +391,7 @@ def _measure(state, gap, reference, limit, friction):
         size = max(size, abs(w), abs(w_1), abs(w_2))
         if np.isfinite(gap[i]):
             total += p * y
-            apart = max(apart, abs(gap[i] - w - y))
+            apart = max(apart, abs(gap[i] - w + compliance[i] * p - y))
         if limit[i] > 0 or friction[i] > 0:
             total += (
                 (limit[i] + friction[i] * p) * v
@@ -400,7 +402,7 @@ def _measure(state, gap, reference, limit, friction):
 
 
 @kernel
-def _eliminate(state, gap, reference, limit, friction, blocks):
+def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
     """The blocks that the eliminated (v, q_t) and p add at each node."""
     for i in range(len(state)):
         _, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
@@ -409,7 +411,7 @@ def _eliminate(state, gap, reference, limit, friction, blocks):
         mu = friction[i]
         b = limit[i] + mu * p
         if np.isfinite(gap[i]):
-            blocks[i, 0, 0] = p / y
+            blocks[i, 0, 0] = p / (y + compliance[i] * p)
         if limit[i] > 0 or mu > 0:
             for j, e, e_1, e_2 in ((1, q_1, b, 0.0), (2, q_2, 0.0, b)):
                 _, blocks[i, 1, j], blocks[i, 2, j] = _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2)
@@ -418,7 +420,9 @@ def _eliminate(state, gap, reference, limit, friction, blocks):
 
 
 @kernel
-def _sides(state, gap, reference, limit, friction, before, target, weight, terms, sides):
+def _sides(
+    state, gap, reference, limit, friction, compliance, before, target, weight, terms, sides
+):
     """Right-hand sides of the nodes, and what :func:`_complete` needs of them."""
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
@@ -429,7 +433,8 @@ def _sides(state, gap, reference, limit, friction, before, target, weight, terms
         b = limit[i] + mu * p
         shift = 0.0
         if np.isfinite(gap[i]):
-            shift = (target - p * y - weight * dp * dy - p * (gap[i] - w - y)) / y
+            missing = gap[i] - w + compliance[i] * p - y
+            shift = (target - p * y - weight * dp * dy - p * missing) / (y + compliance[i] * p)
         sides[i, 0] = terms[i, 0] = -shift
         if limit[i] > 0 or mu > 0:
             e = (
@@ -458,7 +463,7 @@ def _sides(state, gap, reference, limit, friction, before, target, weight, terms
 
 
 @kernel
-def _complete(state, gap, reference, limit, friction, terms, change):
+def _complete(state, gap, reference, limit, friction, compliance, terms, change):
     """The change of the eliminated unknowns from that of w; returns how far it may go."""
     longest = 1e30
     for i in range(len(state)):
@@ -472,8 +477,9 @@ def _complete(state, gap, reference, limit, friction, terms, change):
         b = limit[i] + mu * p
         dp = 0.0
         if np.isfinite(gap[i]):
-            dp = p / y * d - terms[i, 0]
-            dy = gap[i] - w - y - d
+            e = compliance[i]
+            dp = p / (y + e * p) * d - terms[i, 0]
+            dy = gap[i] - w + e * p - y - d + e * dp
             change[i, 3] = dp
             change[i, 4] = dy
             if dp < 0:

@@ -24,6 +24,11 @@ and c_t the tangential force at zero slip: stick if :math:`|c_t| \le s + \mu p_0
   when B is a multiple of the identity, and concave when mu = 0, so that Newton from zero rises
   monotonically to the root.
 
+A compliant surface gives way by e p, e its ``compliance``: closed then means :math:`w_n = g_0 + e
+p`. With :math:`\lambda = 1 / (1 + e M_{nn})` the closed problem keeps its form, with :math:`\lambda p_0`
+for :math:`p_0`, :math:`\lambda a` for a, :math:`B - e \lambda\, a a^T` for B, and :math:`c_t - e \lambda p_0
+a`.
+
 A support may hold the first tangent of a node in 3D, which then slips by a given :math:`\tau_1`: M
 must be decoupled there, and its entry :math:`M_{11}` is given with the sign turned. What is left is
 one equation for :math:`\tau_2`, with the friction :math:`(s + \mu p)\,\tau_2/\sqrt{\tau_1^2 +
@@ -56,13 +61,15 @@ MAX_STEPS = 200
 
 
 @in_loop
-def solve(m, c, gap, reference, limit, friction):
+def solve(m, c, gap, reference, limit, friction, compliance):
     """Solve the problem of one node with one to three unknowns: block (upper triangle), force and
     reference as tuples, so is w."""
     if len(c) == 1:
         return (min(max(c[0] / m[0], reference[0]), gap),)
     if len(c) == 2:
-        return solve_2d(m[0], m[1], m[2], c[0], c[1], gap, reference[0], limit, friction)
+        return solve_2d(
+            m[0], m[1], m[2], c[0], c[1], gap, reference[0], limit, friction, compliance
+        )
     return solve_3d(
         m[0],
         m[1],
@@ -78,14 +85,16 @@ def solve(m, c, gap, reference, limit, friction):
         reference[1],
         limit,
         friction,
+        compliance,
     )
 
 
 @in_loop
-def natural_at(d, r, w, gap, reference, limit):
+def natural_at(d, r, w, gap, reference, limit, compliance):
     """Return the natural residual D (prox_D(w + D^-1 r) - w) of one node, its bound held at
     ``limit``."""
-    change = subtract(solve(d, plus_symmetric(r, d, w), gap, reference, limit, 0.0), w)
+    moved = solve(d, plus_symmetric(r, d, w), gap, reference, limit, 0.0, compliance)
+    change = subtract(moved, w)
     return plus_symmetric(nothing(w), d, change)
 
 
@@ -109,6 +118,7 @@ def solve_2d(
     reference: float,
     limit: float,
     friction: float,
+    compliance: float = 0.0,
 ) -> tuple[float, float]:
     """Solve the problem of one node in 2D."""
     c_n -= m_nt * reference
@@ -118,11 +128,16 @@ def solve_2d(
     w_n = c_n / m_nn - ratio * slip
     if w_n <= gap:
         return w_n, reference + slip
+    # a compliant surface gives way by compliance * p: a smaller pressure, a softer tangent
     p_stick = c_n - m_nn * gap
-    c_t -= m_nt * gap
+    share = 1.0 / (1.0 + compliance * m_nn)
+    c_t -= m_nt * (gap + compliance * share * p_stick)
+    m_tt -= m_nt * compliance * share * m_nt
+    p_stick *= share
+    m_nt *= share
     size = abs(c_t)
     if size <= limit + friction * max(p_stick, 0.0):
-        return gap, reference
+        return gap + compliance * p_stick, reference
     sign = math.copysign(1.0, c_t)
     slope = m_tt - sign * friction * m_nt
     slip = sign * (size - limit) / m_tt
@@ -130,7 +145,7 @@ def solve_2d(
         with_pressure = sign * (size - limit - friction * p_stick) / slope
         if p_stick - m_nt * with_pressure > 0.0:
             slip = with_pressure
-    return gap, reference + slip
+    return gap + compliance * (p_stick - m_nt * slip), reference + slip
 
 
 @inner_kernel(fastmath=False)
@@ -159,14 +174,27 @@ def solve_3d(
     reference_2: float,
     limit: float,
     friction: float,
+    compliance: float = 0.0,
 ) -> tuple[float, float, float]:
     """Solve the problem of one node in 3D; see :func:`solve_2d`."""
     if m_11 < 0.0:
         if reference_1 == 0.0:
-            w_n, w_2 = solve_2d(m_nn, m_n2, m_22, c_n, c_2, gap, reference_2, limit, friction)
+            w_n, w_2 = solve_2d(
+                m_nn, m_n2, m_22, c_n, c_2, gap, reference_2, limit, friction, compliance
+            )
         else:
             w_n, w_2 = _solve_beside(
-                m_nn, m_n2, m_22, c_n, c_2, gap, reference_1, reference_2, limit, friction
+                m_nn,
+                m_n2,
+                m_22,
+                c_n,
+                c_2,
+                gap,
+                reference_1,
+                reference_2,
+                limit,
+                friction,
+                compliance,
             )
         return w_n, 0.0, w_2
     c_n -= m_n1 * reference_1 + m_n2 * reference_2
@@ -188,19 +216,23 @@ def solve_3d(
     )
     w_n = c_n / m_nn - ratio_1 * slip_1 - ratio_2 * slip_2
     if not w_n <= gap:
-        w_n = gap
+        p_stick = c_n - m_nn * gap
+        share = 1.0 / (1.0 + compliance * m_nn)
+        soft = compliance * share
+        w_n = gap + soft * p_stick
         slip_1, slip_2 = slip_3d(
-            m_11,
-            m_12,
-            m_22,
-            c_1 - m_n1 * gap,
-            c_2 - m_n2 * gap,
-            m_n1,
-            m_n2,
-            c_n - m_nn * gap,
+            m_11 - m_n1 * soft * m_n1,
+            m_12 - m_n1 * soft * m_n2,
+            m_22 - m_n2 * soft * m_n2,
+            c_1 - m_n1 * w_n,
+            c_2 - m_n2 * w_n,
+            share * m_n1,
+            share * m_n2,
+            share * p_stick,
             limit,
             friction,
         )
+        w_n -= soft * (m_n1 * slip_1 + m_n2 * slip_2)
     return w_n, reference_1 + slip_1, reference_2 + slip_2
 
 
@@ -216,6 +248,7 @@ def _solve_beside(
     reference: float,
     limit: float,
     friction: float,
+    compliance: float,
 ) -> tuple[float, float]:
     """:func:`solve_2d` for a node that slips by ``held`` along a further tangent."""
     c_n -= m_nt * reference
@@ -224,8 +257,20 @@ def _solve_beside(
     slip = _slip_beside(m_tt - ratio * m_nt, c_t - ratio * c_n, 0.0, 0.0, held, limit, 0.0)
     w_n = c_n / m_nn - ratio * slip
     if not w_n <= gap:
-        w_n = gap
-        slip = _slip_beside(m_tt, c_t - m_nt * gap, m_nt, c_n - m_nn * gap, held, limit, friction)
+        p_stick = c_n - m_nn * gap
+        share = 1.0 / (1.0 + compliance * m_nn)
+        soft = compliance * share
+        w_n = gap + soft * p_stick
+        slip = _slip_beside(
+            m_tt - m_nt * soft * m_nt,
+            c_t - m_nt * w_n,
+            share * m_nt,
+            share * p_stick,
+            held,
+            limit,
+            friction,
+        )
+        w_n -= soft * m_nt * slip
     return w_n, reference + slip
 
 

@@ -35,6 +35,9 @@ from adaptmg.transfer.galerkin import without_fixed
 
 #: coefficients of friction (n_contact,) at nodal forces, N, and slips, m
 FrictionAt = Callable[[np.ndarray, np.ndarray], np.ndarray]
+#: compliance over that of a node, above which a surface counts as a spring in linear problems; below, its normal
+#: displacement is prescribed like that of a rigid one
+STIFF = 1e-6
 #: step of differences over pressures, and over slips of at least the second, m
 _DIFFERENCE, _SHORTEST = 1e-6, 1e-9
 
@@ -58,6 +61,12 @@ class NodalContact:
     #: problems only, None of others
     lowest: np.ndarray | None = None
     friction_at: FrictionAt | None = None
+    compliance: np.ndarray | None = None  # (n_contact,): what a surface gives way by, m/N; None: 0
+
+    @property
+    def compliances(self) -> np.ndarray:
+        """Return the compliances (n_contact,), m/N."""
+        return np.zeros(len(self.gap)) if self.compliance is None else self.compliance
 
     @property
     def reference(self) -> np.ndarray:
@@ -72,7 +81,7 @@ class NodalContact:
 
     def clamped(self, normal: np.ndarray) -> np.ndarray:
         """Return normal displacements (n_contact,) put back between the obstacles, m."""
-        below = np.minimum(normal, self.gap)
+        below = np.where(self.compliances > 0, normal, np.minimum(normal, self.gap))
         return below if self.lowest is None else np.maximum(below, self.lowest)
 
     def follow(self, values: np.ndarray, residual: np.ndarray) -> None:
@@ -297,6 +306,7 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         held=normal_held,
         lowest=lowest,
         friction_at=problem.friction_at if isinstance(problem.law, FollowsState) else None,
+        compliance=problem.contact.compliance,
     )
 
 

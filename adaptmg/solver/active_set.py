@@ -410,6 +410,7 @@ class CondensedSteps:
                 matrix[:, k] -= pull[:, k - 1, None, None] * matrix[:, 0]
                 for j in range(1, dim):
                     matrix[node, k, node, j] += equations.curvature[:, k - 1, j - 1]
+            matrix[node, 0, node, 0] += equations.spring
             matrix = matrix.reshape(n * dim, n * dim)
             change = equations.change.reshape(-1).copy()
             free = np.flatnonzero(~equations.prescribed.reshape(-1))
@@ -573,6 +574,7 @@ class SparseSteps:
             pull = (equations.coupling[:, None] * equations.direction)[self._contact[rows]]
             data[rows, 1:] -= pull[:, :, None] * data[rows, :1]
         data[diagonal, 1:, 1:] += equations.curvature[node]
+        data[diagonal, 0, 0] += equations.spring[node]
         return sparse.bsr_array(
             (data, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape
         )

@@ -440,7 +440,9 @@ def changed_status(
     # where a support holds a tangent its reaction takes the place of friction
     free = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     slip = to_frames(coarse.frames, here.slip)[:, 1:]
-    conditions = Conditions(here.gap, -slip, limit * free, friction * free)
+    compliance = problem.contact.compliance
+    gap = here.gap - compliance * np.maximum(here.pressure, 0.0)
+    conditions = Conditions(gap, -slip, limit * free, friction * free, compliance=compliance)
     solution = interior_point(
         coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH
     )

@@ -197,6 +197,8 @@ _SAMPLES = 4
 #: times a change of the status that may be missing after it
 #: half and twice change none of 119 solves, paths and loops (campaign constants)
 _FOUND = 2.0
+#: compliance of a surface, over that of its node, above which it counts as a spring, below as rigid
+_STIFF = 1e-6
 _EPSILON = float(np.finfo(float).eps)
 
 
@@ -301,6 +303,9 @@ class Evidence:
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
         self.gap, self.slip = self._kinematics()
+        # of the surface, which gives way
+        self.compliance = problem.contact.compliance
+        self.gap += self.compliance * np.maximum(self.pressure, 0.0)
         self.limit, _ = problem.law.bounds(len(self.nodes))
         slip = np.linalg.norm(self.slip, axis=1)
         self.coefficient = problem.friction_at(self.pressure, slip)
@@ -582,8 +587,11 @@ class Evidence:
         normals = contact.normals
         along = _along(moved, normals)
         pressure = -_along(exerted, normals)
+        yielding = self.compliance * (
+            np.maximum(pressure, 0.0) - np.maximum(conditions.pressure, 0.0)
+        )
         there = AtNodes(
-            conditions.gap - along,
+            conditions.gap - along + yielding,
             conditions.slip + moved - along[:, None] * normals,
             pressure,
             exerted + pressure[:, None] * normals,
@@ -614,6 +622,8 @@ class Evidence:
         friction = conditions.friction * free
         closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
         closed |= gap < 0
+        soft = closed & (self.compliance * d > _STIFF)
+        spring = np.divide(1.0, self.compliance, out=np.zeros_like(gap), where=soft)
         size = np.linalg.norm(slip, axis=1)
         limit = self.limit + np.where(closed, self.coefficient * np.maximum(pressure, 0.0), 0.0)
         against = -_directions(slip)
@@ -627,13 +637,15 @@ class Evidence:
         against[beyond] = _directions(friction)[beyond]
         lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * free)
         change = np.zeros_like(unknowns)
-        change[nodes] = np.where(closed, gap, 0.0)[:, None] * normals - stays[:, None] * slip * free
+        change[nodes] = (
+            np.where(closed & ~soft, gap, 0.0)[:, None] * normals - stays[:, None] * slip * free
+        )
         change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
         slides = ~stays | beyond
         along = normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
         fixed_elsewhere = np.setdiff1d(self.fixed.nonzero()[0], nodes)
-        projection = slides[:, None, None] * tangents + ~closed[:, None, None] * along
+        projection = slides[:, None, None] * tangents + ~(closed & ~soft)[:, None, None] * along
         projection = np.concatenate(
             [
                 projection * free[:, :, None] * free[:, None],
@@ -647,12 +659,13 @@ class Evidence:
             * against[:, :, None]
             * normals[:, None]
         )
-        pressed = -np.where(closed, pressure, 0.0)[:, None] * normals
+        # a spring presses as deep as it is, which is what the gap of the surface misses
+        pressed = -(np.where(closed, pressure, 0.0) - spring * gap)[:, None] * normals
         status = FrozenStatus(
             np.append(nodes, fixed_elsewhere),
             projection,
             nodes,
-            turning[:, None, None] * across,
+            turning[:, None, None] * across + spring[:, None, None] * along,
             dragged,
         )
         return status, change, pressed + lawful, closed

@@ -56,6 +56,11 @@ class ProjectedRun:
         self.hierarchy.finest.discrete.need_no_volumes(
             f"the correction {type(self.correction).__name__}"
         )
+        if self.hierarchy.finest.discrete.contact.compliance.any():
+            raise ValueError(
+                f"contact: the correction {type(self.correction).__name__} cannot take NormalCompliance; "
+                "use correction=am.Truncated()"
+            )
         self.levels = LocalLevels(self.hierarchy, self.run)
         self.problems = [self.levels.problem(number) for number in range(len(self.hierarchy))]
 

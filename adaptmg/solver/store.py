@@ -395,7 +395,14 @@ def fingerprint(
             for name, (dofs, values) in cast("LoadSteps", loads[-1]).prescribed.items()
         },
         "contact": [
-            _sums(part) for part in (contact.nodes, contact.normals, contact.gaps, contact.weights)
+            _sums(part)
+            for part in (
+                contact.nodes,
+                contact.normals,
+                contact.gaps,
+                contact.weights,
+                contact.compliance,
+            )
         ],
         "law": [
             _sums(part)
