@@ -495,7 +495,7 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
             ends.append(v)
             names.append(f"{name}.left")
     places = np.array(list(number))[np.argsort(list(number.values()))]
-    edges = [*map(body.edge, range(n)), *map(Segment, places[starts[n:]], places[ends[n:]])]
+    edges = [*body.edges[:n], *map(Segment, places[starts[n:]], places[ends[n:]])]
     check_simple(edges, names, np.array(starts), np.array(ends), "cracks")
 
 
