@@ -47,6 +47,7 @@ STUDIES = {
     "flexible": 5,
     "parts": 60,
     "accuracy": 16,
+    "obstacle": 40,
     "crack": 22,
 }
 #: only with --full, or where they are named

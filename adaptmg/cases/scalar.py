@@ -136,14 +136,13 @@ def elastic_plastic_torsion(
 
     a = min(k / (g * theta), half)
     if section == "disc":
-        domain: am.Circle | am.Polygon = am.Circle((0.0, 0.0), half, "edge")
+        domain: am.Circle | am.Rectangle = am.Circle((0.0, 0.0), half, "edge")
         elastic = math.pi * g * theta * half**4 / 2
         plastic = 2 * math.pi * k * half**3 / 3
         torque = elastic if a == half else plastic - math.pi * k * a**3 / 6
         reference: dict[str, object] = {"elastic_radius": a, "torque": torque}
     else:
-        corners = ((-half, -half), (half, -half), (half, half), (-half, half))
-        domain = am.Polygon(vertices=corners, boundaries=("edge",) * 4)
+        domain = am.Rectangle(width=2 * half, height=2 * half, origin=(-half, -half))
         plastic = 8 * k * half**3 / 3
         reference = {}
     return am.ScalarProblem(
