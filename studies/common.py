@@ -9,12 +9,14 @@ alone, ``reproduce.py`` runs all and makes the report."""
 from __future__ import annotations
 
 import argparse
+import base64
+import io
 import json
 import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -34,6 +36,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
+from PIL import Image
 
 import adaptmg as am
 from adaptmg._files import make_folder, write_bytes
@@ -118,6 +121,35 @@ class Output:
                 "source": picture.source,
                 "width": picture.width,
                 "card": card,
+            }
+        )
+
+    def animation(
+        self, name: str, frames: Iterable[Figure], caption: str, milliseconds: int = 80
+    ) -> None:
+        """Write the states of a figure that ``frames`` yields as a GIF that repeats."""
+        images = []
+        for figure in frames:
+            small = io.BytesIO()
+            figure.savefig(small, format="png", dpi=80, facecolor="white")
+            images.append(Image.open(small).convert("RGB").quantize(64))
+            width = 96 * figure.get_size_inches()[0]
+        gif = io.BytesIO()
+        images[0].save(
+            gif, "gif", save_all=True, append_images=images[1:], duration=milliseconds, loop=0
+        )
+        target = self.folder / f"{name}.gif"
+        write_bytes(target, gif.getvalue())
+        print(f"\n[animation {target}] {caption}")
+        source = f"data:image/gif;base64,{base64.b64encode(gif.getvalue()).decode()}"
+        self.items.append(
+            {
+                "kind": "figure",
+                "name": name,
+                "caption": caption,
+                "source": source,
+                "width": round(width),
+                "card": "",
             }
         )
 

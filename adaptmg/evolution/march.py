@@ -71,6 +71,8 @@ from adaptmg.solver.truncated import TruncatedRun
 _HEAD = "march.json"
 #: of the size of the mesh: an overlap at the start below this is rounding
 _OVERLAP = 1e-9
+#: the largest tolerance that rounding makes of a smaller one
+_MOST_ROUNDING = 1e-3
 
 
 @one_blas_thread()
@@ -239,6 +241,7 @@ class March:
 
     displacement: np.ndarray
     velocity: np.ndarray
+    internal: np.ndarray  # (n_nodes, dim): K u, N
 
     def __init__(
         self,
@@ -266,6 +269,9 @@ class March:
         self.stiffness = supported_stiffness(*bodies, problem.supports, problem.elements)
         self.stress_data = StressData.of(*bodies, problem.loads, problem.elements)
         self.mass = lumped_mass(self.posed, dynamics)[:, None]
+        #: A-norm of what rounding of a unit displacement leaves in K u
+        diagonal = self.stiffness.diagonal() / np.sqrt(self.discrete.matrix.diagonal())
+        self.rounding = np.finfo(float).eps * np.sqrt(np.sum(diagonal**2))
         forces = self.discrete.physical_forces(self.discrete.whole_load)
         self.forces = forces.reshape(mesh.points.shape)
         self.flying = self._flying()
@@ -277,6 +283,7 @@ class March:
         self.displacement = self._held(relative, 1.0)
         velocity = nodal_velocity(self.posed, dynamics)
         self.velocity = self._held(self.discrete.relative(velocity), 0.0)
+        self.internal = self._internal(self.displacement)
         overlap = self._overlap(self.displacement).max(initial=0.0)
         if overlap > _OVERLAP * mesh.sides.max():
             raise ValueError(
@@ -365,7 +372,8 @@ class March:
             # not with the acceleration of the step before: errors that alternate would grow, up to
             # the tolerance, and the steps of a bar take 1.82 cycles for 1.72
             first = discrete.relative(admissible - shift).reshape(-1)
-            past = Past([], first, first, given=True, near=True)
+            loose = self._least_tolerance(admissible - shift)
+            past = Past([], first, first, given=True, near=True, loose=loose)
         outcome, self.multigrid, _ = step_outcome(
             self.step_solver, self.multigrid, grids, examiner, run, past
         )
@@ -380,10 +388,19 @@ class March:
             advise_on_motion(self.posed, result)
         return result
 
+    def _least_tolerance(self, moved: np.ndarray) -> float:
+        """Return what rounding leaves of the displacement ``moved`` (n_nodes, dim) of a step: much
+        where bodies have flown far, and a step is long enough to make the mass a trifle."""
+        inertia = 2 / self.dynamics.step**2 * np.sum(self.mass * moved**2)
+        energy = inertia + np.sum(self.displacement * self.internal)
+        noise = self.rounding * np.abs(self.displacement).max()
+        return min(_MOST_ROUNDING, noise / np.sqrt(energy)) if energy > 0 else 0.0
+
     def take(self, result: Result) -> None:
         """Go past a step."""
         self.displacement = result.displacement
         self.velocity = result.velocity
+        self.internal = self._internal(result.displacement)
         self.lost = {cause: result.energies[cause] for cause in self.lost}
         self.slid = self.slid + way_in_contact(result)
 
@@ -392,7 +409,7 @@ class March:
         discrete = self.discrete
         step = self.dynamics.step
         stiffness = self.dynamics.damping / step - 0.5
-        load = self.forces + stiffness * self._internal(self.displacement)
+        load = self.forces + stiffness * self.internal
         load += 2 / step**2 * self.mass * (admissible - shift)
         shifted = discrete.relative(shift)
         posed = discrete.with_step(
@@ -430,7 +447,7 @@ class March:
         # at open nodes the tolerance leaves forces, and gaps may be long
         closing = (self._overlap(self.displacement) + share * contact.gap) * contact.closed
         rubbing = np.sum(contact.force_t * contact.slip, axis=1)
-        strained = np.sum(change * (internal - self._internal(self.displacement)))
+        strained = np.sum(change * (internal - self.internal))
         losses = {
             "friction": -np.sum(share * rubbing),
             "contact": np.sum((admissible - free) * self.mass * gained) / step
