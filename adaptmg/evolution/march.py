@@ -98,8 +98,8 @@ def march(
     Parameters
     ----------
     grids : Hierarchy
-        Of meshes, made from a ContactProblem. ValueError for Rigid and Moving obstacles and Preload,
-        and for smoothed elements with Poisson's ratios above .4.
+        Of meshes, made from a ContactProblem. ValueError for Rigid and Moving obstacles, Preload,
+        NormalCompliance, and smoothed elements with Poisson's ratios above .4.
     dynamics : Dynamics
         Densities, initial velocities, time step, end and damping.
     method : SingleGrid, Multigrid, FullMultigrid, ActiveSet or user-defined, optional
@@ -215,10 +215,12 @@ def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
         raise ValueError(
             "grids must be levels with meshes, made from a ContactProblem: masses come from them"
         )
-    if problem.by_force or obstacles_in_path(problem):
+    compliant = any(contact.compliance is not None for contact in problem.contact)
+    if problem.by_force or obstacles_in_path(problem) or compliant:
         raise ValueError(
-            "grids: march has no Rigid or Moving obstacles and no Preload: pose an obstacle that "
-            "moves as a body with a density, in a ContactPair"
+            "grids: march has no Rigid or Moving obstacles, no Preload and no NormalCompliance: pose "
+            "an obstacle that moves as a body with a density, in a ContactPair, a compliance as a "
+            "soft body"
         )
     grids.finest.discrete.need_no_volumes("march")
     levels = []

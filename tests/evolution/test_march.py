@@ -246,11 +246,16 @@ def test_what_does_not_move_is_refused():
     def against(obstacle):
         return grids.with_problem(replace(problem, contact=am.Contact("bottom", obstacle)))
 
+    compliant = am.Contact("bottom", wall, compliance=am.NormalCompliance(1e-3))
     rubber = replace(problem, material=am.PlaneStrain(young=1e6, poisson=0.49), elements="smoothed")
     for posed, words in (
         (grids.finest.discrete, "levels with meshes"),
-        (against(am.Moving(wall, displacement=(0, 1))), "Rigid or Moving .* ContactPair"),
-        (against(am.Rigid(wall, force=(None, 1.0))), "Rigid or Moving .* ContactPair"),
+        (against(am.Moving(wall, displacement=(0, 1))), "Rigid or Moving .* a ContactPair"),
+        (against(am.Rigid(wall, force=(None, 1.0))), "Rigid or Moving .* a ContactPair"),
+        (
+            grids.with_problem(replace(problem, contact=compliant)),
+            "no NormalCompliance: .* soft body",
+        ),
         (grids.with_problem(rubber), "march cannot solve for smoothed"),
     ):
         with pytest.raises(ValueError, match=words):
