@@ -50,6 +50,7 @@ STUDIES = {
     "obstacle": 40,
     "crack": 22,
     "impact": 26,
+    "laws": 6,
 }
 #: only with --full, or where they are named
 LARGE = {"benchmark": 300}
