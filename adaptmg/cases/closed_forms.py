@@ -47,7 +47,8 @@ from adaptmg import _checks as checks
 from adaptmg.cases.paper import constant_friction
 from adaptmg.problem import Elastic, Law
 
-# the largest half-width over the smallest radius
+# the largest half-width over the smallest radius: measured on default meshes of two cylinders, peaks
+# are 3.4 % above Hertz's at .02, .05 and .1, 4.1 % at .2
 _LARGEST = 0.1
 # lengths of the surfaces that may touch, in half-widths (balls in space: half of these); the master reaches further
 # than the slave
@@ -427,7 +428,8 @@ def cattaneo(
     )
 
 
-# depth and half the width of the block, in half-widths of the punch
+# depth and half the width of the block, in half-widths of the punch: measured on default meshes, the
+# pressure in the middle is .59 % below that on a half-plane; .75 % with half, .52 % with twice
 _SIZE = 40.0
 
 

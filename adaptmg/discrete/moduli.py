@@ -17,13 +17,12 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.laws import EDGE_PART as EDGE_PART
 from adaptmg.problem.laws import Anisotropy, Axisymmetric, Elastic, PlaneStress
 
 #: one material for all bodies, body name -> material, or what :func:`body_materials` returns
 Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]
 
-#: of the shear modulus: the part of Lame's first constant that acts on the means of smoothed elements around edges
-EDGE_PART = 4.0
 
 #: components of the columns, and where they stand in the order of Voigt
 _PAIRS = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2)])

@@ -74,8 +74,12 @@ if TYPE_CHECKING:
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
 
-_LEAST_COVERED = 0.25  # of the part of a slave node
-_OFFSET = 1e-2  # of the shortest edge of facets at a slave node: how far off its normal its partner may lie
+# of the part of a slave node that the master covers: less, and it does not carry contact; half gives
+# 21 of 160 random pairs more contact nodes, twice 32 fewer
+_LEAST_COVERED = 0.25
+# of the shortest edge of facets at a slave node, how far off its normal its partner may lie: half
+# changes none of these pairs, twice takes one more of 40 whose nodes lie up to 3 % of an edge apart
+_OFFSET = 1e-2
 _SYMMETRY_TILT = np.cos(
     np.pi / 6
 )  # normals within 30 degrees of a plane of symmetry are put into it

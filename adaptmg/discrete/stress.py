@@ -87,7 +87,8 @@ def hoop_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     return u[mesh.elements, 0].sum(axis=1) / mesh.points[mesh.elements, 0].sum(axis=1)
 
 
-#: Poisson's ratio beyond which linear elements lock
+#: Poisson's ratio beyond which linear elements lock: measured on an upset block of 16 x 16 cells, the compression is
+#: .1 % large at .45, .2 % small at .475, .9 % at .49
 LOCKING = 0.45
 #: kinds of bodies in StressData
 _PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2

@@ -7,10 +7,20 @@ from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
+import numpy as np
+
 from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name
 from adaptmg._text import brief, html_fields
-from adaptmg.problem.laws import Axisymmetric, Elastic, Frictionless, Law, PlaneStress, check_law
+from adaptmg.problem.laws import (
+    EDGE_PART,
+    Axisymmetric,
+    Elastic,
+    Frictionless,
+    Law,
+    PlaneStress,
+    check_law,
+)
 from adaptmg.problem.loads import AnySupport, InitialStrain, Load, Preload, Pressure, Traction
 from adaptmg.problem.plane_domains import Domain
 from adaptmg.problem.surfaces import (
@@ -25,9 +35,11 @@ from adaptmg.problem.surfaces import (
 )
 
 CONTACT = "contact"  # name of all contact boundaries together
-_MOST_STIFFER = 1e15  # between the Young's moduli of two bodies
+# between the Young's moduli of two bodies: the softer one would be rounding next to the stiffer one
+_MOST_STIFFER = 1 / np.finfo(np.float64).eps
 ELEMENTS = ("linear", "smoothed")
-_MOST_POISSON = 0.4  # of smoothed elements
+# of smoothed elements of one part: the Poisson's ratio at which it is all of Lame's first constant
+_MOST_POISSON = EDGE_PART / (2 * (1 + EDGE_PART))
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,6 +40,11 @@ from adaptmg._checks import FieldLike, Size
 from adaptmg._text import brief, html_fields
 
 _AnyLaw = TypeVar("_AnyLaw")
+#: of the shear modulus: the part of Lame's first constant that acts on the means of smoothed elements
+#: around edges. Measured on an upset block of 16 x 16 cells with Poisson's ratio .45 and .49, the
+#: compression is -.1 and -.2 % off; with half -2.0 and -.3 %, with twice 7.1 and 0 % in up to 17 cycles
+#: for 14
+EDGE_PART = 4.0
 
 #: three material axes as rows, or points (n, dim) -> (n, 3, 3)
 Axes = np.ndarray | Sequence[Sequence[float]] | Callable[[np.ndarray], np.ndarray]

@@ -241,6 +241,55 @@ def _matched(seed: int) -> tuple:
     return _discretised(problem, am.mesh.graded(problem.domain, {"upper": size, "lower": other}))
 
 
+def _spatial(seed: int) -> tuple:
+    """Two boxes on each other, turned and shifted in space, with meshes that do not match."""
+    rng = np.random.default_rng((seed, 45))
+    angle = float(rng.uniform(0, 90))
+    axis = tuple(rng.normal(size=3))
+    offset = tuple(rng.uniform(-1, 1, 3))
+    left, front, below = *rng.uniform(-0.6, 0.0, 2), rng.choice([0.0, 0.02])
+    boxes = {
+        "upper": am.Box(width=1.0, depth=1.0, height=0.6),
+        "lower": am.Box(
+            width=1.3, depth=1.1, height=0.6, origin=(left, front, -0.6 - float(below))
+        ),
+    }
+    problem = am.ContactProblem(
+        domain=am.Assembly(
+            parts={
+                name: am.Moved(box, offset, angle=angle, axis=axis) for name, box in boxes.items()
+            }
+        ),
+        contact=am.ContactPair("upper.bottom", "lower.top"),
+        material=am.Solid(young=1e9, poisson=0.3),
+        law=am.Coulomb(0.3),
+        supports=(am.Support("lower.bottom", x=0.0, y=0.0, z=0.0),),
+        loads=(am.Pressure("upper.top", 1e6),),
+    )
+    sizes = {name: float(rng.uniform(0.2, 0.4)) for name in boxes}
+    return _discretised(problem, am.mesh.graded(problem.domain, sizes))
+
+
+def _node_to_node(seed: int) -> tuple:
+    """Two blocks with nodes opposite, up to a hundredth of an edge."""
+    rng = np.random.default_rng((seed, 46))
+    n = int(rng.integers(3, 8))
+    left = float(rng.choice([0.0, 10 ** rng.uniform(-6, -1.5)])) / n
+    parts = {
+        "upper": am.Rectangle(width=1.0, height=0.5, origin=(left, 0.0)),
+        "lower": am.Rectangle(width=1.0, height=0.5, origin=(0.0, -0.5)),
+    }
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        contact=am.ContactPair("upper.bottom", "lower.top", coupling="nodes"),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        law=am.Frictionless(),
+        supports=(am.Support("lower.bottom", x=0.0, y=0.0),),
+        loads=(am.Pressure("upper.top", 1e6),),
+    )
+    return _discretised(problem, am.mesh.structured(problem.domain, n))
+
+
 def _conforming(seed: int) -> tuple:
     """A pin in its bush, or a bead or ball in its cup, with coarse rims."""
     rng = np.random.default_rng((seed, 41))
@@ -317,7 +366,11 @@ def _settled(row: Callable[[int], tuple], seed: int) -> tuple:
 @cache
 def battery(family: str) -> dict[str, Callable[[], tuple]]:
     """What is computed with each value of a constant."""
-    plain = {"pairs": (_matched, _conforming), "meshes": (_plane,), "solids": (_solid,)}
+    plain = {
+        "pairs": (_matched, _conforming, _spatial, _node_to_node),
+        "meshes": (_plane,),
+        "solids": (_solid,),
+    }
     if family in plain:
         return {
             f"{row.__name__[1:]} {seed}": lambda row=row, seed=seed: _settled(row, seed)
