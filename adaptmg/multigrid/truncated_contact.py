@@ -167,7 +167,9 @@ class TruncatedContact:
         ones, in place. Compliant surfaces admit all."""
         codes = self.codes
         normals = self.frames.reshape(-1, self.dim, self.dim)[:, 0]
-        depth = np.einsum("nd,nd->n", normals, unknowns.reshape(-1, self.dim)[self.nodes])
+        # pressures may follow the displacements
+        dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
+        depth = np.einsum("nd,nd->n", normals, unknowns[dofs])
         soft = (self.spring > 0) & (depth > self.gap)
         self.codes = np.where(soft, CLOSED, 0).astype(np.int8)
         self.project(unknowns)
