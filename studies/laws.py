@@ -1,6 +1,6 @@
 """What do friction that depends on pressure and slip, and rough surfaces, cost and change?
 
-    python studies/laws.py [--quick] [--out DIR]
+    python studies/laws.py [--quick | --full] [--out DIR]
 
 The bar of the paper, pressed and pushed, with friction that falls with the pressure, that falls or
 rises with the slip, and on layers of several compliances; each is solved to a relative energy error

@@ -1,4 +1,5 @@
-"""Friction that depends on pressure and slip."""
+"""Friction that depends on pressure and slip, and surfaces that give way in proportion to the
+pressure."""
 
 from dataclasses import replace
 
@@ -6,8 +7,19 @@ import numpy as np
 import pytest
 from bodies import EXACT, bar_hierarchy, bar_on_block, rotation, turned
 from refused import refused
+from scipy.sparse import bsr_array
+from scipy.sparse.linalg import spsolve
 
 import adaptmg as am
+from adaptmg.solver.certificate import certify
+
+FINE = am.FullMultigrid(rtol=1e-10)
+METHODS = (FINE, EXACT, am.SingleGrid(omega=1.7, rtol=1e-10))
+IDS = ("full", "active set", "single grid")
+SOFT = am.NormalCompliance(2e-13)
+PRESSURE, YOUNG = 5e7, 1e11
+#: dimension, turn and shift
+PLANE, SPACE = (2, 0.4, (0.3, -0.2)), (3, (0.2, -0.3, 0.5), (0.1, 0.2, -0.1))
 
 
 def falling(pressure, slip):
@@ -15,192 +27,198 @@ def falling(pressure, slip):
     return (0.1 + 0.4 / (1 + pressure / 5e7)) * (0.7 + 0.3 * np.exp(-slip / 1e-5))
 
 
-def pushed(law, turn, shift, dim):
-    """A block pressed on a plane and pushed along it, turned and shifted; meshes, and a problem."""
+def block(law, place=PLANE, compliance=None, push=1e8, poisson=0.2):
+    """A block pressed on a plane and pushed along it."""
+    dim, turn, shift = place
     domain = (
         am.Rectangle(width=0.04, height=0.04)
         if dim == 2
         else am.Box(width=0.04, depth=0.02, height=0.02)
     )
-    meshes = [
-        turned(am.mesh.structured(domain, n), turn)
-        for n in ((4, 8, 16) if dim == 2 else ((4, 2, 2), (8, 4, 4)))
-    ]
-    meshes = [replace(mesh, points=mesh.points + shift) for mesh in meshes]
+    divisions = (4, 8, 16) if dim == 2 else ((4, 2, 2), (8, 4, 4))
+    meshes = [turned(am.mesh.structured(domain, n), turn) for n in divisions]
+    meshes = [replace(mesh, points=mesh.points + np.array(shift)) for mesh in meshes]
     up = rotation(turn) @ np.eye(dim)[dim - 1]
-    return meshes, am.ContactProblem(
-        material=am.PlaneStrain(young=1e11, poisson=0.2)
-        if dim == 2
-        else am.Solid(young=1e11, poisson=0.2),
+    problem = am.ContactProblem(
+        material=(am.PlaneStrain if dim == 2 else am.Solid)(young=YOUNG, poisson=poisson),
         law=law,
-        contact=am.Contact("bottom", am.Plane(tuple(shift), tuple(up))),
-        loads=(am.Pressure("top", 5e7), am.Pressure("left", 1e8)),
+        contact=am.Contact("bottom", am.Plane(shift, tuple(up)), compliance=compliance),
+        loads=(am.Pressure("top", PRESSURE), am.Pressure("left", push)),
         supports=[am.Support(name, normal=0) for name in ("right", "back")[: dim - 1]],
     )
-
-
-def grids_on(law, kind):
-    if kind == "pair":
-        return bar_hierarchy(bar_on_block(law))
-    dim, turn, shift = kind
-    meshes, problem = pushed(law, turn, np.array(shift), dim)
     return am.Hierarchy.from_meshes(problem, meshes)
 
 
-def nodal(discrete, friction):
-    """The same problem with coefficients by node."""
-    return discrete.posing(law=am.Coulomb(friction))
+def given(grids, friction):
+    """The same with coefficients by node on the finest level."""
+    discrete = grids.finest.discrete.posing(law=am.Coulomb(friction))
+    return replace(grids, levels=(*grids.levels[:-1], grids.finest.posing(discrete=discrete)))
 
 
-PLACES = (
-    (2, 0.4, (0.3, -0.2)),
-    (3, (0.2, -0.3, 0.5), (0.1, 0.2, -0.1)),
-    "pair",
-)
-
-
-@pytest.mark.parametrize("kind", PLACES, ids=("plane", "space", "pair"))
-def test_coefficient_is_the_fixed_point_of_problems_with_given_ones(kind):
-    grids = grids_on(am.StateLaw(falling), kind)
-    result = am.solve(grids, am.FullMultigrid(rtol=1e-10))
-    discrete = grids.finest.discrete
-    friction = np.full(len(discrete.contact), 0.3)
+@pytest.mark.parametrize("place", [PLANE, SPACE, None], ids=("plane", "space", "pair"))
+def test_coefficient_is_the_fixed_point_of_problems_with_given_ones(place):
+    law = am.StateLaw(falling)
+    grids = block(law, place) if place else bar_hierarchy(bar_on_block(law))
+    result = am.solve(grids, FINE)
+    friction = np.full(len(result.contact), 0.3)
     for _ in range(40):
-        outer = am.solve(nodal(discrete, friction), EXACT).contact
+        outer = am.solve(given(grids, friction), EXACT).contact
         friction = falling(outer.pressure, np.linalg.norm(outer.slip, axis=1))
     assert outer.counts()["slip"] > 3
     for name in ("force_n", "force_t", "slip"):
         expected = getattr(outer, name)
-        np.testing.assert_allclose(
-            getattr(result.contact, name), expected, rtol=0, atol=1e-8 * np.abs(expected).max()
-        )
+        size = np.abs(expected).max()
+        np.testing.assert_allclose(getattr(result.contact, name), expected, atol=1e-8 * size)
     assert not result.certificate().contradictions(1e-9)
-    given = am.Hierarchy(
-        (*grids.levels[:-1], grids.finest.posing(discrete=nodal(discrete, friction))),
-        grids.problem,
-        grids.origin,
-    )
-    assert result.cycles <= am.solve(given, am.FullMultigrid(rtol=1e-10)).cycles + 2
+    assert result.cycles <= am.solve(given(grids, friction), FINE).cycles + 2
 
 
-@pytest.mark.parametrize(
-    "method",
-    [
-        EXACT,
-        am.SingleGrid(omega=1.5, rtol=1e-9),
-        am.Multigrid(correction=am.Monotone(), rtol=1e-9),
-    ],
-    ids=("active set", "single grid", "monotone"),
-)
+@pytest.mark.parametrize("method", [*METHODS[1:], am.Multigrid(correction=am.Monotone())])
 def test_methods_agree(method):
-    grids = grids_on(am.StateLaw(falling), PLACES[0])
-    expected = am.solve(grids, am.FullMultigrid(rtol=1e-10)).displacement
-    found = am.solve(grids, method).displacement
-    assert np.abs(found - expected).max() <= 1e-7 * np.abs(expected).max()
+    grids = block(am.StateLaw(falling))
+    expected = am.solve(grids, FINE).displacement
+    far = np.abs(am.solve(grids, method).displacement - expected).max()
+    assert far <= 1e-7 * np.abs(expected).max()
 
 
-def test_turned_geometry_has_the_same_pressures():
-    forces = [
-        am.solve(grids_on(am.StateLaw(falling), (2, turn, shift)), EXACT).contact.force_n
-        for turn, shift in ((0.0, (0.0, 0.0)), (2.1, (1.0, 3.0)))
-    ]
-    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-7)
+def wearing(pressure, slip):
+    """So little friction that its moment does not lift an edge."""
+    return 0.002 + 0.004 * np.exp(-slip / 2e-2)
 
 
-# so little that its moment does not lift the edges
-LOW, HIGH, LENGTH = 0.002, 0.006, 2e-2
-
-
-def weakening(pressure, slip):
-    return LOW + (HIGH - LOW) * np.exp(-slip / LENGTH)
-
-
-def dragged(law):
+def dragged(friction=wearing):
     """A nearly rigid block, pressed on a plane and dragged to and fro."""
-    return am.Hierarchy.uniform(
-        am.ContactProblem(
-            domain=am.Rectangle(width=0.1, height=0.01),
-            material=am.PlaneStrain(young=1e12, poisson=0.0),
-            contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))),
-            law=law,
-            loads=[am.Pressure("top", 1e6)],
-            supports=[am.Support("top", x=1e-2, name="drag")],
-        ),
-        divisions=[(10, 1), (20, 2)],
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=0.1, height=0.01),
+        material=am.PlaneStrain(young=1e12, poisson=0.0),
+        contact=am.Contact("bottom", am.Plane((0, 0), (0, 1)), law=am.StateLaw(friction)),
+        loads=[am.Pressure("top", 1e6)],
+        supports=[am.Support("top", x=1e-2, name="drag")],
     )
+    return am.Hierarchy.uniform(problem, divisions=[(10, 1), (20, 2)])
 
 
-WAY = am.LoadPath({"drag": [0.5, 1.0, 2.0, 1.5, 0.0, 1.0]})
+PLACES = [0.5, 1.0, 2.0, 1.5, 0.0, 1.0]
+WAY = am.LoadPath({"drag": PLACES})
 
 
-@pytest.mark.parametrize(
-    "method", [am.FullMultigrid(), am.ActiveSet(rtol=1e-7)], ids=("full", "active set")
-)
+@pytest.mark.parametrize("method", [FINE, am.ActiveSet(rtol=1e-7)], ids=IDS[:2])
 def test_friction_of_a_rigid_block_falls_with_its_way(method):
-    steps = am.solve_path(dragged(am.StateLaw(weakening)), WAY, method)
-    moves = 1e-2 * np.diff([0.0, 0.5, 1.0, 2.0, 1.5, 0.0, 1.0])
-    expected = -np.sign(moves) * 1e5 * weakening(0.0, np.cumsum(np.abs(moves)))
-    forces = [step.resultant("contact").force[0] for step in steps]
+    moves = 1e-2 * np.diff(PLACES, prepend=0.0)
+    expected = -np.sign(moves) * 1e5 * wearing(0.0, np.cumsum(np.abs(moves)))
+    forces = [step.resultant("contact").force[0] for step in am.solve_path(dragged(), WAY, method)]
     np.testing.assert_allclose(forces, expected, rtol=2e-5)
 
 
 def test_stored_paths_go_on_with_the_slips_so_far(tmp_path):
-    whole = am.solve_path(dragged(am.StateLaw(weakening)), WAY)
-
     def stop(k, result):
         if k == 2:
             raise KeyboardInterrupt
 
-    grids = dragged(am.StateLaw(weakening))
     with pytest.raises(KeyboardInterrupt):
-        am.solve_path(grids, WAY, store=tmp_path, callback=stop)
-    again = am.solve_path(grids, WAY, store=tmp_path)
-    for one, other in zip(whole, again, strict=True):
+        am.solve_path(dragged(), WAY, store=tmp_path, callback=stop)
+    again = am.solve_path(dragged(), WAY, store=tmp_path)
+    for one, other in zip(am.solve_path(dragged(), WAY), again, strict=True):
         np.testing.assert_array_equal(one.displacement, other.displacement)
-    other = am.StateLaw(lambda pressure, slip: weakening(pressure, 1.1 * slip))
     with pytest.raises(ValueError, match="law differs"):
-        am.solve_path(dragged(other), WAY, store=tmp_path)
+        am.solve_path(dragged(lambda p, s: wearing(p, 1.1 * s)), WAY, store=tmp_path)
 
 
-def test_boundaries_may_have_such_laws_next_to_others():
-    problem = am.cases.greco_bar(law=am.Coulomb(0.3))
-    state = am.StateLaw(lambda pressure, slip: 0.3 + 0 * pressure)
-    alone = replace(problem, contact=replace(problem.contact[0], law=state))
-    expected, found = (
-        am.solve(am.Hierarchy.uniform(one, divisions=(4, 8)), EXACT).displacement
-        for one in (problem, alone)
-    )
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+@pytest.mark.parametrize("method", METHODS, ids=IDS)
+@pytest.mark.parametrize("place", [PLANE, SPACE], ids=("plane", "space"))
+def test_column_sinks_by_its_shortening_and_the_layer(place, method):
+    grids = block(am.Frictionless(), place, SOFT, push=0.0, poisson=0.0)
+    result = am.solve(grids, method)
+    mesh = grids.finest.mesh
+    top = result.displacement[mesh.boundary_nodes("top")] @ result.contact.normal[0]
+    height = (0.04, 0.02)[place[0] - 2]
+    np.testing.assert_allclose(top, PRESSURE * (height / YOUNG + SOFT.compliance), rtol=1e-7)
+    np.testing.assert_allclose(-result.contact.gap, SOFT.compliance * PRESSURE, rtol=1e-6)
 
 
-def test_doubtful_laws_are_warned_of():
-    for law, words in (
+def test_frictionless_bodies_stand_on_springs():
+    grids = block(am.Frictionless(), PLANE, SOFT)
+    discrete = grids.finest.discrete
+    contact = discrete.contact
+    springs = np.zeros((discrete.n_nodes, 2, 2))
+    stiffness = contact.weights / SOFT.compliance
+    springs[contact.nodes] = np.einsum("n,ni,nj->nij", stiffness, contact.normals, contact.normals)
+    added = bsr_array((springs, np.arange(len(springs)), np.arange(len(springs) + 1)))
+    free = np.flatnonzero(~discrete.fixed)
+    matrix = (discrete.matrix + added).tocsc()[free][:, free]
+    expected = np.zeros(discrete.n_dofs)
+    expected[free] = spsolve(matrix, discrete.load[free])
+    found = am.solve(grids, FINE)
+    assert found.contact.closed.all()
+    far = np.abs(discrete.relative(found.displacement).reshape(-1) - expected).max()
+    assert far <= 1e-8 * np.abs(expected).max()
+
+
+def layered(body, compliance, method, law=am.Coulomb(0.4)):
+    if body == "obstacle":
+        return am.solve(block(law, PLANE, compliance, 3e7), method)
+    problem = bar_on_block(law)
+    pairs = tuple(replace(pair, compliance=compliance) for pair in problem.contact)
+    return am.solve(bar_hierarchy(replace(problem, contact=pairs), 2), method)
+
+
+@pytest.mark.parametrize("body", ["obstacle", "pair"])
+def test_stiffer_layers_tend_to_rigid_surfaces_to_first_order(body):
+    rigid = layered(body, None, EXACT).displacement
+    far = [
+        np.linalg.norm(layered(body, am.NormalCompliance(c), EXACT).displacement - rigid)
+        for c in (1e-16, 1e-17)
+    ]
+    assert far[0] == pytest.approx(10 * far[1], rel=0.05)
+    found = layered(body, SOFT, FINE)
+    expected = layered(body, SOFT, EXACT).displacement
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(found.displacement, expected, atol=1e-8 * size)
+    assert found.cycles <= layered(body, None, FINE).cycles + 2
+    assert not found.certificate().contradictions(1e-9)
+
+
+def test_layers_go_with_friction_that_depends_on_pressure():
+    contact = layered("obstacle", SOFT, FINE, am.StateLaw(falling)).contact
+    np.testing.assert_allclose(-contact.gap, SOFT.compliance * contact.pressure, rtol=1e-6)
+    expected = falling(contact.pressure, np.linalg.norm(contact.slip, axis=1)) * contact.force_n
+    np.testing.assert_allclose(contact.limit, expected, rtol=1e-6)
+
+
+def test_certificate_refuses_the_solution_of_another_layer():
+    other = layered("obstacle", am.NormalCompliance(4e-13), EXACT)
+    discrete = block(am.Coulomb(0.4), PLANE, SOFT, 3e7).finest.discrete
+    checked = certify(discrete, other.displacement, other.contact)
+    assert "penetration" in checked.contradictions(1e-8)
+
+
+@pytest.mark.parametrize(
+    ("friction", "words"),
+    [
         (lambda p, s: 0.5 * np.exp(-p / 2e7), "falls with the pressure"),
         (lambda p, s: 0.2 + 0.6 * np.exp(-s / 1e-7), "falls with the slip"),
-    ):
-        grids = grids_on(am.StateLaw(law), PLACES[0])
-        with pytest.warns(RuntimeWarning, match=words):
-            am.solve(grids, throw=False)
-
-
-def idle(hierarchy, start):
-    raise AssertionError
+    ],
+    ids=("pressure", "slip"),
+)
+def test_doubtful_laws_are_warned_of(friction, words):
+    with pytest.warns(RuntimeWarning, match=words):
+        am.solve(block(am.StateLaw(friction)), throw=False)
 
 
 class Mine:
-    setup = staticmethod(idle)
+    setup = None.__init__
+
+
+def solved(method, **options):
+    return lambda: am.solve(block(am.StateLaw(falling), **options), method)
 
 
 test_refused = refused(
     (lambda: am.StateLaw(0.3), TypeError, "function of pressures and slips"),
     (lambda: am.StateLaw(lambda p, s: 0.5 - 1e-9 * p), "friction.* must be >= 0.*numpy.maximum"),
     (lambda: am.StateLaw(lambda p, s: 0.3), "shape"),
-    (
-        lambda: am.solve(grids_on(am.StateLaw(falling), PLACES[0]), Mine()),
-        "user-defined method cannot follow a StateLaw; use",
-    ),
-    (
-        lambda: am.solve(grids_on(am.StateLaw(falling), PLACES[0]), am.SingleGrid(stop="change")),
-        'stop="error"',
-    ),
+    (solved(Mine()), "user-defined method cannot follow a StateLaw; use"),
+    (solved(am.SingleGrid(stop="change")), 'stop="error"'),
+    (lambda: am.NormalCompliance(-1e-13), "compliance must be"),
+    (solved(am.Multigrid(correction=am.Monotone()), compliance=SOFT), "correction=am.Truncated"),
 )
