@@ -69,8 +69,9 @@ from adaptmg.solver.store import StepStore, fingerprint
 from adaptmg.solver.truncated import TruncatedRun
 
 _HEAD = "march.json"
-#: of the size of the mesh: an overlap at the start below this is rounding
-_OVERLAP = 1e-9
+#: of the size of the mesh: an overlap at the start that is refused. Round bodies that touch overlap a
+#: little on their meshes: a ball of Hertz by 1e-7 on its default ones
+_OVERLAP = 1e-6
 #: the largest tolerance that rounding makes of a smaller one
 _MOST_ROUNDING = 1e-3
 
@@ -238,12 +239,8 @@ def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
 
 
 class March:
-    """The time steps of a problem, on a hierarchy with the matrices of a step; displacement (n_nodes,
-    dim), m, and velocity, m/s, are those after the last step."""
-
-    displacement: np.ndarray
-    velocity: np.ndarray
-    internal: np.ndarray  # (n_nodes, dim): K u, N
+    """The time steps of a problem, on a hierarchy with the matrices of a step. Displacement, m,
+    velocity, m/s, and internal forces K u, N, all (n_nodes, dim), are those after the last step."""
 
     def __init__(
         self,
