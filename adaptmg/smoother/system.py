@@ -305,9 +305,23 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         friction=np.array(friction, dtype=np.float64),
         held=normal_held,
         lowest=lowest,
-        friction_at=problem.friction_at if isinstance(problem.law, FollowsState) else None,
+        friction_at=_friction_at(problem, frames, held, normal_held),
         compliance=problem.contact.compliance,
     )
+
+
+def _friction_at(
+    problem: DiscreteProblem, frames: np.ndarray, held: np.ndarray, in_unknowns: np.ndarray | None
+) -> FrictionAt | None:
+    """The coefficients by forces and slips of the unknowns, to which that along held tangents
+    (n_contact, dim - 1) is added, unless they have it."""
+    if not isinstance(problem.law, FollowsState):
+        return None
+    moved = problem.at_contact(problem.fixed_values) - problem.contact.slip_reference
+    carried = np.linalg.norm(np.where(held, to_frames(frames, moved)[:, 1:], 0.0), axis=1)
+    if in_unknowns is not None:
+        carried[in_unknowns] = 0.0
+    return lambda force, slip: problem.friction_at(force, np.hypot(slip, carried))
 
 
 def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) -> None:

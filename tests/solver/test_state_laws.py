@@ -81,6 +81,17 @@ def test_methods_agree(method):
     assert far <= 1e-7 * np.abs(expected).max()
 
 
+def test_slips_along_supports_that_move_count():
+    grids = block(am.StateLaw(falling), (3, np.zeros(3), (0.0, 0.0, 0.0)))
+    moving = [am.Support(name, y=1e-5) for name in ("front", "back")]
+    problem = replace(grids.problem, supports=[am.Support("right", x=0), *moving])
+    results = [am.solve(grids.with_problem(problem), method) for method in METHODS[:2]]
+    friction = [result.contact.limit / result.contact.force_n for result in results]
+    np.testing.assert_allclose(friction[0], friction[1], rtol=1e-7)
+    slip = np.linalg.norm(results[0].contact.slip, axis=1)
+    np.testing.assert_allclose(friction[0], falling(results[0].contact.pressure, slip))
+
+
 def wearing(pressure, slip):
     """So little friction that its moment does not lift an edge."""
     return 0.002 + 0.004 * np.exp(-slip / 2e-2)
