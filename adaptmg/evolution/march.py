@@ -335,25 +335,31 @@ class March:
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:
         """Return the admissible displacement (n_nodes, dim) that is nearest in the norm of the mass."""
-        overlap = np.maximum(self._overlap(displacement), 0.0)
-        if not overlap.any():
+        contact = self.discrete.contact
+        overlap = self._overlap(displacement)
+        if not overlap.max(initial=0.0) > np.finfo(float).eps * np.abs(displacement).max():
             return displacement
         if self.discrete.coupling is None:
-            contact = self.discrete.contact
             result = displacement.copy()
-            result[contact.nodes] -= overlap[:, None] * contact.normals
+            result[contact.nodes] -= np.maximum(overlap, 0.0)[:, None] * contact.normals
             return result
         problem = self._of_mass
-        load = problem.matrix @ problem.relative(displacement).reshape(-1)
-        grids = Hierarchy.single(problem.posing(load=load))
+        gaps = replace(contact, gaps=-overlap, allow_interference=True)
+        grids = Hierarchy.single(problem.posing(contact=gaps))
         nearest = ActiveSet().run(grids, Run(unit=problem.matrix.nnz), None)
-        return problem.physical(nearest.solution)
+        if not nearest.status.ok:
+            raise RuntimeError(
+                f"no admissible displacement was found next to a free motion: {nearest.status.name}"
+            )
+        return displacement + problem.physical(nearest.solution)
 
     @cached_property
     def _of_mass(self) -> DiscreteProblem:
-        """The contact problem, without friction, whose matrix is the mass."""
+        """The contact problem, without friction and loads, whose matrix is the mass."""
         mass = partial(with_mass, factor=0.0, mass=self.mass[:, 0])
-        return assembled(self.posed, effective=mass).posing(law=Frictionless())
+        nothing = np.zeros(self.discrete.n_dofs)
+        problem = assembled(self.posed, effective=mass)
+        return problem.posing(law=Frictionless(), load=nothing, fixed_values=nothing)
 
     def step(
         self, k: int, certified: bool, callback: Callable[[dict[str, float]], None] | None
