@@ -23,7 +23,7 @@ Adapt       adapt (each Step); indicators Residual, Recovery, Goal (of a Contact
             MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate,
             GoalEstimate; module estimate
 Matrices    discretise, DiscreteProblem, ContactNodes, Bounds; ScalarProblem; discrete
-Show        plot, export
+Show        plot, export; set_units
 Sweep       Study; designs and tables in study
 
 ``help(am.solve)`` shows one name with an example, ``dir(am.plot)`` lists the names of a module.

@@ -15,6 +15,7 @@ from . import (
     transfer as transfer,
 )
 from ._threads import set_threads as set_threads
+from ._units import set_units as set_units
 from .discrete.discretise import discretise as discretise
 from .discrete.contact_nodes import Bounds as Bounds
 from .discrete.problem import ContactNodes as ContactNodes, DiscreteProblem as DiscreteProblem

@@ -70,7 +70,7 @@ TASKS = {
     ),
     "adapt": ("Adapt", "The adaptive loop: indicators, goals, marks and engines.", ("estimate",)),
     "study": ("Study", "A function and a design, to a durable store, to a table.", ("study",)),
-    "plot": ("Plot", "Pictures; every function returns a matplotlib figure.", ("plot",)),
+    "plot": ("Plot", "Pictures; every function returns a matplotlib figure.", ("plot", "_units")),
     "export": ("Export", "Files for ParaView and PETSc, HTML reports.", ("export",)),
     "cases": ("Cases", "Ready problems; their reference values are on :doc:`/cases`.", ("cases",)),
 }

@@ -98,12 +98,13 @@ def study(out: Output) -> None:
         .fillna("")
         .rename(columns={str(n): f"{n} grid{'s' * (n > 1)}" for n in (1, *counts)})
     )
+    target = f"{TARGET:.0e}".replace("e-0", "e-")
     out.table(
         "table_1",
         first,
         "Table 1: how much more grids gain",
         f"Speed-up over one grid ({(divisions + 1) ** 2} nodes) in processor seconds / in work, to a true error of "
-        f"{TARGET:g}; in brackets the seconds, and the error at which the paper's mode stops.\n\n"
+        f"{target}; in brackets the seconds, and the error at which the paper's mode stops.\n\n"
         "Seconds gain less than work as calls cost more than sweeps here: a sweep of the finest "
         f"grid takes {1e6 * table['seconds'][0] / table['work'][0]:.0f} µs, a call on any grid tens of µs.",
         card="Table 1: more grids",
@@ -111,7 +112,7 @@ def study(out: Output) -> None:
     out.table(
         "methods",
         table.drop(columns="part"),
-        f"All methods: work and seconds to a true error of {TARGET:g}",
+        f"All methods: work and seconds to a true error of {target}",
         formats=dict.fromkeys(table.columns[[2, 6, 7]], ".1f") | {"seconds": ".3f", "error": ".0e"},
     )
     figure, ax = drawing()

@@ -39,7 +39,8 @@ from adaptmg import _checks as checks
 from adaptmg._files import write_bytes
 from adaptmg._machine import memory, processor
 from adaptmg._text import printable
-from adaptmg.plot.style import label_plainly, plain, styled
+from adaptmg._units import with_units
+from adaptmg.plot.style import cycled, label_plainly, plain, styled
 from adaptmg.solver.result import versions
 from adaptmg.study.tables import cells, numeric
 
@@ -118,7 +119,10 @@ def columns_of(
     units: Mapping[str, str] | None = None,
     formats: Mapping[str, str] | None = None,
 ) -> list[Column]:
-    """Return the columns of a table; ValueError where units or formats name others."""
+    """Return the columns of a table in the units that are set; ValueError where units or formats
+    name others."""
+    if set(units or {}) <= set(frame.columns):
+        frame, units = with_units(frame, units or {})
     return [
         Column(*worded(str(name), (units or {}).get(str(name))), numeric(column), texts)
         for (name, column), texts in zip(
@@ -497,9 +501,11 @@ def study_report(
 
     page.section("Results")
     axis = axes_of_study(done, parameters) if len(done) else None
+    known = {name: unit for name, unit in units.items() if name in done}
+    shown, names = with_units(done, known)
     for result in map(str, drawn):
         if axis is not None:
-            drawing = curves(done, axis, result, units.get(result, ""), units.get(axis.along, ""))
+            drawing = curves(shown, axis, result, names.get(result, ""), names.get(axis.along, ""))
             page.figure(drawing, caption(axis, result))
     add(table.drop(columns=error, errors="ignore"), "All runs", csv=csv, open=True)
     failed = table[table[error].fillna("").astype(str) != ""] if error in table else table.head(0)
@@ -566,7 +572,7 @@ def curves(
     data = data.replace([np.inf, -np.inf], np.nan).dropna()
     joined = axis.joined and not named
     for k, (line, part) in enumerate(data.groupby("line", sort=False)):
-        color = f"C{k}"
+        color = cycled(k)
         values = part.groupby("x", sort=not named)["y"]
         median = values.median()
         low = values.min()

@@ -94,15 +94,16 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
         raise ValueError(f"levels {without} have no mesh to draw: make the hierarchy from meshes")
     dim = need_mesh(hierarchy.finest).dim
     if axes is None:
-        columns = min(len(hierarchy), 4)
+        columns = style.columns_of(len(hierarchy), 4, 3.1)
         figure = style.new_figure((3.1 * columns, 3.3 * -(-len(hierarchy) // columns)))
         axes = style.cells(figure, len(hierarchy), columns, dim=dim)
     axes = style.axes_of(axes, len(hierarchy))
+    wide = style.figure_of(axes[0]).get_figwidth() > 2.5 * min(len(hierarchy), 4)
+    between = " " if wide else "\n"
     for k, (level, ax) in enumerate(zip(levels, axes, strict=True)):
         _draw_mesh(style.canvas(ax, (1, 1), dim), need_mesh(level), level.discrete.contact.names)
         ax.set_title(
-            f"level {k}: {need_mesh(level).n_nodes} nodes, {len(level.discrete.contact)} contact",
-            fontsize=9.5,
+            f"level {k}:{between}{need_mesh(level).n_nodes} nodes, {len(level.discrete.contact)} contact",
         )
         if dim == 3:
             ax.set_axis_off()
@@ -211,7 +212,7 @@ def deformation(
     ]
     if isinstance(colors, Coloring):
         bar = style.figure_of(ax).colorbar(
-            ScalarMappable(colors.norm, "viridis"),
+            ScalarMappable(colors.norm),
             ax=ax,
             label=colors.label,
             shrink=0.75,
@@ -226,12 +227,7 @@ def deformation(
             for name, color in zip(mesh.bodies, colors, strict=True)
             if name in names
         ]
-        ax.legend(
-            handles=[*patches, *handles],
-            loc="upper left",
-            bbox_to_anchor=(1.01, 1.0),
-            borderaxespad=0.0,
-        )
+        style.legend_next_to(ax, [*patches, *handles])
     return style.figure_of(ax)
 
 
@@ -275,14 +271,15 @@ def _coloring(result: Result, shown: Sequence[str]) -> Coloring | list[str]:
     if len(shown) > 1:
         raise ValueError(f"{' and '.join(shown)} cannot both be the colours: draw two pictures")
     if "stress" in shown:
-        values = 1e-6 * result.von_mises()
+        factor, unit = style.stresses()
+        values = factor * result.von_mises()
         largest = float(values.max())
         # a corner or the edge of a punch has one element of a stress far above all others
         top = float(np.quantile(values, 0.99)) or largest or 1.0
         return Coloring(
             values,
             False,
-            f"von Mises stress [MPa], maximum {style.number(largest)}",
+            f"von Mises stress [{unit}], maximum {style.number(largest)}",
             Normalize(0.0, top),
             clipped=largest > 1.001 * top,
         )
@@ -460,5 +457,5 @@ def _fill(
 def _rgba(colors: Coloring | Sequence[str], mesh: MeshArrays, index: np.ndarray) -> np.ndarray:
     """Colours (..., 4) of elements, or nodes, by their numbers."""
     if isinstance(colors, Coloring):
-        return ScalarMappable(colors.norm, "viridis").to_rgba(colors.values[index])
+        return ScalarMappable(colors.norm).to_rgba(colors.values[index])
     return to_rgba_array(colors)[mesh.element_body[index]]

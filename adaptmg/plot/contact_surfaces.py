@@ -78,12 +78,14 @@ def contact(
             )
         panels = [style.axes_of(axes, 4 if solid else 3)]
     else:
-        (width, height), columns = ((9.0, 7.0), 1) if solid else ((6.2, 6.8), min(len(names), 3))
+        columns = 1 if solid else style.columns_of(len(names), 3, 6.2)
+        maps = style.columns_of(4, 2, 4.5)
+        width, height = (4.5 * maps, 7.0 if maps == 2 else 10.4) if solid else (6.2, 6.8)
         rows = -(-len(names) // columns)
         whole = style.new_figure((width * columns, height * rows), "constrained")
         parts = whole.subfigures(rows, columns, squeeze=False).ravel()
         panels = [
-            style.cells(part, 4, 2) if solid else part.subplots(3, sharex=True)
+            style.cells(part, 4, maps) if solid else part.subplots(3, sharex=True)
             for part in parts[: len(names)]
         ]
     for name, drawn in zip(names, panels, strict=True):
@@ -91,11 +93,11 @@ def contact(
         title = pair_name(result.contact, name)
         if len(names) == 1:
             title = f"{style.plain(result.problem_name)}: {title}"
-        drawn[0].set_title(title, pad=8 if solid else 22)
+        drawn[0].set_title(title, wrap=True)
         drawn[0].figure.align_ylabels()
     figure = style.figure_of(panels[0][0])
     if len(names) > 1:
-        figure.suptitle(style.plain(result.problem_name), fontsize=11)
+        figure.suptitle(style.plain(result.problem_name))
     return figure
 
 
@@ -106,15 +108,16 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     scale, unit = style.scaled(
         max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m"
     )
-    bound = 1e-6 * c.limit / c.weights
-    largest = 1e-6 * float(c.pressure.max())
+    share, stress_unit = style.stresses()
+    bound = share * c.limit / c.weights
+    largest = share * float(c.pressure.max())
     friction = bound[nodes].any()
     for line in lines:
         at = line.index
         s = line.position
         first = line is lines[0]
         for ax, values in zip(
-            axes, (1e-6 * c.pressure, 1e-6 * c.traction[:, 0], scale * c.gap), strict=True
+            axes, (share * c.pressure, share * c.traction[:, 0], scale * c.gap), strict=True
         ):
             style.shade(ax, s, c.state[at])
             style.stated_curve(ax, s, values[at], c.state[at])
@@ -133,19 +136,21 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
         axes[2].plot(
             s,
             scale * c.slip[at, 0],
-            color=style.GREEN,
+            color=style.cycled(2),
             linestyle="--",
             label="slip" if first else None,
         )
     for ax, label in zip(
-        axes, ("pressure p\n[MPa]", "friction t\n[MPa]", f"gap, slip\n[{unit}]"), strict=True
+        axes,
+        (f"pressure p\n[{stress_unit}]", f"friction t\n[{stress_unit}]", f"gap, slip\n[{unit}]"),
+        strict=True,
     ):
         ax.axhline(0.0, color="#5b626b", linewidth=0.8, zorder=1)
         ax.margins(x=0.0)
         ax.set_ylabel(label)
     axes[0].set_ylim(bottom=0.0)
-    keep_open(axes[0], 1e-6 * c.pressure[nodes], largest)
-    keep_open(axes[1], np.concatenate([-bound[nodes], 1e-6 * c.traction[nodes, 0]]), largest)
+    keep_open(axes[0], share * c.pressure[nodes], largest)
+    keep_open(axes[1], np.concatenate([-bound[nodes], share * c.traction[nodes, 0]]), largest)
     if not friction:
         axes[1].set_ylim(-1.0, 1.0)
         axes[1].text(
@@ -157,33 +162,28 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
             va="top",
             color="#5b626b",
         )
-    for ax in axes[1:] if friction else axes[2:]:
-        ax.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
     low, high = axes[2].get_ylim()
     # closed and stuck everywhere: the axes do not magnify rounding
     axes[2].set_ylim(min(low, -0.05), max(high, 0.5))
     axes[2].set_xlabel(lines[0].label)
-    axes[0].legend(
-        handles=style.state_lines(c.state[nodes]),
-        loc="lower center",
-        bbox_to_anchor=(0.5, 0.98),
-        ncols=3,
-    )
+    labelled = {ax: ax.get_legend_handles_labels()[0] for ax in axes[1:]}
+    style.legends_inside({axes[0]: style.state_lines(c.state[nodes])} | labelled)
 
 
 def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
     c = result.contact
     flat = flattened(result, name)
     at = flat.index
-    largest = 1e-6 * float(c.pressure.max())
+    share, stress_unit = style.stresses()
+    largest = share * float(c.pressure.max())
     scale, unit = style.scaled(max(1e-6, np.abs(c.gap[at]).max()), "m")
     # closed everywhere: a gap of a nanometre is rounding
     for ax, values, label, reference in (
-        (axes[0], 1e-6 * c.pressure[at], "contact pressure p [MPa]", largest),
+        (axes[0], share * c.pressure[at], f"contact pressure p [{stress_unit}]", largest),
         (
             axes[1],
-            1e-6 * np.linalg.norm(c.traction[at], axis=1),
-            "friction traction |t| [MPa]",
+            share * np.linalg.norm(c.traction[at], axis=1),
+            f"friction traction |t| [{stress_unit}]",
             largest,
         ),
         (axes[2], scale * c.gap[at], f"gap [{unit}]", scale),
@@ -196,7 +196,7 @@ def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
             bar.outline.set_visible(False)
         else:
             draw_map(ax, flat, 0 * values, Normalize(0.0, 1.0))
-            ax.set_title(f"{label.rpartition(' [')[0]} = 0", fontsize=9.5)
+            ax.set_title(f"{label.rpartition(' [')[0]} = 0")
     _draw_states(axes[3], flat, c.state[at])
 
 
@@ -340,13 +340,10 @@ def draw_map(ax: Axes, flat: Flat, values: np.ndarray, norm: Normalize) -> Scala
     """Draw nodal values in colours."""
     _finish(ax, flat)
     if not len(flat.triangles):
-        return ax.scatter(
-            flat.points[:, 0], flat.points[:, 1], c=values, s=18, cmap="viridis", norm=norm
-        )
+        return ax.scatter(flat.points[:, 0], flat.points[:, 1], c=values, s=18, norm=norm)
     return ax.tripcolor(
         Triangulation(flat.points[:, 0], flat.points[:, 1], flat.triangles),
         values,
-        cmap="viridis",
         shading="gouraud",
         norm=norm,
         rasterized=True,
@@ -468,8 +465,8 @@ def load_history(
     if not rows and not names:
         raise ValueError("nothing to draw: give quantities, or steps > 0")
     shown = _shown(results, factors, steps) if names else ()
-    columns = min(_COLUMNS, max(len(shown), 1))
-    curve_columns = min(3, max(len(rows), 1))
+    columns = style.columns_of(max(len(shown), 1), _COLUMNS, 2.4)
+    curve_columns = style.columns_of(max(len(rows), 1), 3, 3.2)
     curve_rows = -(-len(rows) // curve_columns)
     map_rows = -(-len(shown) // columns)
     heights = [2.7 * curve_rows] * bool(rows) + [2.1 * map_rows + 0.5] * len(names)
@@ -483,7 +480,7 @@ def load_history(
     for name in names:
         part = next(parts)
         left_out = f": {len(shown)} of {len(results)} steps" if len(shown) < len(results) else ""
-        part.suptitle(pair_name(results[0].contact, name) + left_out, fontsize=10)
+        part.suptitle(pair_name(results[0].contact, name) + left_out)
         _draw_steps(
             part,
             [results[k] for k in shown],
@@ -491,7 +488,7 @@ def load_history(
             name,
             columns,
         )
-    figure.suptitle(style.plain(results[-1].problem_name), fontsize=11)
+    figure.suptitle(style.plain(results[-1].problem_name))
     return figure
 
 
@@ -538,9 +535,7 @@ def _evaluate(
 def _draw_curve(
     ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, against: str
 ) -> None:
-    ax.plot(
-        factors, values, marker="o" if len(factors) <= 60 else "", markersize=3.5, color=style.BLUE
-    )
+    ax.plot(factors, values, marker="o" if len(factors) <= 60 else "", color=style.cycled(0))
     turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
     if len(turns):
         # up and down: an arrow in the middle of each branch
@@ -552,7 +547,7 @@ def _draw_curve(
                 (factors[k], values[k]),
                 arrowprops={
                     "arrowstyle": "-|>,head_width=0.35,head_length=0.8",
-                    "color": style.BLUE,
+                    "color": style.cycled(0),
                     "shrinkA": 0,
                     "shrinkB": 0,
                 },
@@ -567,18 +562,17 @@ def _draw_steps(
 ) -> None:
     """Draw the contact pressure of each step, with common scales: curves, in 3D maps."""
     axes = style.cells(part, len(results), columns, share=True)
+    factor, unit = style.stresses()
     if results[0].dim == 3:
         flat = flattened(results[0], name)
-        pressures = [1e-6 * result.contact.pressure[flat.index] for result in results]
+        pressures = [factor * result.contact.pressure[flat.index] for result in results]
         norm = Normalize(0.0, max(float(p.max()) for p in pressures) or 1.0)
         for ax, pressure in zip(axes, pressures, strict=True):
             draw_map(ax, flat, pressure, norm)
             ax.set(xlabel="", ylabel="")
         along = flat.labels[0]
-        part.supylabel(flat.labels[1], fontsize=9.5)
-        bar = part.colorbar(
-            ScalarMappable(norm, "viridis"), ax=axes, label="contact pressure [MPa]"
-        )
+        part.supylabel(flat.labels[1], fontsize="medium")
+        bar = part.colorbar(ScalarMappable(norm), ax=axes, label=f"contact pressure [{unit}]")
         bar.outline.set_visible(False)
     else:
         lines = lines_of(results[0], name)
@@ -586,21 +580,25 @@ def _draw_steps(
         for ax, c in zip(axes, contacts, strict=True):
             for line in lines:
                 style.stated_curve(
-                    ax, line.position, 1e-6 * c.pressure[line.index], c.state[line.index], 1.5
+                    ax, line.position, factor * c.pressure[line.index], c.state[line.index]
                 )
         for ax in axes[::columns]:
-            ax.set_ylabel("pressure [MPa]")
+            ax.set_ylabel(f"pressure [{unit}]")
         along = lines[0].label
         axes[0].margins(x=0.02)
         axes[0].set_ylim(bottom=0.0)
-        pressures = np.array([1e-6 * c.pressure for c in contacts])
+        pressures = np.array([factor * c.pressure for c in contacts])
         keep_open(
             axes[0],
             pressures[:, np.concatenate([line.index for line in lines])],
             float(pressures.max()),
         )
         states = np.concatenate([c.state for c in contacts])
-        part.legend(handles=style.state_lines(states, 2.5), loc="outside right upper")
+        entries = style.state_lines(states)
+        if style.narrow(axes[0]):
+            style.legends_inside({axes[0]: entries})
+        else:
+            part.legend(handles=entries, loc="outside right upper")
     for ax, title in zip(axes, titles, strict=True):
-        ax.set_title(title, fontsize=9)
-    part.supxlabel(along, fontsize=9.5)
+        ax.set_title(title)
+    part.supxlabel(along, fontsize="medium")

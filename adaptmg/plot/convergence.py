@@ -12,7 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from adaptmg import _checks as checks
 from adaptmg.estimate.loop import Step
@@ -72,8 +72,10 @@ def history(
                 y[shown],
                 marker="o" if shown.sum() <= 60 else "",
                 linestyle="-" if several else _DASHES[j],
-                color=f"C{k if several else j}",
-                label=style.label_text(str(label)) if several else _QUANTITIES[name],
+                color=style.cycled(k if several else j),
+                label=style.label_text(str(label))
+                if several
+                else _QUANTITIES[name].partition(" (")[0],
             )
     tolerances = {result.rtol for result in runs.values()}
     if len(tolerances) == 1:
@@ -85,7 +87,7 @@ def history(
             (1.0, next(iter(runs.values())).rtol),
             xycoords=("axes fraction", "data"),
             color=style.GREY,
-            fontsize=8.5,
+            fontsize="small",
             ha="right",
             va="bottom",
         )
@@ -94,10 +96,10 @@ def history(
         ax.set_ylabel(_QUANTITIES[quantities[0]])
     else:
         ax.set_ylabel("relative measure")
-        ax.set_title(style.plain(next(iter(runs.values())).problem_name))
+        ax.set_title(style.plain(next(iter(runs.values())).problem_name), wrap=True)
     ax.grid(True)
     if several or len(quantities) > 1:
-        ax.legend(loc="upper right")
+        style.legends_inside({ax: ax.get_legend_handles_labels()[0]})
     if against == "cycle":
         ax.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=(1, 2, 5, 10)))
     return style.figure_of(ax)
@@ -188,7 +190,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
                 str(times) if times < 100 else "",
                 ha="center",
                 va="center",
-                fontsize=7,
+                fontsize="x-small",
                 color=style.INK,
                 zorder=4,
             )
@@ -211,11 +213,11 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
             ha="right",
             va="top",
             color=style.INK,
-            fontsize=8.5,
+            fontsize="small",
         )
     handles, labels = ax.get_legend_handles_labels()
     entry = dict(zip(labels, handles, strict=True))
-    ax.legend(entry.values(), entry, loc="upper left", bbox_to_anchor=(1.0, 1.02))
+    style.legend_next_to(ax, list(entry.values()))
     return style.figure_of(ax)
 
 
@@ -242,15 +244,22 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     present = set()
     dim = last.result.dim
     goal = last.estimate.signed is not None
-    figure = style.new_figure((10.5, 7.2), ConstrainedLayoutEngine(compress=True, w_pad=0.1))
+    columns = style.columns_of(6, 3, 3.3)
+    rows = {3: 2, 2: 4, 1: 6}[columns]
+    engine = ConstrainedLayoutEngine(compress=True, w_pad=0.1)
+    figure = style.new_figure((3.5 * columns, (3.0 if columns == 2 else 3.6) * rows), engine)
     for k, number in enumerate(sorted({0, len(steps) // 2, len(steps) - 1})):
-        ax = _panel(figure, k, dim, f"step {number}: {steps[number].nodes} nodes")
+        title = f"step {number}: {steps[number].nodes} nodes"
+        ax = _panel(figure, (rows, columns, k + 1), dim, title)
         result = steps[number].result
         mesh = need_mesh(result)
         marks = state_marks(mesh, result.contact)
         present |= draw_bodies(ax, mesh, style.body_fills(len(mesh.bodies)), marks)
     figure.legend(
-        handles=style.state_lines(present), loc="outside upper right", ncols=3, fontsize=8.5
+        handles=style.state_lines(present),
+        loc="outside lower center" if style.narrow(ax) else "outside upper right",
+        ncols=3,
+        fontsize="small",
     )
     # at most four decades of the indicator in colour
     parts = np.sqrt(last.estimate.squares)
@@ -258,18 +267,20 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     norm = LogNorm(
         max(1e-4 * largest, parts.min(initial=0.5 * largest, where=parts > 0)), largest, clip=True
     )
-    ax = _panel(figure, 3, dim, f"indicator, step {last.number}")
+    ax = _panel(figure, (rows, columns, 4), dim, f"indicator, step {last.number}")
     draw_bodies(ax, need_mesh(last.result), Coloring(parts, False, "", norm), lines=False)
     label = r"$|\eta_E|^{1/2}$ of the goal" if goal else r"$\eta_E$ [$\sqrt{\mathrm{N\,m}}$]"
-    figure.colorbar(ScalarMappable(norm, "viridis"), ax=ax, shrink=0.8, label=label)
+    bar = figure.colorbar(ScalarMappable(norm), ax=ax, shrink=0.8, label=label)
+    if style.narrow(ax):
+        bar.ax.yaxis.set_minor_formatter(NullFormatter())
     nodes = np.array([step.nodes for step in steps], dtype=float)
     relative = np.array([step.estimate.relative for step in steps])
-    left = figure.add_subplot(2, 3, 5)
-    right = figure.add_subplot(2, 3, 6)
+    places = ((5, 6), (7, 8)) if columns == 2 else (5, 6)
+    left, right = (figure.add_subplot(rows, columns, place) for place in places)
     seconds = np.array([step.total_seconds for step in steps])
     for ax, x, name in ((left, nodes, "nodes"), (right, seconds, "time, meshes included [s]")):
         shown = (x > 0) & (relative > 0) & np.isfinite(relative)
-        ax.loglog(x[shown], relative[shown], marker="o", color=style.BLUE)
+        ax.loglog(x[shown], relative[shown], marker="o", color=style.cycled(0))
         ax.set(
             xlabel=name,
             ylabel="estimate / value of the goal [-]" if goal else r"estimate / $\|u_h\|_A$ [-]",
@@ -288,15 +299,15 @@ def adaptation(steps: Sequence[Step]) -> Figure:
             linestyle="--",
             label=f"nodes$^{{{Fraction(power).limit_denominator(9)}}}$",
         )
-        left.legend()
-    figure.suptitle(style.plain(last.result.problem_name), fontsize=11)
+        style.legends_inside({left: left.get_legend_handles_labels()[0]})
+    figure.suptitle(style.plain(last.result.problem_name))
     return figure
 
 
-def _panel(figure: Figure, k: int, dim: int, title: str) -> Axes:
-    """Axes for a mesh."""
-    ax = figure.add_subplot(2, 3, k + 1, projection="3d" if dim == 3 else None)
-    ax.set_title(title, fontsize=9.5)
+def _panel(figure: Figure, place: tuple[int, int, int], dim: int, title: str) -> Axes:
+    """Axes for a mesh, in a place among rows and columns."""
+    ax = figure.add_subplot(*place, projection="3d" if dim == 3 else None)
+    ax.set_title(title, wrap=True)
     if dim == 3:
         ax.set_axis_off()
     return ax

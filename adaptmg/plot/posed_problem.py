@@ -262,7 +262,7 @@ def _name_edges(mesh: MeshArrays, ax: Axes) -> None:
             -9 * normal,
             textcoords="offset points",
             color=style.INK,
-            fontsize=8,
+            fontsize="small",
             ha=("left", "center", "right")[round(normal[0]) + 1],
             va=("bottom", "center", "top")[round(normal[1]) + 1],
             zorder=6,
@@ -334,7 +334,7 @@ def _name_faces(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: lis
                 s=style.plain(name),
                 ha="center",
                 va="center",
-                fontsize=8,
+                fontsize="small",
                 zorder=9,
                 bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.6, "pad": 1.0},
             )
@@ -447,16 +447,14 @@ def _legend(
         free := [style.quoted(name) for name in mesh.boundaries if name not in used]
     ):
         entries.append((Patch(facecolor=fills[0], edgecolor=style.INK), f"free: {', '.join(free)}"))
-    handles, labels = zip(*entries, strict=True)
-    ax.legend(
-        handles,
-        labels,
-        loc="upper left",
-        bbox_to_anchor=(1.02, 1.0),
-        fontsize=8,
+    for handle, label in entries:
+        handle.set_label(label)
+    style.legend_next_to(
+        ax,
+        [handle for handle, _ in entries],
+        fontsize="small",
         alignment="left",
         title=_law_text(posed.law) if posed.contact else None,
-        borderaxespad=0.0,
     )
 
 

@@ -7,9 +7,10 @@ Open, slip and stick have the same three colours on curves, interfaces and backg
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
 from os import PathLike
-from typing import IO, TYPE_CHECKING, Literal
+from typing import IO, TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 import matplotlib
 import numpy as np
@@ -18,16 +19,24 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import LayoutEngine
+from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.mathtext import MathTextParser
 from matplotlib.rcsetup import cycler
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+)
 from matplotlib.transforms import ScaledTranslation
 
 from adaptmg import _checks as checks
 from adaptmg._text import printable
+from adaptmg._units import converted, with_prefixes
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
 
@@ -49,50 +58,70 @@ BODY_COLORS = (
 )
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#806000", INK)
 
+#: what the pictures take where the user's rcParams are those of matplotlib; sizes of fonts are relative
 _STYLE: dict[RcKeyType, object] = {
     "figure.dpi": 120,
-    "figure.facecolor": "white",
-    "axes.facecolor": "white",
-    "font.family": "sans-serif",
     "font.size": 9.5,
-    "axes.titlesize": 10.5,
-    "axes.labelsize": 9.5,
+    "axes.titlesize": "medium",
     "axes.titlepad": 8,
     "axes.edgecolor": "#5b626b",
     "axes.labelcolor": INK,
     "text.color": INK,
     "xtick.color": "#3f454d",
     "ytick.color": "#3f454d",
-    "axes.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.grid": False,
     "grid.color": "#dfe3e8",
     "grid.linewidth": 0.7,
     "legend.frameon": False,
-    "legend.fontsize": 9,
     "lines.linewidth": 1.6,
     "lines.markersize": 4.5,
-    "mathtext.fontset": "dejavusans",
     "hatch.linewidth": 0.6,
     "axes.prop_cycle": cycler(color=CYCLE),
-    "image.cmap": "viridis",
     "axes.axisbelow": True,
-    "text.usetex": False,
 }
 
-#: decorator: draw in the common style and leave the user's settings unchanged
-styled = matplotlib.rc_context(rc=_STYLE)
+_Arguments = ParamSpec("_Arguments")
+_Drawn = TypeVar("_Drawn")
+
+
+def styled(draw: Callable[_Arguments, _Drawn]) -> Callable[_Arguments, _Drawn]:
+    """Decorate a function that draws: it takes the common style but for what the user has set in
+    rcParams or by a style sheet, and leaves rcParams unchanged."""
+
+    @wraps(draw)
+    def drawn(*arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Drawn:
+        style = {key: value for key, value in _STYLE.items() if not _chosen(key)}
+        style["text.usetex"] = False  # names of boundaries are no TeX
+        with matplotlib.rc_context(style):
+            return draw(*arguments, **named)
+
+    return drawn
+
+
+def _chosen(key: RcKeyType) -> bool:
+    """Return whether the user has set an entry of rcParams."""
+    return bool(matplotlib.rcParams[key] != matplotlib.rcParamsDefault[key])
+
+
+def chosen_width() -> float | None:
+    """Return the width of new figures in inches if the user has set ``figure.figsize``."""
+    return float(matplotlib.rcParams["figure.figsize"][0]) if _chosen("figure.figsize") else None
+
 
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 
 
 class _Picture(Figure):
-    """A figure that notebooks show without pyplot; it is saved whole, without empty margins."""
+    """A figure that notebooks show without pyplot; it is saved whole, without empty margins unless
+    the user has chosen its width."""
+
+    trimmed = True
 
     def savefig(self, fname: str | PathLike[str] | IO[bytes], **options: object) -> None:
-        """Save as matplotlib does, by default with ``bbox_inches="tight"``."""
-        super().savefig(fname, **{"bbox_inches": "tight", **options})
+        """Save as matplotlib does, where it is ``trimmed`` with ``bbox_inches="tight"``."""
+        tight = {"bbox_inches": "tight"} if self.trimmed else {}
+        super().savefig(fname, **{**tight, **options})
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -104,9 +133,12 @@ def new_figure(
     size: tuple[float, float],
     layout: Literal["compressed", "constrained"] | LayoutEngine = "compressed",
 ) -> Figure:
-    """Return a figure of ``size`` inches that pyplot does not keep; with subfigures
-    "constrained"."""
-    figure = _Picture(figsize=size, layout=layout)
+    """Return a figure of ``size`` inches that pyplot does not keep, with subfigures "constrained".
+    If the user has chosen a width, it has this one, and the height follows in part: texts do not
+    shrink."""
+    width = chosen_width()
+    figure = _Picture(figsize=size if width is None else fitted(size, width), layout=layout)
+    figure.trimmed = width is None
     FigureCanvasAgg(figure)
     return figure
 
@@ -118,6 +150,19 @@ def need_displacements(result: Result) -> None:
             "result must have displacements, got that of a scalar problem: draw result.displacement[:, 0] "
             "on result.mesh (matplotlib's tricontourf), or write it by am.export.vtk"
         )
+
+
+def fitted(size: tuple[float, float], width: float) -> tuple[float, float]:
+    """Return a size of this width: the height is scaled less than the width."""
+    return width, size[1] * (width / size[0]) ** 0.7
+
+
+def columns_of(count: int, most: int, panel: float) -> int:
+    """Return the number of columns for ``count`` panels of ``panel`` inches: ``most``, or fewer
+    where they would be narrower than half of that in the width the user has chosen."""
+    width = chosen_width()
+    fitting = most if width is None else int(width / (0.5 * panel))
+    return max(1, min(count, most, fitting))
 
 
 def canvas(ax: Axes | None, size: tuple[float, float], dim: int = 2) -> Axes:
@@ -162,21 +207,71 @@ def cells(
 def entitle(ax: Axes, text: str) -> None:
     """Set a title above everything: the labels of three-dimensional axes seen from below run along
     the upper side."""
-    ax.set_title(text, pad=40 if ax.name == "3d" else None)
+    ax.set_title(text, pad=40 if ax.name == "3d" else None, wrap=True)
 
 
-def legend_below(ax: Axes, handles: Sequence[Artist]) -> None:
+def narrow(ax: Axes) -> bool:
+    """Return whether the figure of axes is too narrow for legends next to a picture: 5 inches."""
+    return figure_of(ax).get_figwidth() < 5.0
+
+
+def legend_below(ax: Axes, handles: Sequence[Artist], **options: Any) -> None:
     """Add a legend below axes and their labels."""
-    distance = -0.5 if ax.name != "3d" else -0.1
+    lines = 3.8 if ax.name != "3d" else 0.8  # of text: the labels
+    distance = -lines * matplotlib.rcParams["font.size"] / 72
     below = ScaledTranslation(0, distance, figure_of(ax).dpi_scale_trans)
-    ax.legend(
+    columns = {"ncols": min(len(handles), 2 if narrow(ax) else 4)}
+    legend = ax.legend(
         handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
         bbox_transform=ax.transAxes + below,
-        ncols=min(len(handles), 4),
         borderaxespad=0.0,
+        **columns | options,
     )
+    figure = figure_of(ax)
+    if isinstance(figure, _Picture) and not figure.trimmed:
+        figure.draw_without_rendering()
+        width, height = figure.get_size_inches()
+        figure.set_size_inches(width, height + legend.get_window_extent().height / figure.dpi)
+
+
+def legend_next_to(ax: Axes, handles: Sequence[Artist], **options: Any) -> None:
+    """Add a legend to the right of axes, in narrow figures below them."""
+    if narrow(ax):
+        legend_below(ax, handles, ncols=1, **options)
+        return
+    ax.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(1.02, 1.0),
+        borderaxespad=0.0,
+        **options,
+    )
+
+
+def _inside(ax: Axes, handles: Sequence[Artist], columns: int) -> Legend:
+    return ax.legend(handles=handles, loc="upper center", ncols=columns, columnspacing=1.2)
+
+
+def legends_inside(legends: Mapping[Axes, Sequence[Artist]]) -> None:
+    """Add a legend at the upper side of each of some axes of a figure, and make room for it there:
+    what is drawn ends below."""
+    placed = {ax: _inside(ax, handles, len(handles)) for ax, handles in legends.items() if handles}
+    if not placed:
+        return
+    figure = figure_of(next(iter(placed)))
+    figure.draw_without_rendering()
+    for ax, legend in placed.items():
+        if legend.get_window_extent().width > ax.get_window_extent().width:
+            placed[ax] = _inside(ax, legends[ax], 1)
+    figure.draw_without_rendering()
+    for ax, legend in placed.items():
+        share = legend.get_window_extent().height / ax.get_window_extent().height
+        scale = ax.yaxis.get_transform()
+        low, high = scale.transform(ax.get_ylim())
+        top = low + (high - low) / (1 - min(share + 0.05, 0.7))
+        ax.set_ylim(top=float(scale.inverted().transform(top)))
 
 
 def axes_of(axes: Sequence[Axes], count: int) -> list[Axes]:
@@ -193,14 +288,22 @@ def axis_names(result: Result) -> str:
 
 
 def scaled(largest: float, unit: str) -> tuple[float, str]:
-    """Return a factor and a prefixed unit for values up to ``largest``: 0.004 m gives (1e3,
-    'mm')."""
+    """Return a factor and a unit for values up to ``largest``: with a prefix, so that 0.004 m gives
+    (1e3, 'mm'), or what :func:`adaptmg.set_units` has set."""
+    if not with_prefixes() and converted(unit)[1] != unit:
+        return converted(unit)
     if not (np.isfinite(largest) and largest > 0):
         return 1.0, unit
     for size, prefix in _PREFIXES:
         if largest >= 0.9999 * size:
             return 1.0 / size, prefix + unit
     return 1.0 / _PREFIXES[-1][0], _PREFIXES[-1][1] + unit
+
+
+def stresses() -> tuple[float, str]:
+    """Return a factor and a unit for stresses and pressures in Pa: MPa, or what
+    :func:`adaptmg.set_units` has set."""
+    return (1e-6, "MPa") if with_prefixes() else converted("Pa")
 
 
 def plain(name: str) -> str:
@@ -234,16 +337,18 @@ def number(value: float) -> str:
 def label_plainly(axis: Axis) -> None:
     """Label a logarithmic axis with plain numbers: few on long ranges, several on short ones."""
     low, high = axis.get_data_interval()
-    subs = (
-        (1.0,)
-        if high > 100 * low
-        else (1.0, 2.0, 5.0)
-        if high > 5 * low
-        else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
-    )
-    axis.set_major_locator(LogLocator(subs=subs, numticks=20))
+    if not 0 < low <= high < np.inf:
+        return
+    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
+    # LogLocator would label every hundredth where it has less than two ticks
+    axis.set_major_locator(MaxNLocator(2))
+    for subs in ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
+        ticks = np.outer(decades, subs)
+        if np.count_nonzero((low <= ticks) & (ticks <= high)) >= 2:
+            axis.set_major_locator(LogLocator(subs=subs, numticks=20))
+            break
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())
 
 
 def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -285,9 +390,7 @@ def halves(edges: np.ndarray) -> np.ndarray:
     )
 
 
-def stated_curve(
-    ax: Axes, position: np.ndarray, values: np.ndarray, state: np.ndarray, linewidth: float = 1.8
-) -> None:
+def stated_curve(ax: Axes, position: np.ndarray, values: np.ndarray, state: np.ndarray) -> None:
     """Draw values against position as a curve coloured by state half way between nodes, with marks
     up to 150 nodes."""
     points = np.stack([position, values], 1)
@@ -296,14 +399,19 @@ def stated_curve(
         LineCollection(
             list(halves(np.stack([points[:-1], points[1:]], 1))),
             colors=np.repeat(colors, 2)[1:-1],
-            linewidths=linewidth,
+            linewidths=matplotlib.rcParams["lines.linewidth"],
             capstyle="round",
             zorder=3,
         )
     )
-    ax.scatter(
-        position, values, s=9.0 if len(position) <= 150 else 0.0, c=colors, linewidths=0, zorder=4
-    )
+    size = 0.7 * matplotlib.rcParams["lines.markersize"] if len(position) <= 150 else 0.0
+    ax.scatter(position, values, s=size**2, c=colors, linewidths=0, zorder=4)
+
+
+def cycled(k: int) -> str:
+    """Return colour k of the cycle; the name "C0" would be that of the settings when the figure is
+    saved."""
+    return to_hex(f"C{k}")
 
 
 def body_fills(count: int) -> list[str]:
@@ -311,11 +419,12 @@ def body_fills(count: int) -> list[str]:
     return [BODY_COLORS[k % len(BODY_COLORS)] for k in range(count)]
 
 
-def state_lines(states: Iterable[int], linewidth: float = 3.0) -> list[Line2D]:
+def state_lines(states: Iterable[int]) -> list[Line2D]:
     """Return legend entries for the states that occur."""
     present = set(map(int, states))
+    width = 1.8 * matplotlib.rcParams["lines.linewidth"]
     return [
-        Line2D([], [], color=STATE_INKS[s], linewidth=linewidth, label=STATE_NAMES[s])
+        Line2D([], [], color=STATE_INKS[s], linewidth=width, label=STATE_NAMES[s])
         for s in (OPEN, SLIP, STICK)
         if int(s) in present
     ]

@@ -272,7 +272,7 @@ def finish_axes(ax: Axes3D, points: np.ndarray, unit: str) -> None:
         pane.set_facecolor("white")
         pane.set_edgecolor("#dfe3e8")
         axis.set_major_locator(MaxNLocator(nbins=4 if wide > 0.4 * extent.max() else 2))
-        axis.set_tick_params(labelsize=8, pad=0)
+        axis.set_tick_params(labelsize="small", pad=0)
     ax.grid(False)
     ax.set_box_aspect(extent)
     ax.view_init(*_VIEWS[0])

@@ -22,6 +22,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._text import html_table, in_html_lines, shortened
+from adaptmg._units import in_units
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.ties import TieForces, tie_forces
@@ -170,9 +171,10 @@ class ContactResult:
         states = np.asarray(self.state if own is None else self.state[own])
         return {name: int((states == code).sum()) for name, code in _STATES.items()}
 
-    def table(self) -> pandas.DataFrame:
+    def table(self, units: str | None = None) -> pandas.DataFrame:
         """Return one row a contact node, with units in the heads; in 3D with "slip_1 [m]", "slip_2
-        [m]", and so on."""
+        [m]", and so on. ``units``: "SI", "mm-MPa" or "in-psi", by default those of
+        :func:`adaptmg.set_units`."""
         import pandas
 
         columns: dict[str, object] = {
@@ -196,7 +198,7 @@ class ContactResult:
                 f"{name}_{k} [{unit}]" if len(parts) > 1 else f"{name} [{unit}]": part
                 for k, part in enumerate(parts, 1)
             }
-        return pandas.DataFrame(columns)
+        return in_units(pandas.DataFrame(columns), units)
 
     def __repr__(self) -> str:
         states = ", ".join(f"{count} {state}" for state, count in self.counts().items())

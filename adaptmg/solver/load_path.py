@@ -23,6 +23,7 @@ from adaptmg import _checks as checks
 from adaptmg._files import make_folder
 from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg._threads import one_blas_thread
+from adaptmg._units import in_units
 from adaptmg.discrete.named_loads import LoadSteps, load_steps, whole_load
 from adaptmg.discrete.obstacles import check_held, moved
 from adaptmg.discrete.posed import Posed
@@ -132,8 +133,9 @@ class PathResult(Sequence[Result]):
             )
         return "\n".join(lines)
 
-    def table(self) -> pandas.DataFrame:
-        """Return one row a step, with units in the heads.
+    def table(self, units: str | None = None) -> pandas.DataFrame:
+        """Return one row a step, with units in the heads; ``units`` as of
+        :meth:`adaptmg.solver.ContactResult.table`.
 
         step; "factor NAME" for each load; status; cycles; work_units; seconds; residual (natural,
         relative); open, slip and stick (contact nodes); "force_x [N]", ... (plane problems: [N/m]):
@@ -169,7 +171,7 @@ class PathResult(Sequence[Result]):
                     "slip_path [m]": float(paths[k].max(initial=0.0)),
                 }
             )
-        return pandas.DataFrame(rows)
+        return in_units(pandas.DataFrame(rows), units)
 
     def slip_path(self) -> np.ndarray:
         """Return how far each contact node has slipped so far (n_steps, n_contact), m; back and

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
+from adaptmg._units import in_units
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.moduli import as_tensors
 from adaptmg.discrete.stress import StressData, von_mises
@@ -223,9 +224,9 @@ class Quantities:
             low[0] = -high[0]
         return 0.5 * (high - low)
 
-    def pairs(self) -> pandas.DataFrame:
+    def pairs(self, units: str | None = None) -> pandas.DataFrame:
         """Return one row a contact boundary or pair, with units in the heads; ValueError without a
-        mesh.
+        mesh. ``units`` as of :meth:`adaptmg.solver.ContactResult.table`.
 
         Nodes by state; the force on the body (the slave) and, unless axisymmetric, its moment about
         the origin; area, half-widths as of :attr:`contact_extent`, largest pressure."""
@@ -256,7 +257,7 @@ class Quantities:
                     "max_pressure [Pa]": largest,
                 }
             )
-        return pandas.DataFrame(rows)
+        return in_units(pandas.DataFrame(rows), units)
 
     def _data(self) -> StressData:
         if self.stress_data is None or self.mesh is None:

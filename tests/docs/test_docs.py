@@ -70,10 +70,12 @@ INSIDE = {
     "Outcome",
     "Posed",
     "Preconditioned",
+    "ProjectedRun",
     "Refinement",
     "Segment",
     "Slit",
     "SolidDomain",
+    "TruncatedRun",
     "Volumes",
 }
 

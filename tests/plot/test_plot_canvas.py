@@ -3,15 +3,16 @@ shown unchanged."""
 
 import dataclasses
 import io
-from itertools import combinations
 
+import matplotlib
 import matplotlib.image
 import numpy as np
 import pytest
 from made import cube, result_on, square
 from made_bodies import FACTORS, QUANTITIES, steps_of, two_bodies, two_solids
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.text import Text
+from overlaps import overlaps
 from pictures import texts
 
 import adaptmg as am
@@ -68,33 +69,18 @@ def inked_border(pixels: np.ndarray) -> bool:
     )
 
 
+@pytest.mark.parametrize("width", [None, 3.3, 7.0])
 @pytest.mark.parametrize("name", PICTURES)
-def test_no_artist_leaves_the_canvas_and_no_title_covers_a_label(name):
-    figure = PICTURES[name]()
-    figure.canvas.draw()
-    renderer = figure.canvas.get_renderer()
+def test_no_artist_leaves_the_figure_or_covers_another(name, width):
+    chosen = {} if width is None else {"figure.figsize": (width, 2.5), "font.size": 8}
+    with matplotlib.rc_context(chosen):
+        figure = PICTURES[name]()
+        assert overlaps(figure) == []
     assert not inked_border(np.asarray(figure.canvas.buffer_rgba()))
-    box = figure.get_tightbbox(renderer)
-    width, height = figure.get_size_inches()
-    assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height
-    shown = [
-        text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()
-    ]
-    axes = figure.axes
-    headings = [
-        text
-        for text in shown
-        if text in (getattr(figure, "_suptitle", None), *(ax.title for ax in axes))
-        or any(
-            text is axis.label
-            for ax in axes
-            for axis in ax._axis_map.values()
-            if getattr(ax, "_axis3don", ax.axison)
-        )
-    ]
-    for one, other in combinations(headings, 2):
-        first, second = one.get_window_extent(renderer), other.get_window_extent(renderer)
-        assert not first.overlaps(second), (one.get_text(), other.get_text())
+    box = figure.get_tightbbox(figure.canvas.get_renderer())
+    assert box.x0 >= 0 and box.y0 >= 0
+    assert box.x1 <= figure.get_figwidth() and box.y1 <= figure.get_figheight()
+    assert width is None or figure.get_figwidth() == width
 
 
 def test_files_hold_the_whole_picture():
@@ -186,3 +172,44 @@ def test_every_picture_shows_odd_names_unchanged(dim, name):
     ):
         found = [text.replace("$", "") if expected == "abc" else text for text in texts(figure)]
         assert any(expected in text for text in found), (found, expected)
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "size"), [(3, 1, (3.3, 4.0)), (1, 3, (7.0, 2.2)), (2, 2, (5.0, 4.0))]
+)
+def test_contact_fits_axes_of_any_layout(rows, columns, size):
+    with matplotlib.rc_context({"font.size": 8}):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(rows, columns, squeeze=False).ravel()
+        assert plot.contact(PLANE, axes=axes[:3]) is figure
+        plot.history(PLANE, ax=axes[-1]) if len(axes) > 3 else None
+        assert overlaps(figure) == []
+
+
+def test_pictures_follow_rcparams_and_are_saved_as_wide_as_chosen():
+    chosen = {
+        "font.family": "serif",
+        "font.size": 7.0,
+        "lines.linewidth": 0.5,
+        "axes.prop_cycle": matplotlib.cycler(color=["#123456", "#654321"]),
+        "image.cmap": "plasma",
+        "figure.figsize": (3.3, 2.0),
+    }
+    with matplotlib.rc_context(chosen):
+        before = dict(matplotlib.rcParams)
+        figure = plot.history({"one": PLANE, "other": PLANE})
+        colored = plot.deformation(PLANE, displacement=True)
+        assert dict(matplotlib.rcParams) == before
+    lines = figure.axes[0].get_lines()[:2]
+    assert [line.get_color() for line in lines] == ["#123456", "#654321"]
+    assert {line.get_linewidth() for line in lines} == {0.5}
+    label = figure.axes[0].xaxis.label
+    assert label.get_family() == ["serif"] and label.get_size() == 7.0
+    assert any(mesh.get_cmap().name == "plasma" for mesh in colored.axes[0].collections)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=100)
+    stream.seek(0)
+    assert matplotlib.image.imread(stream).shape[1] == 330
+    # what the user has not set is that of the package
+    assert plot.history(PLANE).axes[0].xaxis.label.get_size() == 9.5
