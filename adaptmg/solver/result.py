@@ -308,6 +308,27 @@ def _summary(result: Result) -> str:
     )
 
 
+#: lines of the certificate that compare mesh, posed problem and assembly: no method changes them
+_OF_ASSEMBLY = {"stiffness", "loads", "measures", "bodies", "stresses"}
+
+
+def _remedy(result: Result, violated: tuple[str, ...]) -> str:
+    """Return the status as text, with a remedy that has not failed."""
+    if violated and _OF_ASSEMBLY.issuperset(violated):
+        return (
+            "the method has converged, but forces of the mesh and of the assembled matrices differ, which no "
+            "other method changes: print(result.certificate()) shows by how much; look at places where "
+            "supports, ties and contact boundaries meet"
+        )
+    advice = result.status.value
+    if "ActiveSet" not in result.method or "am.ActiveSet()" not in advice:
+        return advice
+    levels = not result.fallback and len(result.levels) > 1
+    other = "am.FullMultigrid()" if levels else "another start, am.solve(..., start=...),"
+    before, take, _ = advice.partition("take ")
+    return f"{before}{take}{other} or less friction"
+
+
 def _failure(result: Result) -> str:
     """Return the message of :class:`adaptmg.NotConverged`."""
     violated = () if result.checked is None else result.checked.contradictions(result.rtol)
@@ -324,8 +345,8 @@ def _failure(result: Result) -> str:
     return (
         f"{result.method}: {result.status.name} after {result.cycles} cycles, natural residual "
         f"{result.residual:.2e}, estimated error {result.error_estimate:.2e}: {locked}"
-        f"{result.status.value}.{contradicted} The last iterate is in the exception's .result; throw=False returns "
-        "it instead."
+        f"{_remedy(result, violated)}.{contradicted} The last iterate is in the exception's .result; "
+        "throw=False returns it instead."
     )
 
 

@@ -2,6 +2,7 @@
 
 import html
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
@@ -221,3 +222,17 @@ def test_work_to_an_error_is_where_it_stays_below():
     assert result.work_to(1e-9, "residual") == np.inf
     with pytest.raises(ValueError, match="of must be one of 'error_estimate', 'residual'"):
         result.work_to(1e-3, "cycle")
+
+
+def test_what_has_failed_is_not_advised():
+    result = replace(solved()[1], status=am.Status.STALLED)
+    (bodies,) = (k for k, line in enumerate(result.checked.lines) if line.name == "bodies")
+    lines = list(result.checked.lines)
+    lines[bodies] = replace(lines[bodies], relative=1e-3)
+    for changes, words in (
+        ({"solver_name": "FullMultigrid()"}, "take am.ActiveSet"),
+        ({"solver_name": "ActiveSet()"}, "take am.FullMultigrid"),
+        ({"fallback": "ActiveSet from cycle 9"}, "take another start"),
+        ({"checked": replace(result.checked, lines=tuple(lines))}, "no other method changes"),
+    ):
+        assert words in str(am.NotConverged(replace(result, **changes)))
