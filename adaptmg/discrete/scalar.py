@@ -11,15 +11,15 @@ forces; over the lumped masses :math:`\int\varphi_i` they are pressures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import FieldLike
 from adaptmg._text import brief, html_fields
 from adaptmg.discrete.contact_nodes import Bounds
 from adaptmg.discrete.elasticity import shape_gradients
@@ -30,7 +30,7 @@ from adaptmg.problem.plane_domains import Domain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ScalarProblem:
+class ScalarProblem(checks.Checked):
     """A scalar problem with limits, for :meth:`adaptmg.Hierarchy.from_meshes` and ``uniform``.
 
     Parameters
@@ -59,23 +59,20 @@ class ScalarProblem:
     -0.05
     """
 
-    domain: Domain | None = None
-    conductivity: FieldLike = 1.0
-    load: FieldLike = 0.0
-    lower: FieldLike | None = None
-    upper: FieldLike | None = None
-    held: Sequence[str] | None = None
-    value: FieldLike = 0.0
-    name: str = "scalar problem"
-    reference: Mapping[str, Any] = field(default_factory=dict)
+    domain: Annotated[Domain, partial(checks.instance, types=Domain)] | None = None
+    conductivity: checks.Value = 1.0
+    load: checks.Value = 0.0
+    lower: checks.Value | None = None
+    upper: checks.Value | None = None
+    held: Annotated[tuple[str, ...], checks.strings] | None = None
+    value: checks.Value = 0.0
+    name: checks.Name = "scalar problem"
+    reference: Annotated[Mapping[str, Any], partial(checks.mapping, words="names to values")] = (
+        field(default_factory=dict)
+    )
 
     __repr__ = brief
     _repr_html_ = html_fields
-
-    def __post_init__(self) -> None:
-        checks.boundary_name("name", self.name)
-        if self.held is not None:
-            object.__setattr__(self, "held", checks.strings("held", self.held))
 
     def on(self, mesh: MeshArrays) -> DiscreteProblem:
         """Return the problem discretised on a mesh of triangles or tetrahedra.

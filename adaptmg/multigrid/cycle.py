@@ -111,16 +111,13 @@ def correction_contact(
     fine_slip = values[:, 1:] - contact.slip_reference
     # |E| is a bound of what a correction changes in a slip that is held along one tangent
     fine_slip[contact.driven] = 0.0
-    fine_limit = sliding_limit(system, contact, residual)
-
-    def transported(opening: np.ndarray) -> tuple[np.ndarray, ...]:
-        returned = correction.transport(reach, opening, fine_slip, fine_limit, initial)
-        return _transported(correction, coarse, returned)
-
-    gap, slip, limit = transported(contact.gap - values[:, 0])
+    data = fine_slip, sliding_limit(system, contact, residual), initial
+    returned = correction.transport(reach, contact.gap - values[:, 0], *data)
+    gap, slip, limit = _transported(correction, coarse, returned)
     lowest = None
     if contact.lowest is not None:
-        lowest = -transported(values[:, 0] - contact.lowest)[0]
+        returned = correction.transport(reach, values[:, 0] - contact.lowest, *data)
+        lowest = -_transported(correction, coarse, returned)[0]
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     return NodalContact(
         gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit), lowest=lowest

@@ -112,6 +112,10 @@ class ActiveSet:
             if start is not None and number > first:
                 start = level.prolongation @ start.reshape(-1, level.discrete.dim)
                 run.visit(number, "start")
+            if self.condensed:
+                size = 24.0 * (level.discrete.dim * len(level.discrete.contact)) ** 2
+                words = "the dense matrix of the contact nodes (condensed=False does without)"
+                checks.fits("condensed", size, words)
             with run.phase("factorise" if self.condensed else "setup"):
                 condensed = condense_problem(level.discrete) if self.condensed else None
                 local = local_system(level.discrete) if condensed is None else condensed.full
@@ -602,9 +606,11 @@ def coarsest_solution(
         augmented = Augmented(problem, np.zeros(len(problem.volumes)))
         solution, steps, passes = coarsest_solution(augmented.problem, rtol)
         return augmented.whole(solution), steps, passes
-    condensed = condense_problem(problem, lenient=True)
-    local = condensed.full
+    # of scalar problems all nodes may touch: nothing is condensed
+    condensed = None if problem.dim == 1 else condense_problem(problem, lenient=True)
+    local = local_system(problem) if condensed is None else condensed.full
     run = Run(unit=local.system.nonzeros)
-    newton = _Newton(ActiveSet(rtol=rtol), local, run, 0, start, condensed)
+    options = ActiveSet(rtol=rtol, condensed=condensed is not None)
+    newton = _Newton(options, local, run, 0, start, condensed)
     state, *_ = newton.solve(certified=False)
     return local.to_cartesian(state.unknowns).reshape(-1), state.cycles, run.work_units
