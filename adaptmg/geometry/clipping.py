@@ -24,13 +24,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 
 PIECES = 32
 """Room for pieces on the stack. A half-space splits a tetrahedron along a path of at most 3 bisections, which leave one
 piece waiting each: 4 half-spaces need 13."""
 
-SNAP = 1e-13
+SNAP = checks.ROUNDING
 """Barycentric coordinates smaller than this count as zero."""
 
 

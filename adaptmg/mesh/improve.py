@@ -58,8 +58,9 @@ from adaptmg.problem.plane_domains import Domain
 _ROUNDS = 3
 # volume of the equilateral element of size 1
 EQUILATERAL = math.sqrt(2) / 12
-# measure that a move leaves, of that before, at least
-_KEPT = 0.1
+# measure that a move leaves, of that before, at least: .05 changes none of 110 random meshes, .25 in
+# place of .1 two, with larger angles
+KEPT = 0.25
 # nodes after which kernels come back, so that Ctrl-C ends them
 _BATCH = 100_000
 # passes of swaps in a round at most
@@ -339,7 +340,7 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end):
                 y[c] = x[c] + share * step[c]
             for s in range(start[i], start[i + 1]):
                 measure = _spokes(zero, points, cells, items[s], y, spokes)
-                if not measure > _KEPT * _spokes(zero, points, cells, items[s], x, hessian):
+                if not measure > KEPT * _spokes(zero, points, cells, items[s], x, hessian):
                     after = np.inf
                     break
                 after += _shape(zero, spokes, measure, total)

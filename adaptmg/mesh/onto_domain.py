@@ -20,11 +20,11 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, Surface, signed_measures, sound_by_construction
 from adaptmg.mesh.bisection import with_refinement
 from adaptmg.mesh.exact import surfaces_of
+from adaptmg.mesh.improve import KEPT
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.surfaces import CHORDAL, in_space, nearest, settled
 from adaptmg.problem.plane_domains import Domain
 
-_KEPT_VOLUME = 0.25
 _MAX_TRIES = 10
 # of the extent of the mesh: nodes nearer to their surfaces lie on them up to 64 roundings of double
 # precision, which Newton's method reaches
@@ -78,9 +78,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
         moved = (points != mesh.points).any(axis=1)
         if near is None:
             near = np.flatnonzero(moved[mesh.elements].any(axis=1))
-        spoilt = near[
-            signed_measures(points, mesh.elements[near]) < _KEPT_VOLUME * mesh.volumes[near]
-        ]
+        spoilt = near[signed_measures(points, mesh.elements[near]) < KEPT * mesh.volumes[near]]
         if not len(spoilt):
             break
         stays[mesh.elements[spoilt]] = True

@@ -48,9 +48,11 @@ _APART = 0.6
 # no node comes nearer to an edge of the boundary, over its length: half and twice change nothing on
 # 57 random outlines; without it a tenth of 584 has angles below 1.6 degrees in place of 1.75
 _BESIDE = 0.01
-# size at a centroid, over that interpolated there, below which there is a dip
+# size at a centroid, over that interpolated there, below which there is a dip: measured on 40 rounded
+# shapes with fine places inside, half is as none, 1 makes 6 % more nodes
 _DIP = 0.6
-# circumradius, over that of the right size, up to which sizes are interpolated
+# circumradius, over that of the right size, up to which sizes are interpolated: measured on 80 random
+# outlines, 1.1 makes 2 % fewer nodes and edges up to 1.3 times as long, twice 13 % more nodes
 _COARSE = 1.4
 # growth of sizes around short edges and thin parts; measured on 200 random outlines of the campaign:
 # with half 23 % more nodes, with twice 1.6 % of the triangles below 20 degrees in place of 1.1 %

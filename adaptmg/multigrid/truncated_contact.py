@@ -296,7 +296,8 @@ class TruncatedContact:
         held = np.zeros(shape, dtype=bool)
         held[:, 0] = self.codes & CLOSED != 0
         held[:, 1:] = (self.codes & TANGENTIAL == HELD)[:, None]
-        after = to_frames(frames, unknowns.reshape(-1, self.dim)[self.nodes])
+        dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
+        after = to_frames(frames, unknowns[dofs])
         after[held] = before[held]
         values = checks.array(
             "project: what project returns", project(self.conditions, before.copy(), after), shape
@@ -305,7 +306,7 @@ class TruncatedContact:
         values[:, 0] = self.conditions.clamped(values[:, 0])
         values[self.driven, 1:2] = 0.0
         self.values[:] = values.reshape(-1)
-        unknowns.reshape(-1, self.dim)[self.nodes] = from_frames(frames, values)
+        unknowns[dofs] = from_frames(frames, values)
 
     def _project(self, unknowns: np.ndarray, move: bool) -> int:
         return project(

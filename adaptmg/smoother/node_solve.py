@@ -56,7 +56,7 @@ from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.blocks import in_loop, nothing, plus_symmetric, subtract
 
 ONE, TWO = np.uint64(1), np.uint64(2)
-EPSILON = 2.0**-52
+EPSILON = float(np.finfo(np.float64).eps)
 MAX_STEPS = 200
 
 

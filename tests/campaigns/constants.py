@@ -322,6 +322,23 @@ def _plane(seed: int) -> tuple:
     return _shape(am.mesh.onto_domain(outline, am.mesh.bisect(mesh, marked)[0], mesh.n_nodes))
 
 
+def _dipped(seed: int) -> tuple:
+    """A mesh of a rounded shape that is fine around points inside it."""
+    rng = np.random.default_rng((seed, 47))
+    shape = rounded_shapes.SHAPES[seed % len(rounded_shapes.SHAPES)](rng, True)
+    outline = shape.placed(np.eye(2), rng.uniform(-1, 1, 2))
+    extent = float((outline.upper - outline.lower).max())
+    places = rng.uniform(outline.lower, outline.upper, (4, 2))
+    size = extent * 10 ** rng.uniform(-1.2, -0.6)
+    least = size * 10 ** rng.uniform(-1.5, -0.3)
+
+    def sizes(points: np.ndarray) -> np.ndarray:
+        away = np.linalg.norm(points[:, None] - places, axis=2).min(axis=1)
+        return np.minimum(size, least + 0.3 * away)
+
+    return _shape(am.mesh.sized(outline, sizes, size))
+
+
 def solid(rng: np.random.Generator) -> tuple[am.problem.Domain, str]:
     """A random solid of unit size, and one of its boundaries."""
     a, b, c = (float(x) for x in rng.uniform(0.3, 1.0, 3))
@@ -368,7 +385,7 @@ def battery(family: str) -> dict[str, Callable[[], tuple]]:
     """What is computed with each value of a constant."""
     plain = {
         "pairs": (_matched, _conforming, _spatial, _node_to_node),
-        "meshes": (_plane,),
+        "meshes": (_plane, _dipped),
         "solids": (_solid,),
     }
     if family in plain:

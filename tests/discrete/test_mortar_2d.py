@@ -143,7 +143,7 @@ class TestFlat:
         np.testing.assert_allclose(found.coupling @ points, opposite, atol=4 * scale)
         np.testing.assert_allclose(found.gaps, (gap or 0.0) * followed, atol=4 * scale)
 
-    @pytest.mark.parametrize(("covered", "first"), [(0.95e-3, 1), (1.05e-3, 0)])
+    @pytest.mark.parametrize(("covered", "first"), [(0.95e-6, 1), (1.05e-6, 0)])
     def test_less_coverage_is_dropped(self, covered, first):
         xs, xm = np.linspace(0, 1, 6), np.array([0.2 * (1 - covered), 0.5, 1.0])
         np.testing.assert_array_equal(
@@ -200,7 +200,7 @@ test_refused = refused(
     (lambda: mortar(*two(CUP, line(BAR, 0.5))), NEVER_FACING),
     (lambda: mortar(POINTS, SLAVE, SLAVE[:, ::-1], NORMALS), "one of the master too"),
     (
-        lambda: mortar(*two(line(np.linspace(0, 1, 6)), line([0.2, 0.2001], up=True))),
+        lambda: mortar(*two(line(np.linspace(0, 1, 6)), line([0.2, 0.2 + 1e-7], up=True))),
         "on a sliver of each facet",
     ),
     (lambda: mortar(*DATA, excluded=range(4)), "every node of the slave surface is excluded"),
