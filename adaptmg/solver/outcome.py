@@ -33,6 +33,7 @@ from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import Result, problem_name, versions
+from adaptmg.solver.statics import advise_on_free_motions
 from adaptmg.solver.steps import Method, Stepped
 
 _LOG = logging.getLogger(__name__)
@@ -225,7 +226,6 @@ def result_of(
             examined.displacement,
             posed.problem.axisymmetric,
         )
-    advise_on_law(examiner.discrete, examined.contact)
     status = outcome.status
     rtol = outcome.rtol
     error = outcome.error_estimate
@@ -242,6 +242,9 @@ def result_of(
                 "result.rtol",
             )
             rtol = least
+    if status in (Status.CYCLING, Status.STALLED) or (run.fallback and not status.ok):
+        advise_on_free_motions(examiner.discrete, examined.contact)
+    advise_on_law(examiner.discrete, examined.contact)
     keys = dict.fromkeys(chain.from_iterable(run.history))
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}
     return Result(

@@ -36,8 +36,9 @@ from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.factorisation import condense_problem
-from adaptmg.smoother.system import contact_blocks
+from adaptmg.smoother.system import STICK, contact_blocks
 from adaptmg.solver.advice import advise
+from adaptmg.solver.examine import ContactResult
 
 _LOG = logging.getLogger(__name__)
 
@@ -250,13 +251,8 @@ def _check_body(body: _Body) -> None:
         )
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if len(neutral):
-        plain = [
-            c
-            for c in _plain_motions(body)
-            if np.linalg.norm(c - neutral.T @ (neutral @ c)) <= _STILL
-        ]
         raise ValueError(
-            f"the solution is not unique: a {body.describe((plain or neutral)[0])} is left free by "
+            f"the solution is not unique: a {body.describe(_plain_of(body, neutral))} is left free by "
             "supports, contact and load; add a support that fixes it"
         )
     if np.abs(work).max() <= _UNBALANCED:
@@ -270,6 +266,29 @@ def _check_body(body: _Body) -> None:
             raise ValueError(
                 f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
                 "by supports and load; add a support that fixes it, or a load"
+            )
+
+
+def advise_on_free_motions(problem: DiscreteProblem, contact: ContactResult) -> None:
+    """Warn of rigid motions that slide at all nodes which touch in an iterate that did not
+    converge, and turn about those that stick."""
+    for nodes, motions, several in _free_parts(problem) or ():
+        body = _Body(problem, nodes, motions, several)
+        k = motions.shape[1]
+        at = np.searchsorted(nodes, contact.node)
+        touches = contact.closed & np.isin(contact.node, nodes)
+        moved = motions.reshape(len(nodes), problem.dim, k)[at[touches]]
+        local = np.einsum("nij,njk->nik", contact.frames[touches], moved)
+        sticks = contact.state[touches] == STICK
+        free = _null_combinations(
+            np.concatenate([np.zeros((1, k)), local[:, 0], local[sticks, 1:].reshape(-1, k)])
+        )
+        if len(free):
+            advise(
+                "free",
+                f"no converged solution was found, and in the last iterate nothing but friction resists a "
+                f"{body.describe(_plain_of(body, free))}: add a support that fixes it, or load the body less sideways",
+                RuntimeWarning,
             )
 
 
@@ -391,6 +410,12 @@ def _plain_motions(body: _Body) -> np.ndarray:
     coefficients = body.motions.T @ motions / len(body.nodes)
     free = np.abs(body.motions @ coefficients - motions).max(axis=0) <= 1e-8
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
+
+
+def _plain_of(body: _Body, free: np.ndarray) -> np.ndarray:
+    """A plain motion (k,) among free ones, orthonormal rows (n, k), else the first of them."""
+    plain = [c for c in _plain_motions(body) if np.linalg.norm(c - free.T @ (free @ c)) <= _STILL]
+    return (plain or free)[0]
 
 
 def _axis_motions(

@@ -314,3 +314,18 @@ def test_the_estimate_against_the_compliance(strut):
     assert np.isnan(
         critical_friction(am.Hierarchy.uniform(am.cases.greco_bar(), (2, 4)).finest.discrete)
     ).all()
+
+
+def test_a_disc_that_slides_at_the_limit_of_friction_is_warned_of():
+    angles = np.pi * (1 + np.linspace(0, 1, 48))
+    arc = [(float(np.cos(a)), float(1 + np.sin(a))) for a in angles]
+    problem = am.ContactProblem(
+        domain=am.Polygon(vertices=tuple(arc), boundaries=("arc",) * 47 + ("top",)),
+        material=am.PlaneStrain(young=2e9, poisson=0.3),
+        law=am.Coulomb(0.05),
+        contact=am.Contact("arc", am.Plane((0.0, 0.0), (0.0, 1.0))),
+        loads=[am.BodyForce((5e3, -1e5))],
+    )
+    grids = am.Hierarchy.graded(problem, sizes=(0.2, 0.1))
+    with pytest.warns(RuntimeWarning, match="nothing but friction resists a translation along x"):
+        assert not am.solve(grids, am.ActiveSet(), throw=False).status.ok
