@@ -19,9 +19,10 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,7 @@ def run_all(names: Sequence[str], options: Sequence[str], out: Path, workers: in
     failed, cost, spent = set(), STUDIES | LARGE, 0
     with ThreadPoolExecutor(max(workers, 1)) as pool:
         runs = {pool.submit(run_one, name, options, out): name for name in names}
+        threading.Thread(target=_beat, args=(runs,), daemon=True).start()
         for done, run in enumerate(as_completed(runs), 1):
             code, seconds, last = run.result()
             spent += cost[runs[run]]
@@ -169,6 +171,15 @@ def run_all(names: Sequence[str], options: Sequence[str], out: Path, workers: in
             )
             failed |= {runs[run]} if code else set()
     return failed
+
+
+def _beat(runs: Mapping[Future, str]) -> None:
+    """Say on a terminal every ten seconds which studies run."""
+    begin = time.perf_counter()
+    while sys.stderr.isatty() and not all(run.done() for run in runs):
+        time.sleep(10)
+        names = ", ".join(name for run, name in runs.items() if run.running())
+        say(f"{time.perf_counter() - begin:.0f} s: {names} running")
 
 
 def run_one(name: str, options: Sequence[str], out: Path) -> tuple[int, float, str]:

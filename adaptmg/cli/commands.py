@@ -135,6 +135,12 @@ def _parser(command: str) -> _Parser:
     )
     _add_json(add)
     _add_studies(made)
+    made(
+        _warm,
+        "compile all kernels in one go, so that no later solve waits for them",
+        "",
+        "Each kernel is compiled once on a machine and stored. All of them took a minute of one processor here.",
+    )
     return parser
 
 
@@ -293,6 +299,20 @@ def _adapt(parsed: Namespace) -> None:
                 [*waiting, steps[-1].outcome, "", str(result), *(f"wrote {file}" for file in files)]
             )
         )
+
+
+def _warm(parsed: Namespace) -> None:
+    from rich.console import Console
+    from rich.progress import track
+
+    from adaptmg.cli.warm import STEPS
+
+    console = Console(stderr=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what is solved is not the point
+        for name in track(STEPS, "compiling", console=console, disable=not console.is_terminal):
+            console.print(name)
+            STEPS[name]()
 
 
 def _study(parsed: Namespace) -> int:

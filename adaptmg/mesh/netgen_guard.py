@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptmg import _checks as checks
+from adaptmg._text import say
 
 #: by dimension, seconds of the processor: for the shape, and for each node (twenty times in 2D, five
 #: times in 3D what Netgen takes)
@@ -33,6 +34,8 @@ _FILE_S, _BYTE_S = 60.0, 2e-5
 #: how many times as long a process may take by the clock: of 16 that compute on 2 processors each
 #: has an eighth; one that only waits must end, too
 _PATIENCE = 20.0
+#: seconds after which a terminal hears of a call
+_QUIET_S = 5.0
 
 _WORKER = Path(__file__).with_name("netgen_worker.py")
 # by the process that started them: after a fork the other one must not use them
@@ -50,6 +53,13 @@ class NetgenUnfinished(NetgenFails):
 def limit_s(nodes: float, dim: int) -> float:
     """Return the seconds that Netgen may take for about ``nodes`` nodes."""
     return LIMIT_S[dim] + _NODE_LIMIT_S[dim] * nodes
+
+
+def _say_runs(function: str, seconds: float) -> None:
+    if sys.stderr is not None and sys.stderr.isatty():
+        say(
+            f"adaptmg: {function} runs in Netgen's process, at most {seconds:.0f} s of the processor"
+        )
 
 
 def read_s(path: Path) -> float:
@@ -95,6 +105,9 @@ class Netgen:
                     return
 
         threading.Thread(target=watch, daemon=True).start()
+        said = threading.Timer(_QUIET_S, _say_runs, (function, seconds))
+        said.daemon = True
+        said.start()
         try:
             pickle.dump((function, arguments), self.requests, protocol=pickle.HIGHEST_PROTOCOL)
             self.requests.flush()
@@ -110,6 +123,7 @@ class Netgen:
             self.end()
             raise
         finally:
+            said.cancel()
             done.set()
         if not well:
             raise NetgenFails(answer)

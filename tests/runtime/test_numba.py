@@ -82,5 +82,5 @@ def test_kernels_run_where_no_cache_can_be_written(package):
 def test_long_compiling_is_announced_once_stored_kernels_never(package):
     _, run = package
     long = "import adaptmg._numba as n\nn._COMPILING.here.seconds = 100.0\n"
-    assert run(long + TREE).startswith("adaptmg: compiling kernels (first use")
+    assert run(long + TREE).startswith("adaptmg: compiling kernels of geometry")
     assert run(long + TREE) == ""

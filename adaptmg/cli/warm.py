@@ -1,0 +1,70 @@
+"""Small solves that between them call every compiled kernel: ``adaptmg warm``."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import adaptmg as am
+
+PLANE = am.cases.greco_bar()
+SOLID = am.cases.greco_block()
+PAIR = am.cases.two_block_patch()
+
+
+def _solved(problem: am.ContactProblem, *methods: object, size: float = 0.25) -> None:
+    """Solve a problem on three graded meshes, the coarsest one of this size over that of the
+    body."""
+    parts = getattr(problem.domain, "parts", {"": problem.domain}).values()
+    extent = max(float(max(part.upper - part.lower)) for part in parts)
+    sizes = [size * extent * 0.6**level for level in range(3)]
+    grids = am.Hierarchy.graded(problem, sizes)
+    for method in methods or (am.FullMultigrid(),):
+        am.solve(grids, method, throw=False)
+
+
+def _methods(problem: am.ContactProblem) -> None:
+    monotone = am.FullMultigrid(correction=am.Monotone())
+    paper = am.FullMultigrid(correction=am.PaperCorrection(), max_cycles=3)
+    methods = (am.FullMultigrid(), monotone, paper, am.SingleGrid(max_sweeps=20))
+    _solved(problem, *methods, am.ActiveSet(), am.ActiveSet(condensed=False))
+
+
+def _transfers() -> None:
+    for transfer in (am.L2(), am.LumpedL2(), am.PseudoL2(), am.QuasiInterpolation()):
+        for problem, size in ((PLANE, 0.01), (SOLID, 0.02)):
+            am.Hierarchy.graded(problem, (size, 0.6 * size), transfer=transfer)
+
+
+def _adapted(problem: am.ContactProblem, nodes: int) -> None:
+    for engine in (am.Bisect(), am.Remesh()):
+        list(am.adapt(problem, max_nodes=nodes, engine=engine, indicator=am.Residual()))
+
+
+def _pictures() -> None:
+    grids = am.Hierarchy.uniform(SOLID, (2, 4))
+    with tempfile.TemporaryFile() as file:
+        am.plot.deformation(am.solve(grids)).savefig(file)
+
+
+#: what is done, by its name on the bar
+STEPS: Mapping[str, Callable[[], object]] = {
+    "plane bodies, every method": lambda: _methods(PLANE),
+    "solids, every method": lambda: _methods(SOLID),
+    "two bodies": lambda: _solved(PAIR),
+    "two solids": lambda: _solved(am.cases.two_block_patch(dim=3)),
+    "axisymmetric bodies": lambda: _solved(am.cases.hertz_sphere(), size=0.1),
+    "smoothed elements": lambda: _solved(replace(PLANE, elements="smoothed")),
+    "smoothed elements of solids": lambda: _solved(replace(SOLID, elements="smoothed")),
+    "nearly incompressible bodies": lambda: _solved(
+        replace(am.cases.greco_bar(poisson=0.49), elements="smoothed")
+    ),
+    "transfers": _transfers,
+    "adaptive loop": lambda: _adapted(am.cases.upset_block(), 400),
+    "adaptive loop of solids": lambda: _adapted(SOLID, 400),
+    "load path": lambda: am.solve_path(
+        am.Hierarchy.uniform(PLANE, (4, 8)), am.LoadPath({"left": [0.5, 1.0]})
+    ),
+    "pictures of solids": _pictures,
+}
