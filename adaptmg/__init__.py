@@ -35,7 +35,6 @@ from typing import Any
 
 import lazy_loader
 
-__version__ = "0.1.0"
 #: times of the sources when they were loaded: files of other times are not those that run
 _LOADED = {
     os.path.join(folder, name): os.stat(os.path.join(folder, name)).st_mtime_ns
@@ -50,6 +49,13 @@ _load, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            return version("adaptmg")
+        except PackageNotFoundError:  # a source tree that is not installed
+            return "unknown"
     value = _load(name)
     if "__dataclass_fields__" in vars(value):
         _naming_arguments(value)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,8 @@ def _files() -> list[Path]:
 
 
 def test_top_level():
-    assert SETTINGS["project"]["version"] == adaptmg.__version__
+    assert SETTINGS["project"]["dynamic"] == ["version"]
+    assert adaptmg.__version__ == version("adaptmg")
     top = {path.parts[0] for path in _files()}
     assert {name for name in top if not name.startswith(".")} <= {
         "pyproject.toml",
