@@ -1,14 +1,19 @@
 """How fast is it where people wait, against pyamg and the active set method?
 
     python studies/benchmark.py [--quick | --full] [--out DIR]
+    python studies/benchmark.py --history FILE.csv
 
 Processor seconds of one thread with warm kernels, the least of several runs, unless a row says
 otherwise. A pass is the finest matrix read once at the speed of a triad (a = b + s c on long
 arrays), so that passes compare machines. From problem to solution counts meshes, matrices,
 transfers, set-up, nested start, cycles and the certificate; the linear rival is conjugate gradients
 with smoothed aggregation of pyamg on the glued matrix of the same mesh, to a true error of 1e-8,
-set-up counted."""
+set-up counted.
 
+--history appends one row for the commit to a table: cycles, work and passes of five problems, and
+draws it next to the file. The tests compare these cycles with those stored."""
+
+import argparse
 import os
 import subprocess
 import sys
@@ -16,13 +21,17 @@ import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable
+from datetime import date
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from common import Output, chain, cpu, drawing, main, processor_time, warm_up
+from flexible import cantilever
 from linear_rivals import glued, iterate, iterations_needed, pyamg_preconditioner
 from plain_newton import plain_newton
+from reproduce import commit
 from threadpoolctl import threadpool_limits
 
 import adaptmg as am
@@ -54,6 +63,54 @@ def bar(divisions: int, dim: int = 2) -> am.Hierarchy:
     make = am.cases.greco_bar if dim == 2 else am.cases.greco_block
     count = max(divisions.bit_length() - (2 if dim == 2 else 1), 1)
     return am.Hierarchy.uniform(make(), chain(divisions, count))
+
+
+#: problems that --history and the tests watch
+WATCHED: dict[str, Callable[[], am.Hierarchy]] = {
+    "bar": lambda: bar(32),
+    "block 3D": lambda: bar(8, dim=3),
+    "dovetail": lambda: am.Hierarchy.graded(am.cases.dovetail(), (8e-3, 4e-3, 2e-3)),
+    "bolted junction": lambda: am.Hierarchy.graded(
+        am.cases.bolted_junction(), (12e-3, 7e-3, 4e-3), contact_ratio=2
+    ),
+    "cantilever 24 : 1": lambda: cantilever(24, 3),
+}
+
+
+def watched(name: str) -> tuple[am.Hierarchy, am.Result]:
+    """Grids of a watched problem, and its solution by the default method to 1e-8."""
+    grids = WATCHED[name]()
+    return grids, am.solve(grids, am.FullMultigrid())
+
+
+def history(file: Path) -> None:
+    """Append a row for this commit to a table, in place of an earlier one of the commit, and draw
+    it."""
+    row: dict[str, object] = {"commit": commit(), "date": str(date.today())}
+    speed = triad()
+    for name in WATCHED:
+        grids, result = watched(name)
+        matrix = grids.finest.matrix
+        seconds = cpu(partial(am.solve, grids, am.FullMultigrid()))
+        passes = seconds * speed / (matrix.data.nbytes + matrix.indices.nbytes)
+        row |= {
+            f"{name}: cycles": result.cycles,
+            f"{name}: work": round(result.work_units, 1),
+            f"{name}: passes": round(passes),
+        }
+    before = pd.read_csv(file) if file.exists() else pd.DataFrame(columns=["commit"])
+    table = pd.concat([before[before["commit"] != row["commit"]], pd.DataFrame([row])])
+    table.to_csv(file, index=False)
+    figure, _ = drawing(6.0)
+    figure.clear()
+    for ax, what in zip(figure.subplots(2, sharex=True), ("cycles", "passes"), strict=True):
+        for name in WATCHED:
+            ax.plot(table["commit"], table[f"{name}: {what}"], "o-", label=name)
+        ax.set(ylabel=what, ylim=(0, None))
+    ax.tick_params(axis="x", rotation=90)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside right upper")
+    figure.savefig(file.with_suffix(".png"))
+    print(table.tail(2).T.to_string(header=False))
 
 
 def meshing(case: str, levels: int) -> dict:
@@ -301,4 +358,10 @@ def study(out: Output) -> None:
 
 
 if __name__ == "__main__":
-    main(study)
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument("--history", type=Path, metavar="FILE.csv")
+    asked, others = parser.parse_known_args()
+    if asked.history is not None:
+        history(asked.history)
+    else:
+        main(study)
