@@ -237,9 +237,11 @@ def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:
 def _limits(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Return an array, read-only, of which entries may be infinite."""
     given = checks.real_array(value)
-    endless = False if given is None else np.isinf(given)
-    finite = value if given is None else np.where(endless, 0.0, given)
-    limits = np.where(endless, given, bounded(name, finite, shape, checks.VAST))
+    if given is None:
+        return bounded(name, value, shape)  # which raises
+    endless = np.isinf(given)
+    finite = bounded(name, np.where(endless, 0.0, given), shape, checks.VAST)
+    limits = np.where(endless, given, finite)
     limits.flags.writeable = False
     return limits
 
@@ -288,13 +290,14 @@ class Bounds:
     def at_nodes(self, fixed: np.ndarray) -> ContactNodes:
         """Return the contact nodes of a problem with these fixed dofs (n_dofs,), which have no
         limits."""
-        shape = max(np.shape(self.lower), np.shape(self.upper), key=len) or fixed.shape
+        lower = -np.inf if self.lower is None else self.lower
+        upper = np.inf if self.upper is None else self.upper
+        shape = max(np.shape(lower), np.shape(upper), key=len) or fixed.shape
         if math.prod(shape) != len(fixed):
             raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
         gaps = []  # against the axes, and along
-        for name, limit, sign in (("lower", self.lower, -1.0), ("upper", self.upper, 1.0)):
-            given = sign * np.inf if limit is None else limit
-            given = np.full(shape, given) if np.ndim(given) == 0 else given
+        for name, limit, sign in (("lower", lower, -1.0), ("upper", upper, 1.0)):
+            given = np.full(shape, limit) if np.ndim(limit) == 0 else limit
             values = sign * _limits(f"bounds.{name}", given, shape).reshape(-1)
             gaps.append(np.where(fixed, np.inf, values))
         dim = shape[1] if len(shape) == 2 else 1
@@ -312,7 +315,9 @@ class Bounds:
                 )
             normals = np.eye(dim)[component] * (2.0 * side - 1.0)[:, None]
             parts = {"gaps": sides[node, component, side]}
-        weights = None if self.weights is None else np.asarray(self.weights)[nodes]
+        weights = self.weights
+        if weights is not None:
+            weights = bounded("bounds.weights", weights, (len(sides),))[nodes]
         return ContactNodes(
             nodes=nodes, normals=normals, weights=weights, allow_interference=True, **parts
         )
