@@ -49,6 +49,22 @@ class Projection(Protocol):
         ...
 
 
+#: options that may be user-defined, the method that they offer, and what they must be
+_USER_DEFINED = (
+    ("project", "project", "None or offer project(contact, before, after) -> values"),
+    (
+        "coarse_solve",
+        "setup",
+        "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution",
+    ),
+    (
+        "coarse_smoother",
+        "setup",
+        "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes",
+    ),
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Truncated:
     """Truncated nonsmooth Newton multigrid: the fast method.
@@ -124,14 +140,11 @@ class Truncated:
     def __post_init__(self) -> None:
         checks.convert(self, checks.flag, "coarse_contact", "rigid_motions", "search")
         checks.integer("interface_sweeps", self.interface_sweeps)
-        if hasattr(self.smooth, "smooth"):
+        if isinstance(self.smooth, (int, np.integer)):
+            checks.convert(self, checks.integer, "smooth", minimum=1)
+        else:
             words = "a number of sweeps or offer smooth(system, contact, load, unknowns, sweeps)"
             checks.offers("smooth", self.smooth, "smooth", words)
-        else:
-            checks.convert(self, checks.integer, "smooth", minimum=1)
-        if self.project is not None:
-            words = "None or offer project(contact, before, after) -> values"
-            checks.offers("project", self.project, "project", words)
         if isinstance(self.correct, Cycle):
             checks.choice("shape of correct", self.correct.shape, ("V", "W", "F"))
         elif self.correct is not None:
@@ -146,20 +159,9 @@ class Truncated:
                     )
         if checks.integer("recombine", self.recombine) > 4:
             raise ValueError(f"recombine must be 0 to 4, got {self.recombine!r}")
-        if self.coarse_solve is not None:
-            checks.offers(
-                "coarse_solve",
-                self.coarse_solve,
-                "setup",
-                "a linear solver, which offers setup(matrix) -> object with solve(rhs) -> solution",
-            )
-        if self.coarse_smoother is not None:
-            checks.offers(
-                "coarse_smoother",
-                self.coarse_smoother,
-                "setup",
-                "a linear smoother, which offers setup(matrix) -> object with smooth(rhs, x) -> passes",
-            )
+        for name, method, words in _USER_DEFINED:
+            if getattr(self, name) is not None:
+                checks.offers(name, getattr(self, name), method, words)
 
     def sweeps(self, levels: Sequence[SplitMatrix]) -> list[int]:
         """Return the sweeps on each of the levels, coarsest first."""

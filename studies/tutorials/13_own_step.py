@@ -60,4 +60,6 @@ for solver in (Mine(), am.FullMultigrid(rtol=1e-6)):
 am.plot.history(result)
 
 # %%
+# To exchange one part of the package's step, give it to ``am.Truncated``: ``smooth=``, ``correct=`` or ``project=``.
+#
 # **Next:** keep the directions of slip too (``am.Truncated`` does). **It depends on** your own parts.

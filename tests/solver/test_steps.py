@@ -330,7 +330,7 @@ def test_more_sweeps_on_the_finest_level_take_fewer_cycles():
 
 
 def test_options_of_the_parts_are_checked():
-    with pytest.raises(TypeError, match="smooth must be an integer"):
+    with pytest.raises(TypeError, match="smooth must be a number of sweeps or offer smooth"):
         am.Truncated(smooth="twice")
     with pytest.raises(ValueError, match="smooth must be >= 1"):
         am.Truncated(smooth=0)
