@@ -3,7 +3,7 @@ from .arrays import need_mesh as need_mesh, Surface as Surface
 from .bisection import bisect as bisect, refine_near as refine_near
 from .onto_domain import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized
-from .read import as_mesh as as_mesh, from_file as from_file, from_ngsolve as from_ngsolve
+from .read import as_mesh as as_mesh, from_file as from_file
 from .sizes import SizeNear as SizeNear
 from .slits import split as split
 from .soundness import (

@@ -1,4 +1,4 @@
-"""Meshes from files and from NGSolve: ``from_file``, ``from_ngsolve``, ``as_mesh``.
+"""Meshes from files and from NGSolve: ``from_file``, ``as_mesh``.
 
 Decks of Abaqus and CalculiX are read by :mod:`adaptmg.mesh.deck`, files of Kratos by
 :mod:`adaptmg.mesh.kratos`: meshio loses their surfaces, sections and parts. Netgen reads its own
@@ -43,29 +43,38 @@ def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
     Parameters
     ----------
     mesh : MeshArrays, ngsolve.Mesh, str or Path
-        A mesh, or a file as of :func:`from_file`.
+        A mesh, or a file as of :func:`from_file`. Of an NGSolve mesh straight elements are taken:
+        quadrilaterals, bricks, wedges and pyramids are cut into triangles or tetrahedra. Materials
+        become bodies, those with the same name one body; boundaries inside the mesh (interfaces of
+        glued materials) are left out.
 
     Returns
     -------
     MeshArrays
-        The same object if it was checked before, or made by the package.
+        The same object if it was checked before, or made by the package. Of an NGSolve mesh copies:
+        refining it later changes nothing here. The nodes keep their numbers unless some belong to
+        no element (these are dropped). ``source`` is another, straight mesh with the same node
+        numbers.
 
     Raises
     ------
     TypeError, FileNotFoundError, ValueError
         If it is none of these, there is no such file, it cannot be read, or it is not sound
-        (:func:`check_mesh`).
+        (:func:`check_mesh`); on curved elements of NGSolve or those of second order, a deformation,
+        periodic boundaries, and dimensions other than 2 and 3.
 
     Examples
     --------
-    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> mesh = am.mesh.graded(am.Rectangle(width=1, height=1), 0.5)
     >>> am.mesh.as_mesh(mesh) is mesh
+    True
+    >>> am.mesh.as_mesh(mesh.source).n_nodes == mesh.n_nodes
     True
     """
     if isinstance(mesh, MeshArrays):
         return mesh if mesh.sound and mesh.apart else check_stranger(mesh)
     if _is_ngsolve(mesh):
-        return from_ngsolve(mesh)
+        return _from_ngsolve(mesh)
     if not isinstance(mesh, str | Path):
         raise TypeError(
             "mesh must be MeshArrays, an ngsolve.Mesh or the path of a mesh file, got "
@@ -80,42 +89,10 @@ def _is_ngsolve(mesh: object) -> TypeGuard[ngsolve.Mesh]:
     return module is not None and isinstance(mesh, module.Mesh)
 
 
-def from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
-    """Read an NGSolve mesh.
-
-    Parameters
-    ----------
-    mesh : ngsolve.Mesh
-        Straight elements; quadrilaterals, bricks, wedges and pyramids are cut into triangles or
-        tetrahedra. Materials become bodies, those with the same name one
-        body; boundaries inside the mesh (interfaces of glued materials) are left out.
-
-    Returns
-    -------
-    MeshArrays
-        Copies: refining ``mesh`` later changes nothing here. The nodes keep their numbers unless
-        some belong to no element (these are dropped). ``source`` is another, straight mesh with the
-        same node numbers.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it is not an NGSolve mesh; on other elements, curved or of second order, a deformation,
-        periodic boundaries, dimensions other than 2 and 3, or a mesh that is not sound
-        (:func:`adaptmg.mesh.check_mesh`).
-
-    Examples
-    --------
-    >>> mesh = am.mesh.graded(am.Rectangle(width=1, height=1), 0.5)
-    >>> am.mesh.from_ngsolve(mesh.source).n_nodes == mesh.n_nodes
-    True
-    """
-    import ngsolve
-
+def _from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
+    """Read an NGSolve mesh."""
     from adaptmg.mesh.netgen_worker import tables
 
-    if not isinstance(mesh, ngsolve.Mesh):
-        raise TypeError(f"mesh must be an ngsolve.Mesh, got {type(mesh).__name__}")
     types = np.concatenate(
         [table.NumPy()["type"] for table in (mesh.ngmesh.Elements2D(), mesh.ngmesh.Elements3D())]
     )

@@ -1,8 +1,6 @@
 from .cluster import local_cluster as local_cluster
 from .designs import (
-    Grid as Grid,
     LatinHypercube as LatinHypercube,
-    Points as Points,
     Random as Random,
     Sobol as Sobol,
 )

@@ -15,7 +15,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Union, cast
 
 import numpy as np
 
@@ -78,26 +78,27 @@ class Design:
 
 
 #: what stands for a design
-DesignLike = Design | Mapping[str, Sequence[Value]] | Sequence[Mapping[str, Value]]
+DesignLike = Union[
+    Design, Mapping[str, Sequence[Value]], Sequence[Mapping[str, Value]], "pd.DataFrame"
+]
 
 
-def as_design(name: str, design: DesignLike) -> Design:
-    """Return a design unchanged, a mapping of names to sequences as :class:`Grid`, a list as
-    :class:`Points`."""
+def as_design(design: DesignLike) -> Design:
+    """Return a design unchanged, the points of a mapping of names to sequences, or of a list or
+    table of points."""
     if isinstance(design, Design):
         return design
+    if hasattr(design, "to_dict") and hasattr(design, "columns"):
+        design = cast(
+            Sequence[Mapping[str, Value]], cast("pd.DataFrame", design).to_dict("records")
+        )
     if isinstance(design, Mapping) and design:
-        return Grid(design)
-    if (
-        isinstance(design, Sequence)
-        and not isinstance(design, str)
-        and design
-        and all(isinstance(p, Mapping) for p in design[:10])
-    ):
-        return Points(design)
+        return Design(_combinations(design))
+    if isinstance(design, Sequence) and not isinstance(design, str) and design:
+        return Design(_listed(design))
     raise TypeError(
-        f"{name} must be a mapping of names to sequences of values, a list of points, or a design "
-        f"(adaptmg.study.Grid, Points, Random ...), got {checks.described(design)}"
+        "parameters must be a mapping of names to sequences of values, a list or table of points, or a "
+        f"sample (adaptmg.study.Random, Sobol ...), got {checks.described(design)}"
     )
 
 
@@ -120,82 +121,44 @@ def _mapping(name: str, mapping: object, words: str) -> Mapping[str, object]:
     return mapping
 
 
-class Grid(Design):
-    """Every combination of values, the last parameter changing fastest.
-
-    Parameters
-    ----------
-    parameters : mapping of str to sequence
-        Numbers, strings, bools, None or tuples of those; no value twice.
-
-    Examples
-    --------
-    >>> list(Grid({"n": [1, 2], "law": ["a", "b"]}).points())[1]
-    {'n': 1, 'law': 'b'}
-    """
-
-    def __init__(self, parameters: Mapping[str, Sequence[Value]]) -> None:
-        columns = {}
-        for name, values in _mapping("parameters", parameters, "sequences of values").items():
-            if isinstance(values, str | Mapping) or not hasattr(values, "__len__"):
-                raise TypeError(
-                    f"parameters[{name!r}] must be a sequence of values, such as a list, got "
-                    f"{checks.shown(values)}: others may have no end"
-                )
-            values = cast(Sequence[Value], values)
-            if not _check_length(len(values)):
-                raise ValueError(f"parameters[{name!r}] is empty: give at least one value")
-            columns[name] = [parameter_value(name, value) for value in values]
-            if len(set(map(json.dumps, columns[name]))) < len(values):
-                raise ValueError(
-                    f"parameters[{name!r}] holds a value twice: {checks.shown(values)}"
-                )
-        _check_length(math.prod(map(len, columns.values())))
-        super().__init__(
-            [dict(zip(columns, row, strict=True)) for row in itertools.product(*columns.values())]
-        )
-
-
-class Points(Design):
-    """An explicit list.
-
-    Parameters
-    ----------
-    points : sequence of mappings, or pandas.DataFrame
-        All with the same names. A point may stand there once: runs with other random numbers have a
-        parameter ``seed``.
-
-    Examples
-    --------
-    >>> len(list(am.study.Points([{"n": 1}, {"n": 4}]).points()))
-    2
-    """
-
-    def __init__(self, points: Sequence[Mapping[str, Value]] | pd.DataFrame) -> None:
-        if hasattr(points, "to_dict") and hasattr(points, "columns"):
-            points = cast(
-                Sequence[Mapping[str, Value]], cast("pd.DataFrame", points).to_dict("records")
-            )
-        if isinstance(points, str | Mapping) or not isinstance(points, Sequence) or not points:
+def _combinations(parameters: Mapping[str, Sequence[Value]]) -> list[Point]:
+    """Return every combination of values, the last parameter changing fastest."""
+    columns = {}
+    for key, values in _mapping("parameters", parameters, "sequences of values").items():
+        if isinstance(values, str | Mapping) or not hasattr(values, "__len__"):
             raise TypeError(
-                f"points must be a list of mappings of names to values, got {checks.shown(points)}"
+                f"parameters[{key!r}] must be a sequence of values, such as a list, got "
+                f"{checks.shown(values)}: others may have no end"
             )
-        _check_length(len(points))
-        rows: dict[str, Point] = {}
-        for k, point in enumerate(points):
-            row = {
-                name: parameter_value(name, value)
-                for name, value in _mapping(f"points[{k}]", point, "values").items()
-            }
-            if set(row) != set(points[0]):
-                raise ValueError(
-                    f"points[{k}] has the parameters {', '.join(row)}, the first {', '.join(points[0])}: "
-                    "give all points the same"
-                )
-            if canonical(row) in rows:
-                raise ValueError(f"points[{k}] is the same as one before it: {checks.shown(row)}")
-            rows[canonical(row)] = row
-        super().__init__(list(rows.values()))
+        values = cast(Sequence[Value], values)
+        if not _check_length(len(values)):
+            raise ValueError(f"parameters[{key!r}] is empty: give at least one value")
+        columns[key] = [parameter_value(key, value) for value in values]
+        if len(set(map(json.dumps, columns[key]))) < len(values):
+            raise ValueError(f"parameters[{key!r}] holds a value twice: {checks.shown(values)}")
+    _check_length(math.prod(map(len, columns.values())))
+    return [dict(zip(columns, row, strict=True)) for row in itertools.product(*columns.values())]
+
+
+def _listed(points: Sequence[Mapping[str, Value]]) -> list[Point]:
+    """Return points of a list, each different and with the same names; runs with other random
+    numbers have a parameter such as ``seed``."""
+    _check_length(len(points))
+    rows: dict[str, Point] = {}
+    for k, point in enumerate(points):
+        row = {
+            key: parameter_value(key, value)
+            for key, value in _mapping(f"parameters[{k}]", point, "values").items()
+        }
+        if set(row) != set(points[0]):
+            raise ValueError(
+                f"parameters[{k}] has the parameters {', '.join(row)}, the first {', '.join(points[0])}: "
+                "give all points the same"
+            )
+        if canonical(row) in rows:
+            raise ValueError(f"parameters[{k}] is the same as one before it: {checks.shown(row)}")
+        rows[canonical(row)] = row
+    return list(rows.values())
 
 
 class _Sample(Design):

@@ -116,9 +116,11 @@ class Study:
         Arrays,
         :class:`adaptmg.MeshArrays`, :class:`adaptmg.Result`, and figures of matplotlib are kept apart in the store,
         see :meth:`load`. An exception makes a failed row, and the study goes on.
-    parameters : mapping of str to sequence, list of points, or design
-        A mapping is a grid: every combination, the last parameter changing fastest. Values are
-        numbers, strings, bools, None or tuples of those.
+    parameters : mapping of str to sequence, list or pandas.DataFrame of points, or sample
+        A mapping is a grid: every combination, the last parameter changing fastest. A point is a
+        mapping of names to values and stands there once. Samples are :class:`Random`,
+        :class:`LatinHypercube` and :class:`Sobol`. Values are numbers, strings, bools, None or
+        tuples of those.
     store : path, optional
         SQLite file, made where missing; several studies can share one. Default: in memory, gone
         with the study.
@@ -166,7 +168,7 @@ class Study:
         given = checks.mapping("fixed", {} if fixed is None else fixed, "names to values")
         self.fixed = {key: parameter_value(key, value) for key, value in given.items()}
         self.name = run.__name__ if name is None else checks.boundary_name("name", name)
-        self.design = as_design("parameters", parameters)
+        self.design = as_design(parameters)
         _check_names(run, self.design.names, self.fixed)
         self._store = Store(store)
 

@@ -81,5 +81,5 @@ def mistaken() -> None:
     am.plot.contact(problem)  # pyright: ignore[reportArgumentType]
     am.plot.contcat(result)  # pyright: ignore[reportAttributeAccessIssue]
     am.export.vtkk(result, "run.vtu")  # pyright: ignore[reportAttributeAccessIssue]
-    am.study.Grdi({"sweeps": [1, 2]})  # pyright: ignore[reportAttributeAccessIssue]
+    am.study.Sobl({"sweeps": [1, 2]})  # pyright: ignore[reportAttributeAccessIssue]
     am.mesh.gradde(problem.domain, 1e-3)  # pyright: ignore[reportAttributeAccessIssue]

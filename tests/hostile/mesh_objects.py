@@ -77,7 +77,7 @@ def _objects():
     ):
         yield Hostile(
             f"ngsolve {table} {field} {value}",
-            lambda t=table, f=field, v=value: am.mesh.from_ngsolve(_raw(t, f, v)),
+            lambda t=table, f=field, v=value: am.mesh.as_mesh(_raw(t, f, v)),
             says,
         )
     yield Hostile(

@@ -28,7 +28,7 @@ def split(mesh):
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 def test_ngsolve_sees_the_same_mesh_and_gives_it_back(mesh):
     mesh = split(mesh)
-    source, back = mesh.source, am.mesh.from_ngsolve(mesh.source)
+    source, back = mesh.source, am.mesh.as_mesh(mesh.source)
     for name in ("points", "facets", "facet_labels", "element_body"):
         np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name))
     np.testing.assert_array_equal(np.sort(back.elements), np.sort(mesh.elements))
@@ -73,15 +73,15 @@ def test_what_corners_do_not_say_is_refused(geometry):
     mesh = ngsolve.Mesh(geometry.GenerateMesh(maxh=0.5))
     mesh.SetDeformation(ngsolve.GridFunction(ngsolve.VectorH1(mesh, order=1)))
     with pytest.raises(ValueError, match="has a deformation"):
-        am.mesh.from_ngsolve(mesh)
+        am.mesh.as_mesh(mesh)
     mesh.UnsetDeformation()
-    assert am.mesh.from_ngsolve(mesh).n_nodes == mesh.nv
+    assert am.mesh.as_mesh(mesh).n_nodes == mesh.nv
     mesh.Curve(3)
     with pytest.raises(ValueError, match=r"has curved elements \(order 3\)"):
-        am.mesh.from_ngsolve(mesh)
+        am.mesh.as_mesh(mesh)
     mesh.ngmesh.SecondOrder()
     with pytest.raises(ValueError, match=r"has curved elements \(order 2\)"):
-        am.mesh.from_ngsolve(ngsolve.Mesh(mesh.ngmesh))
+        am.mesh.as_mesh(ngsolve.Mesh(mesh.ngmesh))
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_what_corners_do_not_say_is_refused(geometry):
 def test_netgens_other_elements_are_cut(tmp_path, make, area):
     source = make()
     source.ngmesh.Save(str(tmp_path / "m.vol"))
-    for mesh in (am.mesh.from_ngsolve(source), am.mesh.as_mesh(tmp_path / "m.vol")):
+    for mesh in (am.mesh.as_mesh(source), am.mesh.as_mesh(tmp_path / "m.vol")):
         assert mesh.n_nodes == source.nv and len(mesh.elements) > source.ne
         assert mesh.volumes.sum() == pytest.approx(1)
         sides = [mesh.surface(name).measures.sum() for name in mesh.boundaries]
@@ -105,8 +105,8 @@ def test_netgens_other_elements_are_cut(tmp_path, make, area):
 
 ELEMENTS, LABELS = MESHES["2D"].elements, MESHES["2D"].facet_labels
 test_refused = refused(
-    (lambda: am.mesh.from_ngsolve(periodic_square()), r"identified nodes \(periodic"),
-    (lambda: am.mesh.from_ngsolve(np.zeros(3)), TypeError, r"must be an ngsolve.Mesh, got ndarray"),
+    (lambda: am.mesh.as_mesh(periodic_square()), r"identified nodes \(periodic"),
+    (lambda: am.mesh.as_mesh(np.zeros(3)), TypeError, r"an ngsolve.Mesh or .*, got ndarray"),
     # what would crash
     *(
         (lambda changes=changes: replace(MESHES["2D"], **changes), message)

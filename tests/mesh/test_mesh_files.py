@@ -339,7 +339,7 @@ def two_bodies():
 
 
 def test_netgens_interfaces_are_left_out_and_names_merged():
-    mesh = am.mesh.from_ngsolve(ngsolve.Mesh(two_bodies()))
+    mesh = am.mesh.as_mesh(ngsolve.Mesh(two_bodies()))
     assert mesh.boundaries == ("low", "top", "left side", "r") and mesh.bodies == (
         "first body",
         "b",
@@ -355,7 +355,7 @@ def test_netgens_interfaces_are_left_out_and_names_merged():
 def test_netgen_files_are_read_as_netgen_reads_them(tmp_path, make):
     made = make()
     made.Save(str(tmp_path / "m.vol"))
-    expected = am.mesh.from_ngsolve(ngsolve.Mesh(str(tmp_path / "m.vol")))
+    expected = am.mesh.as_mesh(ngsolve.Mesh(str(tmp_path / "m.vol")))
     (tmp_path / "m.vol.gz").write_bytes(gzip.compress((tmp_path / "m.vol").read_bytes()))
     for name in ("m.vol", "m.vol.gz"):
         found = am.mesh.as_mesh(tmp_path / name)

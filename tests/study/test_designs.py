@@ -17,20 +17,17 @@ def points(design):
     return [tuple(point.values()) for point in design.points()]
 
 
-def test_grids_and_lists():
-    assert points(am.study.Grid({"n": [1, 2], "law": ["a", "b"]})) == [
-        (1, "a"),
-        (1, "b"),
-        (2, "a"),
-        (2, "b"),
-    ]
-    rows = [{"n": 1, "law": "a"}, {"law": "b", "n": 2}]
-    assert points(am.study.Points(rows)) == [(1, "a"), ("b", 2)]
-    assert am.Study(run, rows).run(progress=False)["m"].tolist() == [1, -2]
-    assert am.Study(run, am.study.Points(pd.DataFrame(rows))).run(progress=False)["m"].tolist() == [
-        1,
-        -2,
-    ]
+@pytest.mark.parametrize(
+    ("parameters", "results"),
+    [
+        ({"n": [1, 2], "law": ["a", "b"]}, [1, -1, 2, -2]),
+        ([{"n": 1, "law": "a"}, {"law": "b", "n": 2}], [1, -2]),
+        (pd.DataFrame({"n": [1, 2], "law": ["a", "b"]}), [1, -2]),
+    ],
+    ids=["grid", "list", "table"],
+)
+def test_every_combination_or_the_points_of_a_list_are_run_in_order(parameters, results):
+    assert am.Study(run, parameters).run(progress=False)["m"].tolist() == results
 
 
 @pytest.mark.parametrize("kind", [am.study.Random, am.study.LatinHypercube, am.study.Sobol])
@@ -58,12 +55,12 @@ def test_a_sobol_sequence_is_extended_and_no_point_runs_twice():
 @pytest.mark.parametrize(
     ("make", "error", "match"),
     [
-        (lambda: am.study.Grid({"n": itertools.count()}), TypeError, "no end"),
-        (lambda: am.study.Grid({"n": (k for k in range(3))}), TypeError, "no end"),
-        (lambda: am.study.Grid({"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
-        (lambda: am.study.Points([{"n": 1}, {"n": 1}]), ValueError, "the same as one before it"),
-        (lambda: am.study.Points([{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
-        (lambda: am.study.Points([]), TypeError, "list of mappings"),
+        (lambda: am.Study(run, {"n": itertools.count()}), TypeError, "no end"),
+        (lambda: am.Study(run, {"n": (k for k in range(3))}), TypeError, "no end"),
+        (lambda: am.Study(run, {"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
+        (lambda: am.Study(run, [{"n": 1}, {"n": 1}]), ValueError, "the same as one before it"),
+        (lambda: am.Study(run, [{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
+        (lambda: am.Study(run, []), TypeError, "a list or table of points"),
         (lambda: am.study.Sobol({"x": (1.0, 1.0)}, 4), ValueError, "go up"),
         (lambda: am.study.Sobol({"x": (0.0, 1.0)}, 4, log=["x"]), ValueError, "logarithmic"),
         (lambda: am.study.Sobol({"x": (0.0, float("nan"))}, 4), ValueError, "finite"),
