@@ -1,6 +1,7 @@
 """An imitation of a queue: sbatch and scancel as scripts that start and end jobs on this
 machine."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -8,7 +9,7 @@ __all__ = ["fake_slurm"]
 
 _SBATCH = """#!{python}
 import subprocess, sys
-job = subprocess.Popen(["/bin/sh", "-c", "sleep {wait}; exec /bin/sh " + sys.argv[-1] + ".kept"],
+job = subprocess.Popen(["/bin/sh", "-c", "sleep {wait}; PYTHONPATH={path} exec /bin/sh " + sys.argv[-1] + ".kept"],
                        start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 # the file goes when this command ends
 open(sys.argv[-1] + ".kept", "w").write(open(sys.argv[-1]).read())
@@ -32,7 +33,10 @@ def fake_slurm(folder: Path, wait_s: float) -> Path:
     for name, text in (("sbatch", _SBATCH), ("scancel", _SCANCEL)):
         file = folder / name
         file.write_text(
-            text.format(python=sys.executable, wait=wait_s, jobs=str(jobs)), encoding="utf-8"
+            text.format(
+                python=sys.executable, wait=wait_s, jobs=str(jobs), path=os.pathsep.join(sys.path)
+            ),
+            encoding="utf-8",
         )
         file.chmod(0o755)
     return jobs

@@ -4,7 +4,6 @@ none."""
 import contextlib
 import os
 import signal
-import sys
 import time
 
 import pytest
@@ -20,7 +19,6 @@ def jobs(tmp_path, monkeypatch):
 
     file = fake_slurm(tmp_path, wait_s=0.8)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     yield lambda: [int(line) for line in file.read_text(encoding="utf-8").splitlines()]
     for job in file.read_text(encoding="utf-8").splitlines():
         with contextlib.suppress(ProcessLookupError):

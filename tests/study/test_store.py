@@ -23,7 +23,6 @@ from matplotlib.figure import Figure
 import adaptmg as am
 from adaptmg._machine import process_name
 from adaptmg.study import store as study_store
-from adaptmg.study import study as study_module
 from adaptmg.study.designs import canonical
 from adaptmg.study.store import Packed, Record, Store, new_owner, pack
 
@@ -164,7 +163,7 @@ def test_a_row_whose_writing_was_interrupted_is_written(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("rerun", [False, True])
-def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun, monkeypatch):
+def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun):
     done = []
 
     def run(n):
@@ -179,10 +178,12 @@ def test_those_who_share_a_store_compute_each_point_once(tmp_path, rerun, monkey
         study().run(progress=False)
         done.clear()
     together = threading.Barrier(3)  # who looks into the store when others have run computes again
-    monkeypatch.setattr(study_module, "in_order", lambda points, *_: (together.wait(), points)[1])
     with ThreadPoolExecutor(3) as pool:
         tables = list(
-            pool.map(lambda one: one.run(progress=False, rerun=rerun), [study() for _ in range(3)])
+            pool.map(
+                lambda one: one.run(progress=False, rerun=rerun, cost=lambda _: together.wait()),
+                [study() for _ in range(3)],
+            )
         )
     assert sorted(done) == list(range(8))
     assert all(table["m"].tolist() == list(range(8)) for table in tables)

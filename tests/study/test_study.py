@@ -1,5 +1,6 @@
 """Studies: nothing is lost, nothing is computed twice, nothing stale is taken for fresh."""
 
+import contextlib
 import functools
 import math
 import time
@@ -293,7 +294,7 @@ def test_any_exception_of_a_run_is_its_failure(error):
         assert table["status"].tolist() == ["failed", "failed"]
 
 
-def test_each_run_is_reported(capsys, caplog, monkeypatch):
+def test_each_run_is_reported(capsys, caplog):
     reported, study = [], am.Study(lambda n: {"m": 1 / n}, {"n": [1, 0, 2]}, name="s")
     caplog.set_level("INFO", logger="adaptmg.study")
     study.run(lambda watch: reported.append((watch.name, watch.done, watch.total, watch.failed)))
@@ -309,9 +310,10 @@ def test_each_run_is_reported(capsys, caplog, monkeypatch):
     study.run(progress=True)
     out, err = capsys.readouterr()
     assert out == "" and "3/3" in err and "1 failed, 0 left" in err
-    monkeypatch.setattr("sys.stderr", None)
     for progress in (None, True):
-        assert sweep(case, {"sweeps": [1]}).run(progress=progress)["status"].tolist() == ["done"]
+        with contextlib.redirect_stderr(None):
+            table = sweep(case, {"sweeps": [1]}).run(progress=progress)
+        assert table["status"].tolist() == ["done"]
 
 
 def test_tables_name_units():
