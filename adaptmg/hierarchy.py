@@ -35,6 +35,7 @@ from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.problem import Assembly, Box, Contact, ContactProblem, Rectangle
 
 if TYPE_CHECKING:
+    from adaptmg.mesh.read import MeshLike
     from adaptmg.transfer import Transfer
 
 Divisions = int | tuple[int, ...]
@@ -222,7 +223,7 @@ class Hierarchy:
     def from_meshes(
         cls,
         problem: ContactProblem | ScalarProblem,
-        meshes: Sequence[Any],
+        meshes: Sequence[MeshLike],
         transfer: Transfer | None = None,
         contact_rows: bool = True,
     ) -> Hierarchy:

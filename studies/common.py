@@ -287,7 +287,7 @@ def timed(hierarchy: am.Hierarchy, solver: Any, **options: Any) -> tuple[am.Resu
         if isinstance(solver, am.ActiveSet):
             hierarchy = am.Hierarchy.from_meshes(
                 hierarchy.problem,
-                [level.mesh for level in hierarchy],
+                [am.mesh.need_mesh(level) for level in hierarchy],
                 hierarchy.transfer,
                 hierarchy.contact_rows,
             )

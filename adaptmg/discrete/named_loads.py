@@ -19,7 +19,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import held_components
 from adaptmg.discrete.ties import jump_of
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.problem.load_path import DEFAULT
 from adaptmg.problem.loads import InitialStrain, Preload
 from adaptmg.problem.surfaces import Periodic
@@ -38,7 +38,7 @@ class LoadSteps:
         default_factory=dict
     )  # dict of str to (n_elements, 3)
     strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
-    mesh: MeshArrays | Any = None  # Any: as of stress
+    mesh: MeshArrays | None = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | Any:
         """Return what the stresses of a step follow from."""
@@ -61,7 +61,7 @@ class LoadSteps:
         volumes = discrete.volumes
         if len(volumes) and self.strains:
             data = self.stress_data(factors)
-            volumes = volumes.expanding(self.mesh, data.initial_strain, data.axisymmetric)
+            volumes = volumes.expanding(need_mesh(self), data.initial_strain, data.axisymmetric)
         return discrete.with_step(
             self.load(factors),
             self.fixed_values(factors),
@@ -80,7 +80,7 @@ class LoadSteps:
             (factors[name] * load for name, load in self.strain_loads.items()),
             np.zeros(self.n_dofs),
         )
-        return load, self.stress_data(factors).suppressed(self.mesh)
+        return load, self.stress_data(factors).suppressed(need_mesh(self))
 
     def load(self, factors: Mapping[str, float]) -> np.ndarray:
         """Return the nodal forces (n_dofs,) of a step, N."""

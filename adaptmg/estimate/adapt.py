@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Real
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -38,17 +38,16 @@ from adaptmg.solver.outcome import tolerance_argument
 from adaptmg.solver.store import StepStore
 
 if TYPE_CHECKING:
-    from adaptmg.mesh.arrays import MeshArrays
+    from adaptmg.mesh.read import MeshLike
     from adaptmg.solver.record import Solver
     from adaptmg.transfer import Transfer
 
-    #: Any is an ngsolve.Mesh, which only mesh/ imports
-    Start = float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None
+    Start = float | MeshLike | Hierarchy | None
 
 
 def adapt(
     problem: ContactProblem,
-    start: float | MeshArrays | str | os.PathLike[str] | Hierarchy | Any | None = None,
+    start: float | MeshLike | Hierarchy | None = None,
     indicator: Indicator[AnyEstimate] | None = None,
     mark: Mark | None = None,
     engine: Engine | None = None,
@@ -247,7 +246,7 @@ def _first_hierarchy(
         first = _of_size(problem, start, transfer, engine, limits)
     else:
         with _naming_start():
-            first = Hierarchy.from_meshes(problem, (start,), transfer)
+            first = Hierarchy.from_meshes(problem, (cast("MeshLike", start),), transfer)
     nodes = first.finest.n_nodes
     if limits.max_nodes is not None and nodes > limits.max_nodes:
         raise ValueError(
@@ -306,7 +305,7 @@ def _of_size(
         )
     make = getattr(engine, "first", None)
     with _naming_start():
-        mesh = make(problem, size) if callable(make) else None
+        mesh = cast("MeshLike | None", make(problem, size) if callable(make) else None)
         if mesh is None:
             return Hierarchy.graded(problem, (size,), ratio, transfer)
     sound_mesh(engine, "first", problem, mesh)

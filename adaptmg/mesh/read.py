@@ -8,6 +8,7 @@ anywhere. What comes back is checked like every other mesh."""
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -29,6 +30,9 @@ from adaptmg.mesh.soundness import check_stranger
 if TYPE_CHECKING:
     import ngsolve
 
+    #: what stands for a mesh
+    MeshLike = MeshArrays | ngsolve.Mesh | str | os.PathLike[str]
+
 # Netgen's types of second order
 _CURVED = (12, 13, 14, 21, 24)
 # of which meshio reads sets of nodes
@@ -37,7 +41,7 @@ _EXODUS = (".e", ".exo", ".ex2")
 _BYTES_PER_BYTE = 100
 
 
-def as_mesh(mesh: MeshArrays | ngsolve.Mesh | str | Path) -> MeshArrays:
+def as_mesh(mesh: MeshLike) -> MeshArrays:
     """Convert to checked MeshArrays.
 
     Parameters

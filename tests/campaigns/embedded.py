@@ -1,4 +1,4 @@
-"""Random problems behind 63 000 nodes of another body: equal to those of the body alone.
+"""Random problems behind 47 000 nodes of another body: equal to those of the body alone.
 
 Products of such numbers leave 32 bits. By turns bodies on obstacles and pairs of bodies (2D and 3D),
 nearly incompressible ones of smoothed elements, bodies that contact alone holds, stacks with all

@@ -1,4 +1,4 @@
-"""Numbers of nodes whose products leave 32 bits: a problem behind 63 000 nodes of another body is
+"""Numbers of nodes whose products leave 32 bits: a problem behind 47 000 nodes of another body is
 the problem alone."""
 
 from dataclasses import replace

@@ -22,7 +22,7 @@ def strip(dim: int, n_nodes: int) -> am.MeshArrays:
     )
 
 
-def mesh_behind(mesh: am.MeshArrays, n_nodes: int = 63_000) -> tuple[am.MeshArrays, int]:
+def mesh_behind(mesh: am.MeshArrays, n_nodes: int = 47_000) -> tuple[am.MeshArrays, int]:
     """The mesh after at least ``n_nodes`` nodes of another body, and how many these are."""
     far = strip(mesh.dim, n_nodes)
     n, size = far.n_nodes, np.ptp(mesh.points, axis=0).max()

@@ -13,5 +13,5 @@ def load(name: str) -> ModuleType:
     """The module of a script, as it is when the script's folder is on the path."""
     for folder in (STUDIES, ROOT / "tests" / "campaigns"):
         if str(folder) not in sys.path:
-            sys.path.insert(0, str(folder))
+            sys.path.append(str(folder))
     return importlib.import_module(name)
