@@ -52,7 +52,8 @@ from adaptmg.problem.load_path import obstacles_in_path
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise_on_motion, advise_on_problem, once
-from adaptmg.solver.examine import Examiner
+from adaptmg.solver.examine import Examiner, euclidean_norm
+from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.load_path import way_in_contact
 from adaptmg.solver.load_steps import Past, step_outcome
 from adaptmg.solver.multigrid import Multigrid, handed_over
@@ -165,8 +166,8 @@ def march(
             "certify_every": certify_every,
             "start": loop.displacement,
         }
-        loads = load_steps(loop.posed, loop.discrete)
-        mark = fingerprint(made, [loads], {}, 1, parts, depends)
+        loads = [load_steps(loop.posed, loop.discrete)]
+        mark = fingerprint(made, loads, {}, 1, parts, depends)
         steps = StepStore.resumed(store, _HEAD, {"fingerprint": mark}, KINDS)
     return _results(loop, steps, certify_every, throw, progress)
 
@@ -264,13 +265,12 @@ class March:
         self.posed = cast("Posed", grids.posed)
         problem = self.posed.problem
         mesh = self.posed.mesh
-        bodies = mesh, self.posed.materials
-        self.stiffness = supported_stiffness(*bodies, problem.supports, problem.elements)
-        self.stress_data = StressData.of(*bodies, problem.loads, problem.elements)
+        materials = self.posed.materials
+        self.stiffness = supported_stiffness(mesh, materials, problem.supports, problem.elements)
+        self.stress_data = StressData.of(mesh, materials, problem.loads, problem.elements)
         self.mass = lumped_mass(self.posed, dynamics)[:, None]
-        #: A-norm of what rounding of a unit displacement leaves in K u
-        diagonal = self.stiffness.diagonal() / np.sqrt(self.discrete.matrix.diagonal())
-        self.rounding = np.finfo(float).eps * np.sqrt(np.sum(diagonal**2))
+        #: Euclidean norm of what rounding of a unit displacement leaves in K u, N/m
+        self.rounding = np.finfo(float).eps * euclidean_norm(self.stiffness.diagonal())
         forces = self.discrete.physical_forces(self.discrete.whole_load)
         self.forces = forces.reshape(mesh.points.shape)
         self.flying = self._flying()
@@ -280,8 +280,8 @@ class March:
         first = displacement_argument("start", start, self.discrete)
         relative = np.zeros(mesh.points.shape) if first is None else first
         self.displacement = self._held(relative, 1.0)
-        velocity = nodal_velocity(self.posed, dynamics)
-        self.velocity = self._held(self.discrete.relative(velocity), 0.0)
+        flying = self.discrete.relative(nodal_velocity(self.posed, dynamics))
+        self.velocity = self._held(flying, 0.0)
         self.internal = self._internal(self.displacement)
         overlap = self._overlap(self.displacement).max(initial=0.0)
         if overlap > _OVERLAP * mesh.sides.max():
@@ -319,11 +319,9 @@ class March:
         """Return the vectors (n_nodes, dim) of relative ones, with a ``share`` of what supports and
         ties prescribe."""
         discrete = self.discrete
-        fixed = discrete.fixed.reshape(relative.shape)
-        values = share * discrete.fixed_values.reshape(relative.shape)
         inclined = discrete.inclined
-        nodes = np.arange(discrete.n_nodes)
-        held = inclined.free_part(nodes, np.where(fixed, values, relative))
+        fixed = np.where(discrete.fixed, share * discrete.fixed_values, relative.reshape(-1))
+        held = inclined.free_part(np.arange(discrete.n_nodes), fixed.reshape(relative.shape))
         held[inclined.nodes] += share * inclined.prescribed({})
         return discrete.physical(held)
 
@@ -377,7 +375,10 @@ class March:
             # not with the acceleration of the step before: errors that alternate would grow, up to
             # the tolerance, and the steps of a bar take 1.82 cycles for 1.72
             first = discrete.relative(admissible - shift).reshape(-1)
-            loose = self._least_tolerance(admissible - shift)
+            # much where bodies have flown far, and a step is so long that their mass is a trifle
+            noise = self.rounding * np.abs([self.displacement, admissible - shift]).max()
+            loose = noise / (StopTest.RESIDUAL_FACTOR * euclidean_norm(discrete.load) or 1.0)
+            loose = min(loose, _MOST_ROUNDING)
             past = Past([], first, first, given=True, near=True, loose=loose)
         outcome, self.multigrid, _ = step_outcome(
             self.step_solver, self.multigrid, grids, examiner, run, past
@@ -392,14 +393,6 @@ class March:
         if certified:
             advise_on_motion(self.posed, result)
         return result
-
-    def _least_tolerance(self, moved: np.ndarray) -> float:
-        """Return what rounding leaves of the displacement ``moved`` (n_nodes, dim) of a step: much
-        where bodies have flown far, and a step is long enough to make the mass a trifle."""
-        inertia = 2 / self.dynamics.step**2 * np.sum(self.mass * moved**2)
-        energy = inertia + np.sum(self.displacement * self.internal)
-        noise = self.rounding * np.abs(self.displacement).max()
-        return min(_MOST_ROUNDING, noise / np.sqrt(energy)) if energy > 0 else 0.0
 
     def take(self, result: Result) -> None:
         """Go past a step."""
