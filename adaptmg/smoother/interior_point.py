@@ -82,7 +82,7 @@ def interior_point(
     """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in ``most`` steps or
     fewer. ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible
     displacement."""
-    if contact.lowest is not None and np.isfinite(contact.lowest).any():
+    if contact.lowest is not None:
         return _between(unknowns, load, contact, stiffness, tolerance, offset, most)
     springs = list(_SPRINGS)
     method = _Method(unknowns, load, contact, springs.pop(0) * stiffness, offset)
@@ -113,58 +113,36 @@ def _between(
     offset: np.ndarray | float,
     most: int,
 ) -> Interior:
-    """As :func:`interior_point`, with a second obstacle at some nodes: each is a further node, whose
-    displacement is that of the first one turned round."""
-    lowest = cast("np.ndarray", contact.lowest)
-    n = len(lowest)
-    span = _TwoSided(unknowns, np.flatnonzero(np.isfinite(lowest)))
-    conditions = Conditions(
-        gap=np.append(contact.gap, -lowest[span.nodes]),
-        slip_reference=np.zeros((n + len(span.nodes), 0)),
-        limit=np.zeros(n + len(span.nodes)),
-        friction=np.zeros(n + len(span.nodes)),
-    )
-    both = interior_point(
-        span,
-        load,
-        conditions,
-        np.concatenate([stiffness, stiffness[span.nodes]]),
-        tolerance,
-        span.doubled(np.broadcast_to(offset, (n, 1))),
-        most,
-    )
-    return replace(both, values=both.values[:n], forces=span.summed(both.forces, -1.0))
+    """As :func:`interior_point`, with an obstacle on either side: each node occurs twice, the second
+    time with its displacement turned round."""
+    n = len(stiffness)
+    gaps = np.append(contact.gap, -cast("np.ndarray", contact.lowest))
+    conditions = Conditions(gaps, np.zeros((2 * n, 0)), np.zeros(2 * n), np.zeros(2 * n))
+    twice = np.concatenate([stiffness, stiffness])
+    shift = np.broadcast_to(offset, stiffness.shape)
+    shifts = np.concatenate([shift, -shift])
+    both = interior_point(_TwoSided(unknowns), load, conditions, twice, tolerance, shifts, most)
+    return replace(both, values=both.values[:n], forces=both.forces[:n] - both.forces[n:])
 
 
 class _TwoSided:
-    """Unknowns of which some nodes have a second obstacle; see :class:`Span`."""
+    """Unknowns whose nodes occur twice; see :class:`Span`."""
 
-    def __init__(self, unknowns: Span, nodes: np.ndarray) -> None:
+    def __init__(self, unknowns: Span) -> None:
         self.unknowns = unknowns
-        self.nodes = nodes
-
-    def doubled(self, values: np.ndarray) -> np.ndarray:
-        """Return values (n, 1) of the nodes, and those of the further ones behind."""
-        return np.concatenate([values, -values[self.nodes]])
-
-    def summed(self, parts: np.ndarray, sign: float) -> np.ndarray:
-        """Return the parts of the nodes, with ``sign`` times those of the further ones."""
-        n = len(parts) - len(self.nodes)
-        total = parts[:n].copy()
-        total[self.nodes] += sign * parts[n:]
-        return total
-
-    def product(self, unknowns: np.ndarray) -> np.ndarray:
-        return self.unknowns.product(unknowns)
+        self.product = unknowns.product
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:
-        return self.doubled(self.unknowns.values(unknowns))
+        values = self.unknowns.values(unknowns)
+        return np.concatenate([values, -values])
 
     def restricted(self, forces: np.ndarray) -> np.ndarray:
-        return self.unknowns.restricted(self.summed(forces, -1.0))
+        front, behind = np.split(forces, 2)
+        return self.unknowns.restricted(front - behind)
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        return self.unknowns.factors(self.summed(blocks, 1.0))
+        front, behind = np.split(blocks, 2)
+        return self.unknowns.factors(front + behind)
 
 
 class _Method:
