@@ -284,9 +284,8 @@ class Hierarchy:
         for P, above, A in zip(
             [None, *checked[:-1]][::-1], checked[::-1], matrices[::-1], strict=True
         ):
-            problem = None
-            if checks.flag("contact", contact):
-                problem = restricted_problem(levels[0].discrete, above, A)
+            restricts = checks.flag("contact", contact)
+            problem = restricted_problem(levels[0].discrete, above, A) if restricts else None
             levels.insert(0, Level(problem, None, P, galerkin=A))
         return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})
 

@@ -104,17 +104,16 @@ class ContactNodes:
         directions = _unit_normals(normals, n)
         scalar = directions.shape[1] == 1
         opposite = np.full(n, np.inf) if opposite_gaps is None else opposite_gaps
-        if scalar:
-            distances = _limits("gaps", gaps, (n,))
-            opposite = _limits("opposite_gaps", opposite, (n,))
-            _check_room(distances, opposite)
-        elif np.isfinite(opposite).any():
+        opposite = _limits("opposite_gaps", opposite, (n,))
+        if not scalar and np.isfinite(opposite).any():
             raise ValueError(
                 "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "
                 "nodes of each face have gaps to the one that they face"
             )
-        else:
-            distances = bounded("gaps", gaps, (n,), checks.VAST)
+        distances = (
+            _limits("gaps", gaps, (n,)) if scalar else bounded("gaps", gaps, (n,), checks.VAST)
+        )
+        _check_room(distances, opposite)
         if not allow_interference and distances.min(initial=0.0) < 0:
             i = int(np.argmin(distances))
             raise ValueError(

@@ -24,8 +24,8 @@ class CoarseObstacles:
     def __init__(self, step: TruncatedStep) -> None:
         self.step = step
         levels = _levels(step)
-        safe = all((level.contact_prolongation.data > 0).all() for level in levels[1:])
         #: the level below; None where weights at contact nodes are negative, and nothing is safe
+        safe = all((level.contact_prolongation.data > 0).all() for level in levels[1:])
         self.number = step.number - 1 if safe else None
         self.cycle = MultigridCycle(
             levels,

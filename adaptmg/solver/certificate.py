@@ -278,8 +278,8 @@ class Evidence:
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         if problem.dim == 1:  # of two obstacles the nearest
-            faced = problem.contact.facing(self.u[problem.contact.nodes])
-            problem = problem.posing(contact=faced)
+            moved = self.u[problem.contact.nodes]
+            problem = problem.posing(contact=problem.contact.facing(moved))
         self.problem = problem
         self.contact = contact
         self.pressures = pressures

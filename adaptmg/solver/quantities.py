@@ -208,8 +208,7 @@ class Quantities:
         closed[contact.node[chosen & contact.closed]] = True
         points = [mesh.points[closed]]
         for number in np.unique(contact.boundary[chosen]):
-            name = contact.names[number]
-            facets = mesh.elements if self.dim == 1 else mesh.boundary_facets(name)
+            facets = mesh.elements if self.dim == 1 else mesh.boundary_facets(contact.names[number])
             for a, b in combinations(facets.T, 2):
                 ends = closed[a] != closed[b]
                 points.append(0.5 * (mesh.points[a[ends]] + mesh.points[b[ends]]))
