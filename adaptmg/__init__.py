@@ -11,7 +11,7 @@ Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
 Domain      Rectangle, Circle, Polygon, Outline, Cracked; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut,
             Fuse, Common, Moved; Assembly of several bodies; ready problems in cases, problem data
             in problem
-Grids       Hierarchy (a Level for each grid): uniform, graded, from_meshes, ...; transfers
+Grids       Hierarchy (a Level for each grid, a Forecast of costs): uniform, graded, from_meshes, ...; transfers
             Interpolation, PseudoL2, L2, LumpedL2, QuasiInterpolation; mesh, MeshArrays, SizeNear
 Solve       solve, solve_path, march (impact); Multigrid, FullMultigrid, SingleGrid, ActiveSet with
             Direct or AMG; set_threads

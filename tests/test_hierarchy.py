@@ -3,6 +3,7 @@ refused."""
 
 import gc
 import pickle
+import tracemalloc
 import weakref
 from dataclasses import replace
 from functools import cache
@@ -460,3 +461,23 @@ def test_small_elements_far_from_the_origin_stay_nested():
     assert all(level.prolongation.data.min() > 0.49 for level in hierarchy.levels[1:])
     result = am.solve(hierarchy, am.FullMultigrid(rtol=1e-6))
     assert not result.certificate().contradictions(1e-6)
+
+
+@pytest.mark.parametrize("case", ["greco_bar", "dovetail", "greco_block"])
+def test_a_forecast_is_right_to_the_factors_it_names(case):
+    problem = am.cases.CASES[case].function()
+    first = 8e-3 if problem.dim == 2 else 20e-3
+    sizes = [first * 2.0**-k for k in range(3)]
+    tracemalloc.start()
+    grids = am.Hierarchy.graded(problem, sizes)
+    am.solve(grids)
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    nodes = grids.finest.n_nodes
+    costs = grids.forecast()
+    assert (costs.nodes, costs.unknowns) == (nodes, nodes * problem.dim)
+    if nodes > 1000:  # on small meshes what does not grow with the nodes is most of it
+        assert used / 2 < costs.memory < 2 * used
+    coarse = am.Hierarchy.graded(problem, sizes[:1]).forecast(finer=4)
+    assert 0.6 < coarse.nodes / nodes < 1.6
+    assert "nodes" in str(costs) and "MB" in str(costs)

@@ -1,4 +1,5 @@
-"""The command ``adaptmg``: ``cases``, ``solve``, ``adapt``, ``study FILE.py``, ``report STORE``."""
+"""The command ``adaptmg``: ``cases``, ``solve``, ``adapt``, ``study FILE.py``, ``report STORE``,
+``warm``."""
 
 from adaptmg.cli.commands import main
 

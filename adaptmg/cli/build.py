@@ -284,6 +284,22 @@ def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     return _made(partial(make, task), values, "hierarchy.", what)
 
 
+def forecast(settings: Mapping[str, Arguments]) -> am.Forecast:
+    """Return what a solve will take; of several sizes or divisions the coarsest grid alone is
+    made."""
+    problem = problem_of(settings["case"])
+    solver_of(settings["solver"])
+    values = dict(settings["hierarchy"])
+    finer = 1.0
+    if "sizes" in values:
+        finer = values["sizes"][0] / values["sizes"][-1]
+        values["sizes"] = values["sizes"][:1]
+    elif "divisions" in values:
+        finer = values["divisions"][-1] / values["divisions"][0]
+        values["divisions"] = values["divisions"][:1]
+    return grids(problem, values).forecast(finer)
+
+
 def solved(
     settings: Mapping[str, Arguments],
     callback: Callable[[dict], None] | None = None,

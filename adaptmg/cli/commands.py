@@ -115,6 +115,7 @@ def _parser(command: str) -> _Parser:
         type=Path,
         help="folder for the result (.npz), pictures and a .vtu file",
     )
+    add("--dry-run", action="store_true", help="forecast nodes, memory and seconds, solve nothing")
     _add_json(add)
     add = made(
         _adapt,
@@ -265,6 +266,10 @@ def _solve(parsed: Namespace) -> int:
     from adaptmg.cli import build, output
 
     settings = _settings(parsed)
+    if parsed.dry_run:
+        costs = build.forecast(settings)
+        _print_json(costs._asdict()) if parsed.json else _say(str(costs))
+        return 0
     folder = output.folder(parsed.out)
     with output.watched() as callback:
         result, grids, _ = build.solved(settings, callback)

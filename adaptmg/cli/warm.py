@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import adaptmg as am
 
@@ -13,7 +14,7 @@ SOLID = am.cases.greco_block()
 PAIR = am.cases.two_block_patch()
 
 
-def _solved(problem: am.ContactProblem, *methods: object, size: float = 0.25) -> None:
+def _solved(problem: am.ContactProblem, *methods: Any, size: float = 0.25) -> None:
     """Solve a problem on three graded meshes, the coarsest one of this size over that of the
     body."""
     parts = getattr(problem.domain, "parts", {"": problem.domain}).values()

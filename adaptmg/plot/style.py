@@ -91,7 +91,7 @@ def styled(draw: Callable[_Arguments, _Drawn]) -> Callable[_Arguments, _Drawn]:
 
     @wraps(draw)
     def drawn(*arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Drawn:
-        style = {key: value for key, value in _STYLE.items() if not _chosen(key)}
+        style: dict[RcKeyType, Any] = {k: v for k, v in _STYLE.items() if not _chosen(k)}
         style["text.usetex"] = False  # names of boundaries are no TeX
         with matplotlib.rc_context(style):
             return draw(*arguments, **named)

@@ -14,7 +14,7 @@ import adaptmg as am
 from adaptmg.cli import main
 from adaptmg.cli.output import watched
 
-COMMANDS = ("cases", "solve", "adapt", "study", "report")
+COMMANDS = ("cases", "solve", "adapt", "study", "report", "warm")
 SMALL = ("adapt", "upset_block", "--start", "8e-3", "--engine", "bisect", "--max-nodes", "120")
 
 
@@ -211,3 +211,11 @@ def test_a_mesh_that_is_not_solved_ends_with_code_1(command, monkeypatch):
         and "not converged" in json.loads(out)["error"]
         and "not converged: " in err.splitlines()[-1]
     )
+
+
+def test_a_dry_run_forecasts_without_the_fine_grids(command):
+    code, said, _ = command("solve", "greco_bar", "--divisions", "4,8,1024", "--dry-run")
+    assert code == 0 and said.startswith("about 1050625 nodes, 2101250 unknowns")
+    code, said, _ = command("solve", "greco_bar", "--sizes", "8e-3,2e-3", "--dry-run", "--json")
+    assert code == 0 and set(json.loads(said)) == {"nodes", "unknowns", "memory", "seconds"}
+    assert command("solve", "greco_bar", "--pre", "-1", "--dry-run")[0] == 2
