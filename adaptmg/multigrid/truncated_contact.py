@@ -294,7 +294,9 @@ class TruncatedContact:
         frames = self.frames.reshape(*shape, self.dim)
         before = self.values.reshape(shape)
         held = np.zeros(shape, dtype=bool)
-        held[:, 0] = self.codes & CLOSED != 0
+        closed = self.codes & CLOSED != 0
+        soft = self.spring > 0
+        held[:, 0] = closed & ~soft
         held[:, 1:] = (self.codes & TANGENTIAL == HELD)[:, None]
         dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
         after = to_frames(frames, unknowns[dofs])
@@ -303,7 +305,10 @@ class TruncatedContact:
             "project: what project returns", project(self.conditions, before.copy(), after), shape
         )
         values = np.where(held, before, values)
-        values[:, 0] = self.conditions.clamped(values[:, 0])
+        normal = self.conditions.clamped(values[:, 0])
+        # as in front of rigid surfaces, a correction opens no closed node and closes no open one
+        same_side = np.where(closed, np.maximum(normal, self.gap), np.minimum(normal, self.gap))
+        values[:, 0] = np.where(soft, same_side, normal)
         values[self.driven, 1:2] = 0.0
         self.values[:] = values.reshape(-1)
         unknowns[dofs] = from_frames(frames, values)

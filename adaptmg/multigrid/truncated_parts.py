@@ -38,13 +38,14 @@ class Projection(Protocol):
             ``contact.slip_reference``.
         before, after : (n_contact, dim) array
             Values before the correction, which are admissible, and after it: normal, tangents, m.
-            Closed nodes and nodes that stick are as before. These arrays may be changed.
+            Nodes that stick are as before, and so are normal values of closed nodes, unless the
+            surface is compliant. These arrays may be changed.
 
         Returns
         -------
         (n_contact, dim) array
-            Normal values above the gap are cut; those of closed nodes, and the slips of nodes that
-            stick, stay as before whatever is returned.
+            What is as before stays so, whatever is returned. Normal values above the gap are cut,
+            those of closed nodes on compliant surfaces below it.
         """
         ...
 
