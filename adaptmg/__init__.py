@@ -7,7 +7,7 @@ Problem     ContactProblem; Contact, ContactPair, Tied, Periodic (obstacles Plan
             Moving, Rigid); Support, Symmetry, Spring, PointSupport, PointSpring; Pressure, Traction, BodyForce,
             PointForce, InitialStrain, Preload; Frictionless, Coulomb, Tresca, StateLaw;
             NormalCompliance; LoadPath, Dynamics
-Material    PlaneStrain, PlaneStress, Axisymmetric, Solid
+Material    PlaneStrain, PlaneStress, Axisymmetric, Solid; Plastic
 Domain      Rectangle, Circle, Polygon, Outline, Cracked; Box, Ball, Cylinder, Extrusion, Revolution, StepFile; Cut,
             Fuse, Common, Moved; Assembly of several bodies; ready problems in cases, problem data
             in problem

@@ -79,6 +79,7 @@ from .problem import (
     Plane as Plane,
     PlaneStrain as PlaneStrain,
     PlaneStress as PlaneStress,
+    Plastic as Plastic,
     PointForce as PointForce,
     PointSpring as PointSpring,
     PointSupport as PointSupport,

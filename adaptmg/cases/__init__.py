@@ -21,6 +21,7 @@ from adaptmg.cases.closed_forms import (
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
 from adaptmg.cases.impact import impact_bar
 from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
+from adaptmg.cases.plastic_bodies import hill_cylinder, prandtl_punch
 from adaptmg.cases.scalar import elastic_plastic_torsion, obstacle_problem
 from adaptmg.problem import ContactProblem
 
@@ -43,10 +44,12 @@ __all__ = [
     "greco_block",
     "hertz_cylinder",
     "hertz_sphere",
+    "hill_cylinder",
     "impact_bar",
     "incline",
     "leaning_strut",
     "obstacle_problem",
+    "prandtl_punch",
     "two_block_patch",
     "upset_block",
 ]
@@ -106,6 +109,12 @@ CASES: Mapping[str, Case] = MappingProxyType(
         ),
         "leaning_strut": Case(
             leaning_strut, "a strut that leans on its foot, friction 0.6: three solutions (2D)"
+        ),
+        "prandtl_punch": Case(
+            prandtl_punch, "a flat rigid punch pressed into a plastic block: its limit load (2D)"
+        ),
+        "hill_cylinder": Case(
+            hill_cylinder, "a thick tube that yields under inner pressure (axisymmetric)"
         ),
         "two_block_patch": Case(
             two_block_patch, "two blocks under uniform stress: the patch test of contact (2D, 3D)"

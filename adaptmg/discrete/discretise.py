@@ -100,6 +100,7 @@ def assembled(
             for tie, part in zip(problem.ties, posed.ties, strict=True)
         ),
         "name": f"{problem.name}, {mesh.n_nodes} nodes",
+        "inelastic": problem.inelastic,
     }
     parts["volumes"] = Volumes.none(mesh.n_nodes, mesh.dim)
     if problem.elements == "smoothed":
@@ -109,6 +110,16 @@ def assembled(
                 "supports along directions that are no axes cannot move smoothed elements with poisson "
                 'above .4; turn the problem, or take elements="linear"'
             )
+    if problem.inelastic and len(parts["volumes"]):
+        raise ValueError(
+            "smoothed elements of elastic bodies next to plastic ones must have poisson of at most "
+            '.4; take elements="linear"'
+        )
+    if problem.inelastic and posed.inclined.moving.any():
+        raise ValueError(
+            "supports along directions that are no axes cannot move where bodies are plastic; turn "
+            "the problem"
+        )
     parts |= _strain_free(posed, parts["volumes"])
     for array in (parts["load"], posed.fixed, values, *posed.bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied

@@ -46,9 +46,16 @@ from scipy.sparse.csgraph import connected_components
 from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg._threads import in_parts, one_blas_thread
-from adaptmg.discrete.moduli import EDGE_PART, Materials, body_materials, is_axisymmetric, moduli
+from adaptmg.discrete.moduli import (
+    Materials,
+    body_materials,
+    inelastic_bodies,
+    is_axisymmetric,
+    moduli,
+)
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays, pair_keys
+from adaptmg.problem.laws import Elastic
 
 #: corners of the edges of an element
 _EDGES = {
@@ -57,8 +64,21 @@ _EDGES = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """The stiffnesses of patches that do not have those of their bodies."""
+
+    patches: np.ndarray  # (n,) int: their numbers
+    table: np.ndarray  # (n, k, k): Pa
+
+
 @one_blas_thread()
-def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -> sparse.bsr_array:
+def stiffness(
+    mesh: MeshArrays,
+    material: Materials,
+    elements: str = "linear",
+    tangents: Tangents | None = None,
+) -> sparse.bsr_array:
     """Assemble the stiffness matrix (n_dofs, n_dofs), with no boundary condition applied.
 
     Blocks of dim x dim, sorted indices, dof = dim * node + component; bitwise symmetric. N/m
@@ -68,23 +88,26 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
     degenerate.
 
     On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain
-    is bounded for no other displacement. Without it the matrix is finite still."""
+    is bounded for no other displacement. Without it the matrix is finite still. ``tangents`` are
+    stiffnesses of patches in place of those of their bodies."""
     dim = checks.instance("mesh", mesh, MeshArrays).dim
     checks.choice("elements", elements, ("linear", "smoothed"))
     materials = body_materials(mesh, material)
     axisymmetric = is_axisymmetric(materials)
-    if elements == "smoothed":
-        patches = _around_edges(mesh, axisymmetric)
-        of_elements = moduli(mesh, materials, EDGE_PART)
-    else:
-        patches = _of_elements(mesh, axisymmetric)
-        of_elements = moduli(mesh, materials)
+    patches = patches_of(mesh, materials, elements)
+    of_elements = moduli(mesh, materials, elements)
+    rows = of_elements.rows[patches.element]
+    table = of_elements.table
+    if tangents is not None:
+        rows = rows.copy()
+        rows[tangents.patches] = len(table) + np.arange(len(tangents.patches))
+        table = np.concatenate([table, tangents.table])
     of_nodes = patches_of_nodes(patches.start, patches.nodes, mesh.n_nodes)
     indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
     data = np.empty((len(indices), dim, dim))
     # both, of isotropic bodies, whose tensors come first: their assembly takes .75 of the time of
     # others in space (36k nodes), .80 in the plane (66k)
-    lame_constants = of_elements.table[:, [0, 3], [1, 3]]
+    lame_constants = table[:, [0, 3], [1, 3]]
     lame_constants[0 if axisymmetric else len(materials) :] = np.nan
     in_parts(
         _add_patches,
@@ -99,8 +122,8 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
         patches.hoops,
         patches.spread,
         patches.measures,
-        of_elements.rows[patches.element],
-        of_elements.table,
+        rows,
+        table,
         lame_constants,
         indptr,
         indices,
@@ -118,7 +141,7 @@ def stiffness(mesh: MeshArrays, material: Materials, elements: str = "linear") -
 
 
 @dataclass(frozen=True, eq=False)
-class _Patches:
+class Patches:
     """Parts in which the strain is that of the gradient sum_a u_a slope_a', in axisymmetry with the
     hoop strain sum_a u_a hoop_a."""
 
@@ -133,7 +156,20 @@ class _Patches:
     )  # (n, corners), or (0, 0): what C of the hoop strains within an element multiplies
 
 
-def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
+def patches_of(mesh: MeshArrays, materials: tuple[Elastic, ...], elements: str) -> Patches:
+    """Return the patches of linear or smoothed elements. Within elements of plastic bodies the hoop
+    strain does not vary: what a patch bears has one strain."""
+    axisymmetric = is_axisymmetric(materials)
+    if elements == "smoothed":
+        return _around_edges(mesh, axisymmetric)
+    patches = _of_elements(mesh, axisymmetric)
+    if axisymmetric:
+        inelastic = inelastic_bodies(materials)[mesh.element_body]
+        patches.spread[np.repeat(inelastic, mesh.dim + 1)] = 0.0
+    return patches
+
+
+def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> Patches:
     slopes, measures = shape_gradients(mesh)
     _, corners, dim = slopes.shape
     hoops = np.empty(0)
@@ -153,7 +189,7 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
         )
         hoops = np.repeat(1 / (3 * mean), corners)
         measures = 2 * np.pi * mean * measures
-    return _Patches(
+    return Patches(
         starts_of(mesh.elements),
         mesh.elements.reshape(-1),
         slopes.reshape(-1, dim),
@@ -164,7 +200,7 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
     )
 
 
-def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
+def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> Patches:
     edges, (values, measures) = _elements_of_edges(mesh), shape_gradients(mesh)
     n, corners, dim = values.shape
     if axisymmetric:
@@ -180,7 +216,7 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> _Patches:
     sums = sparse.bsr_array(edges, blocksize=(1, 1)) @ of_elements
     volumes = edges @ measures
     means = sums.data[:, 0] / np.repeat(volumes, np.diff(sums.indptr))[:, None]
-    return _Patches(
+    return Patches(
         sums.indptr,
         read_only(sums.indices),
         np.ascontiguousarray(means[:, :dim]),
@@ -217,6 +253,12 @@ def smoothed(mesh: MeshArrays, values: np.ndarray, measures: np.ndarray) -> np.n
     edges = _elements_of_edges(mesh)
     means = (edges @ (measures[:, None] * values)) / (edges @ measures)[:, None]
     return (edges.T @ means) / len(_EDGES[mesh.dim])
+
+
+def edge_means(mesh: MeshArrays, values: np.ndarray) -> np.ndarray:
+    """Return the means (n_elements, n_values) of the values of the edges of elements, the patches
+    of smoothed ones."""
+    return (_elements_of_edges(mesh).T @ values) / len(_EDGES[mesh.dim])
 
 
 def shape_gradients(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:

@@ -29,16 +29,23 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import element_measures, shape_gradients, smoothed, stiffness
+from adaptmg.discrete.elasticity import (
+    Tangents,
+    element_measures,
+    shape_gradients,
+    smoothed,
+    stiffness,
+)
 from adaptmg.discrete.moduli import (
-    EDGE_PART,
     Materials,
     as_tensors,
     body_materials,
+    inelastic_bodies,
     is_axisymmetric,
     moduli,
 )
 from adaptmg.discrete.supports import node_at
+from adaptmg.discrete.volumes import formed_volumes
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays, pair_keys
 from adaptmg.mesh.soundness import check_mesh
@@ -197,7 +204,7 @@ def initial_strain_load(
         rule = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
     if isinstance(materials[mesh.bodies.index(load.body)], PlaneStress):
         strain[:, :, 2] = 0.0
-    tensors = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
+    tensors = moduli(mesh, materials, elements)
     columns = np.einsum("eij,eqj->eqi", tensors.table[tensors.rows[rows], :, :3], strain)
     stress = as_tensors(columns.reshape(-1, columns.shape[2])).reshape(*columns.shape[:2], 3, 3)
     cells = mesh.elements[rows]
@@ -277,11 +284,18 @@ def spring_elements(
 
 
 def supported_stiffness(
-    mesh: MeshArrays, material: Materials, supports: Sequence[AnySupport], elements: str = "linear"
+    mesh: MeshArrays,
+    material: Materials,
+    supports: Sequence[AnySupport],
+    elements: str = "linear",
+    tangents: Tangents | None = None,
 ) -> sparse.bsr_array:
-    """Return the stiffness of the bodies and of the springs that hold them, as
-    :func:`adaptmg.discrete.stiffness`."""
-    matrix = stiffness(mesh, material, elements)
+    """Return the stiffness of the bodies, of plastic ones with the volumes of their groups of
+    nodes, and of the springs that hold them, as :func:`adaptmg.discrete.stiffness`."""
+    matrix = stiffness(mesh, material, elements, tangents)
+    materials = body_materials(mesh, material)
+    if elements == "smoothed" and inelastic_bodies(materials).any():
+        matrix = sparse.bsr_array(matrix + formed_volumes(mesh, materials)).sorted_indices()
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
         rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))

@@ -131,6 +131,7 @@ class DiscreteProblem(Unknowns):
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = ()
     volumes: Volumes  # groups of nodes whose mean volume strains add to the stiffness
+    inelastic: bool = False  # whether the matrix is that of bodies before they yield
 
     # of each object, and no fields: ``assembled`` sets the first, ``_complete`` the others
     _motions: ClassVar[Callable[[], np.ndarray] | None] = None

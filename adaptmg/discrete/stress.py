@@ -46,6 +46,7 @@ from adaptmg.discrete.elasticity import (
 from adaptmg.discrete.loads import body_elements, mean_initial_strain
 from adaptmg.discrete.moduli import (
     EDGE_PART,
+    PAIRS,
     Materials,
     Moduli,
     as_tensors,
@@ -95,6 +96,18 @@ _PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
+class PlasticState:
+    """The states of plastic bodies, and what follows from them."""
+
+    state: (
+        np.ndarray
+    )  # (n_patches, n): of the patches of all plastic bodies, as their materials have it
+    stress: np.ndarray  # (n_elements, 3, 3): of elastic bodies too, Pa
+    strain: np.ndarray  # (n_elements, 3, 3): plastic strain, 0 in elastic bodies
+    accumulated: np.ndarray  # (n_elements,): the last number of a state
+
+
+@dataclass(frozen=True, eq=False)
 class StressData:
     """Materials and strains from which stresses follow, next to a mesh and a displacement.
 
@@ -119,6 +132,7 @@ class StressData:
     moduli: Moduli | None = (
         None  # where a body is anisotropic; Lame constants are those of an isotropic one near it
     )
+    plastic: PlasticState | None = None  # of the displacement of a result with plastic bodies
 
     @property
     def locking(self) -> float:
@@ -146,7 +160,7 @@ class StressData:
             if strains
             else None
         )
-        tensors = moduli(mesh, materials, EDGE_PART if elements == "smoothed" else np.inf)
+        tensors = moduli(mesh, materials, elements)
         return cls(
             *lame_constants(materials),
             kind=np.array(kind, dtype=np.int8),
@@ -175,7 +189,10 @@ class StressData:
         )
 
     def tensors(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-        """Return the stress tensors (n_elements, 3, 3) as of :func:`full_stress`."""
+        """Return the stress tensors (n_elements, 3, 3) as of :func:`full_stress`; where there are
+        plastic bodies those of the displacement of the result."""
+        if self.plastic is not None:
+            return self.plastic.stress.copy()
         return self._stress(mesh, self._elastic(mesh, displacement))
 
     def strains(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
@@ -204,7 +221,14 @@ class StressData:
         return float(volume @ of_elements.work(stress, means, plane))
 
     def energy(self, mesh: MeshArrays, displacement: np.ndarray) -> float:
-        """Return the strain energy, J (plane: J/m)."""
+        """Return the strain energy, J (plane: J/m); where there are plastic bodies that of their
+        elastic strains."""
+        if self.plastic is not None:
+            whole = replace(self, smoothed=False).of_elements(mesh)
+            i, j = PAIRS[: 2 * mesh.dim].T
+            stress = self.plastic.stress[:, i, j]
+            work = whole.work(stress, stress, plane=False)
+            return 0.5 * float(element_measures(mesh, self.axisymmetric) @ work)
         elastic = self._elastic(mesh, displacement)
         u = _nodal(mesh, displacement)
         stress = replace(self, pressure=None)._stress(mesh, elastic)

@@ -40,14 +40,16 @@ from adaptmg.discrete.elasticity import (
     starts_of,
 )
 from adaptmg.discrete.moduli import (
-    EDGE_PART,
     Materials,
     body_materials,
+    edge_parts,
+    inelastic_bodies,
     is_axisymmetric,
     lame_constants,
 )
 from adaptmg.geometry.search import morton_order
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.laws import Elastic
 
 #: nodes of a group, by dimension
 GROUP = {2: 4, 3: 8}
@@ -153,13 +155,26 @@ class Volumes:
         return np.append(pressures, 0.0)[self.corners].mean(axis=1)
 
 
-def volume_groups(mesh: MeshArrays, material: Materials) -> Volumes:
-    """Return the groups of all bodies that are nearly incompressible."""
+def formed_volumes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> sparse.bsr_array:
+    """Return what the mean volume strains of plastic bodies add to the stiffness (n_dofs, n_dofs),
+    bitwise symmetric. The volume loop of the multigrid is slow where the rest yields: 1507 cycles
+    for 232 of Prandtl's punch on 2667 nodes."""
+    groups = volume_groups(mesh, materials, inelastic=True)
+    factors = 1 / np.sqrt(groups.areas * groups.compliance)
+    half = sparse.csr_array(sparse.diags_array(factors) @ groups.rows)
+    return sparse.bsr_array(half.T @ half, blocksize=(mesh.dim, mesh.dim))
+
+
+def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False) -> Volumes:
+    """Return the groups of all elastic bodies that are nearly incompressible, or those of all
+    ``inelastic`` bodies."""
     materials = body_materials(mesh, material)
     dim = mesh.dim
     lame, shear = lame_constants(materials)
-    edge = np.minimum(lame, EDGE_PART * shear)
-    kappa = np.where([one.anisotropy is None for one in materials], lame - edge, 0.0)
+    edge = np.minimum(lame, edge_parts(materials) * shear)
+    grouped = [one.anisotropy is None for one in materials]
+    grouped &= inelastic_bodies(materials) == inelastic
+    kappa = np.where(grouped, lame - edge, 0.0)
     # a ratio of .4 has a kappa of rounding
     soft = (kappa > checks.ALIKE * shear)[mesh.element_body]
     if not soft.any():

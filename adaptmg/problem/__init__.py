@@ -32,6 +32,7 @@ from adaptmg.problem.loads import (
     Traction,
 )
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle
+from adaptmg.problem.plastic import Plastic
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Moving, Periodic, Plane, Rigid, Tied
 
@@ -68,6 +69,7 @@ __all__ = [
     "Plane",
     "PlaneStrain",
     "PlaneStress",
+    "Plastic",
     "PointForce",
     "PointSpring",
     "PointSupport",

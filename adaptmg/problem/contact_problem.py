@@ -23,6 +23,7 @@ from adaptmg.problem.laws import (
 )
 from adaptmg.problem.loads import AnySupport, InitialStrain, Load, Preload, Pressure, Traction
 from adaptmg.problem.plane_domains import Domain
+from adaptmg.problem.plastic import Inelastic, elastic_material
 from adaptmg.problem.surfaces import (
     AnyObstacle,
     ContactPair,
@@ -74,24 +75,20 @@ class Contact(checks.Checked):
     compliance: OwnCompliance | None = None
 
 
+#: of a body
+Material = Elastic | Inelastic
+
+
 def _several(*types: type) -> partial:
     return partial(checks.items, types=types)
 
 
 def _materials(
-    name: str, material: Elastic | Mapping[str, Elastic]
+    name: str, material: Material | Mapping[str, Material]
 ) -> Elastic | dict[str, Elastic]:
-    if isinstance(material, Elastic):
-        return material
-    if (
-        not isinstance(material, Mapping)
-        or not material
-        or not all(isinstance(m, Elastic) for m in material.values())
-    ):
-        raise TypeError(
-            "material must be PlaneStrain, PlaneStress, Axisymmetric or Solid, or map each body's name to "
-            f"one of them, got {checks.described(material)}"
-        )
+    if not isinstance(material, Mapping) or not material:
+        return elastic_material(name, material)
+    material = {body: elastic_material(name, one) for body, one in material.items()}
     for body in material:
         checks.boundary_name("the names of bodies in material", body)
     kinds = {body: type(m).__name__ for body, m in material.items()}
@@ -107,21 +104,23 @@ def _materials(
             f"{young[stiff]:g} ({stiff!r}) and {young[soft]:g} ({soft!r}): use "
             "am.Contact for a rigid body"
         )
-    return dict(material)
+    return material
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContactProblem(checks.Checked):
-    """Elastic bodies in contact: pure data in SI units (m, N, Pa), without a mesh.
+    """Bodies in contact: pure data in SI units (m, N, Pa), without a mesh.
 
-    The theory is linear but for contact and friction: small strains and slips, linear elasticity,
-    linear displacements on each element; contact is sought in the undeformed position.
+    The theory is linear but for contact, friction and :class:`adaptmg.Plastic` bodies: small
+    strains and slips, linear elasticity, linear displacements on each element; contact is sought in
+    the undeformed position.
     :func:`adaptmg.solve` warns where a solution goes beyond.
 
     Parameters
     ----------
-    material : PlaneStrain, PlaneStress, Axisymmetric or Solid, or a mapping of str to these
-        Of all bodies, or of each body by its name.
+    material : PlaneStrain, PlaneStress, Axisymmetric, Solid or Plastic, or a mapping of str to these
+        Of all bodies, or of each body by its name. A user-defined one offers ``response`` as
+        :class:`~adaptmg.problem.plastic.Inelastic`.
     contact : Contact, ContactPair or sequence of them
         Without any, and without ties, a problem of linear elasticity.
     law : Frictionless, Tresca, Coulomb or user-defined
@@ -177,7 +176,7 @@ class ContactProblem(checks.Checked):
         def __init__(
             self,
             *,
-            material: Elastic | Mapping[str, Elastic],
+            material: Material | Mapping[str, Material],
             contact: Contact | ContactPair | Sequence[Contact | ContactPair] = (),
             law: Law | None = None,
             ties: Tied | Periodic | Sequence[Tied | Periodic] = (),
@@ -221,6 +220,8 @@ class ContactProblem(checks.Checked):
                     f"{checks.shown(support)} has {len(support.point)} components in a {self.dim}D "
                     "problem"
                 )
+        if self.inelastic:
+            self._check_inelastic()
         self._check_contact()
         self._check_sides()
         if CONTACT in self._uses() and self.contact_boundaries != (CONTACT,):
@@ -256,6 +257,25 @@ class ContactProblem(checks.Checked):
                     f"{_MOST_POISSON:g} with smoothed elements, got {material.poisson:g}: take "
                     'elements="linear"'
                 )
+
+    def _check_inelastic(self) -> None:
+        """Raise ValueError for what plastic bodies do not go together with."""
+        if self.by_force:
+            raise ValueError(
+                "contact and loads must not have Rigid obstacles or Preload next to plastic bodies: move "
+                "the obstacle with am.Moving, and read the force from result.resultant"
+            )
+        if any(isinstance(load, InitialStrain) for load in self.loads):
+            raise ValueError(
+                "loads must not have InitialStrain next to plastic bodies: give all bodies elastic "
+                "materials, or prescribe displacements"
+            )
+        if not isinstance(self.material, Elastic) and any(
+            isinstance(material, PlaneStress) for material in self.material.values()
+        ):
+            raise ValueError(
+                "material must not have PlaneStress bodies next to plastic ones: take PlaneStrain"
+            )
 
     def _check_contact(self) -> None:
         for contact in self.contact:
@@ -347,6 +367,14 @@ class ContactProblem(checks.Checked):
             isinstance(contact, Contact) and isinstance(contact.obstacle, Rigid)
             for contact in self.contact
         )
+
+    @property
+    def inelastic(self) -> bool:
+        """Return whether a body is plastic, or of another material with a history."""
+        materials = (
+            [self.material] if isinstance(self.material, Elastic) else self.material.values()
+        )
+        return any(material.inelastic is not None for material in materials)
 
     @property
     def _any_material(self) -> Elastic:

@@ -30,7 +30,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar, Protocol, Self, TypeVar, cast, runtime_checkable
+from typing import Annotated, Any, ClassVar, Protocol, Self, TypeVar, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -149,11 +149,14 @@ class Elastic(checks.Checked):
     stiff, and stresses oscillate. Smoothed ones do not (``ContactProblem.elements``), and 0.5
     itself needs them. ``anisotropy`` is set by ``orthotropic`` and ``anisotropic``; ``young`` and
     ``poisson`` are then those of the isotropic material with the same means over all directions.
+    ``inelastic`` is set where a problem has :class:`adaptmg.Plastic` bodies.
     """
 
     young: Size
     poisson: Annotated[float, checks.number]
     anisotropy: Annotated[Anisotropy, partial(checks.instance, types=Anisotropy)] | None = None
+    # a plastic or user-defined material with this elastic part (adaptmg.problem.plastic.Inelastic)
+    inelastic: Any = None
     dim: ClassVar[int]
 
     def __post_init__(self) -> None:
@@ -169,6 +172,8 @@ class Elastic(checks.Checked):
             )
 
     def __repr__(self) -> str:
+        if self.inelastic is not None:
+            return repr(self.inelastic)
         anisotropy = f", anisotropy={self.anisotropy!r}" if self.anisotropy is not None else ""
         return f"{type(self).__name__}(young={self.young!r}, poisson={self.poisson!r}{anisotropy})"
 

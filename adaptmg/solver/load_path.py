@@ -369,11 +369,14 @@ def solve_path(
         )
     if depends is not None:
         checks.mapping("depends", depends, "names to what stands for them")
-    loop = PathLoop(grids, path, solver)
+    loop = _loop(grids, path, solver)
+    parts: dict[str, object] = {"solver": solver}
+    if grids.finest.discrete.inelastic:
+        parts["material"] = grids.problem.material
     mark = (
         {}
         if store is None
-        else fingerprint(grids, loop.loads, loop.factors, len(path), {"solver": solver}, depends)
+        else fingerprint(grids, loop.loads, loop.factors, len(path), parts, depends)
     )
     if store is not None and (obstacles := loop.controls.posed()):
         mark["obstacles and preloads"] = obstacles
@@ -407,6 +410,15 @@ def solve_path(
     advise_on_results(grids.posed, results)
     advise_on_chords(grids.posed, grids.finest.discrete, results)
     return PathResult(tuple(results), loop.factors, mark, len(path))
+
+
+def _loop(grids: Hierarchy, path: LoadPath, solver: Solver) -> PathLoop:
+    """Return the loop of a path, whose bodies may be plastic."""
+    if not grids.finest.discrete.inelastic:
+        return PathLoop(grids, path, solver)
+    from adaptmg.evolution.plastic import PlasticLoop
+
+    return PlasticLoop(grids, path, solver)
 
 
 _LOG = logging.getLogger(__name__)

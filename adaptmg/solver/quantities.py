@@ -14,7 +14,7 @@ from adaptmg import _checks as checks
 from adaptmg._units import in_units
 from adaptmg.discrete.loads import moment
 from adaptmg.discrete.moduli import as_tensors
-from adaptmg.discrete.stress import StressData, von_mises
+from adaptmg.discrete.stress import PlasticState, StressData, von_mises
 from adaptmg.discrete.stress import recovered as fitted
 from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
 from adaptmg.discrete.ties import TieForces
@@ -165,6 +165,24 @@ class Quantities:
             checks.integer("tip", tip, 0),
             radius,
         )
+
+    @property
+    def plastic_strain(self) -> np.ndarray:
+        """Return the plastic strain tensors (n_elements, 3, 3): what the stress leaves of the
+        strain, 0 in elastic bodies. ValueError without plastic bodies."""
+        return self._plastic().strain
+
+    @property
+    def accumulated_plastic_strain(self) -> np.ndarray:
+        """Return the accumulated plastic strain (n_elements,), of user-defined materials the last
+        number of their states; ValueError without plastic bodies."""
+        return self._plastic().accumulated
+
+    def _plastic(self) -> PlasticState:
+        plastic = self._data().plastic
+        if plastic is None:
+            raise ValueError("this result has no plastic bodies: give one am.Plastic(...)")
+        return plastic
 
     @property
     def energy(self) -> float:

@@ -15,7 +15,7 @@ from adaptmg._files import write_bytes
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg.discrete.moduli import Moduli
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.stress import StressData
+from adaptmg.discrete.stress import PlasticState, StressData
 from adaptmg.discrete.ties import TieForces
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays
@@ -199,6 +199,11 @@ class Result(Quantities):
         checks.flag("bound", bound)
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
+            if problem.inelastic:
+                raise ValueError(
+                    "problem has the matrix of bodies before they yield: leave it out, the certificate "
+                    "of the solve is that of the internal forces"
+                )
             if len(self.pressures) != len(problem.volumes):
                 raise ValueError(
                     f"problem has {len(problem.volumes)} volumes, whose pressures this result has not: "
@@ -264,6 +269,7 @@ KINDS = (
     TieForces,
     MeshArrays,
     StressData,
+    PlasticState,
     Moduli,
     Certificate,
     Condition,

@@ -96,7 +96,8 @@ def solve(
     Notes
     -----
     Forces that are prescribed (:class:`adaptmg.Rigid`, :class:`adaptmg.Preload`) are met by several
-    contact problems, as in a load path of one step; ``start`` and ``reference`` are then refused.
+    contact problems, and so are plastic bodies (:class:`adaptmg.Plastic`), as in a load path of one
+    step; ``start`` and ``reference`` are then refused.
 
     A solve takes one thread, or those of :func:`adaptmg.set_threads`; several run at the same time
     as a
@@ -113,14 +114,15 @@ def solve(
     checks.flag("throw", throw)
     checks.flag("progress", progress)
     checks.optional_callable("callback", callback, "a row of the history")
-    if grids.problem is not None and grids.problem.by_force:
+    inelastic = grids.finest.discrete.inelastic
+    if inelastic or (grids.problem is not None and grids.problem.by_force):
         from adaptmg.solver.load_path import solve_path  # else a first solve does without it
 
         for name, value in (("start", start), ("reference", reference)):
             if value is not None:
                 raise ValueError(
-                    f"{name} must be None: a Rigid obstacle or a Preload is found by several contact "
-                    "problems"
+                    f"{name} must be None: a Rigid obstacle, a Preload or plastic bodies take several "
+                    "contact problems"
                 )
         watched = _watched(callback, progress)
         path = solve_path(

@@ -1,0 +1,196 @@
+r"""Plastic bodies: Prandtl's punch and Hill's cylinder.
+
+Prandtl: a flat rigid punch on a block that yields without hardening cannot bear a mean pressure
+above
+
+.. math:: p = (2 + \pi)\,k,\qquad k = \sigma_y / \sqrt 3 ,
+
+smooth or rough (L. Prandtl 1920; R. Hill, The Mathematical Theory of Plasticity, 1950, section
+9.5). The block, half of it by symmetry, is 5 half-widths wide and 4 deep, between rigid walls: the
+zone that flows reaches 3 half-widths from the middle, and next to a free wall the block would fail
+sooner.
+
+Hill: a thick tube of radii a and b in plane strain under the inner pressure p yields within the
+radius c,
+
+.. math:: p = k \Big(2 \ln\frac{c}{a} + 1 - \frac{c^2}{b^2}\Big),\qquad
+   \sigma_\theta - \sigma_r = 2k\ (r < c),\qquad
+   \sigma_\theta = k\,c^2\Big(\frac{1}{b^2} + \frac{1}{r^2}\Big)\ (r > c) ,
+
+and is elastic again where p is taken away: the stress of the elastic tube under p is subtracted
+(Hill, section 5.2). This is Tresca's condition; von Mises' is the same for Poisson's ratio .5, and
+near it for less, with the axial stress between the two others."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+from scipy.optimize import brentq
+
+import adaptmg as am
+from adaptmg import _checks as checks
+from adaptmg.problem import Law
+
+_WIDTH, _DEPTH = 5.0, 4.0  # of the block, in half-widths of the punch
+
+
+def prandtl_punch(
+    *,
+    law: Law = am.Frictionless(),
+    half_width: float = 10e-3,
+    displacement: float = 4e-4,
+    young: float = 2e11,
+    poisson: float = 0.3,
+    yield_stress: float = 3e8,
+    hardening: float = 2e6,
+    elements: str = "linear",
+) -> am.ContactProblem:
+    """Pose a flat rigid punch that is pressed into a plastic block; plane strain, one half by
+    symmetry.
+
+    ``reference`` holds ``limit``, the largest mean pressure without hardening, Pa, ``half_width``
+    and ``sources``. The motion of the punch has the name "punch" in load paths.
+
+    Parameters
+    ----------
+    law : Law
+        Under the punch; the limit is the same for every friction.
+    half_width : float
+        a, m.
+    displacement : float
+        Of the punch, into the block, m.
+    young, poisson, yield_stress, hardening
+        Of the block, see :class:`adaptmg.Plastic`.
+    elements : {"linear", "smoothed"}
+        Smoothed ones come nearer to the limit.
+
+    Examples
+    --------
+    >>> round(am.cases.prandtl_punch().reference["limit"] / 3e8, 4)
+    2.9685
+    """
+    a = checks.quantity("half_width", half_width, positive=True)
+    depth = checks.quantity("displacement", displacement, positive=True)
+    steel = am.Plastic(
+        am.PlaneStrain(young=young, poisson=poisson),
+        yield_stress=yield_stress,
+        hardening=hardening,
+    )
+    wide = _WIDTH * a
+    deep = _DEPTH * a
+    punch = am.Moving(
+        am.Plane(point=(0.0, 0.0), normal=(0.0, -1.0)), displacement=(0.0, -depth), name="punch"
+    )
+    return am.ContactProblem(
+        name="Prandtl's punch",
+        material=steel,
+        domain=am.Polygon(
+            vertices=((0.0, -deep), (wide, -deep), (wide, 0.0), (a, 0.0), (0.0, 0.0)),
+            boundaries=("bottom", "side", "free", "contact", "symmetry"),
+        ),
+        contact=am.Contact("contact", punch),
+        law=law,
+        supports=(
+            am.Support("symmetry", x=0.0),
+            am.Support("side", x=0.0),
+            am.Support("bottom", x=0.0, y=0.0),
+        ),
+        elements=elements,
+        reference={
+            "quantity": "mean pressure under the punch, Pa",
+            "limit": (2 + math.pi) * steel.yield_stress / math.sqrt(3),
+            "half_width": a,
+            "sources": {"limit": "Prandtl 1920; Hill, The Mathematical Theory of Plasticity, 9.5"},
+        },
+    )
+
+
+def hill_cylinder(
+    *,
+    pressure: float = 2e8,
+    inner: float = 0.1,
+    outer: float = 0.2,
+    young: float = 2.1e11,
+    poisson: float = 0.45,
+    yield_stress: float = 3e8,
+    elements: str = "linear",
+) -> am.ContactProblem:
+    """Pose a thick tube that yields under inner pressure; axisymmetric, a slice of it in plane
+    strain, without contact.
+
+    ``reference`` holds ``plastic_radius``, c, m, ``limit``, the pressure at which all of the tube
+    yields, Pa, ``stress`` and ``residual_stress``, functions of the radius, m, that return the
+    radial and the hoop stress (2, n), Pa, under the pressure and after it, and ``sources``.
+
+    Parameters
+    ----------
+    pressure : float
+        p, Pa: at least where yield begins, below the limit.
+    inner, outer : float
+        a and b, m.
+    young, poisson, yield_stress
+        See :class:`adaptmg.Plastic`.
+    elements : {"linear", "smoothed"}
+
+    Examples
+    --------
+    >>> round(am.cases.hill_cylinder().reference["plastic_radius"], 4)
+    0.1363
+    """
+    a = checks.quantity("inner", inner, positive=True)
+    b = checks.quantity("outer", outer, positive=True)
+    if not a < b:
+        raise ValueError(f"outer must be > inner, {a:g}, got {b:g}")
+    steel = am.Plastic(am.Axisymmetric(young=young, poisson=poisson), yield_stress=yield_stress)
+    k = steel.yield_stress / math.sqrt(3)
+    first, last = (_pressure_at(k, a, b, radius) for radius in (a, b))
+    if not first <= checks.quantity("pressure", pressure) < last:
+        raise ValueError(
+            f"pressure must be at least {first:.6g} Pa, where yield begins, and below the limit "
+            f"{last:.6g} Pa, got {pressure!r}"
+        )
+    radius = brentq(lambda c: _pressure_at(k, a, b, c) - pressure, a, b, xtol=1e-12 * b)
+    stress = partial(_tube_stress, k, a, b, radius, pressure)
+    height = 0.25 * (b - a)
+    return am.ContactProblem(
+        name="Hill's cylinder",
+        material=steel,
+        domain=am.Rectangle(width=b - a, height=height, origin=(a, 0.0)),
+        loads=(am.Pressure("left", pressure),),
+        supports=(am.Support("bottom", y=0.0), am.Support("top", y=0.0)),
+        elements=elements,
+        reference={
+            "quantity": "radial and hoop stress, Pa",
+            "plastic_radius": radius,
+            "limit": last,
+            "stress": stress,
+            "residual_stress": partial(_residual_stress, stress, a, b, pressure),
+            "sources": {"stress": "Hill, The Mathematical Theory of Plasticity, 5.2"},
+        },
+    )
+
+
+def _pressure_at(k: float, a: float, b: float, c: float) -> float:
+    """The pressure that makes the tube yield within the radius c."""
+    return k * (2 * math.log(c / a) + 1 - (c / b) ** 2)
+
+
+def _tube_stress(
+    k: float, a: float, b: float, c: float, pressure: float, r: np.ndarray
+) -> np.ndarray:
+    """The radial and the hoop stress (2, n) of a tube that has yielded within the radius c."""
+    r = np.asarray(r, dtype=np.float64)
+    yielded = r < c
+    radial = np.where(yielded, -pressure + 2 * k * np.log(r / a), k * c**2 * (1 / b**2 - 1 / r**2))
+    return np.array([radial, np.where(yielded, radial + 2 * k, k * c**2 * (1 / b**2 + 1 / r**2))])
+
+
+def _residual_stress(
+    stress: partial, a: float, b: float, pressure: float, r: np.ndarray
+) -> np.ndarray:
+    """The same after the pressure."""
+    r = np.asarray(r, dtype=np.float64)
+    size = pressure * a**2 / (b**2 - a**2)
+    return stress(r) - size * np.array([1 - (b / r) ** 2, 1 + (b / r) ** 2])

@@ -1,0 +1,241 @@
+r"""Plastic bodies on a mesh: their internal forces, and the linear problem of a Newton step.
+
+With the strains :math:`B_p u` of the patches p of :mod:`adaptmg.discrete.elasticity`, on which the
+material gives a stress :math:`\sigma_p` for the state at the beginning of the load step, the bodies
+resist with
+
+.. math:: f_\mathrm{int}(u) = \sum_p V_p\, B_p^T \sigma_p(B_p u) = K u - \sum_p V_p\, B_p^T
+   \rho_p,\qquad \rho_p = C B_p u - \sigma_p ,
+
+K being the elastic stiffness with all springs. The tangent :math:`K_t` at u has the derivatives
+of the stresses in place of C, and the contact problem
+
+.. math:: K_t w = f + K_t u - f_\mathrm{int}(u) + \lambda(w)
+
+has at w = u the residual of the nonlinear one, :math:`f + \lambda - f_\mathrm{int}(u)`: the
+certificate of u in this problem is that of u as a solution of the nonlinear problem, with an energy
+error in the norm of the tangent.
+
+In smoothed elements the patches have a bulk modulus of .3 shear moduli, and groups of nodes the
+rest (:func:`adaptmg.discrete.volumes.formed_volumes`): a law is split into :math:`\sigma - (K_b -
+K'_b)\,\mathrm{tr}\,\varepsilon\, I` on the patches and what is elastic on the groups."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _checks as checks
+from adaptmg.discrete.elasticity import (
+    Patches,
+    Tangents,
+    edge_means,
+    patches_of,
+)
+from adaptmg.discrete.loads import supported_stiffness
+from adaptmg.discrete.moduli import PAIRS, as_tensors, inelastic_bodies, moduli
+from adaptmg.discrete.posed import Posed
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.stress import PlasticState, StressData
+from adaptmg.discrete.volumes import Volumes, volume_groups
+
+if TYPE_CHECKING:
+    from adaptmg.problem.plastic import Inelastic
+
+#: of the largest entry: an asymmetry of a user's tangents beyond rounding
+_SYMMETRIC = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What inelastic patches do at a displacement."""
+
+    displacement: np.ndarray  # (n_dofs,): unknowns, m
+    stress: np.ndarray  # (m, k): on smoothed patches without what acts on groups of nodes, Pa
+    tangent: np.ndarray  # (m, k, k), Pa
+    state: np.ndarray  # (m, n)
+    missed: np.ndarray  # (n_dofs,): load - f_int of the unknowns, N
+    relaxed: np.ndarray  # (n_dofs,): K u - f_int, N
+
+
+@dataclass(frozen=True, eq=False)
+class InelasticBodies:
+    """The patches of plastic bodies on one mesh."""
+
+    posed: Posed
+    #: materials and their patches (n,), numbers among those of all plastic bodies
+    members: tuple[tuple[Inelastic, np.ndarray], ...]
+    numbers: np.ndarray  # (m,): of the patches among those of all bodies
+    n_patches: int  # of all bodies
+    strains: sparse.csr_array  # (m * k, n_dofs): B, 1/m
+    measures: np.ndarray  # (m,): volumes
+    elastic: np.ndarray  # (m, k, k): C, Pa
+    bulk: np.ndarray  # (m,): what groups of nodes have of the bulk modulus, Pa
+    groups: Volumes
+
+    @classmethod
+    def of(cls, posed: Posed) -> InelasticBodies:
+        """Return the plastic bodies of a posed problem."""
+        mesh = posed.mesh
+        elements = posed.problem.elements
+        patches = patches_of(mesh, posed.materials, elements)
+        body = mesh.element_body[patches.element]
+        inelastic = inelastic_bodies(posed.materials)
+        numbers = np.flatnonzero(inelastic[body])
+        whole = moduli(mesh, posed.materials)
+        tensors = moduli(mesh, posed.materials, elements)
+        row = tensors.rows[patches.element][numbers]
+        members = tuple(
+            (posed.materials[k].inelastic, np.flatnonzero(body[numbers] == k))
+            for k in np.flatnonzero(inelastic)
+        )
+        smoothed = elements == "smoothed"
+        return cls(
+            posed,
+            members,
+            numbers,
+            len(patches.measures),
+            _strain_matrix(patches, numbers, mesh.points.size, 2 * mesh.dim),
+            patches.measures[numbers],
+            tensors.table[row],
+            (whole.table - tensors.table)[row, 0, 1],
+            volume_groups(mesh, posed.materials, inelastic=True)
+            if smoothed
+            else Volumes.none(mesh.n_nodes, mesh.dim),
+        )
+
+    @property
+    def unloaded(self) -> np.ndarray:
+        """Return the states of bodies that nothing has loaded."""
+        size = max(material.state_size for material, _ in self.members)
+        return np.zeros((len(self.numbers), size))
+
+    def respond(
+        self, problem: DiscreteProblem, displacement: np.ndarray, state: np.ndarray
+    ) -> Response:
+        """Return the response to unknowns (n_dofs,) of an elastic ``problem`` after a load step
+        that began with a ``state``."""
+        k = self.elastic.shape[1]
+        strain = (self.strains @ problem.physical(displacement).reshape(-1)).reshape(-1, k)
+        stress, tangent, state = self._material(strain, state)
+        if self.bulk.any():
+            stress[:, :3] -= (self.bulk * strain[:, :3].sum(axis=1))[:, None]
+            tangent[:, :3, :3] -= self.bulk[:, None, None]
+        relaxed = np.einsum("nij,nj->ni", self.elastic, strain) - stress
+        forces = self.strains.T @ (self.measures[:, None] * relaxed).reshape(-1)
+        relaxed = problem.relative_forces(forces)
+        nodes = np.arange(problem.n_nodes)
+        free = problem.inclined.free_part(nodes, relaxed.reshape(problem.n_nodes, -1))
+        missed = problem.residual(displacement) + free.reshape(-1)
+        return Response(displacement, stress, tangent, state, missed, relaxed)
+
+    def linearised(self, problem: DiscreteProblem, at: Response) -> DiscreteProblem:
+        """Return the contact problem whose bodies have the tangent at a response."""
+        posed = self.posed
+        matrix = supported_stiffness(
+            posed.mesh,
+            posed.materials,
+            posed.problem.supports,
+            posed.problem.elements,
+            Tangents(self.numbers, at.tangent),
+        )
+        if problem.coupling is not None:
+            matrix = problem.coupling.transformed(matrix)
+        load = matrix @ at.displacement + at.missed
+        inclined = problem.inclined
+        if len(inclined):
+            # there the elimination has left out what the supports bear
+            dofs = problem.dim * inclined.nodes[:, None] + np.arange(problem.dim)
+            at_held = inclined.rows @ at.displacement
+            borne = matrix @ at.displacement + inclined.load + at.relaxed
+            load[dofs] = borne[dofs] - at_held.reshape(dofs.shape)
+        parts = {"matrix": matrix, "load": load, "volumes": problem.volumes, "strain_free": None}
+        return problem.restructured(**inclined.of_problem(parts), inelastic=False)
+
+    def _material(
+        self, strain: np.ndarray, state: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stresses, tangents and states of the materials, checked."""
+        k = strain.shape[1]
+        stress = np.empty(strain.shape)
+        tangent = np.empty((len(strain), k, k))
+        result = np.zeros(state.shape)
+        for material, patches in self.members:
+            size = material.state_size
+            shapes = ((len(patches), k), (len(patches), k, k), (len(patches), size))
+            answer = material.response(strain[patches], state[patches, :size])
+            if not isinstance(answer, tuple) or len(answer) != 3:
+                raise TypeError(
+                    f"material: response must return stress, tangent and state, got "
+                    f"{checks.shown(answer)}"
+                )
+            names = ("the stress", "the tangent", "the state")
+            stress[patches], tangent[patches], result[patches, :size] = (
+                checks.array(f"{name} that response of material returns", value, shape)
+                for name, value, shape in zip(names, answer, shapes, strict=True)
+            )
+        skew = np.abs(tangent - tangent.swapaxes(1, 2)).max()
+        if not skew <= _SYMMETRIC * np.abs(tangent).max():
+            raise ValueError(
+                "the tangent that response of material returns must be symmetric, got an asymmetry "
+                f"of {skew:g} Pa: return its symmetric part"
+            )
+        return stress, tangent, result
+
+    def result(self, problem: DiscreteProblem, at: Response, data: StressData) -> StressData:
+        """Return stress data with the stresses and plastic strains of a response."""
+        mesh = self.posed.mesh
+        physical = problem.physical(at.displacement)
+        k = self.elastic.shape[1]
+        strain = (self.strains @ physical.reshape(-1)).reshape(-1, k)
+        volume = strain[:, :3].sum(axis=1)
+        whole = at.stress.copy()
+        whole[:, :3] += (self.bulk * volume)[:, None]
+        stiffness = self.elastic.copy()
+        stiffness[:, :3, :3] += self.bulk[:, None, None]
+        plastic = strain - np.linalg.solve(stiffness, whole[:, :, None])[:, :, 0]
+        plastic[:, 3:] *= 0.5
+        values = self._of_elements(np.column_stack([at.stress, plastic, at.state[:, -1]]))
+        inelastic = inelastic_bodies(self.posed.materials)[mesh.element_body]
+        stress = data.tensors(mesh, physical)
+        stress[inelastic] = as_tensors(values[inelastic, :k])
+        if len(self.groups):
+            pressures = self.groups.strains(physical.reshape(-1)) / self.groups.compliance
+            stress[inelastic] += self.groups.of_elements(pressures)[inelastic, None, None] * np.eye(
+                3
+            )
+        state = PlasticState(at.state, stress, as_tensors(values[:, k : 2 * k]), values[:, 2 * k])
+        return replace(data, plastic=state)
+
+    def _of_elements(self, values: np.ndarray) -> np.ndarray:
+        """Values (n_elements, n) of those (m, n) of the patches, zero in elastic bodies."""
+        every = np.zeros((self.n_patches, values.shape[1]))
+        every[self.numbers] = values
+        smoothed = self.posed.problem.elements == "smoothed"
+        return edge_means(self.posed.mesh, every) if smoothed else every
+
+
+def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -> sparse.csr_array:
+    """The matrix (len(numbers) * k, n_dofs) of the strains of some patches."""
+    dim = patches.slopes.shape[1]
+    place = np.full(len(patches.measures), -1)
+    place[numbers] = np.arange(len(numbers))
+    patch = np.repeat(place, np.diff(patches.start))
+    chosen = patch >= 0
+    row = k * patch[chosen]
+    column = dim * patches.nodes[chosen].astype(np.int64)
+    slopes = patches.slopes[chosen]
+    entries = []
+    for c, (i, j) in enumerate(PAIRS[:k].tolist()):
+        if max(i, j) < dim:
+            entries.append((row + c, column + i, slopes[:, j]))
+        if i != j:
+            entries.append((row + c, column + j, slopes[:, i]))
+    if len(patches.hoops):
+        entries.append((row + 2, column, patches.hoops[chosen]))
+    rows, columns, values = map(np.concatenate, zip(*entries, strict=True))
+    shape = (k * len(numbers), n_dofs)
+    return sparse.csr_array(sparse.coo_array((cast("np.ndarray", values), (rows, columns)), shape))

@@ -1,0 +1,281 @@
+r"""Load paths of plastic bodies: Newton's method around a method for contact problems.
+
+Each Newton step is a contact problem with the tangent of the material
+(:mod:`adaptmg.discrete.plasticity`), which any method solves from the last iterate, no more
+accurately than the last change deserves. With its solution w and forces of contact and supports
+:math:`\lambda` the step goes to :math:`u + t\,d`, d = w - u, with t in (0, 1] such that
+
+.. math:: \varphi'(t) = d \cdot \big(f_\mathrm{int}(u + t d) - f - \lambda\big),\qquad
+   |\varphi'(t)| \le 0.3\,|\varphi'(0)| ,
+
+by regula falsi, which takes responses of the material and no solve; u and w are admissible, and so
+is what lies between them. A load step ends where the certificate of the iterate in the contact
+problem of its own tangent, whose residual is that of the internal forces, finds an energy error of
+at most the tolerance. A load step in which Newton's method fails is taken in halves."""
+
+from __future__ import annotations
+
+import copy
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass, replace
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+
+from adaptmg.discrete.plasticity import InelasticBodies, Response
+from adaptmg.discrete.posed import Posed
+from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.stress import StressData
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.problem.load_path import LoadPath
+from adaptmg.solver.examine import Examiner
+from adaptmg.solver.load_path import PathLoop
+from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
+from adaptmg.solver.outcome import checked_outcome, result_of
+from adaptmg.solver.record import Outcome, Run, Solver, Status
+from adaptmg.solver.result import Result
+
+_LOG = logging.getLogger(__name__)
+
+_MOST = 40  # Newton steps
+# tolerance of the first contact problem; .05: the same cycles, one Newton step in 72 more (Prandtl's punch, 2528
+# nodes, 8 load steps, as below)
+_FIRST = 1e-2
+# tolerance of a contact problem over the last change, which is less where that is small: 64 Newton steps and 267
+# cycles; a constant share takes 124 and 374 (2482 nodes), a share of .05 67 and 315 for 69 and 308
+_SHARE = 0.2
+# of multigrid on a contact problem that is not the last; 8: 65 Newton steps and 302 cycles for 67 and 315
+_CYCLES = 5
+_SLOPE = 0.3  # |phi'| that ends the search, over that at 0
+_TRIALS = 10  # of the search
+_SMALLEST = 1 / 64  # part of a load step
+
+
+class PlasticLoop(PathLoop):
+    """The steps of a path of plastic bodies."""
+
+    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver) -> None:
+        self.share = 1.0  # of the change of the factors in a step
+        super().__init__(grids, path, solver)
+        if self.posed[-1] is None:
+            raise ValueError(
+                "grids: plastic bodies need the mesh, but this is a bare DiscreteProblem: give the "
+                "Hierarchy of the ContactProblem"
+            )
+        if isinstance(getattr(solver, "rtol", None), str):
+            raise ValueError("rtol must be a number where bodies are plastic, got 'discretisation'")
+        self.plastic = InelasticBodies.of(cast("Posed", self.posed[-1]))
+        self.state = self.plastic.unloaded
+
+    def _factors_at(self, k: int) -> dict[str, float]:
+        factors = super()._factors_at(k)
+        if self.share == 1.0:
+            return factors
+        before = super()._factors_at(k - 1) if k else dict.fromkeys(factors, 0.0)
+        return {
+            name: before[name] + self.share * (factor - before[name])
+            for name, factor in factors.items()
+        }
+
+    def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
+        done = 0.0
+        part = 1.0
+        while True:
+            before = dict(vars(self), controls=copy.copy(self.controls))
+            self.share = min(done + part, 1.0)
+            result = super().step(k, progress)
+            if result.status.ok:
+                done = self.share
+                self.state = self._data_of(result).state
+            elif part > _SMALLEST:
+                vars(self).update(before)
+                part /= 2
+                _LOG.info("step %d: Newton's method fails; going on in parts of %g", k, part)
+                continue
+            if done == 1.0 or not result.status.ok:
+                self.share = 1.0
+                return result
+
+    def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
+        super().take_over(k, result, coarse)
+        self.state = self._data_of(result).state
+
+    def _data_of(self, result: Result) -> Any:
+        return cast("StressData", result.stress_data).plastic
+
+    def _solve(
+        self,
+        k: int,
+        motions: Mapping[str, np.ndarray],
+        near: Result | None,
+        progress: Callable[[int, dict[str, float]], None] | None,
+        loose: float,
+    ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
+        callback = None if progress is None else partial(progress, k)
+        run = Run(unit=self.grids.finest.discrete.matrix.nnz, callback=callback)
+        with run.phase("setup"):
+            grids = self._posed(k, motions)
+            self._check_held(grids, k, motions)
+            problem = grids.finest.discrete
+            forces = problem.load_from_prescribed()
+            self.examiner = Examiner(problem, self.bodies)
+        with run.phase("statics"):
+            self._check_statics(k, grids)
+        data = self._stress_data(k, motions)
+        if self._at_rest(forces) and not self.state.any():
+            result = self._undeformed(k, grids, run, motions)
+            at = self.plastic.respond(problem, np.zeros(problem.n_dofs), self.state)
+            data = self.plastic.result(problem, at, cast("StressData", data))
+            return replace(result, stress_data=data), (grids, forces, None)
+        starts = [self.recent[-1][0], self._start(forces, None)]
+        with run.phase("tangent"):
+            responses = [self.plastic.respond(problem, start, self.state) for start in starts]
+        inner = ~problem.fixed
+        inner.reshape(-1, problem.dim)[problem.contact.nodes] = False
+        at = min(responses, key=lambda response: float(np.linalg.norm(response.missed[inner])))
+        newton = _Newton(self, grids, run)
+        outcome, last = newton.run(at)
+        at = newton.at
+        with run.phase("result"):
+            data = self.plastic.result(problem, at, cast("StressData", data))
+            result = result_of(
+                last,
+                newton.examiner,
+                run,
+                checked_outcome(outcome, self.solver, problem),
+                self.solver,
+                data,
+            )
+        return result, (grids, forces, None)
+
+
+class _Newton:
+    """Newton's method for a load step."""
+
+    def __init__(self, loop: PlasticLoop, grids: Hierarchy, run: Run) -> None:
+        self.plastic = loop.plastic
+        self.state = loop.state
+        self.solver = loop.solver
+        self.grids = grids
+        self.recorder = run
+        self.problem = grids.finest.discrete
+        self.rtol = cast("float", getattr(loop.solver, "rtol", 1e-8))
+        self.cycles = 0
+
+    def run(self, at: Response) -> tuple[Outcome, Hierarchy]:
+        """Return the outcome, and the hierarchy with the tangent at the solution."""
+        self.at = at
+        tolerance = _FIRST
+        status = Status.LIMIT
+        error = np.nan
+        for number in range(_MOST + 1):
+            grids = self._linearised()
+            tangent = grids.finest.discrete
+            self.examiner = Examiner(tangent)
+            solution = self.at.displacement
+            if number and tolerance <= self.rtol:
+                checked = self.examiner(solution, self.rtol).checked
+                error = checked.energy_error
+                if error <= max(self.rtol, checked.energy_rounding):
+                    status = Status.CONVERGED
+                    break
+            if number == _MOST:
+                break
+            last = tolerance <= self.rtol
+            outcome = self._contact_problem(grids, max(tolerance, self.rtol), last)
+            if outcome.status in (Status.DIVERGED, Status.STALLED, Status.CYCLING):
+                status = outcome.status
+                break
+            before = self.at.tangent
+            change = self._go(tangent, outcome.solution)
+            tolerance = min(tolerance, min(_SHARE, change) * change)
+            if np.array_equal(before, self.at.tangent):
+                # nothing else changes
+                tolerance = min(tolerance, self.rtol)
+            self.recorder.record(
+                cycle=0, newton_step=number + 1, newton_change=change, newton_part=self.part
+            )
+        return (
+            Outcome(self.at.displacement, status, self.cycles, self.rtol, error_estimate=error),
+            grids,
+        )
+
+    def _linearised(self) -> Hierarchy:
+        """The hierarchy with the tangent on the finest level."""
+        with self.recorder.phase("tangent"):
+            tangent = self.plastic.linearised(self.problem, self.at)
+            grids = self.grids
+            if not grids.discretised:
+                coarse = [level.prolongation for level in grids.levels[1:]]
+                made = Hierarchy.from_prolongations(tangent, coarse)
+                grids = replace(grids, levels=(*made.levels[:-1], grids.finest))
+            finest = grids.finest.posing(discrete=tangent)
+            return replace(grids, levels=(*grids.levels[:-1], finest))
+
+    def _contact_problem(self, grids: Hierarchy, tolerance: float, last: bool) -> Outcome:
+        """Solve the contact problem of the tangent from the last iterate."""
+        solver = self.solver
+        start = self.at.displacement
+        unloaded = not start.any()
+        if isinstance(solver, FullMultigrid) and not (unloaded and grids.discretised):
+            names = [item.name for item in fields(Multigrid)]
+            solver = Multigrid(**{name: getattr(solver, name) for name in names})
+        if is_dataclass(solver) and hasattr(solver, "rtol"):
+            changed: dict[str, Any] = {"rtol": tolerance}
+            if isinstance(solver, Multigrid) and not last:
+                changed["max_cycles"] = min(_CYCLES, solver.max_cycles)
+            solver = replace(cast("Any", solver), **changed)
+        run = self.recorder
+        run.first_cycle = self.cycles
+        # what is not the last needs no certificate
+        run.examiner = self.examiner if last else None
+        outcome = solver.run(grids, run, None if unloaded else start)
+        outcome = handed_over(checked_outcome(outcome, solver, self.problem), grids, run)
+        self.cycles += outcome.cycles
+        run.first_cycle = self.cycles
+        return outcome
+
+    def _go(self, tangent: DiscreteProblem, solution: np.ndarray) -> float:
+        """Go towards the solution of a contact problem; returns the change in the energy norm,
+        relative to it."""
+        start = self.at.displacement
+        direction = solution - start
+        borne = tangent.fixed.copy()
+        borne.reshape(-1, tangent.dim)[tangent.contact.nodes] = True
+        forces = np.where(borne, -tangent.residual(solution), 0.0)
+
+        def slope(response: Response) -> float:
+            return -float(direction @ (response.missed + forces))
+
+        with self.recorder.phase("tangent"):
+            self.at, self.part = self._searched(direction, slope)
+        stretch = float(direction @ (tangent.matrix @ direction))
+        size = float(solution @ (tangent.matrix @ solution))
+        return self.part * float(np.sqrt(max(stretch, 0.0) / size)) if size > 0 else 0.0
+
+    def _searched(
+        self, direction: np.ndarray, slope: Callable[[Response], float]
+    ) -> tuple[Response, float]:
+        """The response after a part of a direction, and this part: 1, or where the slope is small
+        (the rule of Illinois: an end that stays twice counts half)."""
+        start = self.at.displacement
+        places = [0.0, 1.0]
+        slopes = [slope(self.at), np.nan]
+        most = _SLOPE * abs(slopes[0])
+        part = 1.0
+        moved = -1
+        for _ in range(_TRIALS):
+            response = self.plastic.respond(self.problem, start + part * direction, self.state)
+            found = slope(response)
+            end = int(found > 0)
+            if abs(found) <= most or (part == 1.0 and not end):
+                break
+            if end == moved:
+                slopes[1 - end] *= 0.5
+            moved = end
+            places[end] = part
+            slopes[end] = found
+            part = places[0] - slopes[0] * (places[1] - places[0]) / (slopes[1] - slopes[0])
+        return response, part

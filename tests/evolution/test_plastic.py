@@ -1,0 +1,245 @@
+"""Plastic bodies: uniform stress, Hill's cylinder, Prandtl's punch, Newton's steps, stores."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bodies import rotation, turned
+
+import adaptmg as am
+
+E, NU, SIZE = 2e11, 0.3, 3e8
+TIGHT = am.ActiveSet(rtol=1e-12)
+
+
+def squeezed(kind: str, elements: str = "linear") -> am.ContactProblem:
+    """A block pressed by a smooth rigid plane; its sides are free."""
+    elastic = {"plane": am.PlaneStrain, "axisymmetric": am.Axisymmetric, "solid": am.Solid}[kind]
+    steel = am.Plastic(elastic(young=E, poisson=NU), yield_stress=SIZE, hardening=5e9)
+    solid = kind == "solid"
+    normal = np.array((0.0, 0.0, -1.0) if solid else (0.0, -1.0))
+    held = {"z": 0.0} if solid else {"y": 0.0}
+    sides = [am.Support("left", x=0.0)]
+    if solid:
+        sides.append(am.Support("front", y=0.0))
+    return am.ContactProblem(
+        name="squeezed",
+        material=steel,
+        domain=am.Box(width=1.0, depth=0.8, height=0.5)
+        if solid
+        else am.Rectangle(width=1.0, height=0.5),
+        contact=am.Contact(
+            "top",
+            am.Moving(
+                am.Plane(point=-0.5 * normal, normal=normal),
+                displacement=2.5e-3 * normal,
+                name="press",
+            ),
+        ),
+        law=am.Frictionless(),
+        supports=(am.Support("bottom", **held), *sides),
+        elements=elements,
+    )
+
+
+@pytest.mark.parametrize("kind", ["plane", "axisymmetric", "solid"])
+def test_a_squeezed_block_has_the_stress_of_a_point(kind):
+    """Uniaxial stress: strain 5e-3 = s / E + (s - sy) / H; in plane strain the axial stress follows
+    from what a point bears."""
+    problem = squeezed(kind)
+    divisions = [2, 4] if kind != "solid" else [(2, 2, 2), (3, 3, 3)]
+    result = am.solve(am.Hierarchy.uniform(problem, divisions=divisions))
+    stress = result.stress()
+    axis = 2 if kind == "solid" else 1
+    if kind == "plane":
+        # of a point: the strain across that leaves no stress there
+        material = problem.material.inelastic
+        strain = np.array([[0.0, -5e-3, 0.0, 0.0]])
+        for _ in range(30):
+            found, tangent, _ = material.response(strain, np.zeros((1, 5)))
+            strain[0, 0] -= found[0, 0] / tangent[0, 0, 0]
+        expected = found[0]
+        np.testing.assert_allclose(stress[:, 2], expected[2], rtol=1e-6)
+    else:
+        expected = np.zeros(3)
+        expected[axis] = -(5e-3 + SIZE / 5e9) / (1 / E + 1 / 5e9)
+        plastic = result.plastic_strain
+        np.testing.assert_allclose(plastic[:, axis, axis], (expected[axis] + SIZE) / 5e9, rtol=1e-6)
+    np.testing.assert_allclose(stress[:, axis], expected[axis], rtol=1e-6)
+    np.testing.assert_allclose(result.contact.pressure, -expected[axis], rtol=1e-6)
+    across = stress[:, 0] / SIZE
+    np.testing.assert_allclose(across, 0.0, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def hill():
+    problem = am.cases.hill_cylinder(elements="smoothed")
+    grids = am.Hierarchy.uniform(problem, divisions=[(20, 5), (40, 10)])
+    return problem, am.solve_path(grids, am.LoadPath({"left": [0.9, 1.0, 0.0]}))
+
+
+@pytest.mark.parametrize(("step", "name"), [(1, "stress"), (2, "residual_stress")])
+def test_hills_cylinder_has_the_stresses_of_the_closed_form(hill, step, name):
+    """Under the pressure, and after it: in the mean to .1 % of the yield stress."""
+    problem, path = hill
+    result = path[step]
+    radius = result.mesh.points[result.mesh.elements, 0].mean(axis=1)
+    stress = result.stress(recovered=True)[:, [0, 2]]
+    missed = np.abs(stress.T - problem.reference[name](radius)) / SIZE
+    assert missed.mean() < 1e-3
+    assert missed.max() < 2e-2  # where yield ends, and at the boundary
+    # a row of elements at the end of what has yielded may count on either side
+    c = problem.reference["plastic_radius"]
+    yielded = result.accumulated_plastic_strain > 0
+    assert radius[yielded].max() < c + 2.5e-3
+    assert radius[~yielded].min() > c - 2.5e-3
+    assert result.cycles <= 20
+
+
+def pushed(turn: np.ndarray) -> am.ContactProblem:
+    """A block on a rough plane under a moving one; its left side is guided. All is turned."""
+    down = turn @ np.array((0.0, -1.0))
+    return am.ContactProblem(
+        name="turned",
+        material=am.Plastic(am.PlaneStrain(young=E, poisson=NU), yield_stress=SIZE, kinematic=1e10),
+        contact=(
+            am.Contact(
+                "top",
+                am.Moving(am.Plane(-0.5 * down, down), displacement=2e-3 * down, name="press"),
+            ),
+            am.Contact("bottom", am.Plane((0.0, 0.0), -down), law=am.Coulomb(0.3)),
+        ),
+        law=am.Frictionless(),
+        supports=(am.Support("left", normal=0.0),),
+    )
+
+
+def test_turned_bodies_have_turned_stresses():
+    """Loaded, and turned back: the supports of the turned block are along no axis."""
+    meshes = [am.mesh.structured(am.Rectangle(width=1.0, height=0.5), n) for n in ((4, 2), (8, 4))]
+    path = am.LoadPath({"press": [0.7, 1.0, 0.4]})
+    results = []
+    for angle in (0.0, 0.4):
+        turn = rotation(angle)
+        grids = am.Hierarchy.from_meshes(pushed(turn), [turned(mesh, angle) for mesh in meshes])
+        results.append(am.solve_path(grids, path, am.ActiveSet(rtol=1e-10)))
+    for straight, oblique in zip(*results, strict=True):
+        stress = straight.stress_data.plastic.stress
+        back = np.eye(3)
+        back[:2, :2] = turn.T
+        other = back @ oblique.stress_data.plastic.stress @ back.T
+        np.testing.assert_allclose(other, stress, atol=1e-7 * SIZE)
+        np.testing.assert_allclose(
+            oblique.accumulated_plastic_strain, straight.accumulated_plastic_strain, atol=1e-10
+        )
+        np.testing.assert_allclose(oblique.contact.force_t, straight.contact.force_t, atol=1e-1)
+    assert results[0][1].accumulated_plastic_strain.max() > 2e-3
+
+
+@pytest.fixture(scope="module")
+def punch():
+    problem = am.cases.prandtl_punch()
+    return am.Hierarchy.graded(problem, sizes=(8e-3, 4e-3, 2e-3), contact_ratio=4)
+
+
+def test_newtons_steps_end_quadratically(punch):
+    """With exact contact problems the change falls at least like its square, once it is small."""
+    result = am.solve_path(punch, am.LoadPath({"punch": [0.4, 0.6]}), TIGHT)[1]
+    changes = result.history["newton_change"]
+    changes = changes[np.isfinite(changes)]
+    small = np.flatnonzero((changes < 0.02) & (changes > 1e-7))
+    assert len(small) >= 2
+    for i in small[small < len(changes) - 1]:
+        assert changes[i + 1] < max(20 * changes[i] ** 2, 1e-10)
+
+
+def test_the_punch_meets_its_limit_load(punch):
+    """939 nodes; smoothed elements come nearer. The multigrid agrees with the active set method."""
+    path = am.LoadPath({"punch": [0.25, 0.5, 0.75]})
+    found = {}
+    for elements in ("linear", "smoothed"):
+        problem = am.cases.prandtl_punch(elements=elements)
+        grids = punch.with_problem(problem)
+        results = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-6))
+        last = results[-1]
+        force = last.resultant("contact").force[1]
+        found[elements] = -force / problem.reference["half_width"] / problem.reference["limit"]
+        assert max(result.cycles for result in results) <= 60
+        steps = [np.isfinite(result.history["newton_change"]).sum() for result in results]
+        assert max(steps) <= 12
+        exact = am.solve_path(grids, path, am.ActiveSet(rtol=1e-10))[-1]
+        assert exact.resultant("contact").force[1] == pytest.approx(force, rel=1e-5)
+    assert 1.0 < found["smoothed"] < 1.025
+    assert found["smoothed"] + 0.05 < found["linear"] < 1.11
+    # nothing is stressed beyond the yield limit; the certificate is that of internal forces
+    assert (last.von_mises()[last.accumulated_plastic_strain > 1e-3] < 1.3 * SIZE).all()
+    assert last.certificate()["equilibrium"].relative < 1e-5
+
+
+def test_a_path_goes_on_from_its_store_with_the_same_bits(punch, tmp_path):
+    grids = punch.truncated(finest=1)
+    path = am.LoadPath({"punch": [0.3, 0.5, 0.2]})
+    whole = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-6), store=tmp_path / "whole")
+
+    class Stop(Exception):
+        pass
+
+    def stop(k, result):
+        if k == 1:
+            raise Stop
+
+    with pytest.raises(Stop):
+        am.solve_path(grids, path, am.FullMultigrid(rtol=1e-6), store=tmp_path / "b", callback=stop)
+    rest = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-6), store=tmp_path / "b")
+    again = am.PathResult.load(tmp_path / "b")
+    for one, two, three in zip(whole, rest, again, strict=True):
+        for other in (two, three):
+            np.testing.assert_array_equal(one.displacement, other.displacement)
+            np.testing.assert_array_equal(one.plastic_strain, other.plastic_strain)
+    harder = grids.with_problem(am.cases.prandtl_punch(yield_stress=4e8))
+    with pytest.raises(ValueError, match="material"):
+        am.solve_path(harder, path, am.FullMultigrid(rtol=1e-6), store=tmp_path / "b")
+
+
+class Brittle:
+    """A user-defined material: Hooke's law, softer beyond a volume strain; without a state."""
+
+    elastic = am.PlaneStrain(young=E, poisson=NU)
+    state_size = 1
+
+    def response(self, strain, state):
+        shear = self.elastic.shear_modulus
+        stiffness = 2 * shear * np.diag([1.0, 1.0, 1.0, 0.5])
+        stiffness[:3, :3] += self.elastic.lame
+        tangent = np.repeat(0.5 * stiffness[None], len(strain), axis=0)
+        return strain @ stiffness * 0.5, tangent, state + 1.0
+
+
+def test_a_users_material_is_taken():
+    """One that is half as stiff as its elastic part has the solution of half the modulus."""
+    problem = am.cases.greco_bar(young=E, poisson=NU)
+    grids = am.Hierarchy.uniform(problem, divisions=(4, 8))
+    soft = am.solve(grids.with_problem(replace(problem, material=Brittle())))
+    half = replace(problem, material=am.PlaneStrain(young=0.5 * E, poisson=NU))
+    exact = am.solve(grids.with_problem(half))
+    np.testing.assert_allclose(soft.displacement, exact.displacement, atol=1e-6 * 1e-4)
+    np.testing.assert_allclose(soft.stress(), exact.stress(), atol=1e-5 * 1e8)
+    assert soft.accumulated_plastic_strain.tolist() == [1.0] * len(soft.mesh.elements)
+
+
+def test_what_plastic_bodies_refuse(punch):
+    steel = punch.problem.material
+    press = am.Rigid(am.Plane((0.0, 0.0), (0.0, -1.0)), force=(0.0, -1e3))
+    for changed, words in (
+        ({"contact": am.Contact("contact", press)}, "am.Moving"),
+        ({"loads": am.InitialStrain("body", (1e-3, 0.0))}, "InitialStrain"),
+        ({"material": {"body": steel, "b": am.PlaneStress(young=E, poisson=NU)}}, "PlaneStress"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            replace(punch.problem, **changed)
+    with pytest.raises(ValueError, match="Hierarchy of the ContactProblem"):
+        am.solve(punch.finest.discrete)
+    with pytest.raises(ValueError, match="start must be None"):
+        am.solve(punch, start=np.zeros((punch.finest.n_nodes, 2)))
+    with pytest.raises(ValueError, match="before they yield"):
+        am.solve(punch.truncated(finest=0)).certificate(punch[0].discrete)
