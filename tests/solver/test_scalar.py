@@ -150,14 +150,19 @@ def test_coarse_spaces_of_a_bare_matrix_take_restricted_obstacles(made):
         spaces = am.Hierarchy.from_prolongations(problem, rows, contact=True)
     else:
         spaces = am.Hierarchy.algebraic(problem, max_coarse=20, contact=True)
+    rng = np.random.default_rng(0)
     for above, below in zip(spaces.levels[:0:-1], spaces.levels[-2::-1], strict=True):
         # whatever is admissible below is so above
-        assert len(below.discrete.contact) and below.discrete.contact.gaps.min() >= 0
-        lifted = above.prolong(np.ones(below.n_nodes))
-        assert lifted.max() < 1 + 1e-9
-    for solver in (am.FullMultigrid(**TIGHT), METHODS["monotone nested"]):
-        result = am.solve(spaces, solver)
-        assert np.abs(result.displacement - exact).max() < 1e-9
+        inside = np.zeros(below.n_nodes)
+        coarse, fine = below.discrete.contact, above.discrete.contact
+        up = rng.random(len(coarse)) < 0.5
+        inside[coarse.nodes] = np.where(up, coarse.gaps, -coarse.opposite_gaps)
+        lifted = above.prolong(inside)[fine.nodes]
+        assert (lifted <= fine.gaps + 1e-12).all() and (lifted >= -fine.opposite_gaps - 1e-12).all()
+        assert np.isfinite(inside).all() and inside.any()
+    for name in ("nested", "from zero", "monotone nested"):
+        result = am.solve(spaces, METHODS[name])
+        assert np.abs(result.displacement - exact).max() < 1e-9, name
 
 
 def test_a_membrane_without_edges_rests_on_its_floor():
