@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -83,12 +83,12 @@ def watched(name: str) -> tuple[am.Hierarchy, am.Result]:
     return grids, am.solve(grids, am.FullMultigrid())
 
 
-def history(file: Path) -> None:
-    """Append a row for this commit to a table, in place of an earlier one of the commit, and draw
-    it."""
-    row: dict[str, object] = {"commit": commit(), "date": str(date.today())}
+def history(file: Path, names: Iterable[str] = WATCHED, at: str | None = None) -> None:
+    """Append a row for this commit (or ``at``) to a table, in place of an earlier one of the
+    commit, and draw it."""
+    row: dict[str, object] = {"commit": at or commit(), "date": str(date.today())}
     speed = triad()
-    for name in WATCHED:
+    for name in names:
         grids, result = watched(name)
         matrix = grids.finest.matrix
         seconds = cpu(partial(am.solve, grids, am.FullMultigrid()))
@@ -104,7 +104,7 @@ def history(file: Path) -> None:
     figure, _ = drawing(6.0)
     figure.clear()
     for ax, what in zip(figure.subplots(2, sharex=True), ("cycles", "passes"), strict=True):
-        for name in WATCHED:
+        for name in names:
             ax.plot(table["commit"], table[f"{name}: {what}"], "o-", label=name)
         ax.set(ylabel=what, ylim=(0, None))
     ax.tick_params(axis="x", rotation=90)

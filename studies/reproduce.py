@@ -202,13 +202,15 @@ def run_one(name: str, options: Sequence[str], out: Path) -> tuple[int, float, s
     return code, time.perf_counter() - begin, f"{lines[-1]} (see {log})" if code else lines[-1]
 
 
-def record(out: Path, names: Iterable[str]) -> None:
+def record(
+    out: Path, names: Iterable[str], measured: Path = MEASURED, readme: Path = README
+) -> None:
     """Write the numbers and the tables of the first screen that studies left in ``out`` into
-    data/measured."""
+    data/measured and the README."""
     from adaptmg.export.report import columns_of
 
     lines = []
-    MEASURED.mkdir(exist_ok=True)
+    measured.mkdir(exist_ok=True)
     run = f"python studies/reproduce.py, commit {commit()}, {date.today()}"
     for name in names:
         file = out / name / "section.json"
@@ -226,18 +228,19 @@ def record(out: Path, names: Iterable[str]) -> None:
                 frame = pd.DataFrame(
                     dict(zip(heads, (column.texts for column in columns), strict=True))
                 )
-                write_measured(item["name"], frame, item["caption"], item["note"], run)
-    write_measured("readme", pd.DataFrame(lines), "Numbers of the README", "", run)
-    text = README.read_text(encoding="utf-8")
-    README.write_text(TABLE.sub(lambda found: markdown(found[1]), text), encoding="utf-8")
+                file = measured / f"{item['name']}.csv"
+                write_measured(file, frame, item["caption"], item["note"], run)
+    write_measured(measured / "readme.csv", pd.DataFrame(lines), "Numbers of the README", "", run)
+    text = readme.read_text(encoding="utf-8")
+    readme.write_text(TABLE.sub(lambda found: markdown(found[1], measured), text), encoding="utf-8")
 
 
-def write_measured(name: str, frame: pd.DataFrame, caption: str, note: str, run: str) -> None:
-    """Write a table into data/measured, with comments: its caption, what its numbers are, and the
+def write_measured(file: Path, frame: pd.DataFrame, caption: str, note: str, run: str) -> None:
+    """Write a table of data/measured, with comments: its caption, what its numbers are, and the
     run that they are from."""
     comments = [f"# {' '.join(text.split())}\n" for text in (caption, note, run) if text]
     text = "".join(comments) + frame.to_csv(index=False)
-    (MEASURED / f"{name}.csv").write_text(text, encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
 
 
 def read_measured(file: Path) -> tuple[list[str], pd.DataFrame]:
@@ -248,9 +251,9 @@ def read_measured(file: Path) -> tuple[list[str], pd.DataFrame]:
     return comments, pd.read_csv(table, dtype=str, keep_default_na=False)
 
 
-def markdown(name: str) -> str:
+def markdown(name: str, measured: Path = MEASURED) -> str:
     """Return a table of data/measured as it stands in the README, below the name of its file."""
-    _, frame = read_measured(MEASURED / f"{name}.csv")
+    _, frame = read_measured(measured / f"{name}.csv")
     rows = [list(frame.columns), ["---"] * frame.shape[1], *frame.to_numpy().tolist()]
     text = "".join(f"| {' | '.join(row)} |\n" for row in rows)
     return f"<!-- data/measured/{name}.csv -->\n\n{text}"

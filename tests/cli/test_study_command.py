@@ -212,24 +212,11 @@ def test_options_and_cases_are_explained_without_docstrings(command):
     assert "did you mean 'dovetail'" in command("cases", "dovetial")[2]
     assert sections()["solver"]["rtol"] == build.Key("float | str", "1e-08")
     done = subprocess.run(
-        [
-            sys.executable,
-            "-OO",
-            "-m",
-            "adaptmg",
-            "solve",
-            "greco_bar",
-            "--divisions",
-            "2,4",
-            "--correction",
-            "monotone",
-            "--pre",
-            "2",
-        ],
+        [sys.executable, "-OO", "-m", "adaptmg", "solve", "--help"],
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0 and "CONVERGED" in done.stdout, done.stderr
+    assert done.returncode == 0 and done.stdout == command("solve", "--help")[1], done.stderr
 
 
 def test_warnings_are_lines(command):

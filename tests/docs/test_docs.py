@@ -183,10 +183,10 @@ def test_short_answers_are_right():
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if blocks(page)], ids=lambda page: page.stem
 )
-def test_examples_of_the_documentation_run(page, tmp_path, monkeypatch):
+def test_examples_of_the_documentation_run(page, tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     names = given(tmp_path)
-    monkeypatch.setattr(logging.getLogger("adaptmg"), "level", logging.NOTSET)
+    caplog.set_level(logging.NOTSET, "adaptmg")
     for block in blocks(page):
         code = compile(block, str(page), "exec")
         if page.stem != "cluster":  # the lines there need a scheduler

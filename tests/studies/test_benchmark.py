@@ -25,11 +25,9 @@ def test_cycles_have_not_risen(name):
 
 
 @pytest.mark.slow
-def test_the_history_has_a_row_a_commit(tmp_path, monkeypatch):
-    monkeypatch.setattr(benchmark, "WATCHED", {"bar": lambda: benchmark.bar(8)})
+def test_the_history_has_a_row_a_commit(tmp_path):
     for name in ("one", "two", "two"):
-        monkeypatch.setattr(benchmark, "commit", lambda name=name: name)
-        benchmark.history(tmp_path / "history.csv")
+        benchmark.history(tmp_path / "history.csv", ["bar"], name)
     rows = (tmp_path / "history.csv").read_text().splitlines()
     assert [row.partition(",")[0] for row in rows] == ["commit", "one", "two"]
     assert "bar: cycles" in rows[0] and (tmp_path / "history.png").exists()

@@ -114,25 +114,25 @@ def test_the_page_shows_what_studies_left_and_what_is_missing(tmp_path, capsys):
     )
 
 
-def test_recorded_numbers_are_those_of_the_sections(tmp_path, monkeypatch):
+def test_recorded_numbers_are_those_of_the_sections(tmp_path):
     made(tmp_path, 1.25)
-    monkeypatch.setattr(reproduce, "MEASURED", tmp_path / "measured")
-    monkeypatch.setattr(reproduce, "README", tmp_path / "README.md")
+    measured = tmp_path / "measured"
+    readme = tmp_path / "README.md"
     head = "# x\n\n<!-- data/measured/readme.csv -->\n\n"
-    reproduce.README.write_text(f"{head}| what | measured |\n|---|---|\n| old | 1 |\n\nend | of\n")
-    reproduce.record(tmp_path, ALL)
-    assert {file.name for file in reproduce.MEASURED.iterdir()} == {"one.csv", "readme.csv"}
-    assert reproduce.README.read_text().splitlines()[6:] == [
+    readme.write_text(f"{head}| what | measured |\n|---|---|\n| old | 1 |\n\nend | of\n")
+    reproduce.record(tmp_path, ALL, measured, readme)
+    assert {file.name for file in measured.iterdir()} == {"one.csv", "readme.csv"}
+    assert readme.read_text().splitlines()[6:] == [
         "| time of table_1_grids | 1.25 s |",
         "| time of dovetail | 1.25 s |",
         "",
         "end | of",
     ]
-    _, rows = reproduce.read_measured(reproduce.MEASURED / "readme.csv")
+    _, rows = reproduce.read_measured(measured / "readme.csv")
     assert rows.to_numpy().tolist() == [
         [f"time of {name}", "1.25 s"] for name in ("table_1_grids", "dovetail")
     ]
-    caption, note, run, *table = (reproduce.MEASURED / "one.csv").read_text().splitlines()
+    caption, note, run, *table = (measured / "one.csv").read_text().splitlines()
     assert (caption, note) == ("# caption of table_1_grids", "# a note")
     assert "commit" in run and table == ["n,time [s]", "1,0.50", "2,1.25"]
 
