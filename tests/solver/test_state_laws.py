@@ -92,6 +92,16 @@ def test_slips_along_supports_that_move_count():
     np.testing.assert_allclose(friction[0], falling(results[0].contact.pressure, slip))
 
 
+@pytest.mark.parametrize("place", [PLANE, SPACE], ids=("plane", "space"))
+def test_friction_that_rises_steeply_with_the_slip_needs_no_other_method(place):
+    grids = block(am.StateLaw(lambda p, s: 0.4 - 0.2 * np.exp(-s / 2e-7)), place)
+    result = am.solve(grids, FINE)
+    expected = am.solve(grids, EXACT).displacement
+    assert result.contact.counts()["slip"] and not result.fallback
+    far = np.abs(result.displacement - expected).max()
+    assert far <= 1e-8 * np.abs(expected).max()
+
+
 def wearing(pressure, slip):
     """So little friction that its moment does not lift an edge."""
     return 0.002 + 0.004 * np.exp(-slip / 2e-2)
