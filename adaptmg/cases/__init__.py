@@ -110,12 +110,6 @@ CASES: Mapping[str, Case] = MappingProxyType(
         "leaning_strut": Case(
             leaning_strut, "a strut that leans on its foot, friction 0.6: three solutions (2D)"
         ),
-        "prandtl_punch": Case(
-            prandtl_punch, "a flat rigid punch pressed into a plastic block: its limit load (2D)"
-        ),
-        "hill_cylinder": Case(
-            hill_cylinder, "a thick tube that yields under inner pressure (axisymmetric)"
-        ),
         "two_block_patch": Case(
             two_block_patch, "two blocks under uniform stress: the patch test of contact (2D, 3D)"
         ),

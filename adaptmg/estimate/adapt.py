@@ -188,6 +188,12 @@ def _check_obstacles(problem: ContactProblem, path: LoadPath | None) -> None:
             "problem has a Rigid obstacle or a Preload, which the estimates do not account for: give "
             "am.adapt the motion that am.solve finds (Result.motions) as Moving or InitialStrain"
         )
+    if problem.inelastic:
+        raise ValueError(
+            "problem has plastic bodies, which the estimates do not account for: adapt the meshes of the "
+            "problem with their elastic parts, and solve on the hierarchy of the last step "
+            "(with_problem)"
+        )
     if path is not None and obstacles_in_path(problem):
         raise ValueError(
             "problem has an obstacle that moves along load_path, which the estimates do not account for: "

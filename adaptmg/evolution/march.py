@@ -224,6 +224,8 @@ def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
             "an obstacle that moves as a body with a density, in a ContactPair, a compliance as a "
             "soft body"
         )
+    if problem.inelastic:
+        raise ValueError("grids: march has no plastic bodies: give all bodies elastic materials")
     grids.finest.discrete.need_no_volumes("march")
     levels = []
     for level, posed_level in zip(grids.levels, cast("list[Posed]", posed), strict=True):

@@ -241,5 +241,10 @@ def test_what_plastic_bodies_refuse(punch):
         am.solve(punch.finest.discrete)
     with pytest.raises(ValueError, match="start must be None"):
         am.solve(punch, start=np.zeros((punch.finest.n_nodes, 2)))
+    with pytest.raises(ValueError, match="their elastic parts"):
+        am.adapt(punch.problem, start=8e-3)
+    with pytest.raises(ValueError, match="march has no"):
+        free = replace(punch.problem, contact=am.Contact("contact", am.Plane((0, 0), (0, -1))))
+        next(am.march(punch.with_problem(free), am.Dynamics(density=1.0, step=1e-6, end=1e-5)))
     with pytest.raises(ValueError, match="before they yield"):
         am.solve(punch.truncated(finest=0)).certificate(punch[0].discrete)
