@@ -401,7 +401,8 @@ class Report:
 
 #: the largest number of characters of a text in a table, lines in a picture, and marks in a line
 _LETTERS, _LINES, _MARKED = 300, 7, 60
-#: an axis is logarithmic where the largest value is at least this multiple of the least
+#: an axis is logarithmic where the largest value is at least this multiple of the least: of 10 columns
+#: of numbers in data/measured none does with it or twice, two with half of it
 _LOGARITHMIC = 30.0
 
 

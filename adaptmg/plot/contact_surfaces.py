@@ -29,8 +29,9 @@ from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
 
-#: length of the mean of the unit normals below which a surface bends around an axis
-_AROUND = 0.5
+#: length of the mean of the unit normals below which a surface bends around an axis: that of a
+#: hemisphere, beyond which a picture along the mean normal folds
+_AROUND = 1 / 2
 
 
 @style.styled

@@ -58,7 +58,8 @@ BODY_COLORS = (
 )
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, SKY, "#806000", INK)
 
-#: what the pictures take where the user's rcParams are those of matplotlib; sizes of fonts are relative
+#: what the pictures take where the user's rcParams are those of matplotlib; sizes of fonts are relative;
+#: studies/pictures.py draws with them
 _STYLE: dict[RcKeyType, object] = {
     "figure.dpi": 120,
     "font.size": 9.5,
@@ -109,7 +110,15 @@ def chosen_width() -> float | None:
     return float(matplotlib.rcParams["figure.figsize"][0]) if _chosen("figure.figsize") else None
 
 
-_PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+_PREFIXES = (
+    (1000**3, "G"),
+    (1000**2, "M"),
+    (1000, "k"),
+    (1, ""),
+    (1000**-1, "m"),
+    (1000**-2, "µ"),
+    (1000**-3, "n"),
+)
 
 
 class _Picture(Figure):

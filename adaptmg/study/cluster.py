@@ -77,7 +77,7 @@ _CONFIG = {
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
-    "distributed.worker.memory.terminate": 1.0,
+    "distributed.worker.memory.terminate": 1,
     "distributed.worker.multiprocessing-method": "spawn",
     # dask's web servers, which know no certificate, have no pages
     "distributed.scheduler.http.routes": [],
