@@ -303,11 +303,6 @@ class CoarseFactors:
     same ones each time: their shift stays, so that each matrix is factorised once. Bodies held by
     contact alone are singular everywhere."""
 
-    #: solutions of forces of size 1 beyond 1 / SINGULAR mean singular; the shift that makes the matrix regular; both
-    #: over the diagonal
-    #: SINGULAR: a hundredth and a hundred times change none of 119 solves, paths and loops
-    #: (campaign constants)
-    SINGULAR, SHIFT = 1e-12, 1e-6
     #: dofs up to which dense factors are quicker
     DENSE = 1500
 
@@ -338,9 +333,10 @@ class CoarseFactors:
             )
             return
         self._solve = self._factors(self._shift)
-        singular = ~(np.abs(self._solve(self._probe)) < 1 / self.SINGULAR)
+        # solutions of forces of size 1, over the diagonal, beyond this mean singular
+        singular = ~(np.abs(self._solve(self._probe)) < 1 / checks.ROUNDING)
         if singular.any():
-            self._shift = np.where(singular, self.SHIFT * self._scale, self._shift)
+            self._shift = np.where(singular, checks.SIX_DIGITS * self._scale, self._shift)
             self._solve = self._factors(self._shift)
 
     def _factors(self, shift: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -382,11 +378,6 @@ def _sparse_factors(matrix: sparse.csr_array) -> Callable[[np.ndarray], np.ndarr
     except RuntimeError:
         # an exactly vanishing pivot
         return lambda load: np.full_like(load, np.nan)
-
-
-#: sum of the entries of a row, over the diagonal before truncation, up to which the row is empty but for rounding
-#: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign constants)
-EMPTY = 1e-12
 
 
 class PreparedSolve(Protocol):
@@ -530,7 +521,7 @@ def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
     row = np.repeat(np.arange(level.n_nodes), np.diff(matrix.indptr))
     sizes = np.zeros((level.n_nodes, level.dim))
     np.add.at(sizes, row, np.abs(matrix.data).sum(axis=2))
-    node, component = np.nonzero(sizes <= EMPTY * scale.reshape(sizes.shape))
+    node, component = np.nonzero(sizes <= checks.ROUNDING * scale.reshape(sizes.shape))
     matrix.data[np.flatnonzero(row == matrix.indices)[node], component, component] = scale[
         level.dim * node + component
     ]
@@ -545,7 +536,7 @@ def _regular_sparse(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
 
 def _regular_dense(level: SplitMatrix, scale: np.ndarray) -> np.ndarray:
     matrix = level.dense()
-    empty = np.flatnonzero(np.abs(matrix).sum(axis=1) <= EMPTY * scale)
+    empty = np.flatnonzero(np.abs(matrix).sum(axis=1) <= checks.ROUNDING * scale)
     matrix[empty, empty] = scale[empty]
     return matrix
 
@@ -567,11 +558,6 @@ class _LevelSmoother:
         return checks.nonnegative("coarse_smoother: the passes that smooth returns", passes)
 
 
-#: added to the scaled products of residuals, which may depend on each other
-#: a hundredth changes 4 of 119 solves, paths and loops, a hundred times 5 (campaign constants)
-_SHIFT = 1e-12
-
-
 def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.ndarray:
     """The alpha (k,) that minimise |now + alpha changes|, ``changes`` (k, n), weighted with ``d``
     (n,)."""
@@ -580,6 +566,6 @@ def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.nda
     scale = np.sqrt(products.diagonal())
     scale[scale == 0.0] = 1.0
     products /= scale[:, None] * scale
-    products.flat[:: len(scale) + 1] += _SHIFT
+    products.flat[:: len(scale) + 1] += checks.ROUNDING
     # LAPACK itself: numpy's least squares take ten times as long as all products of a small problem
     return linalg.lapack.dposv(products, -(weighted @ now) / scale)[1] / scale

@@ -25,16 +25,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import rotations
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.multigrid.truncated_contact import TruncatedContact, friction_slope
-
-#: singular values and values of motions that count as zero, relative to the largest
-#: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign constants)
-_ZERO = 1e-10
-#: squares of singular values beyond this, relative to the largest, are none, whatever rounding did to them
-#: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign constants)
-_CLEAR = 1e-6
 
 
 def null_combinations(rows: np.ndarray) -> np.ndarray:
@@ -43,14 +37,14 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
     squares = np.linalg.eigvalsh((rows / size).T @ (rows / size)) if rows.size else np.zeros(1)
-    if squares[0] > _CLEAR * squares[-1]:
+    if squares[0] > checks.SIX_DIGITS * squares[-1]:
         return np.empty((rows.shape[1], 0))
     # by the triangular factor, which has the same singular values and at most k rows
     _, singular, combinations = np.linalg.svd(
         np.linalg.qr(rows / size, mode="r"), full_matrices=True
     )
     singular = np.pad(singular, (0, len(combinations) - len(singular)))
-    return (combinations[singular <= _ZERO] / size).T
+    return (combinations[singular <= checks.ALIKE] / size).T
 
 
 def _is_held_body(problem: DiscreteProblem, held: np.ndarray, fixed: np.ndarray) -> bool:
@@ -158,7 +152,7 @@ class RigidMotions:
         forces = self.problem.matrix @ motions
         forces[self.problem.fixed] = 0.0
         scale = np.abs(self.problem.matrix.diagonal()).max() * np.abs(motions).max(axis=0)
-        strain = (np.abs(forces).max(axis=0) > _ZERO * scale).any()
+        strain = (np.abs(forces).max(axis=0) > checks.ALIKE * scale).any()
         return None if strain else motions.T @ self.load
 
     def _move(
@@ -186,17 +180,9 @@ class _Descent:
     #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
     #: constants)
     BALANCED: ClassVar[dict[int, float]] = {2: 1e-12, 3: 1e-2}
-    #: a slip that is smaller than this after a step, relative to the step, vanishes
-    #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
-    #: constants)
-    VANISHES: ClassVar[float] = 1e-6
     #: friction that does not hold the body yet is made this many times enough
     #: half and twice change none of 119 solves, paths and loops (campaign constants)
     ENOUGH: ClassVar[float] = 2.0
-    #: reciprocal conditioning from which on H counts as regular
-    #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
-    #: constants)
-    REGULAR: ClassVar[float] = 1e-8
 
     def __init__(
         self, motions: RigidMotions, contact: TruncatedContact, residual: np.ndarray
@@ -232,7 +218,7 @@ class _Descent:
         along = tangents @ direction
         across = values[:, 0] @ (free @ direction)
         speed = np.linalg.norm(along, axis=1)
-        small = _ZERO * max(speed.max(), np.abs(across).max())
+        small = checks.ALIKE * max(speed.max(), np.abs(across).max())
         closing = ~closed & (across > small) & np.isfinite(o.gap)
         stops = np.divide(
             o.gap - self.values[:, 0], across, out=np.full(len(across), np.inf), where=closing
@@ -257,10 +243,10 @@ class _Descent:
             left = np.linalg.norm(slip + length * along, axis=1)
             share = np.divide(left, length * speed, out=np.full(len(left), np.inf), where=acts)
             node = int(np.argmin(share))
-            if share[node] < self.VANISHES:
+            if share[node] < checks.SIX_DIGITS:
                 # its slip to the last bit
                 rest = slip[node] + tangents[node] @ change
-                change = change - np.linalg.lstsq(tangents[node], rest, rcond=_ZERO)[0]
+                change = change - np.linalg.lstsq(tangents[node], rest, rcond=checks.ALIKE)[0]
                 held[node] = True
         change = free @ change
         normal = np.maximum(self.values[:, 0], o.gap)  # of springs it is deeper
@@ -285,7 +271,7 @@ class _Descent:
         stiffness = np.divide(bound, size[:, 0], out=np.zeros_like(bound), where=size[:, 0] > 0)
         hessian = np.einsum("n,nti,ntj->ij", stiffness, turned, tangents)
         values, vectors = np.linalg.eigh(hessian)
-        if not values[0] > self.REGULAR * values[-1]:
+        if not values[0] > checks.ALIKE * values[-1]:
             return -gradient
         return -(vectors @ ((vectors.T @ gradient) / values))
 

@@ -37,6 +37,7 @@ from typing import Any, cast
 import numpy as np
 from scipy import linalg, sparse
 
+from adaptmg import _checks as checks
 from adaptmg._numba import kernel
 from adaptmg._threads import sum_of_parts
 from adaptmg.discrete.problem import DiscreteProblem
@@ -577,11 +578,6 @@ class CoarseContact:
         return step.move(state, correction)
 
 
-#: springs that hold what no fine node tells apart, over the diagonal
-#: a hundredth changes 1 of 119 solves, paths and loops, a hundred times 1 (campaign constants)
-_SPRING = 1e-9
-
-
 def _eliminated(
     matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray, coordinates: np.ndarray | None
 ) -> Eliminated:
@@ -591,7 +587,8 @@ def _eliminated(
         return eliminate(LocalSystem.from_matrix(matrix, fixed, nodes), coordinates)
     except ValueError:
         held = sparse.bsr_array(
-            matrix + sparse.diags_array(_SPRING * matrix.diagonal()), blocksize=matrix.blocksize
+            matrix + sparse.diags_array(checks.ALIKE * matrix.diagonal()),
+            blocksize=matrix.blocksize,
         )
         return eliminate(LocalSystem.from_matrix(held, fixed, nodes), coordinates)
 

@@ -29,6 +29,7 @@ from scipy import linalg, sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import SuperLU, splu
 
+from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system, turn_held
 
@@ -196,9 +197,6 @@ def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.n
     return behind & ~is_leaf, is_leaf
 
 
-#: a pivot below this times the diagonal entry of the matrix means a singular interior
-#: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign constants)
-_PIVOT = 1e-11
 #: dofs up to which dense factors are quicker, and up to which they decide which dofs depend on others
 _DENSE, _DENSE_AT_MOST = 300, 6000
 
@@ -263,7 +261,7 @@ class Condensed(Eliminated):
         blocks = self.matrix.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n)] / (
             size[:, :, None] * size[:, None]
         )
-        return bool(np.linalg.eigvalsh(blocks).min(initial=1.0) > _PIVOT)
+        return bool(np.linalg.eigvalsh(blocks).min(initial=1.0) > checks.ROUNDING)
 
     @cached_property
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
@@ -381,7 +379,7 @@ def _eliminate(
     rows = lu.perm_r
     upper = lu.U
     pivots = upper.diagonal()[place]
-    if not (np.array_equal(place, rows) and (pivots > _PIVOT * factors.diagonal).all()):
+    if not (np.array_equal(place, rows) and (pivots > checks.ROUNDING * factors.diagonal).all()):
         raise _Singular
     inverse = np.empty_like(order)
     inverse[order] = np.arange(len(order))
@@ -408,7 +406,7 @@ def _eliminate_dense(
     rank = 0
     if len(inside):
         scaled = matrix[np.ix_(inside, inside)] / (size[:, None] * size)
-        lower, pivots, rank, _ = linalg.lapack.dpstrf(scaled, tol=_PIVOT, lower=1)
+        lower, pivots, rank, _ = linalg.lapack.dpstrf(scaled, tol=checks.ROUNDING, lower=1)
     if rank < len(inside) and not lenient:
         raise _Singular
     used = pivots[:rank] - 1

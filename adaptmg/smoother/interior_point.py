@@ -26,13 +26,14 @@ from typing import Protocol, cast
 import numpy as np
 from scipy import linalg
 
+from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.system import NodalContact
 
 #: steps in a row that better nothing, after which a slack below the second number is at rounding
 #: _ROUNDING: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
 #: constants)
-_IDLE, _ROUNDING = 4, 1e-5
+_IDLE = 4
 #: part of the way to the boundary that a step takes; below the second length a step aims nearer to the central path
 #: half of _WAY changes 29 of 119 solves, paths and loops; half and twice of _SHORT 1 and 3, of
 #: _CENTRED 2 and 1 (campaign constants)
@@ -41,7 +42,8 @@ _WAY, _SHORT, _CENTRED = 0.995, 0.3, 0.3
 #: than half of the forces that do not balance at the start is left, its displacements are too small, which keeps
 #: steps short (a band that slips round a drum). Steps of 12 such bands: 986 with the first springs alone, 335 with
 #: 1e-3 as the second ones, 243 with these; of 34 other solves 399. At 4 and 16 steps: 215 and 302; 403 and 399
-_SPRINGS, _FIRST_STEPS = (1e-2, 1e-4, 1e-6), 8
+_SPRINGS = (1e-2, 1e-4, 1e-6)
+_FIRST_STEPS = 8
 #: the least energy and displacement that count, over those of the start: bodies that stick everywhere have none
 #: a hundredth changes 5 of 119 solves, paths and loops, a hundred times 5 (campaign constants)
 _LEAST = 1e-8
@@ -90,7 +92,9 @@ def interior_point(
     steps = 0
     since = 0
     while (
-        steps < most and best.slack > tolerance and not (since >= _IDLE and best.slack < _ROUNDING)
+        steps < most
+        and best.slack > tolerance
+        and not (since >= _IDLE and best.slack < checks.SIX_DIGITS)
     ):
         if springs and method.steps == _FIRST_STEPS and method.unbalanced > 0.5:
             method = _Method(unknowns, load, contact, springs.pop(0) * stiffness, offset)

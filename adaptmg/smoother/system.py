@@ -37,7 +37,7 @@ from adaptmg.transfer.galerkin import without_fixed
 FrictionAt = Callable[[np.ndarray, np.ndarray], np.ndarray]
 #: compliance over that of a node, above which a surface counts as a spring in linear problems; below, its normal
 #: displacement is prescribed like that of a rigid one
-STIFF = 1e-6
+STIFF = checks.SIX_DIGITS
 #: step of differences over pressures, and over slips of at least the second, m
 _DIFFERENCE, _SHORTEST = 1e-6, 1e-9
 

@@ -221,7 +221,8 @@ class _Newton:
     #: back, and its steps at most
     #: TOLERANCES: a hundredth changes 24 of 119 solves, paths and loops, a hundred times 21
     #: (campaign constants)
-    TOLERANCES, MOST = (1e-9, 1e-12, 1e-15), 60
+    TOLERANCES = (1e-9, 1e-12, 1e-15)
+    MOST = 60
     #: steps after which the iteration counts as repeating itself: in 3D the direction of a slip may go round while no
     #: status comes back
     LONG = 15
@@ -367,10 +368,6 @@ class _Newton:
 class CondensedSteps:
     """Linear steps on the dense Schur complement; one sparse factorisation serves them all."""
 
-    # a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
-    # constants)
-    SINGULAR = 1e-13  # reciprocal condition number below which the equations count as singular
-
     def __init__(self, condensed: Condensed, run: Run) -> None:
         self.local = condensed.full
         self.run = run
@@ -428,7 +425,7 @@ class CondensedSteps:
         norm = np.abs(matrix).sum(axis=0).max()
         factors, pivots, info = linalg.lapack.dgetrf(matrix)
         rcond = linalg.lapack.dgecon(factors, norm)[0] if info == 0 else 0.0
-        if not rcond > self.SINGULAR:
+        if not rcond > checks.ROUNDING:
             raise np.linalg.LinAlgError(
                 f"the condensed equations are singular: reciprocal condition {rcond:.1e}"
             )

@@ -31,6 +31,7 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
+from adaptmg import _checks as checks
 from adaptmg._numba import kernel
 from adaptmg.discrete.coordinates import frames_of, from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
@@ -44,9 +45,6 @@ _SIZE = {1: (64, 4), 2: (64, 4), 3: (80, 3)}
 _MANY, _LARGE, _MOST = {1: 40_000, 2: 40_000, 3: 24_000}, 100, {1: 3600, 2: 1800, 3: 200}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
-#: of the diagonal, added to it: a status may take motions from an aggregate
-#: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign constants)
-_SHIFT = 1e-10
 #: what may be missing in the conditions of a changed status
 #: half and twice change none of 119 solves, paths and loops (campaign constants)
 _ENOUGH = 1e-4
@@ -326,7 +324,7 @@ def raised(diagonal: np.ndarray) -> np.ndarray:
     """Return what is added to the diagonal of the coarse matrix."""
     # motions that the status takes away altogether
     most = diagonal.max(initial=0.0)
-    return np.where(diagonal > 1e-14 * most, _SHIFT * diagonal, most)
+    return np.where(diagonal > 1e-14 * most, checks.ALIKE * diagonal, most)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg._text import in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
@@ -89,9 +90,7 @@ class Certificate:
     #: FACTOR: half and twice change none of 119 solves, paths and loops (campaign constants)
     FACTOR, ENERGY_FACTOR = 20.0, 3.0
     #: relative violations that rounding may excuse at most: what has run away does not balance its forces as well
-    #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
-    #: constants)
-    MOST_ROUNDING = 1e-5
+    MOST_ROUNDING = checks.SIX_DIGITS
 
     def __getitem__(self, name: str) -> Condition:
         for line in self.lines:
@@ -198,7 +197,7 @@ _SAMPLES = 4
 #: half and twice change none of 119 solves, paths and loops (campaign constants)
 _FOUND = 2.0
 #: compliance of a surface, over that of its node, above which it counts as a spring, below as rigid
-_STIFF = 1e-6
+_STIFF = checks.SIX_DIGITS
 _EPSILON = float(np.finfo(float).eps)
 
 

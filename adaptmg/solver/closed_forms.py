@@ -34,6 +34,7 @@ from typing import cast
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg._checks import FieldLike
 from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.elasticity import nodes_of_pieces
@@ -58,13 +59,10 @@ from adaptmg.problem.loads import (
 from adaptmg.problem.surfaces import ContactPair, Periodic
 from adaptmg.solver.certificate import Condition, Evidence
 
-#: of the size of the mesh: heights within which a surface is plane; a hundredth and a hundred times
-#: decide alike in 75 pairs of bodies
-_PLANE = 1e-9
 #: share of its boundary mass that a contact node may miss by rounding, and that a facet may miss at
 #: one corner while the others miss what rounding hides; 75 pairs of bodies miss at most 7e-16 with
 #: a hundredth, a tenth, half, twice, ten and a hundred times these, too
-_ROUNDING, _SLIVER = 1e-7, 1e-3
+_SLIVER = 1e-3
 
 #: relative deviation above which matrix or load is wrong, whatever the tolerance: rounding leaves at most
 #: 1.7e-13 on the default meshes of the 12 cases that are covered; one hundredth of one entry at a wrong place, on a
@@ -390,7 +388,7 @@ def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarr
     normal = mesh.surface(slave).normals[0]
     heights = max(np.ptp(side @ normal) for side in (slave_points, master_points))
     by_node = isinstance(posed, ContactPair) and posed.coupling == "nodes"
-    if by_node or heights > _PLANE * mesh.sides.max():
+    if by_node or heights > checks.ALIKE * mesh.sides.max():
         return None
     return ((master_points[0] - slave_points[0]) @ normal) * normal
 
@@ -458,7 +456,7 @@ def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProbl
         missed[on_boundary] = np.abs(less)
         if master:
             # what has no partner opposite lacks at all corners of its facet
-            whole = np.isin(np.arange(mesh.n_nodes), nodes[np.abs(less) <= _ROUNDING])
+            whole = np.isin(np.arange(mesh.n_nodes), nodes[np.abs(less) <= ALLOWED])
             lacking = surface.facets[~whole[surface.facets].any(axis=1)]
             missed[on_boundary] *= (less < 0) | (less > _SLIVER) & ~np.isin(nodes, lacking)
     largest = float(missed.max(initial=0.0))

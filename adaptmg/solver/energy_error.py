@@ -41,6 +41,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from adaptmg import _checks as checks
 from adaptmg._numba import kernel
 from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks, remembered_of_structure
 from adaptmg.smoother.blocks import (
@@ -57,24 +58,20 @@ from adaptmg.smoother.blocks import (
 from adaptmg.smoother.strips import Strips
 from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, at_nodes
 
-#: least steps, the share of the energy that the last one may have left, and of the least Ritz value that stays; with
+#: the share of the energy that the last step may have left, and of the least Ritz value that stays; with
 #: volumes the share by which each of the last two steps may have changed the energy
 #: _MISSING: half and twice change none of 119 solves, paths and loops (campaign constants)
-_LEAST, _MISSING, _SETTLED, _CALM = 3, 0.3, 0.7, 0.1
+_MISSING, _SETTLED, _CALM = 0.3, 0.7, 0.1
+#: least steps
+_LEAST = 3
 #: by how much more than what is negligible an error may be that need not be known better, a step: .6 of rtol after the
 #: second, .9 after the third (seen at most 1.46 and 1.09 times too small)
 #: half changes 0 of 119 solves, paths and loops, twice 3; cycles 691, 691, 694 (campaign constants)
 _SURER = 3.0
 #: steps at most, without and with Coulomb friction, which needs all directions, and with volumes
 _MOST, _MOST_COULOMB, _MOST_VOLUMES = 40, 16, 24
-#: a direction whose energy is below this share of what the preconditioner makes of it is a motion that nothing holds
-#: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign constants)
-_FREE = 1e-5
-#: of a factorised matrix: what is added to its diagonal, solves, and the share of a residual that they may leave if
-#: nothing is free
-#: _SHIFT: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
-#: constants)
-_SHIFT, _REFINEMENTS, _BALANCED = 1e-14, 4, 1e-6
+#: solves with a factorised matrix
+_REFINEMENTS = 4
 #: dofs up to which a factorisation is taken where the steps do not settle, by dimension
 FACTORISED = {1: 100_000, 2: 100_000, 3: 30_000}
 
@@ -338,7 +335,8 @@ def _estimated(
             return HeldCorrection(energies[-1], *total), True
         overlaps = np.array([direction.values @ energetic for direction in span])
         square = float(new.values @ energetic - overlaps @ overlaps)
-        if not square > _FREE * product:
+        # a motion that nothing holds
+        if not square > checks.SIX_DIGITS * product:
             return HeldCorrection(float("inf"), *total), False
         for overlap, direction in zip(overlaps, span, strict=True):
             new.add(-overlap, direction)
@@ -401,7 +399,7 @@ def _factorised(
     whole = (taken @ matrix + keep @ at_nodes(status.nodes, status.stiffening, n)) @ keep + most * (
         every - keep
     )
-    shift = np.full(len(load), _SHIFT * most)
+    shift = np.full(len(load), checks.ROUNDING * most)
     shift[n:] = 0.0
     if len(volumes):
         whole = sparse.block_array(
@@ -414,7 +412,7 @@ def _factorised(
     factors = splu(whole + sparse.diags_array(shift, format="csc"))
     solution = np.zeros(len(load))
     rest = load
-    most_left = max(_BALANCED * np.linalg.norm(load[:n]), rounding)
+    most_left = max(checks.SIX_DIGITS * np.linalg.norm(load[:n]), rounding)
     balanced = False
     for _ in range(_REFINEMENTS):
         solution += factors.solve(rest)

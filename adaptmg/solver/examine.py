@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import sparse
 
+from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg._units import in_units
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
@@ -404,7 +405,7 @@ def _elsewhere(
     weights = discrete.coupling.weights[contact.nodes]
     if taken.shape[1]:
         weights = sparse.csr_array(weights + taken)
-        weights.data[np.abs(weights.data) < _NO_WEIGHT] = 0.0
+        weights.data[np.abs(weights.data) < checks.ROUNDING] = 0.0
         weights.eliminate_zeros()
     facing = []
     for at, instead, _ in discrete.held_together():
@@ -432,10 +433,6 @@ def _elsewhere(
     node, exerted, boundary, itself = map(np.concatenate, zip(*parts, strict=True))
     return node, exerted, boundary, itself
 
-
-#: a weight that is rounding: of a node that is taken over and does not follow
-#: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign constants)
-_NO_WEIGHT = 1e-12
 
 #: a natural residual below this share of the terms it sums is rounding
 ROUNDING = 8 * np.finfo(float).eps

@@ -156,12 +156,11 @@ class StopTest:
     #: constants)
     RESIDUAL_FACTOR = 10.0
     #: largest relative residual that rounding excuses
-    #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
-    #: constants)
-    ROUNDING_LIMIT = 1e-9
+    ROUNDING_LIMIT = checks.ALIKE
     #: of the terms that a residual sums, the share that it keeps however often it is refined; iterates there, with
     #: forces that balance to the last number, after which no further one is better
-    KEPT, REFINED, BALANCED = 2 * np.finfo(float).eps, 4, 1e-5
+    KEPT = 2 * np.finfo(float).eps
+    REFINED = 4
     #: iterates without a new smallest change after which sweeps and cycles of other methods count as stalled: of
     #: 90 solves of random problems by monotone cycles and over-relaxed sweeps to 1e-6 68 converge, at 30 and 120, too;
     #: the monotone cycles are 3409, 3439, 3469
@@ -213,7 +212,7 @@ class StopTest:
         )  # interference: no forces yet
         self._last = residual
         self._rounding = self.at_rounding(state.floor)
-        balanced = residual <= self.KEPT * state.floor and self.residual <= self.BALANCED
+        balanced = residual <= self.KEPT * state.floor and self.residual <= checks.SIX_DIGITS
         self._kept = self._kept + 1 if balanced else 0
         self.error_estimate = self.residual if self._rounding else self._caution * self._estimate()
         self.met = self._rounding or self._small_enough()

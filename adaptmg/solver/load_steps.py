@@ -84,7 +84,7 @@ _EXACT = 1e-5
 # share of what forces missed from which on a coarse level leads astray; .15, .3, .6: 613, 653, 693 cycles,
 # at most 36, 45, 45 a step
 _SLOW = 0.15
-_TINY = 1e-300
+_TINY = float(np.finfo(np.float64).tiny)
 #: motions, a result near to theirs, and the tolerance that suffices -> a result, and what is kept of it
 Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Kept]]
 

@@ -29,6 +29,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.loads import largest_nodal_stiffness
 from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_structure
@@ -42,13 +43,10 @@ from adaptmg.solver.examine import ContactResult
 
 _LOG = logging.getLogger(__name__)
 
-_UNBALANCED = 1e-6  # share of the load that counts as not held
-_STILL = 1e-7  # amplitude, of a motion of amplitude 1, that counts as none
 # nodal stiffness of a spring, over the largest of the bodies, from which on it counts: a block on rollers with 16,
 # 32, 64 divisions converges, to 5e-6, with 2.5e-11, 3.5e-11, 4.4e-11; with 32, 64 it stalls at 1.8e-11, 2.5e-11
 _SOFTEST = 4e-11
 _SEGMENTS = 8  # of the friction polygon in 3D, which has twice as many sides
-_LIMIT = 1e6  # Tresca limits beyond this multiple of the load count as this: keeps the programme well scaled
 
 
 @remembered
@@ -230,7 +228,9 @@ def _null_combinations(rows: np.ndarray) -> np.ndarray:
     """Orthonormal rows (n_null, k) of coefficients for which ``rows`` (n, k) vanish."""
     # the triangular factor has at most k rows and the same singular values
     _, singular, combinations = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
-    return combinations[np.pad(singular, (0, len(combinations) - len(singular))) <= _STILL]
+    return combinations[
+        np.pad(singular, (0, len(combinations) - len(singular))) <= checks.SIX_DIGITS
+    ]
 
 
 def _check_body(body: _Body) -> None:
@@ -243,7 +243,7 @@ def _check_body(body: _Body) -> None:
     friction = sampled_friction(problem.law, len(problem.contact)).max(axis=0)
     forces = _contact_forces(body, limit / scale, friction)
     unbalanced, motion = forces.least_unbalanced(work)
-    if unbalanced > _UNBALANCED:
+    if unbalanced > checks.SIX_DIGITS:
         motion = _culprit(body, forces, work, motion)
         raise ValueError(
             f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact cannot "
@@ -255,13 +255,13 @@ def _check_body(body: _Body) -> None:
             f"the solution is not unique: a {body.describe(_plain_of(body, neutral))} is left free by "
             "supports, contact and load; add a support that fixes it"
         )
-    if np.abs(work).max() <= _UNBALANCED:
+    if np.abs(work).max() <= checks.SIX_DIGITS:
         # no load on the free motions: only bodies that contact encloses are held, whose pressures
         # balance each other
         away = forces.edges.mean(axis=1)
         forces = replace(forces, limits=np.zeros_like(forces.limits))
         unbalanced, motion = forces.least_unbalanced(away)
-        if unbalanced > _UNBALANCED:
+        if unbalanced > checks.SIX_DIGITS:
             motion = _plainest(body, forces, away, motion)
             raise ValueError(
                 f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
@@ -310,7 +310,7 @@ class _Forces:
         if (
             k == 1
         ):  # without the library of linear programmes, whose import takes a tenth of a first small solve
-            balanced = (self.edges[0] * np.sign(work) < -_STILL).any()
+            balanced = (self.edges[0] * np.sign(work) < -checks.SIX_DIGITS).any()
             left = abs(work[0]) - np.abs(self.segments[0]) @ self.limits
             return 0.0 if balanced else max(float(left), 0.0), np.sign(work)
         from scipy.optimize import linprog
@@ -332,10 +332,10 @@ class _Forces:
 
     def let_go(self, motion: np.ndarray, work: np.ndarray) -> bool:
         """Return whether no admissible force balances ``work`` on this very motion."""
-        if (motion @ self.edges < -_STILL).any():
+        if (motion @ self.edges < -checks.SIX_DIGITS).any():
             return False
         resistance = np.abs(motion @ self.segments) @ self.limits
-        return float(motion @ work - resistance) > _UNBALANCED
+        return float(motion @ work - resistance) > checks.SIX_DIGITS
 
 
 def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Forces:
@@ -352,7 +352,7 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     local = np.einsum("nij,njk->nik", frames, at_contact)
     normal = local[:, 0]
     tangential = local[:, 1:]
-    limit = np.minimum(limit[on_body], _LIMIT)
+    limit = np.minimum(limit[on_body], 1 / checks.SIX_DIGITS)
     friction = friction[on_body]
     rubbing = friction > 0
     limited = limit > 0
@@ -375,14 +375,14 @@ def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray)
     n = len(body.problem.contact)
     stuck = _contact_forces(body, np.full(n, np.inf), np.zeros(n))
     unbalanced, opening = stuck.least_unbalanced(work)
-    if unbalanced > _UNBALANCED:
+    if unbalanced > checks.SIX_DIGITS:
         return _plainest(body, stuck, work, opening)
     # unlimited friction would hold it, so it slides. The multipliers of a friction cone open while
     # they slide (they move along its edge): only the part that stays in contact is the motion to
     # blame
     sliding = _null_combinations(stuck.edges.T)
     slide = sliding.T @ (sliding @ motion)
-    return slide if slide @ work > _UNBALANCED else motion
+    return slide if slide @ work > checks.SIX_DIGITS else motion
 
 
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -414,7 +414,11 @@ def _plain_motions(body: _Body) -> np.ndarray:
 
 def _plain_of(body: _Body, free: np.ndarray) -> np.ndarray:
     """A plain motion (k,) among free ones, orthonormal rows (n, k), else the first of them."""
-    plain = [c for c in _plain_motions(body) if np.linalg.norm(c - free.T @ (free @ c)) <= _STILL]
+    plain = [
+        c
+        for c in _plain_motions(body)
+        if np.linalg.norm(c - free.T @ (free @ c)) <= checks.SIX_DIGITS
+    ]
     return (plain or free)[0]
 
 

@@ -50,7 +50,6 @@ _MOST_BYTES = 2**28
 #: a step of a loop has some hundreds of arrays; displacements hardly shrink, so that the whole shrinks some ten times
 _MOST_ARRAYS, _MOST_SHRINKING, _SMALL = 100_000, 200, 64 * 2**20
 _AGAIN = "remove it and the steps after it to have them computed again"
-_TOLERANCE = 1e-8
 
 
 class _Writer:
@@ -442,5 +441,5 @@ def _same(a: object, b: object) -> bool:
     if isinstance(a, list) and isinstance(b, list):
         return len(a) == len(b) and all(map(_same, a, b))
     if isinstance(a, float | int) and isinstance(b, float | int):
-        return math.isclose(a, b, rel_tol=_TOLERANCE)
+        return math.isclose(a, b, rel_tol=checks.ALIKE)
     return a == b
