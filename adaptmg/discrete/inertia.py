@@ -30,13 +30,11 @@ def lumped_mass(posed: Posed, dynamics: Dynamics) -> np.ndarray:
     """Return the masses (n_nodes,) of nodes, kg (plane: kg/m; axisymmetric: of the full
     circumference)."""
     mesh = posed.mesh
-    # a force per volume along the last axis
-    along = (0.0,) * (mesh.dim - 1)
     forces = [
-        BodyForce((*along, density), body=checks.choice("bodies of density", body, mesh.bodies))
+        BodyForce((density,) * mesh.dim, body=checks.choice("bodies of density", body, mesh.bodies))
         for body, density in _by_body(dynamics.density, posed).items()
     ]
-    mass = load_vector(mesh, forces, posed.materials)[mesh.dim - 1 :: mesh.dim]
+    mass = load_vector(mesh, forces, posed.materials)[:: mesh.dim]
     if not mass.all():
         raise ValueError(
             f"density must be given for each body; the bodies are {', '.join(mesh.bodies)}"

@@ -273,8 +273,7 @@ class March:
         self.mass = lumped_mass(self.posed, dynamics)[:, None]
         #: Euclidean norm of what rounding of a unit displacement leaves in K u, N/m
         self.rounding = np.finfo(float).eps * euclidean_norm(self.stiffness.diagonal())
-        forces = self.discrete.physical_forces(self.discrete.whole_load)
-        self.forces = forces.reshape(mesh.points.shape)
+        self.forces = self.discrete.physical_forces(self.discrete.whole_load).reshape(-1, mesh.dim)
         self.flying = self._flying()
         #: by cause the energy lost so far, N m, and the slips so far (n_contact,), m
         self.lost = {"friction": 0.0, "contact": 0.0, "damping": 0.0}

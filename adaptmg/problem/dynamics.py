@@ -24,7 +24,7 @@ def _by_body(check: Callable[[str, Any], Any], name: str, value: Any) -> Any:
 
 
 def _velocity(name: str, value: Any) -> Velocity:
-    return checks.function_or(name, value, lambda name, value: tuple(checks.vector(name, value)))
+    return checks.function_or(name, value, lambda *named: tuple(checks.vector(*named).tolist()))
 
 
 @dataclass(frozen=True, kw_only=True)
