@@ -535,25 +535,17 @@ class PathLoop:
             self._check_statics(k, grids)
         if self._at_rest(forces):
             return self._undeformed(k, grids, run, motions), (grids, forces, None)
-        outcome, coarse = self._outcome(grids, run, past)
-        outcome = handed_over(
-            checked_outcome(outcome, self.solver, grids.finest.discrete), grids, run
+        outcome, self.multigrid, coarse = step_outcome(
+            self.step_solver, self.multigrid, grids, self.examiner, run, past
         )
+        outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
+        self._hold(outcome.rtol)
+        outcome = handed_over(outcome, grids, run)
         with run.phase("result"):
             result = result_of(
                 grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
             )
         return result, (grids, forces, coarse)
-
-    def _outcome(
-        self, grids: Hierarchy, run: Run, past: Past
-    ) -> tuple[Outcome, list[np.ndarray] | None]:
-        """Return the outcome of the solver, and the displacements that it finds on coarse levels."""
-        outcome, self.multigrid, coarse = step_outcome(
-            self.step_solver, self.multigrid, grids, self.examiner, run, past
-        )
-        self._hold(outcome.rtol)
-        return outcome, coarse
 
     def _hold(self, rtol: float) -> None:
         """Keep the tolerance that the discretisation error of the first step has set: increments
