@@ -513,17 +513,14 @@ class MultigridCycle:
     ) -> None:
         if sweeps:
             system = self.levels[level].system
-            passes = checks.nonnegative(
-                "smoother: the passes that smooth returns",
-                self.smoother.smooth(system, contact, load, unknowns, sweeps),
-            )
+            passes = self.smoother.smooth(system, contact, load, unknowns, sweeps)
             self.recorder.count(passes, system.nonzeros)
             self.recorder.visit(level, "smooth", sweeps)
 
     def residual(self, level: int, load: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
         """Return b - A w on a level (n_dofs,), one pass."""
         system = self.levels[level].system
-        self.recorder.count(1, system.nonzeros)
+        self.recorder.count(1.0, system.nonzeros)
         return load - system.matrix @ unknowns
 
     def solve_coarsest(self, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:

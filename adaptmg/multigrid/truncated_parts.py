@@ -199,10 +199,7 @@ class FrameSmoother:
         # turned to and fro a closed gap would no longer be closed to the last digit
         at_nodes[nodes] = values
         conditions = contact.conditions
-        passes = checks.nonnegative(
-            "smooth: the passes that smooth returns",
-            self.smoother.smooth(system, conditions, forces, w, 1),
-        )
+        passes = self.smoother.smooth(system, conditions, forces, w, 1)
         w[system.fixed] = 0.0
         at_nodes[nodes, 0] = conditions.clamped(at_nodes[nodes, 0])
         values[:] = at_nodes[nodes]

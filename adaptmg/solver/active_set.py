@@ -352,7 +352,7 @@ class _Newton:
             return state
         system = self.local.system
         contact = self.local.contact
-        self.run.count(1, system.nonzeros)
+        self.run.count(1.0, system.nonzeros)
         residual = self.local.residual(state.unknowns)
         forces, reduced = self.equations_of.contact_residual(residual)
         at_contact = state.unknowns.reshape(-1, system.dim)[system.nodes]
@@ -479,7 +479,7 @@ class SparseSteps:
             matrix = self._contact_rows(equations)
             if change.any():
                 rhs -= matrix @ change
-                self.run.count(1, system.nonzeros)
+                self.run.count(1.0, system.nonzeros)
             rhs[released] = 0.0
         self._prepare(equations, matrix, released)
         with self.run.phase("solve"):
@@ -490,7 +490,7 @@ class SparseSteps:
         return solution.unknowns + change
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
-        self.run.count(1, self.local.system.nonzeros)
+        self.run.count(1.0, self.local.system.nonzeros)
         return self._matrix @ unknowns
 
     def values(self, unknowns: np.ndarray) -> np.ndarray:

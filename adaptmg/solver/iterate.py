@@ -432,7 +432,7 @@ class Measure:
         """Measure a state; the residual that it lacks is counted."""
         residual = state.residual
         if residual is None:
-            cast("Run", self.run).count(1, self.local.system.nonzeros)
+            cast("Run", self.run).count(1.0, self.local.system.nonzeros)
             residual = self.local.residual(state.unknowns)
         return self(state.cycles, state.unknowns, residual)
 

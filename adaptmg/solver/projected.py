@@ -244,7 +244,7 @@ class SingleGrid:
             return times
 
         def residual(unknowns: np.ndarray) -> np.ndarray:
-            run.count(1, problem.system.nonzeros)
+            run.count(1.0, problem.system.nonzeros)
             return problem.residual(unknowns)
 
         norms = Measure(problem, run=run, reference=reference, sizes=sizes)

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg._numba import clock, compiling_seconds
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.examine import Examined
@@ -84,7 +85,12 @@ class Run:
     PATH_LIMIT = 100_000
 
     def count(self, passes: float, nonzeros: int) -> None:
-        """Count ``passes`` over a matrix of ``nonzeros`` stored entries."""
+        """Count ``passes`` over a matrix of ``nonzeros`` stored entries, checked here for
+        user-defined parts."""
+        # hundreds of counts a solve are floats that need no more than this
+        if type(passes) is not float or not 0.0 <= passes < np.inf:
+            words = "the passes over the matrix that a smoother or linear solver returns"
+            passes = checks.nonnegative(words, passes)
         self.work_units += passes * nonzeros / self.unit
 
     def visit(self, level: int, action: str, times: int = 1) -> None:
