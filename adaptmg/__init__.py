@@ -20,8 +20,8 @@ Ingredients State (a step of yours), PyAMG, Cycle, NestedStart, CoarseSolve, Pro
             solver
 Result      Result, Status, NotConverged, Certificate, PathResult; contact states OPEN, SLIP, STICK
 Adapt       adapt (each Step); indicators Residual, Recovery, Goal (of a ContactForce, Displacement,
-            MeanDisplacement, Opening); marks Doerfler, Maximum; engines Remesh, Bisect; Estimate,
-            GoalEstimate; module estimate
+            MeanDisplacement, Opening, PeakPressure, Dissipation); marks Doerfler, Maximum; engines Remesh, Bisect;
+            Estimate, GoalEstimate; module estimate
 Matrices    discretise, DiscreteProblem, ContactNodes, Bounds; ScalarProblem; discrete
 Show        plot, export; set_units
 Sweep       Study; designs and tables in study

@@ -33,8 +33,10 @@ from .estimate.goal import Goal as Goal, GoalEstimate as GoalEstimate
 from .estimate.quantities import (
     ContactForce as ContactForce,
     Displacement as Displacement,
+    Dissipation as Dissipation,
     MeanDisplacement as MeanDisplacement,
     Opening as Opening,
+    PeakPressure as PeakPressure,
 )
 from .estimate.loop import Step as Step
 from .evolution.march import march as march

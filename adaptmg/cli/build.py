@@ -40,7 +40,14 @@ OBJECTS: dict[str, tuple[type, ...]] = {
     "indicator": (am.Residual, am.Recovery, am.Goal),
     "mark": (am.Doerfler, am.Maximum),
     "engine": (am.Bisect, am.Remesh),
-    "quantity": (am.Displacement, am.MeanDisplacement, am.ContactForce, am.Opening),
+    "quantity": (
+        am.Displacement,
+        am.MeanDisplacement,
+        am.ContactForce,
+        am.Opening,
+        am.PeakPressure,
+        am.Dissipation,
+    ),
 }
 #: sections of settings, and their purposes
 PURPOSE = {

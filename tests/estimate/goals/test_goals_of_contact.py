@@ -1,0 +1,45 @@
+"""Peak pressure and dissipated energy as goals: their values, and their signed estimates."""
+
+import numpy as np
+import pytest
+
+import adaptmg as am
+
+
+def smoothed_peak(contact: am.solver.ContactResult) -> float:
+    pressure = contact.pressure
+    return contact.weights @ pressure**9 / (contact.weights @ pressure**8)
+
+
+def dissipated(contact: am.solver.ContactResult) -> float:
+    return -(contact.force_t * contact.slip).sum()
+
+
+@pytest.mark.parametrize(
+    ("case", "quantity", "value_of"),
+    [
+        ("curved_obstacle", am.PeakPressure("contact"), smoothed_peak),
+        ("greco_bar", am.Dissipation("contact"), dissipated),
+    ],
+)
+def test_goals_of_contact_are_estimated_with_their_sign(case, quantity, value_of):
+    problem = am.cases.CASES[case].function()
+    steps = list(am.adapt(problem, 8e-3, am.Goal(quantity), engine=am.Bisect(), max_nodes=2000))
+    for step in steps:
+        value = value_of(step.result.contact)
+        np.testing.assert_allclose(float(step.estimate.value), value, rtol=1e-9)
+    exact = float(steps[-1].estimate.corrected[0])
+    for step in steps[2:-1]:
+        error = exact - float(step.estimate.value)
+        assert 0.5 < float(step.estimate.signed) / error < 2
+        assert abs(exact - float(step.estimate.corrected[0])) < abs(error)
+
+
+def test_goals_of_contact_name_what_they_refuse():
+    for quantity in (am.PeakPressure("tongue.flank"), am.Dissipation("notch.flank")):
+        problem = am.cases.dovetail()
+        master = problem.contact[0].master
+        with pytest.raises(ValueError, match="master of a pair"):
+            next(iter(am.adapt(problem, None, am.Goal(type(quantity)(master)), max_nodes=2000)))
+    with pytest.raises(ValueError, match="power must be"):
+        am.PeakPressure("contact", power=0)
