@@ -4,7 +4,8 @@
 
 A crack of 20 mm lies at 45 degrees in a plate of 400 mm under compression S. It stays closed and
 slides against friction: in an infinite plate K_II = S/2 (1 - friction) sqrt(pi a) with half its
-length a, and K_I = 0; this plate adds .2 % to K_II. From a friction of 1 on it sticks. Uniform
+length a, and K_I = 0; this plate adds .2 % to K_II, found on the adaptive meshes of this study and
+right to .05 %: smaller errors cannot be told. From a friction of 1 on it sticks. Uniform
 meshes have hierarchies of their own, whose coarse levels have hardly any contact nodes; adaptive
 ones are those of am.adapt. Then cracks of several shapes on independent meshes, each with half the
 size of the one before: cycles to 1e-6."""
@@ -18,6 +19,8 @@ from common import Output, drawing, main
 import adaptmg as am
 
 HALF, STRESS, FRICTION, WIDTH = 10e-3, 1e6, 0.3, 0.4
+#: K_II of this plate over that of the infinite one, and how exactly it is known
+PLATE, ACCURACY = 1.002, 5e-4
 C = HALF * np.sqrt(0.5)
 SHAPES = {
     "straight": {"crack": ((-C, -C), (C, C))},
@@ -133,11 +136,15 @@ def study(out: Output) -> None:
     )
     figure, ax = drawing()
     for meshes, rows in table.groupby("meshes", sort=False):
-        ax.loglog(rows["nodes"], (rows["K_II"] - 1.002).abs(), "o-", label=meshes)
+        error = (rows["K_II"] - PLATE).abs().clip(lower=ACCURACY)
+        ax.loglog(rows["nodes"], error, "o-", label=meshes)
+    ax.axhline(ACCURACY, color="grey", linestyle=":", label="accuracy of the reference")
     ax.set(xlabel="nodes", ylabel="error of K_II")
     figure.legend(loc="outside right upper")
     out.figure(
-        "factors", figure, "Error of K_II against 1.002 times the closed form of the infinite plate"
+        "factors",
+        figure,
+        "Error of K_II against 1.002 times the closed form of the infinite plate; not below the accuracy of 1.002",
     )
     frictions = am.Study(
         slide,
@@ -187,7 +194,7 @@ def study(out: Output) -> None:
     )
     out.check(
         "largest error of K_II on the last meshes",
-        float((last["K_II"] - 1.002).abs().max()),
+        float((last["K_II"] - PLATE).abs().max()),
         high=0.015,
     )
     out.check("largest K_I over K_II on the last meshes", float(last["K_I"].max()), high=0.01)

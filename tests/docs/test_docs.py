@@ -194,6 +194,17 @@ def test_examples_of_the_documentation_run(page, tmp_path, monkeypatch, caplog):
     assert "result" not in names or names["result"].status.ok
 
 
+def test_code_in_pages_is_at_most_100_columns_wide():
+    for page in PAGES:
+        code = re.findall(
+            r"^\.\. code-block:: (?:python|text)\n\n((?:   .*\n|\n)*)",
+            page.read_text(encoding="utf-8"),
+            re.MULTILINE,
+        )
+        for line in textwrap.dedent("".join(code)).splitlines():
+            assert len(line) <= 100, (page.name, line)
+
+
 def test_what_the_readme_names_exists():
     for path in re.findall(r"\]\(([^)]*)\)", README) + re.findall(r"(studies/\w+\.py)", README):
         assert (ROOT / path).exists(), path

@@ -165,3 +165,19 @@ def test_the_campaign_of_loops_sees_spoilt_meshes():
     ):
         faults = loops.mesh_faults(dataclasses.replace(mesh, **change), mesh, False)
         assert any(words in fault for fault in faults), words
+
+
+@pytest.mark.slow
+def test_table_1_is_made_for_another_problem_and_other_numbers_of_grids(tmp_path, monkeypatch):
+    """The recipe of the how-to "Short answers"."""
+    table = load("table_1_grids")
+    monkeypatch.setattr(table, "PROBLEM", "curved obstacle")
+    monkeypatch.setattr(table, "COUNTS", [3, 5])
+    out = table.Output("table_1_grids", tmp_path, quick=True)
+    table.study(out)
+    first = pd.read_csv(out.folder / "table_1.csv", dtype=str).set_index("method")
+    assert list(first) == ["1 grid", "3 grids", "5 grids"]
+    assert first.loc["one grid", "1 grid"].startswith("1.0 / 1.0 (")
+    assert (
+        first.loc["the paper", "3 grids"].startswith("21.7") and first["5 grids"].notna().sum() == 5
+    )
