@@ -68,6 +68,7 @@ INSIDE = {
     "Inclined",
     "Moduli",
     "Outcome",
+    "PlasticState",
     "Posed",
     "Preconditioned",
     "ProjectedRun",
