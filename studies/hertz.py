@@ -16,6 +16,7 @@ import numpy as np
 from common import Output, drawing, main
 
 import adaptmg as am
+from adaptmg.plot.style import label_plainly
 
 CASES = {
     "cylinder on block": am.cases.hertz_cylinder,
@@ -121,6 +122,7 @@ def study(out: Output) -> None:
     ax.set(xlabel="half-width over edge length at contact", ylabel="relative error")
     ax.set_xticks(fineness, map(str, fineness))
     ax.minorticks_off()
+    label_plainly(ax.yaxis)
     figure.legend(loc="outside right upper")
     out.figure(
         "errors", figure, "Errors of peak pressure and half-width against the fineness at contact"
