@@ -48,8 +48,8 @@ class ContactNodes:
         For each of ``names`` the boundary of another body that it may touch; "" (the default) is a
         rigid obstacle.
     opposite_gaps : (n_contact,) array, optional
-        Of scalar problems (dim 1) gaps to a second obstacle, against the normal: u_n >= -gap. An
-        infinite one is no obstacle, nor is then an infinite one of ``gaps``. Default infinite.
+        Of scalar problems (dim 1): gaps to a second obstacle, against the normal, u_n >= -gap. One
+        of the two gaps of a node may be infinite: there is no obstacle. Default infinite.
     taken_over : (n_contact, n_nodes) sparse array, optional
         Next to nodes of the boundary without a contact condition: what each contact node takes over
         of their boundary mass, over its own. Its force acts there too, in these proportions.

@@ -31,7 +31,7 @@ from adaptmg.problem.plane_domains import Domain
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScalarProblem(checks.Checked):
-    """A scalar problem with limits, for :meth:`adaptmg.Hierarchy.from_meshes` and ``uniform``.
+    """A scalar problem between obstacles, for :meth:`adaptmg.Hierarchy.from_meshes` and ``uniform``.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class ScalarProblem(checks.Checked):
     held : sequence of str, optional
         Boundaries where u is prescribed; default all.
     value : float or callable
-        What u is there.
+        Prescribed u on these boundaries.
     name : str
     reference : mapping
         Known quantities of the solution, for cases.
@@ -77,8 +77,8 @@ class ScalarProblem(checks.Checked):
     def on(self, mesh: MeshArrays) -> DiscreteProblem:
         """Return the problem discretised on a mesh of triangles or tetrahedra.
 
-        ValueError for boundaries that the mesh has not, a conductivity that is not positive, and
-        limits that leave no room."""
+        ValueError for boundaries that the mesh does not have, a conductivity that is not positive,
+        and limits that leave no room."""
         checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
         fixed = np.zeros(mesh.n_nodes, dtype=bool)
         for boundary in mesh.boundaries if self.held is None else self.held:

@@ -216,8 +216,8 @@ def _beside_held(
 def _clamped(
     contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, aim: np.ndarray
 ) -> Linearised:
-    """The equations of nodes with one unknown: those that aim (n_contact,) beyond an obstacle are
-    active there."""
+    """Return the equations of nodes with one unknown. A node whose ``aim`` (n_contact,) lies beyond
+    an obstacle is active there."""
     n = len(aim)
     none = np.empty((n, 0))
     target = contact.clamped(aim)

@@ -117,8 +117,8 @@ def _between(
     offset: np.ndarray | float,
     most: int,
 ) -> Interior:
-    """As :func:`interior_point`, with an obstacle on either side: each node occurs twice, the second
-    time with its displacement turned round."""
+    """Solve as :func:`interior_point` does, with an obstacle on either side: each node occurs twice,
+    the second time with the opposite displacement."""
     n = len(stiffness)
     gaps = np.append(contact.gap, -cast("np.ndarray", contact.lowest))
     conditions = Conditions(gaps, np.zeros((2 * n, 0)), np.zeros(2 * n), np.zeros(2 * n))

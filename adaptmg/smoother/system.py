@@ -94,8 +94,8 @@ class NodalContact:
     def tangent(
         self, values: np.ndarray, residual: np.ndarray
     ) -> tuple[NodalContact, np.ndarray | float]:
-        """Return the conditions whose bound s + mu p is the tangent of B = mu(p, |slip|) p at such
-        unknowns, by differences, and dB / d|slip| (n_contact,), N/m."""
+        """Return the conditions whose bound s + mu p is the tangent of ``B = mu(p, |slip|) p`` at
+        such unknowns, by differences, and ``dB / d|slip|`` (n_contact,), N/m."""
         if self.friction_at is None:
             return self, 0.0
         force = np.maximum(residual[:, 0], 0.0)
