@@ -96,10 +96,10 @@ class DiscreteProblem(Unknowns):
         problems a constant.
     name : str
         For tables.
-    coupling, bodies, strain_free, inclined, ties, volumes
+    coupling, bodies, strain_free, inclined, ties, volumes, inelastic
         What :func:`adaptmg.discretise` adds for several bodies (:meth:`coupled` makes the
-        coupling), initial strains, supports along directions that are no axes, ties and nearly
-        incompressible bodies.
+        coupling), initial strains, supports along directions that are no axes, ties, nearly
+        incompressible bodies and bodies that yield.
 
     Examples
     --------
@@ -157,6 +157,7 @@ class DiscreteProblem(Unknowns):
         inclined: Inclined | None = None,
         ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = (),
         volumes: Volumes | None = None,
+        inelastic: bool = False,
     ) -> None:
         law = Frictionless() if law is None else check_law("law", law)
         if (contact is None) == (bounds is None):
@@ -195,6 +196,7 @@ class DiscreteProblem(Unknowns):
             inclined=Inclined.none(dim) if inclined is None else inclined,
             ties=ties,
             volumes=Volumes.none(n // dim, dim) if volumes is None else volumes,
+            inelastic=checks.flag("inelastic", inelastic),
         )
         if coordinates is not None:
             shape = (n // dim, None if dim == 1 else dim)
