@@ -1,0 +1,171 @@
+"""How much does a plastic body bear, and what remains in it?
+
+    python studies/plastic.py [--quick | --full] [--out DIR]
+
+A rigid punch on a block without hardening has the limit load of Prandtl, (2 + pi) k: linear elements
+are too strong, as volumes hardly change where all flows; smoothed ones come near it. A rigid ball on
+a block yields first at 1.1 times the yield stress, and has 2.8 to 3 times it where all of the
+contact flows (Johnson, Contact Mechanics, 6.3). A thick tube under inner pressure has the stresses
+of Hill, also after the pressure.
+
+Each load step is solved by Newton steps; each of these is a contact problem for the multigrid."""
+
+import warnings
+
+import numpy as np
+from common import Output, drawing, main
+
+import adaptmg as am
+
+SOLVER = am.FullMultigrid(rtol=1e-5)
+YOUNG, YIELD, RADIUS = 1e11, 2e8, 0.1  # of the block under the ball, Pa; of the ball, m
+#: yield stress of the cases, Pa
+STRENGTH = 3e8
+
+
+def newton_steps(result: am.Result) -> int:
+    """Newton steps of a load step."""
+    return int(np.isfinite(result.history["newton_change"]).sum())
+
+
+def punch_grids(elements: str, size: float) -> am.Hierarchy:
+    """Meshes of the block, finest at the punch."""
+    problem = am.cases.prandtl_punch(elements=elements)
+    sizes = [8e-3]
+    while sizes[-1] > 2.01 * size:
+        sizes.append(sizes[-1] / 2)
+    return am.Hierarchy.graded(problem, [*sizes, size], contact_ratio=8)
+
+
+def punch(elements: str, size: float, steps: int) -> dict:
+    """The force on the punch over the limit load."""
+    grids = punch_grids(elements, size)
+    path = am.LoadPath({"punch": np.arange(1, steps + 1) / steps})
+    results = am.solve_path(grids, path, SOLVER)
+    reference = grids.problem.reference
+    forces = [-result.resultant("contact").force[1] for result in results]
+    return {
+        "nodes": grids.finest.n_nodes,
+        "force": forces[-1] / reference["half_width"] / reference["limit"],
+        "newton": max(map(newton_steps, results)),
+        "cycles": max(result.cycles for result in results),
+        "total_cycles": sum(result.cycles for result in results),
+        "seconds": sum(result.seconds for result in results),
+    }
+
+
+def tube(elements: str, cells: int) -> dict:
+    """Mean errors of the stresses of a tube under pressure and after it, over the yield stress."""
+    problem = am.cases.hill_cylinder(elements=elements)
+    grids = am.Hierarchy.uniform(problem, [(n, n // 4) for n in (cells // 4, cells // 2, cells)])
+    results = am.solve_path(grids, am.LoadPath({"left": [1.0, 0.0]}), SOLVER)
+    mesh = am.mesh.need_mesh(grids.finest)
+    radius = mesh.points[mesh.elements, 0].mean(axis=1)
+    row = {"nodes": mesh.n_nodes}
+    for name, result in zip(("stress", "residual_stress"), results, strict=True):
+        found = result.stress(recovered=True)[:, [0, 2]].T
+        row[name] = np.abs(found - problem.reference[name](radius)).mean() / STRENGTH
+    return row | {"cycles": max(result.cycles for result in results)}
+
+
+def ball(size: float, factors: list[float]) -> list[tuple[float, float]]:
+    """E* a / (yield stress R) and the mean pressure over the yield stress as a ball is pressed."""
+    steel = am.Plastic(
+        am.Axisymmetric(young=YOUNG, poisson=0.3), yield_stress=YIELD, hardening=1e-4 * YOUNG
+    )
+    depth = 0.02 * RADIUS
+
+    def gap(points: np.ndarray) -> np.ndarray:
+        return points[:, 0] ** 2 / (2 * RADIUS)
+
+    block = am.Polygon(
+        vertices=((0, -0.2), (0.2, -0.2), (0.2, 0), (0.02, 0), (0, 0)),
+        boundaries=("bottom", "side", "free", "contact", "axis"),
+    )
+    problem = am.ContactProblem(
+        name="ball",
+        material=steel,
+        domain=block,
+        contact=am.Contact(
+            "contact",
+            am.Moving(am.GapFunction(gap), displacement=(0.0, -depth), name="ball"),
+        ),
+        law=am.Frictionless(),
+        supports=(am.Support("axis", x=0.0), am.Support("bottom", y=0.0)),
+        elements="smoothed",
+    )
+    grids = am.Hierarchy.graded(problem, [4 * size, 2 * size, size], contact_ratio=40)
+    rows = []
+    modulus = YOUNG / (1 - 0.3**2)
+    for result in am.solve_path(grids, am.LoadPath({"ball": factors}), SOLVER):
+        radius = result.contact_extent[0]
+        pressure = -result.resultant("contact").force[1] / (np.pi * radius**2)
+        rows.append((modulus * radius / (YIELD * RADIUS), pressure / YIELD))
+    return rows
+
+
+def flow(out: Output) -> None:
+    """Draw where the block under the punch has flowed."""
+    grids = punch_grids("smoothed", 2e-3 if out.quick else 1e-3)
+    *_, last = am.solve_path(grids, am.LoadPath({"punch": [0.25, 0.5, 0.75, 1.0]}), SOLVER)
+    mesh = am.mesh.need_mesh(last)
+    figure, ax = drawing()
+    x, y = 1e3 * (mesh.points + 5 * last.displacement).T
+    shade = ax.tripcolor(
+        x, y, mesh.elements, facecolors=100 * last.accumulated_plastic_strain, vmin=0, vmax=5
+    )
+    figure.colorbar(shade, label="accumulated plastic strain [%]", extend="max")
+    ax.set(xlabel="x [mm]", ylabel="y [mm]", xlim=(0, 40), ylim=(-25, 3), aspect="equal")
+    out.figure("flow", figure, "The block under Prandtl's punch; displacements 5 times too large")
+
+
+def study(out: Output) -> None:
+    """Compare limit loads and stresses with closed forms, and draw."""
+    warnings.filterwarnings("ignore", message="strains exceed")
+    sizes = [2e-3] if out.quick else [2e-3, 1e-3, 5e-4] if out.full else [2e-3, 1e-3]
+    points = {"elements": ["linear", "smoothed"], "size": sizes, "steps": [4 if out.quick else 8]}
+    table = am.Study(punch, points, out.store).run(throw=True)
+    columns = ["elements", "nodes", "force", "newton", "cycles", "total_cycles", "seconds"]
+    out.table(
+        "punch",
+        table[columns],
+        "Prandtl's punch: force over (2 + pi) k a",
+        "At a displacement of .04 half-widths; the most Newton steps and cycles of a load step.",
+        formats={"force": ".4f", "seconds": ".2f"},
+    )
+    sections = {"elements": ["linear", "smoothed"], "cells": [20] if out.quick else [20, 40]}
+    tubes = am.Study(tube, sections, out.store).run(throw=True)
+    out.table(
+        "tube",
+        tubes[["elements", "nodes", "stress", "residual_stress", "cycles"]],
+        "Hill's cylinder: mean error of radial and hoop stress over the yield stress",
+        "Under the pressure and after it; most cycles of a load step.",
+        formats=dict.fromkeys(("stress", "residual_stress"), ".3%"),
+    )
+    factors = [0.005, 0.02, 0.1, 0.25] if out.quick else [0.005, 0.012, 0.025, 0.05, 0.1, 0.2, 0.35]
+    sizes, pressures = np.transpose(ball(0.02 if out.quick else 0.0125, factors))
+    figure, ax = drawing()
+    ax.semilogx(sizes, pressures, "o-")
+    ax.axhspan(2.8, 3.0, alpha=0.3)
+    ax.set(xlabel="E* a / (yield stress R)", ylabel="mean pressure / yield stress")
+    out.figure("ball", figure, "A ball on a block; the band: all of the contact flows (Johnson)")
+    flow(out)
+    best = table[table["elements"] == "smoothed"].iloc[-1]
+    out.number(
+        f"Limit load of Prandtl's punch, smoothed, {best['nodes']:.0f} nodes; Newton steps, cycles a load step",
+        "{force:.3f}; {newton}, {cycles}".format(**best),
+    )
+    finest = table.groupby("elements").last()
+    out.check(
+        "limit load, smoothed elements", finest.force["smoothed"], 0.99, 1.04 if out.quick else 1.02
+    )
+    out.check(
+        "limit load, linear elements", finest.force["linear"], 1.0, 1.13 if out.quick else 1.08
+    )
+    out.check("error of the stresses of the tube", tubes["stress"].iloc[-1], high=3e-3)
+    out.check("error of its residual stresses", tubes["residual_stress"].iloc[-1], high=3e-3)
+    out.check("mean pressure of the ball", pressures[-1], 2.5, 3.0)
+
+
+if __name__ == "__main__":
+    main(study)
