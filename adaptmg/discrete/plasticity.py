@@ -110,7 +110,7 @@ class InelasticBodies:
     @property
     def unloaded(self) -> np.ndarray:
         """Return the states of bodies that nothing has loaded."""
-        size = max(material.state_size for material, _ in self.members)
+        size = max(1, *(material.state_size for material, _ in self.members))
         return np.zeros((len(self.numbers), size))
 
     def respond(

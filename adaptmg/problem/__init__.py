@@ -32,7 +32,7 @@ from adaptmg.problem.loads import (
     Traction,
 )
 from adaptmg.problem.plane_domains import Box, Circle, Domain, Outline, Polygon, Rectangle
-from adaptmg.problem.plastic import Plastic
+from adaptmg.problem.plastic import Inelastic, Plastic
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 from adaptmg.problem.surfaces import ContactPair, GapFunction, Moving, Periodic, Plane, Rigid, Tied
 
@@ -58,6 +58,7 @@ __all__ = [
     "Frictionless",
     "Fuse",
     "GapFunction",
+    "Inelastic",
     "InitialStrain",
     "Law",
     "LoadPath",
