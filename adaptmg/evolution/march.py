@@ -72,7 +72,7 @@ from adaptmg.solver.truncated import TruncatedRun
 _HEAD = "march.json"
 #: of the size of the mesh: an overlap at the start that is refused. Round bodies that touch overlap a
 #: little on their meshes: a ball of Hertz by 1e-7 on its default ones
-_OVERLAP = 1e-6
+_OVERLAP = checks.SIX_DIGITS
 #: the largest tolerance that rounding makes of a smaller one: where waves pass a million cells in a step. Flights
 #: of steel by 40 000, 400 000 and 4 000 000 cells a step end alike with half, twice and ten times as much, .0005,
 #: .04 and 6 % off after 30 steps

@@ -63,7 +63,7 @@ from adaptmg.mesh.sizes import (
 )
 from adaptmg.mesh.slits import opened_tables
 from adaptmg.mesh.soundness import check_mesh, least_angle
-from adaptmg.mesh.surfaces import Misplaced, Revolved, candidates, onto_surfaces, surfaces_of
+from adaptmg.mesh.surfaces import FLAT, Misplaced, Revolved, candidates, onto_surfaces, surfaces_of
 from adaptmg.problem.combined_domains import Cracked, normal_of
 from adaptmg.problem.plane_domains import Box, Domain, Outline
 from adaptmg.problem.solid_domains import Cylinder, Moved, SolidDomain, StepFile
@@ -74,26 +74,30 @@ SizesAt = list[tuple[np.ndarray, np.ndarray]]
 """Points (n, dim) and sizes (n,) there, of the domain at unit size."""
 
 _NETGEN_RATIO = 16.0
-# on curved faces edges are at most their radius of curvature over this, about
+# on curved faces edges are at most their radius of curvature over this, about: half changes 22 of 30
+# random solids (391 to 240 nodes, 761 to 298), twice 23 (391 to 905, 761 to 4158)
 _CURVATURE = 2.0
 # Netgen fails on curved faces, or makes slivers, where sizes grow faster; where it does all the
-# same, slower growth (which only makes the mesh finer) often helps
+# same, slower growth (which only makes the mesh finer) often helps. Half makes up to 6 % more nodes of
+# 8 of 30 random solids, twice changes none
 _MAX_GRADING = 0.6
+# the slower growth: half and twice of the second and third change none of 30 random solids
 _ATTEMPTS = (1.0, 0.7, 0.5)
 #: how many times larger than wanted the elements of a draft may be (not two powers of two, which would refine levels
 #: whose sizes are halved from one draft), and nodes that it has at least
+#: Of 30 random solids half and twice of the first change none; of the second 7, which have up to 23 % more nodes, and
+#: none; of the last 14 and 8, with up to 40 % more and 7 % fewer nodes
 _FACTORS = (7.2, 4.0, 1.8)
 _LEAST = 100
-# smallest angle of a draft, degrees: elements whose nodes all lie on the boundary keep theirs
-_MIN_ANGLE = 12.0
 # mean ratios of tetrahedra (1 if equilateral) that are bisected, if they are at most this share, as
 # they are not in thin plates; passes, with moves after each: of seven coarse bars (.06 to .2, 1 to 5
 # degrees) six got past .2 in four
-_POOR = 0.2
-_POOR_SHARE = 0.1
+# half and twice of the first change none and two of 30 random solids, of the second none
+_POOR, _POOR_SHARE = 0.2, 0.1
 _RELIEFS = 8
 _MOVES = 3
 # smallest angle of tetrahedra, degrees, below which a mesh is warned of, as of triangles
+# half and twice change none of 30 random solids: it warns
 _SHARP = 1.0
 # area over the square of the longest edge, below which a triangle is flat: 1 degree
 _FLAT = math.tan(math.radians(_SHARP)) / 2
@@ -468,7 +472,7 @@ def _unit_mesh(
                 worker, shape, coarse, faces, domain, nodes / factor**3 + on_round, rounds
             )
             try:
-                if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < _MIN_ANGLE:
+                if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < FLAT:
                     raise Misplaced(f"it has angles of {angle:.1f} degrees")
                 unit = (
                     _bisected(worker, unit, shape, sizes, faces, domain)

@@ -411,7 +411,7 @@ class FollowsState(Protocol):
 
 #: pressures, Pa, and slips, m, at which such laws are examined; larger ones of iterates are cut
 _PRESSURES = (0.0, *np.logspace(0, 12, 13).tolist())
-_SLIPS = (0.0, *np.logspace(-9, 3, 13).tolist())
+_SLIPS = np.append(0, np.logspace(-9, 3, 13)).tolist()
 
 
 def sampled_friction(law: Law, n: int) -> np.ndarray:

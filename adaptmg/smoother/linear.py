@@ -100,7 +100,7 @@ class Direct:
     """
 
     #: ``|K^-1 D|`` beyond this, D the diagonal of K, means singular
-    SINGULAR = 1e13
+    SINGULAR = 1 / checks.ROUNDING
 
     def setup(
         self,

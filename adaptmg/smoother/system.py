@@ -38,8 +38,10 @@ FrictionAt = Callable[[np.ndarray, np.ndarray], np.ndarray]
 #: compliance over that of a node, above which a surface counts as a spring in linear problems; below, its normal
 #: displacement is prescribed like that of a rigid one
 STIFF = checks.SIX_DIGITS
-#: step of differences over pressures, and over slips of at least the second, m
-_DIFFERENCE, _SHORTEST = 1e-6, 1e-9
+#: step of differences over pressures, and over slips
+_DIFFERENCE = checks.SIX_DIGITS
+#: slips over which they are taken at least, m
+_SHORTEST = 1e-9
 
 
 @dataclass

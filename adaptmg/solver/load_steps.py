@@ -37,6 +37,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import lsmr
 
+from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
 from adaptmg.hierarchy import Hierarchy
@@ -57,11 +58,12 @@ from adaptmg.solver.truncated import TruncatedRun
 _LOG = logging.getLogger(__name__)
 Kept = TypeVar("Kept")
 
-#: forces are met to this multiple of rtol
+#: forces are met to this multiple of rtol: half and twice change none of 97 cycles of four load paths (campaign
+#: constants)
 ACCURACY = 10.0
 _MOST = 40  # contact problems in a step on a level
-_DIFFERENCE = 0.02  # of the size of the unknowns so far
-_UNRESISTED = 1e-5  # of the largest stiffness
+# of the size of the unknowns so far: half and twice change none of these 97 cycles
+_DIFFERENCE = 0.02
 # unknowns of the level on which motions are found first; cycles of 17 problems (weight, cooling, moving
 # bases, pads, bolts; 2178 unknowns): 381, with 700 here 653, at most 42 and 45 a step
 _GUIDING = 2500
@@ -71,7 +73,6 @@ _RELINEARISED = 5  # times that they move to first order there
 # springs of an obstacle there, over the largest stiffness; 5e-10 and 2e-9: the same cycles and guides; 1e-7: the
 # same cycles, 94 guides for 93; 1e-12: the same cycles, 106 guides
 _SOFT = 1e-9
-_FAR = 1e6  # motions of obstacles, in their sizes, beyond which only these springs resist
 # share of the force of a bolt from which on it is resisted; .005, .02, .1: the same 1192 cycles,
 # 1e-9: 655, where rounding may pass for a pull
 _PULLS = 0.01
@@ -120,7 +121,7 @@ def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list
 
 
 #: extrapolation is taken where it leaves less than this share of the residual of the nested start, whose error
-#: is rough and soon smoothed away
+#: is rough and soon smoothed away; half and twice change none of 97 cycles of four load paths (campaign constants)
 _EXTRAPOLATE = 0.05
 
 
@@ -451,7 +452,8 @@ class Guide:
                 if not self.spent:
                     raise
                 break
-            if not np.abs(change).max() < _FAR:
+            # motions in sizes of obstacles, which only springs resist
+            if not np.abs(change).max() < 1 / checks.SIX_DIGITS:
                 raise nothing_resists(self.parts)
             values[: self.size] += change
             if np.abs(change).max() <= _COARSE:
@@ -615,7 +617,7 @@ class Search(Generic[Kept]):
                 jacobian = self.differences(trial, reach)
             left, stiffnesses, right = np.linalg.svd(jacobian)
             noise = _EXACT / _DIFFERENCE if fresh else 0.0
-            resisted = stiffnesses > max(_UNRESISTED * stiffnesses[0], noise)
+            resisted = stiffnesses > max(checks.SIX_DIGITS * stiffnesses[0], noise)
             along = left.T @ trial.missed
             if fresh and np.abs(along[~resisted]).max(initial=0.0) > 1e-3:
                 raise nothing_resists(self.parts)

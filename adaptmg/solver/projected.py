@@ -189,6 +189,7 @@ class SingleGrid:
 
     #: sweeps between the first checks; later checks come every CHECK_SHARE of the sweeps done
     FIRST_CHECK: ClassVar[int] = 10
+    #: 10 387 sweeps of five random problems are 10 264 with half and 10 504 with twice
     CHECK_SHARE: ClassVar[float] = 0.1
 
     omega: float = 1.0
