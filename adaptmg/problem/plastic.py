@@ -37,9 +37,6 @@ from adaptmg._checks import Size
 from adaptmg._text import brief, html_fields
 from adaptmg.problem.laws import Elastic, PlaneStress
 
-#: of the yield stress: what rounding leaves of a stress that the step before has put on the limit
-_ROUNDING = 1e-12
-
 
 class Inelastic(Protocol):
     """The protocol of a material whose stress depends on its history; :class:`Plastic` has it.
@@ -184,7 +181,8 @@ class Plastic(checks.Checked):
         limit = np.interp(accumulated, *self._rows.T)
         beyond = accumulated - self._rows[-1, 0]
         limit += self._slopes()[-1] * np.maximum(beyond, 0.0)
-        yields = size > limit * (1 + _ROUNDING)
+        # rounding leaves as much of a stress that the step before has put on the limit
+        yields = size > limit * (1 + checks.ROUNDING)
         after, slope = self._yielded(accumulated, size)
         grown = np.where(yields, after - accumulated, 0.0)
         direction = relative / np.where(yields, norm, 1.0)[:, None]
