@@ -249,7 +249,7 @@ def least_angle(points: np.ndarray, elements: np.ndarray) -> float:
 
 
 # the boundary this deep inside an element, in barycentric coordinates: the two sides of a curved
-# slit, cut into chords apart, may cross by less
+# slit, cut into chords apart, may cross by less; half and twice change none of 160 meshes of outlines
 _DEEP = 0.05
 
 
