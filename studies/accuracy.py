@@ -31,8 +31,9 @@ import adaptmg as am
 HERTZ_TOP = -15.8898e-6
 #: force of half a roller, N/m; second-order elements of NGSolve have 336.5
 ROLLER = 336.35
-#: to which the references are known: both values of the roller, the last digit of the cylinder
-ACCURACY = {"roller": 4.5e-4, "Hertz": 3e-6}
+#: to which the references are known: by both values of the roller; errors of the cylinder stay at 1.1e-5 when its
+#: mesh of 7535 nodes is halved
+ACCURACY = {"roller": 4.5e-4, "Hertz": 1.1e-5}
 #: seconds of other programs to an error
 PEERS = pd.DataFrame(
     [
@@ -346,13 +347,13 @@ def study(out: Output) -> None:
     gains = last["linear"] / last["smoothed"]
     out.number(
         "Error of linear over smoothed elements (5 times the reference's or more): "
-        + ", ".join(gains.index),
+        + ", ".join(name.removeprefix("GRECO ") for name in gains.index),
         "; ".join(f"{value:.{1 if value < 10 else 0}f}" for value in gains),
     )
     out.check(
         "error of the GRECO bar with smoothed elements on the finest mesh",
         last.loc["GRECO bar", "smoothed"],
-        high=2e-3 if out.quick else 2e-4,
+        high=1.2e-3 if out.quick else 9e-5,
     )
 
 

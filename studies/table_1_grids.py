@@ -133,7 +133,7 @@ def study(out: Output) -> None:
     out.check(
         "gain of monotone V-cycles on the most grids, in work",
         float(table[table["method"] == "monotone, V"]["gain, work"].iloc[-1]),
-        low=10 if out.quick else 50,
+        low=15 if out.quick else 50,
     )
 
 
