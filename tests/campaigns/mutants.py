@@ -6,8 +6,8 @@ A mutant is one change of one place: another comparison, another number, another
 left out, two arguments exchanged. Places in messages, annotations and decorators are not changed.
 Each seed draws a module (default: those of solver, multigrid, smoother, discrete and transfer), a
 place and a change; the tests run on a copy of the package until one fails: those in the folder of
-the module, those that name it first, then those of agreement, of the other four folders and of
-hostile inputs. A mutant that no test fails survives. Exit code 1 if more than 12 %
+the module, those that name it first, then those of agreement and evolution, of the other four folders
+and of hostile inputs. A mutant that no test fails survives. Exit code 1 if more than 12 %
 survive."""
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def killed(module: str, mutant: Mutant) -> bool:
             for cached in (copy / "adaptmg").rglob("*.nbi"):
                 cached.unlink()
         own = Path(module).parts[1]
-        folders = dict.fromkeys((own, "agreement", *FOLDERS, "hostile"))
+        folders = dict.fromkeys((own, "agreement", "evolution", *FOLDERS, "hostile"))
         tests = [
             path
             for folder in folders
