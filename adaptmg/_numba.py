@@ -20,7 +20,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core.event import Event, Listener, register
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 from adaptmg._text import say
 
@@ -61,7 +61,8 @@ def _warn_of_no_cache() -> None:
     )
 
 
-def _compiled_prefetch(typing_context: Any, address: Any) -> Any:
+@intrinsic
+def _prefetch(typing_context: Any, address: Any) -> Any:
     """Return the signature and the code of a prefetch for reading, into all caches."""
     byte_pointer = ir.IntType(8).as_pointer()
     integer = ir.IntType(32)
@@ -78,12 +79,15 @@ def _compiled_prefetch(typing_context: Any, address: Any) -> Any:
     return types.void(types.uintp), generate
 
 
-def _without_compiler(address: int) -> None:
-    """Do nothing: without the compiler there is nothing to hint at."""
+def prefetch(address: int) -> None:
+    """Ask the processor for what stands at an address (uintp), which may lie outside every array.
+    Where a kernel runs as plain Python, do nothing."""
 
 
-#: ask the processor for what stands at an address (uintp), which may lie outside every array
-prefetch = _without_compiler if numba.config.DISABLE_JIT else intrinsic(_compiled_prefetch)
+@overload(prefetch, inline="always")
+def _compiled_prefetch(address):
+    """Return what compiled kernels call; numba compares the names of arguments, annotations too."""
+    return lambda address: _prefetch(address)
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
