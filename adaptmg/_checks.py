@@ -49,9 +49,10 @@ of them, are then in the range of double precision."""
 #: constants) to Netgen, a hundred times changes one outline
 ROUNDING = 4096 * float(np.finfo(np.float64).eps)
 #: by how much of their size or extent numbers differ that a user, a file or a library gives for the
-#: same thing: places, directions, moduli. A hundredth and a hundred times change none of these 197
+#: same thing: places, directions, moduli. A hundredth and a hundred times change none of 197
 ALIKE = 1e-9
-#: the same of numbers that are often written with six digits: nodes, loads, axes
+#: the same of numbers that are often written with six digits: nodes, loads, axes. A hundredth
+#: and a hundred times change none of 197, either
 SIX_DIGITS = 1e-6
 
 _LARGEST_INDEX = np.iinfo(np.int32).max

@@ -45,9 +45,6 @@ from adaptmg.discrete.volumes import Volumes, volume_groups
 if TYPE_CHECKING:
     from adaptmg.problem.plastic import Inelastic
 
-#: of the largest entry: an asymmetry of a user's tangents beyond rounding
-_SYMMETRIC = 1e-9
-
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -178,7 +175,7 @@ class InelasticBodies:
                 for name, value, shape in zip(names, answer, shapes, strict=True)
             )
         skew = np.abs(tangent - tangent.swapaxes(1, 2)).max()
-        if not skew <= _SYMMETRIC * np.abs(tangent).max():
+        if not skew <= checks.ALIKE * np.abs(tangent).max():
             raise ValueError(
                 "the tangent that response of material returns must be symmetric, got an asymmetry "
                 f"of {skew:g} Pa: return its symmetric part"

@@ -73,6 +73,9 @@ _LOG = logging.getLogger(__name__)
 SizesAt = list[tuple[np.ndarray, np.ndarray]]
 """Points (n, dim) and sizes (n,) there, of the domain at unit size."""
 
+# largest size over the least one that Netgen is asked for; bisection makes what is smaller. Three solids
+# that are 24 times finer along a face get 15 800 to 20 600 nodes from Netgen, with angles of 14 degrees;
+# measured, half makes 9 to 13 % more nodes, twice 29 to 38 % fewer, with angles of 17
 _NETGEN_RATIO = 16.0
 # on curved faces edges are at most their radius of curvature over this, about: half changes 22 of 30
 # random solids (391 to 240 nodes, 761 to 298), twice 23 (391 to 905, 761 to 4158)

@@ -36,14 +36,17 @@ _LOG = logging.getLogger(__name__)
 _BYTES_PER_BYTE = 50
 # of products without a name, as OCC writes them
 _NO_PRODUCT = "Open CASCADE STEP translator"
-#: edges of the surface meshes by which faces are compared, of the extent of a solid
+#: edges of the surface meshes by which faces are compared, of the extent of a solid: half and twice find the same
+#: pairs in 10 small assemblies
 _EDGE = 0.125
-#: cosine between outward normals of faces that lie on each other
+#: cosine between outward normals of faces that lie on each other: measured, half, 0 and -.99 find the same
+#: pairs there
 _OPPOSITE = -0.5
 #: seconds of the processor for a surface or the distances from a face, where .01 to 1 are usual; for
 #: each face and each point: a plate with 1024 holes took 60 s, .025 s a point of its upper face
 _LIMIT_S, _FACE_S, _POINT_S = 20.0, 0.5, 0.25
-#: of the extent of all solids
+#: of the extent of all solids: measured there, half finds the same pairs, a hundredth misses a pin with a
+#: clearance of 1e-4 mm in a plate of 20 mm, twice finds blocks of 10 mm that are 2e-4 mm apart
 _TOLERANCE = 1e-5
 _NONE = np.empty((0, 3, 3))
 
