@@ -153,6 +153,22 @@ def test_newtons_steps_end_quadratically(punch):
         assert changes[i + 1] < max(20 * changes[i] ** 2, 1e-10)
 
 
+def test_stresses_balance_the_forces_of_contact_and_supports(punch):
+    """Nodal forces of the stresses of elements, summed here, against ``result.reaction``."""
+    path = am.LoadPath({"punch": [0.5, 0.9, 0.7]})
+    for result in am.solve_path(punch, path, am.FullMultigrid(rtol=1e-8)):
+        mesh = result.mesh
+        corners = mesh.points[mesh.elements]
+        slopes = np.linalg.inv(corners[:, 1:] - corners[:, :1]).swapaxes(1, 2)
+        slopes = np.concatenate([-slopes.sum(axis=1, keepdims=True), slopes], axis=1)
+        stress = result.stress_data.tensors(mesh, result.displacement)[:, :2, :2]
+        forces = np.einsum("n,nij,ncj->nci", mesh.volumes, stress, slopes)
+        total = np.zeros(mesh.points.shape)
+        np.add.at(total, mesh.elements, forces)
+        np.testing.assert_allclose(total, result.reaction, atol=1e-6 * np.abs(total).max())
+        assert result.certificate()["equilibrium"].relative < 1e-6
+
+
 def test_the_punch_meets_its_limit_load(punch):
     """939 nodes; smoothed elements come nearer. The multigrid agrees with the active set method."""
     path = am.LoadPath({"punch": [0.25, 0.5, 0.75]})
