@@ -193,7 +193,8 @@ class _Method:
         state, (gap, reference, limit, friction, _) = self.state, self.nodes
         touches = np.isfinite(gap)
         rough = (limit > 0) | (friction > 0)
-        pressures = (spring * state[:, 0])[touches]
+        # without loads an overlap at the start has to press
+        pressures = (spring * np.maximum(state[:, 0], state[:, 0] - gap))[touches]
         gaps = (gap - state[:, 0])[touches]
         slips = np.linalg.norm(state[rough, 1:3] - reference[rough], axis=1)
         mean_pressure, mean_gap, mean_slip = (

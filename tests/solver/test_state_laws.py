@@ -199,6 +199,25 @@ def test_stiffer_layers_tend_to_rigid_surfaces_to_first_order(body):
     assert not found.certificate().contradictions(1e-9)
 
 
+def test_a_punch_without_other_loads_slides_on_a_layer():
+    shape = am.GapFunction(lambda x: (x[:, 0] - 0.02) ** 2 / 0.1)
+    slide = am.Moving(shape, displacement=(4e-6, 0), name="slide")
+    punch = am.Rigid(slide, force=(None, -1e6), moment=None, name="punch")
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=0.04, height=0.04),
+        material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+        contact=am.Contact("top", punch, compliance=am.NormalCompliance(2e-14)),
+        law=am.Coulomb(0.3),
+        supports=[am.Support("bottom", x=0, y=0)],
+    )
+    grids = am.Hierarchy.graded(problem, sizes=(8e-3, 4e-3, 2e-3), contact_ratio=8)
+    path = am.LoadPath({"punch": [0.1, 1, 1], "slide": [0, 0, 1]})
+    forces = [
+        am.solve_path(grids, path, method)[-1].resultant("top").force for method in METHODS[:2]
+    ]
+    np.testing.assert_allclose(forces[0], forces[1], rtol=1e-6)
+
+
 def test_layers_go_with_friction_that_depends_on_pressure():
     contact = layered("obstacle", SOFT, FINE, am.StateLaw(falling)).contact
     np.testing.assert_allclose(-contact.gap, SOFT.compliance * contact.pressure, rtol=1e-6)
