@@ -260,7 +260,15 @@ def legend_next_to(ax: Axes, handles: Sequence[Artist], **options: Any) -> None:
 
 
 def _inside(ax: Axes, handles: Sequence[Artist], columns: int) -> Legend:
-    return ax.legend(handles=handles, loc="upper center", ncols=columns, columnspacing=1.2)
+    legend = ax.legend(
+        handles=handles,
+        loc="upper center",
+        ncols=columns,
+        columnspacing=1.2,
+        **{} if columns > 1 or len(handles) == 1 else {"fontsize": "small", "handlelength": 1.2},
+    )
+    legend.set_in_layout(False)  # the axes need not shrink for it
+    return legend
 
 
 def legends_inside(legends: Mapping[Axes, Sequence[Artist]]) -> None:

@@ -175,7 +175,7 @@ def test_every_picture_shows_odd_names_unchanged(dim, name):
 
 
 @pytest.mark.parametrize(
-    ("rows", "columns", "size"), [(3, 1, (3.3, 4.0)), (1, 3, (7.0, 2.2)), (2, 2, (5.0, 4.0))]
+    ("rows", "columns", "size"), [(3, 1, (3.3, 4.0)), (1, 3, (7.0, 2.2)), (2, 2, (7.0, 4.0))]
 )
 def test_contact_fits_axes_of_any_layout(rows, columns, size):
     with matplotlib.rc_context({"font.size": 8}):
