@@ -70,6 +70,12 @@ def test_a_method_gets_nested_start_history_work_and_certificate(bar, exact):
     passes = np.diff(result.history["work_units"])
     np.testing.assert_allclose(passes, 11.0)
     assert result.path[-result.cycles :] == [(2, "smooth", 1)] * result.cycles
+    # the start: Newton steps on the coarsest level, a pass each, and a step of ten on the next
+    coarse, middle, fine = (level.matrix.nnz for level in bar.levels)
+    newton = (result.start_work_units * fine - 10 * middle) / coarse
+    assert newton == pytest.approx(round(newton)) and newton >= 1
+    before = [visit[:2] for visit in result.path[: -result.cycles]]
+    assert before == [(0, "solve"), (1, "start"), (1, "smooth"), (2, "start")]
     from_zero = am.solve(bar, Sweeps(start_cycles=0))
     assert from_zero.cycles > result.cycles and from_zero.start_work_units == 0
     given = am.solve(bar, Sweeps(), start=exact)
@@ -161,6 +167,9 @@ def test_what_a_method_must_offer(bar):
             am.solve(bar, method)
     with pytest.raises(TypeError, match="unknowns"):
         am.State(unknowns="nothing")
+    spaces = am.Hierarchy.algebraic(bar.finest.discrete, max_coarse=60)
+    with pytest.raises(ValueError, match="only spaces"):
+        am.solve(spaces, Sweeps())
     method = Sweeps()
     method.rtol = -1.0
     with pytest.raises(ValueError, match="rtol of solver"):
