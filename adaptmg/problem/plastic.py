@@ -37,6 +37,10 @@ from adaptmg._checks import Size
 from adaptmg._text import brief, html_fields
 from adaptmg.problem.laws import Elastic, PlaneStress
 
+#: of three shear moduli: hardening that a tangent has at least; without any the diagonal block of a node whose
+#: surroundings all flow is singular
+_SOFTEST = 1e-8
+
 
 class Inelastic(Protocol):
     """The protocol of a material whose stress depends on its history; :class:`Plastic` has it.
@@ -190,7 +194,8 @@ class Plastic(checks.Checked):
         stress = deviator - (2 * shear * flow)[:, None] * direction
         stress[:, :3] += bulk * volume[:, None]
         kept = 1 - 2 * shear * flow / np.where(yields, norm, 1.0)
-        turned = 1 / (1 + (slope + self.kinematic) / (3 * shear)) - (1 - kept)
+        hardening = np.maximum((slope + self.kinematic) / (3 * shear), _SOFTEST)
+        turned = 1 / (1 + hardening) - (1 - kept)
         turned = np.where(yields, turned, 0.0)
         projection = np.diag(share) - np.outer(normal, normal) / 3
         tangent = bulk * np.outer(normal, normal) + 2 * shear * (

@@ -320,6 +320,11 @@ _OF_ASSEMBLY = {"stiffness", "loads", "measures", "bodies", "stresses"}
 
 def _remedy(result: Result, violated: tuple[str, ...]) -> str:
     """Return the status as text, with a remedy that has not failed."""
+    if result.stress_data is not None and result.stress_data.plastic is not None:
+        return (
+            "the plastic bodies may bear no more than a part of this load: give hardening, or prescribe "
+            "displacements in place of forces, in smaller load steps"
+        )
     if violated and _OF_ASSEMBLY.issuperset(violated):
         return (
             "the method has converged, but forces of the mesh and of the assembled matrices differ, which no "

@@ -243,6 +243,22 @@ def test_a_users_material_is_taken():
     assert soft.accumulated_plastic_strain.tolist() == [1.0] * len(soft.mesh.elements)
 
 
+def test_a_load_beyond_the_limit_is_not_borne():
+    """A block in plane strain bears 2 / sqrt(3) of its yield stress."""
+    problem = replace(
+        squeezed("plane"),
+        material=am.Plastic(am.PlaneStrain(young=E, poisson=NU), yield_stress=SIZE),
+        contact=am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0))),
+        supports=(am.Support("left", x=0.0),),
+        loads=am.Pressure("top", 1.0),
+    )
+    grids = am.Hierarchy.uniform(problem, divisions=[(2, 1), (4, 2)])
+    limit = 2 / np.sqrt(3) * SIZE
+    assert am.solve_path(grids, am.LoadPath({"top": [0.99 * limit]}), TIGHT).complete
+    with pytest.raises(am.NotConverged, match="prescribe displacements"):
+        am.solve_path(grids, am.LoadPath({"top": [1.01 * limit]}), TIGHT)
+
+
 def test_what_plastic_bodies_refuse(punch):
     steel = punch.problem.material
     press = am.Rigid(am.Plane((0.0, 0.0), (0.0, -1.0)), force=(0.0, -1e3))
