@@ -106,7 +106,7 @@ from .smoother.system import OPEN as OPEN, SLIP as SLIP, STICK as STICK
 from .solver.active_set import ActiveSet as ActiveSet
 from .solver.certificate import Certificate as Certificate
 from .smoother.linear import AMG as AMG, Direct as Direct
-from .solver.load_path import PathResult as PathResult, solve_path as solve_path
+from .evolution.load_path import PathResult as PathResult, solve_path as solve_path
 from .solver.multigrid import FullMultigrid as FullMultigrid, Multigrid as Multigrid
 from .solver.projected import SingleGrid as SingleGrid
 from .solver.record import Status as Status

@@ -62,13 +62,13 @@ def _warn_of_no_cache() -> None:
 
 
 @intrinsic
-def _prefetch(typing_context: Any, address: Any) -> Any:
+def _prefetch(typing_context, address):
     """Return the signature and the code of a prefetch for reading, into all caches."""
     byte_pointer = ir.IntType(8).as_pointer()
     integer = ir.IntType(32)
     arguments = [byte_pointer, integer, integer, integer]
 
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    def generate(context, builder, signature, values):
         function = builder.module.declare_intrinsic(
             "llvm.prefetch", [byte_pointer], ir.FunctionType(ir.VoidType(), arguments)
         )
@@ -79,7 +79,7 @@ def _prefetch(typing_context: Any, address: Any) -> Any:
     return types.void(types.uintp), generate
 
 
-def prefetch(address: int) -> None:
+def prefetch(address: np.unsignedinteger) -> None:
     """Ask the processor for what stands at an address (uintp), which may lie outside every array.
     Where a kernel runs as plain Python, do nothing."""
 

@@ -40,6 +40,7 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.estimate.engines import Engine, divisible, sound_mesh
 from adaptmg.estimate.estimate import AnyEstimate, Estimate, Indicator, Mark, estimate_of, marks_of
 from adaptmg.estimate.goal import GoalEstimate
+from adaptmg.evolution.load_path import PathResult, solve_path
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Refinement, need_mesh, sound_by_construction
 from adaptmg.mesh.bisection import with_refinement
@@ -48,7 +49,6 @@ from adaptmg.multigrid.volume_pressures import prolonged_pressures
 from adaptmg.problem import LoadPath, step_problem
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import once
-from adaptmg.solver.load_path import PathResult, solve_path
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Run, Solver
 from adaptmg.solver.result import KINDS, Result

@@ -44,6 +44,8 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import supported_nodes
+from adaptmg.evolution.load_steps import Past, step_outcome
+from adaptmg.evolution.path_loop import way_in_contact
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.dynamics import Dynamics
@@ -54,8 +56,6 @@ from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise_on_motion, advise_on_problem, once
 from adaptmg.solver.examine import Examiner, euclidean_norm
 from adaptmg.solver.iterate import StopTest
-from adaptmg.solver.load_path import way_in_contact
-from adaptmg.solver.load_steps import Past, step_outcome
 from adaptmg.solver.multigrid import Multigrid, handed_over
 from adaptmg.solver.outcome import (
     checked_outcome,

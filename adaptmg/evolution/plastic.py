@@ -28,10 +28,10 @@ from adaptmg.discrete.plasticity import InelasticBodies, Response
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
+from adaptmg.evolution.path_loop import PathLoop
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.examine import Examiner
-from adaptmg.solver.load_path import PathLoop
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
 from adaptmg.solver.outcome import checked_outcome, result_of
 from adaptmg.solver.record import Outcome, Run, Solver, Status

@@ -1,6 +1,5 @@
 from .certificate import Condition as Condition
 from .examine import ContactResult as ContactResult
-from .load_path import StepNotConverged as StepNotConverged
 from .quantities import (
     Resultant as Resultant,
     StressData as StressData,

@@ -10,7 +10,7 @@ from norms import far as distance
 from smoother_problems import Idle
 
 import adaptmg as am
-from adaptmg.solver.load_path import StepNotConverged
+from adaptmg.evolution.load_path import StepNotConverged
 
 FINE = am.FullMultigrid(rtol=1e-11)
 EXACT = am.ActiveSet(rtol=1e-12)

@@ -17,7 +17,7 @@ from simplex_meshes import random_box
 import adaptmg as am
 from adaptmg import cases
 from adaptmg.discrete.stress import StressData
-from adaptmg.solver.load_path import StepNotConverged
+from adaptmg.evolution.load_path import StepNotConverged
 from adaptmg.solver.result import KINDS
 from adaptmg.solver.store import packed, read
 

@@ -1,0 +1,1 @@
+from .load_path import StepNotConverged as StepNotConverged

@@ -1,0 +1,322 @@
+"""PathLoop: the steps of a load path, one after another, without a store.
+
+The truncated multigrid keeps its set-up (:mod:`adaptmg.evolution.load_steps`); all other methods
+start from the better of the displacement of the step before and the one extrapolated in the loads,
+which under proportional loading is the solution. A FullMultigrid with another correction goes on as
+a Multigrid."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import cast
+
+import numpy as np
+
+from adaptmg.discrete.named_loads import LoadSteps, load_steps, whole_load
+from adaptmg.discrete.obstacles import check_held, moved
+from adaptmg.discrete.posed import Posed
+from adaptmg.discrete.stress import StressData
+from adaptmg.evolution.load_steps import (
+    Controls,
+    Past,
+    coarse_displacements,
+    step_outcome,
+)
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.level import Level
+from adaptmg.problem.load_path import LoadPath
+from adaptmg.solver.closed_forms import free_bodies
+from adaptmg.solver.examine import Examiner
+from adaptmg.solver.iterate import StopTest
+from adaptmg.solver.multigrid import Multigrid, handed_over
+from adaptmg.solver.outcome import checked_outcome, result_of
+from adaptmg.solver.record import Outcome, Run, Solver, Status
+from adaptmg.solver.result import Result
+from adaptmg.solver.statics import check_statics_of
+from adaptmg.solver.truncated import TruncatedRun
+
+_LOG = logging.getLogger(__name__)
+
+
+def way_in_contact(result: Result) -> np.ndarray:
+    """Return the lengths of the slips of a step (n_contact,), m, at nodes that it leaves in
+    contact."""
+    return np.linalg.norm(result.contact.slip, axis=1) * result.contact.closed
+
+
+class PathLoop:
+    """The steps of a path."""
+
+    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver) -> None:
+        self.grids = grids
+        self.path = path
+        self.solver = solver
+        self.posed = _posed_with_names(grids)
+        problem = None if self.posed[-1] is None else grids.problem
+        self.factors = path.resolved(problem)
+        self.finest_loads = _loads(self.posed[-1], grids.finest)
+        coarse = zip(self.posed[:-1], grids.levels[:-1], strict=True)
+        #: None where a level is only a space
+        self.loads = [
+            None if level.discrete_or_none is None else _loads(posed, level)
+            for posed, level in coarse
+        ]
+        self.loads.append(self.finest_loads)
+        for k in range(len(path)):
+            # two supports that no longer agree should show before the first step is solved
+            self.finest_loads.fixed_values(self._factors_at(k))
+        finest = grids.finest
+        self.bodies = free_bodies(self.posed[-1], finest.discrete)
+        self.examiner = Examiner(finest.discrete, self.bodies)
+        #: the solver with the tolerance of the steps, and what its truncated multigrid has set up
+        self.step_solver = solver
+        self.multigrid: TruncatedRun | None = None
+        self.controls = Controls(problem, grids.finest)
+        #: displacements of the last step on the levels; the method has those of coarse ones, or they are interpolated
+        self.levels = [
+            np.zeros(level.discrete.n_dofs)
+            for level in grids.levels[0 if grids.discretised else -1 :]
+        ]
+        self.coarse: list[np.ndarray] | None = None
+        #: (n_contact,): length of the slips so far, m, which the law may see
+        self.accumulated_slip = finest.discrete.contact.accumulated_slip
+        #: the solutions of the last two steps, and the forces that led there
+        self.recent = [(np.zeros(finest.discrete.n_unknowns), np.zeros(finest.discrete.n_dofs))]
+
+    @property
+    def _limit(self) -> float:
+        """The cycles, steps or sweeps that the solver may take."""
+        limits = (
+            getattr(self.solver, name, None) for name in ("max_cycles", "max_steps", "max_sweeps")
+        )
+        return next((limit for limit in limits if limit is not None), np.inf)
+
+    def described(self, k: int) -> str:
+        """Return the factors of a step as text."""
+        return ", ".join(f"{name}={factor:g}" for name, factor in self._factors_at(k).items())
+
+    def _factors_at(self, k: int) -> dict[str, float]:
+        return {name: float(values[k]) for name, values in self.factors.items()}
+
+    def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
+        factors = self._factors_at(k)
+        parts = self.controls.unknowns(factors)
+        motions = self.controls.motions
+        if parts:
+            self._check_statics(k, self._posed(k, motions))
+            result, (grids, forces, coarse), motions = self.controls.find(
+                parts,
+                lambda motions, near, loose: self._solve(k, motions, near, progress, loose),
+                partial(self._posed, k),
+                self._limit,
+            )
+            self._check_held(grids, k, motions)
+        else:
+            result, (grids, forces, coarse) = self._solve(k, motions, None, progress, 0.0)
+        result = replace(
+            result,
+            motions={name: motion.tolist() for name, motion in motions.items()},
+        )
+        self.controls.take(factors, motions)
+        self._remember(grids, result, forces, coarse)
+        _LOG.info(self.report(k, result))
+        return result
+
+    def _solve(
+        self,
+        k: int,
+        motions: Mapping[str, np.ndarray],
+        near: Result | None,
+        progress: Callable[[int, dict[str, float]], None] | None,
+        loose: float,
+    ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
+        """The result of step k with the motions of obstacles, from one ``near`` to it; and what the
+        next step needs. The tolerance may be as ``loose``."""
+        finest = self.grids.finest.discrete
+        callback = None if progress is None else partial(progress, k)
+        run = Run(unit=finest.matrix.nnz, callback=callback)
+        with run.phase("setup"):
+            grids = self._posed(k, motions)
+            if (
+                not self.controls.rigid
+            ):  # these move until their forces fit, and may go too far on the way
+                self._check_held(grids, k, motions)
+            forces = grids.finest.discrete.load_from_prescribed()
+            run.examiner = self.examiner = Examiner(grids.finest.discrete, self.bodies)
+            past = Past(
+                self.levels,
+                self.recent[-1][0],
+                self._start(forces, near),
+                len(self.recent) > 1,
+                near is not None,
+                loose,
+            )
+        with run.phase("statics"):
+            self._check_statics(k, grids)
+        if self._at_rest(forces):
+            return self._undeformed(k, grids, run, motions), (grids, forces, None)
+        outcome, self.multigrid, coarse = step_outcome(
+            self.step_solver, self.multigrid, grids, self.examiner, run, past
+        )
+        outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
+        self._hold(outcome.rtol)
+        outcome = handed_over(outcome, grids, run)
+        with run.phase("result"):
+            result = result_of(
+                grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
+            )
+        return result, (grids, forces, coarse)
+
+    def _hold(self, rtol: float) -> None:
+        """Keep the tolerance that the discretisation error of the first step has set: increments
+        have smaller ones."""
+        if getattr(self.step_solver, "rtol", None) == "discretisation":
+            least = max(rtol, StopTest.ROUNDING_LIMIT)
+            self.step_solver = replace(cast("Multigrid", self.step_solver), rtol=least)
+
+    def _check_statics(self, k: int, grids: Hierarchy) -> None:
+        try:
+            check_statics_of(grids)
+        except ValueError as error:
+            raise ValueError(
+                f"step {k} of {len(self.path)} ({self.described(k)}): {error}"
+            ) from error
+
+    def _check_held(self, grids: Hierarchy, k: int, motions: Mapping[str, np.ndarray]) -> None:
+        posed = self.posed[-1]
+        if posed is not None:
+            factors = self._loading(k, motions)
+            places = self.controls.placed(factors, motions)
+            check_held(posed, grids.finest.discrete, factors, places)
+
+    def report(self, k: int, result: Result) -> str:
+        """Return how a step ended, as text."""
+        return (
+            f"step {k} of {len(self.path)} ({self.described(k)}): {result.status.name} after {result.cycles} "
+            f"cycles and {result.seconds:.2g} s"
+        )
+
+    def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
+        """Go past a step that was solved before."""
+        motions = {name: np.array(motion) for name, motion in result.motions.items()}
+        grids = self._posed(k, motions)
+        if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
+            raise ValueError(
+                f"step {k} in the store has {len(result.displacement)} nodes, the finest level "
+                f"{grids.finest.n_nodes}"
+            )
+        if result.displacement.any():
+            self._hold(result.rtol)
+        self.controls.take(self._factors_at(k), motions)
+        self._remember(grids, result, grids.finest.discrete.load_from_prescribed(), coarse)
+
+    def _at_rest(self, forces: np.ndarray) -> bool:
+        """Return whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b -
+        A u_fixed."""
+        contact = self.examiner.contact
+        quiet = not (forces.any() or self.examiner.discrete.fixed_values.any())
+        slid = np.abs(contact.slip_reference).any(axis=1)
+        return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
+
+    def _loading(self, k: int, motions: Mapping[str, np.ndarray]) -> dict[str, float]:
+        """Factors of all loads: those of preloads are strains."""
+        bolts = {bolt.path_name: float(motions[bolt.path_name][0]) for bolt in self.controls.bolts}
+        return self._factors_at(k) | bolts
+
+    def _stress_data(self, k: int, motions: Mapping[str, np.ndarray]) -> StressData | None:
+        return self.finest_loads.stress_data(self._loading(k, motions))
+
+    def _undeformed(
+        self, k: int, grids: Hierarchy, run: Run, motions: Mapping[str, np.ndarray]
+    ) -> Result:
+        """The result of a step in which nothing acts: no method could tell the relative error of
+        its iterates."""
+        rtol = getattr(self.solver, "rtol", None)
+        outcome = Outcome(
+            np.zeros(grids.finest.discrete.n_unknowns),
+            Status.CONVERGED,
+            0,
+            float(rtol) if isinstance(rtol, float | int) else np.nan,
+            error_estimate=0.0,
+        )
+        result = result_of(
+            grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
+        )
+        # all forces vanish: a relative residual would be rounding over nothing
+        return replace(result, status=Status.CONVERGED, residual=0.0)
+
+    def _posed(self, k: int, motions: Mapping[str, np.ndarray]) -> Hierarchy:
+        """Return the hierarchy with loads, prescribed values, places of obstacles and slip
+        references of step k. Levels coarser than the solver's, or without a problem, stay as they
+        are."""
+        factors = self._loading(k, motions)
+        levels = []
+        places = self.controls.placed(factors, motions)
+        n_unused = len(self.grids) - len(self.levels)  # coarsest levels
+        parts = zip(self.grids.levels, self.loads, self.posed, strict=True)
+        for number, (level, loads, posed) in enumerate(parts):
+            if loads is not None and number >= n_unused:
+                problem = level.discrete
+                reference = level.discrete.contact.slip_reference
+                if len(self.recent) > 1:
+                    reference = problem.at_contact(self.levels[number - n_unused])
+                # coarse levels make starts only: with the slips of the nearest fine nodes four paths
+                # of ten steps take 253 cycles, without any 258
+                slips = problem.contact.accumulated_slip
+                if level is self.grids.finest:
+                    slips = self.accumulated_slip
+                step = loads.step(problem, factors, reference, slips)
+                if posed is not None and places:
+                    step = moved(posed, step, places, self.controls.places)
+                level = level.posing(discrete=step)
+            levels.append(level)
+        return Hierarchy(
+            tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings)
+        )
+
+    def _remember(
+        self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None
+    ) -> None:
+        discrete = grids.finest.discrete
+        self.coarse = coarse
+        # from the result, as a path that goes on from its store has it
+        displacement = discrete.relative(result.displacement).reshape(-1)
+        self.accumulated_slip = self.accumulated_slip + way_in_contact(result)
+        solution = np.append(displacement, result.pressures)
+        self.recent = [*self.recent[-1:], (solution, forces)]
+        self.levels = (
+            coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
+        )
+
+    def _start(self, forces: np.ndarray, near: Result | None) -> np.ndarray:
+        """A start (n_unknowns,) for a step with these forces: a result near to it, or where all
+        goes on as between the last two steps, least squares in the forces."""
+        if near is not None:
+            displacement = self.grids.finest.discrete.relative(near.displacement)
+            return np.append(displacement, near.pressures)
+        earlier, forces_earlier = self.recent[0]
+        last, last_forces = self.recent[-1]
+        change = last_forces - forces_earlier
+        # not through BLAS, whose threads cost more than they gain
+        size = float(np.einsum("i,i->", change, change))
+        ratio = float(np.einsum("i,i->", forces - last_forces, change)) / size if size else 0.0
+        return last + ratio * (last - earlier)
+
+
+def _posed_with_names(grids: Hierarchy) -> list[Posed | None]:
+    """Return the posed problem of each level; None for all unless every discretised level has a
+    mesh."""
+    posed = [grids.posed_on(level) for level in grids.levels]
+    named = all(
+        posed_level is not None or level.discrete_or_none is None
+        for posed_level, level in zip(posed, grids.levels, strict=True)
+    )
+    return posed if named else [None] * len(posed)
+
+
+def _loads(posed: Posed | None, level: Level) -> LoadSteps:
+    """Return the loads and supports on a level one by one, without a problem as a whole."""
+    return whole_load(level.discrete) if posed is None else load_steps(posed, level.discrete)
