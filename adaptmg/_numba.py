@@ -61,8 +61,7 @@ def _warn_of_no_cache() -> None:
     )
 
 
-@intrinsic
-def _prefetch(typing_context, address):
+def _typed_prefetch(typing_context, address):
     """Return the signature and the code of a prefetch for reading, into all caches."""
     byte_pointer = ir.IntType(8).as_pointer()
     integer = ir.IntType(32)
@@ -77,6 +76,9 @@ def _prefetch(typing_context, address):
         return context.get_dummy_value()
 
     return types.void(types.uintp), generate
+
+
+_prefetch: Any = intrinsic(_typed_prefetch)  # Any: numba passes the first argument itself
 
 
 def prefetch(address: np.unsignedinteger) -> None:
