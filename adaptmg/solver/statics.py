@@ -508,7 +508,7 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
     if (
         examined is not None
         and examined.n_dofs <= _SMALL
-        and (len(examined.contact) * examined.dim <= _SMALL_CONTACT)
+        and 0 < len(examined.contact) * examined.dim <= _SMALL_CONTACT
     ):
         with suppress(
             ValueError, np.linalg.LinAlgError

@@ -13,17 +13,19 @@ import adaptmg as am
 
 
 def kernels() -> dict[str, CPUDispatcher]:
-    """Kernels that Python calls, by name."""
+    """Kernels that only Python calls, by name."""
     found = {}
     for module in pkgutil.walk_packages(am.__path__, "adaptmg."):
         if not module.name.endswith("__main__"):
             for name, value in vars(importlib.import_module(module.name)).items():
                 if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.name:
                     found[f"{module.name}.{name}"] = value
+    # those that kernels call are part of the stored code of these, and not loaded
+    inner = {name for kernel in found.values() for name in kernel.py_func.__code__.co_names}
     return {
         name: value
         for name, value in found.items()
-        if not value.targetoptions.get("no_cpython_wrapper")
+        if not value.targetoptions.get("no_cpython_wrapper") and name.split(".")[-1] not in inner
     }
 
 
@@ -43,5 +45,4 @@ def test_warm_calls_most_kernels():
         check=True,
     )
     assert "plane bodies" in run.stderr
-    # kernels that only stored kernels call are not loaded: 10 of 76
-    assert len(run.stdout.split()) <= 0.2 * len(kernels()), run.stdout
+    assert len(run.stdout.split()) <= 2 < len(kernels()), run.stdout
