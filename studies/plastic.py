@@ -145,7 +145,7 @@ def study(out: Output) -> None:
     factors = [0.005, 0.02, 0.1, 0.25] if out.quick else [0.005, 0.012, 0.025, 0.05, 0.1, 0.2, 0.35]
     sizes, pressures = np.transpose(ball(0.02 if out.quick else 0.0125, factors))
     figure, ax = drawing()
-    ax.semilogx(sizes, pressures, "o-")
+    ax.plot(sizes, pressures, "o-")
     ax.axhspan(2.8, 3.0, alpha=0.3)
     ax.set(xlabel="E* a / (yield stress R)", ylabel="mean pressure / yield stress")
     out.figure("ball", figure, "A ball on a block; the band: all of the contact flows (Johnson)")
