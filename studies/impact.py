@@ -142,7 +142,9 @@ def ball(out: Output) -> None:
             )
             times, *energies = np.array(history).T
             axes[1].stackplot(times, energies, labels=("kinetic", "strain", "lost"))
-            axes[1].set(xlim=(0, end), ylim=(0, history[0][1]), xlabel="time [ms]", ylabel="energy [J/m]")
+            axes[1].set(
+                xlim=(0, end), ylim=(0, history[0][1]), xlabel="time [ms]", ylabel="energy [J/m]"
+            )
             axes[1].legend(loc="lower right", fontsize=8)
             yield figure
 

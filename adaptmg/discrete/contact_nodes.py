@@ -247,12 +247,13 @@ def _limits(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
 
 def _check_room(gaps: np.ndarray, opposite: np.ndarray) -> None:
     """ValueError unless each node has an obstacle, and room between two."""
-    bad = ~(gaps + opposite >= 0) | np.isinf(np.minimum(gaps, opposite))
+    bad = ~(gaps + opposite > 0) | np.isinf(np.minimum(gaps, opposite))
     if bad.any():
         i = int(np.argmax(bad))
         raise ValueError(
             f"contact node {i} must have a finite limit, and room between two, got "
-            f"{-opposite[i]:.6g} to {gaps[i]:.6g} along its normal; leave out nodes without a limit"
+            f"{-opposite[i]:.6g} to {gaps[i]:.6g} along its normal; leave out nodes without a limit, and "
+            "prescribe values (fixed, fixed_values) in place of equal limits"
         )
 
 
@@ -298,6 +299,10 @@ class Bounds:
         for name, limit, sign in (("lower", lower, -1.0), ("upper", upper, 1.0)):
             given = np.full(shape, limit) if np.ndim(limit) == 0 else limit
             values = sign * _limits(f"bounds.{name}", given, shape).reshape(-1)
+            if (values == -np.inf).any():
+                raise ValueError(
+                    f"bounds.{name} must be {'<' if sign < 0 else '>'} {-sign * np.inf}, got {-sign * np.inf}"
+                )
             gaps.append(np.where(fixed, np.inf, values))
         dim = shape[1] if len(shape) == 2 else 1
         sides = np.stack(gaps, axis=1).reshape(-1, dim, 2)

@@ -89,6 +89,13 @@ class ScalarProblem(checks.Checked):
             name: None if limit is None else checks.field(name, limit, mesh.points)
             for name, limit in (("lower", self.lower), ("upper", self.upper))
         }
+        for name, sign in (("lower", 1.0), ("upper", -1.0)):
+            limit = limits[name]
+            beyond = np.zeros(1) if limit is None else sign * (limit - values)[fixed]
+            if beyond.max(initial=0.0) > 0.0:
+                raise ValueError(
+                    f"{name} must leave the values of held boundaries room, but one lies {beyond.max():.6g} beyond it"
+                )
         cells = mesh.elements
         masses = np.bincount(
             cells.reshape(-1), np.repeat(mesh.volumes / cells.shape[1], cells.shape[1])

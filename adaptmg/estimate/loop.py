@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any, Generic, cast
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._text import html_table, in_html_lines, shortened
+from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.named_loads import load_steps
 from adaptmg.discrete.posed import Posed
@@ -308,6 +308,13 @@ class AdaptiveLoop:
         if estimate.value is not None:
             exact = checks.ROUNDING * abs(estimate.value)
         if estimate.squares.sum() <= exact:
+            if last.settled is False:
+                closed = np.count_nonzero(last.result.contact.closed)
+                warn_user(
+                    f"the goal sees no error on the mesh of {last.nodes} nodes, of which {closed} are in contact: the "
+                    "load alone may decide its value there; begin with a smaller start",
+                    RuntimeWarning,
+                )
             return "no progress: the indicator finds no error beyond rounding"
         if self._full(last.nodes):
             return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"

@@ -200,6 +200,7 @@ class FrameSmoother:
         at_nodes[nodes] = values
         conditions = contact.conditions
         passes = self.smoother.smooth(system, conditions, forces, w, 1)
+        checks.array("smooth: the unknowns that smooth leaves", w, w.shape)
         w[system.fixed] = 0.0
         at_nodes[nodes, 0] = conditions.clamped(at_nodes[nodes, 0])
         values[:] = at_nodes[nodes]

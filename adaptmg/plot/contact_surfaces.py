@@ -165,7 +165,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
         )
     low, high = axes[2].get_ylim()
     # closed and stuck everywhere: the axes do not magnify rounding
-    axes[2].set_ylim(min(low, -0.05), max(high, 0.5))
+    axes[2].set_ylim(min(low, -0.05e-6 * scale), max(high, 0.5e-6 * scale))
     axes[2].set_xlabel(lines[0].label)
     labelled = {ax: ax.get_legend_handles_labels()[0] for ax in axes[1:]}
     style.legends_inside({axes[0]: style.state_lines(c.state[nodes])} | labelled)

@@ -184,6 +184,8 @@ class ContactResult:
             "state": np.array(list(_STATES))[np.asarray(self.state, dtype=int)],
         }
         columns |= {f"{axis} [m]": values for axis, values in zip("xyz", self.x.T, strict=False)}
+        # the unknown of a scalar problem has the unit that the user gives it
+        scalar = self.frames.shape[1] == 1
         for name, unit in (
             ("gap", "m"),
             ("u_n", "m"),
@@ -195,8 +197,9 @@ class ContactResult:
             ("traction", "Pa"),
         ):
             parts = np.atleast_2d(getattr(self, name).T)
+            head = "" if scalar else f" [{unit}]"
             columns |= {
-                f"{name}_{k} [{unit}]" if len(parts) > 1 else f"{name} [{unit}]": part
+                f"{name}_{k}{head}" if len(parts) > 1 else f"{name}{head}": part
                 for k, part in enumerate(parts, 1)
             }
         return in_units(pandas.DataFrame(columns), units)
