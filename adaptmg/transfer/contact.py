@@ -326,9 +326,9 @@ def supports(P_cc: sparse.csr_array) -> Supports:
     columns.sum_duplicates()
     if not (np.isfinite(columns.data) & (columns.data >= 0)).all():
         raise ValueError(
-            "P_cc, the contact rows of a prolongation, must be >= 0 (and finite): use Interpolation, put "
-            "contact rows in with surface_interpolation and with_contact_rows, or pose coarse spaces without "
-            "contact (contact=False)"
+            "P_cc must be >= 0 (and finite) in the contact rows of a prolongation: use Interpolation, put "
+            "contact rows in with surface_interpolation and with_contact_rows, or pose coarse spaces "
+            "without contact (contact=False)"
         )
     columns.eliminate_zeros()
     n = columns.shape[1]
