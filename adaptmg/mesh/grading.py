@@ -160,7 +160,7 @@ def graded(
 
 
 def _meshed(domain: Domain) -> Outline | Box | SolidDomain | Assembly:
-    """Return a domain as it is meshed: a plane one in edges, a STEP file as the assembly of its
+    """Return the domain to be meshed: a plane one as an outline, a STEP file as the assembly of its
     solids."""
     shape = in_edges(domain)
     return Assembly(parts=step_solids(shape)) if isinstance(shape, StepFile) else shape

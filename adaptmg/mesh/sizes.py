@@ -62,7 +62,7 @@ BOX_SIDES = {
 }
 
 
-#: domains as they are meshed: plane ones in edges
+#: domains that can be meshed: plane ones as outlines of edges
 MeshedDomain = Outline | Box | SolidDomain | Assembly | StepFile
 
 

@@ -53,7 +53,7 @@ class TruncatedContact:
     RIGID: ClassVar[float] = 0.3
     #: stiffness of a node that slips, over its diagonal block: where friction rises faster with the slip, its
     #: coefficient follows in part. 13 bodies with friction that doubles over slips of .4 % of the displacement take 365
-    #: cycles, and none is handed over; 596 (2) at 0.25, 372 (1) at 1, 477 (10) at 2; all 13 where it follows at once
+    #: cycles, and none is handed over; 596 (2) at 0.25, 372 (1) at 1, 477 (10) at 2; all 13 where it follows fully
     YIELDING: ClassVar[float] = 0.5
 
     dim: int

@@ -425,8 +425,8 @@ def sampled_friction(law: Law, n: int) -> np.ndarray:
 
 
 def friction_at(law: FollowsState, pressure: np.ndarray, slip: np.ndarray) -> np.ndarray:
-    """Return the coefficients at the pressures and slips (n,) of an iterate, which may be anything:
-    what is no number counts as zero."""
+    """Return the coefficients at the pressures and slips (n,) of an iterate, which may hold any
+    values: NaN counts as zero."""
     return law.at_state(
         np.clip(np.nan_to_num(pressure), 0.0, _PRESSURES[-1]),
         np.clip(np.nan_to_num(slip), 0.0, _SLIPS[-1]),
@@ -665,7 +665,7 @@ class NormalCompliance(checks.Checked):
     Parameters
     ----------
     compliance : float or callable
-        m/Pa, >= 0 (a number or a function of position). Surfaces of steel as they are machined have
+        m/Pa, >= 0 (a number or a function of position). Machined surfaces of steel have
         some 1e-14 to 1e-12; 0 is a rigid surface.
 
     Examples

@@ -659,7 +659,7 @@ class Evidence:
             * against[:, :, None]
             * normals[:, None]
         )
-        # a spring presses as deep as it is, which is what the gap of the surface misses
+        # a spring presses in proportion to its penetration, which the gap of the surface misses
         pressed = -(np.where(closed, pressure, 0.0) - spring * gap)[:, None] * normals
         status = FrozenStatus(
             np.append(nodes, fixed_elsewhere),

@@ -324,7 +324,7 @@ class StepStore:
             write_bytes(self._step_file(number), content)
 
     def steps(self, most: int | None = None) -> Iterator[Stored]:
-        """Read the steps, at most so many, one after the other."""
+        """Read the steps in order, at most ``most`` of them."""
         numbers = self._numbers()[:most]
         for expected, number in enumerate(numbers):
             if number != expected:

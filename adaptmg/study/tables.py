@@ -167,7 +167,7 @@ def _cell(value: object, spec: str | None) -> str:
 
 
 def _line(value: object) -> str:
-    """Return a text in one line, as wide as it is printed."""
+    """Return a value as text in one line, without characters that terminals do not print."""
     return printable(" ".join(str(value).split()))
 
 
