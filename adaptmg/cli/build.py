@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import pairwise
 from typing import Any, cast
 
 import adaptmg as am
@@ -277,8 +278,7 @@ def solver_of(values: Arguments) -> Solver:
 
 def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     """Return uniform grids, or independent ones where sizes are given."""
-    if "sizes" in values and "divisions" in values:
-        raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
+    refinement_of(values)
     parts = getattr(task.domain, "parts", {"": task.domain}).values()
     if "sizes" not in values and all(isinstance(part, am.Rectangle | am.Box) for part in parts):
         values = {"divisions": _DIVISIONS[task.dim]} | values
@@ -291,19 +291,30 @@ def grids(task: am.ContactProblem, values: Arguments) -> am.Hierarchy:
     return _made(partial(make, task), values, "hierarchy.", what)
 
 
+def refinement_of(values: Arguments) -> float:
+    """Return the element size of the first grid over that of the last; ValueError or TypeError for
+    sizes or divisions that do not go from coarse to fine."""
+    if "sizes" in values and "divisions" in values:
+        raise ValueError("give hierarchy.divisions or hierarchy.sizes, not both")
+    sizes = [checks.positive("sizes", size) for size in values.get("sizes", ())]
+    sizes += [1 / checks.integer("divisions", n, 1) for n in values.get("divisions", ())]
+    if any(coarse <= fine for coarse, fine in pairwise(sizes)):
+        name = "sizes" if "sizes" in values else "divisions"
+        raise ValueError(
+            f"hierarchy.{name} must go from coarse to fine, got {', '.join(map(str, values[name]))}"
+        )
+    return sizes[0] / sizes[-1] if sizes else 1.0
+
+
 def forecast(settings: Mapping[str, Arguments]) -> am.Forecast:
     """Return what a solve will take; of several sizes or divisions the coarsest grid alone is
     made."""
     problem = problem_of(settings["case"])
     solver_of(settings["solver"])
     values = dict(settings["hierarchy"])
-    finer = 1.0
-    if "sizes" in values:
-        finer = values["sizes"][0] / values["sizes"][-1]
-        values["sizes"] = values["sizes"][:1]
-    elif "divisions" in values:
-        finer = values["divisions"][-1] / values["divisions"][0]
-        values["divisions"] = values["divisions"][:1]
+    finer = refinement_of(values)
+    for name in {"sizes", "divisions"} & set(values):
+        values[name] = values[name][:1]
     return grids(problem, values).forecast(finer)
 
 

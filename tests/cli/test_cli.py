@@ -213,3 +213,19 @@ def test_a_dry_run_forecasts_without_the_fine_grids(command):
     code, said, _ = command("solve", "greco_bar", "--sizes", "8e-3,2e-3", "--dry-run", "--json")
     assert code == 0 and set(json.loads(said)) == {"nodes", "unknowns", "memory", "seconds"}
     assert command("solve", "greco_bar", "--pre", "-1", "--dry-run")[0] == 2
+
+
+@pytest.mark.parametrize("dry_run", [(), ("--dry-run",)])
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--sizes=2e-3,8e-3", "from coarse to fine"),
+        ("--sizes=a,b", "sizes must be a number, got 'a'"),
+        ("--sizes=1e-2,nan", "sizes must be finite, got nan"),
+        ("--divisions=8,4", "from coarse to fine"),
+        ("--divisions=8,0", "divisions must be >= 1, got 0"),
+    ],
+)
+def test_a_dry_run_refuses_the_grids_that_a_solve_refuses(command, option, message, dry_run):
+    code, _, error = command("solve", "greco_bar", option, *dry_run)
+    assert code == 2 and message in error
