@@ -84,6 +84,14 @@ def test_a_solution_has_no_error_against_itself(case):
     )
 
 
+def test_what_tolerances_leave_of_exact_solutions_is_no_error():
+    """Of the patch test, which is exact on every mesh, the squared error is rounding of any sign."""
+    problem = am.cases.two_block_patch(slope=20.0, side_pressure=1e8)
+    grids = am.Hierarchy.graded(problem, (0.05, 0.025, 0.0125))
+    loose, result = (am.solve(grids, am.Multigrid(rtol=rtol)) for rtol in (1e-7, 1e-8))
+    assert am.estimate.energy_error((grids, loose), result).relative < 1e-4
+
+
 def test_two_bodies_on_meshes_that_do_not_match():
     problem = am.cases.dovetail()
     meshes = [
