@@ -14,6 +14,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Union, cast
 
@@ -161,7 +162,7 @@ def _listed(points: Sequence[Mapping[str, Value]]) -> list[Point]:
     return list(rows.values())
 
 
-class _Sample(Design):
+class _Sample(Design, ABC):
     """Points from numbers in the unit cube."""
 
     def __init__(
@@ -188,8 +189,9 @@ class _Sample(Design):
         # points of whole numbers may coincide
         super().__init__(list({canonical(row): row for row in rows}.values()))
 
+    @abstractmethod
     def _unit_cube(self, count: int, dim: int, rng: np.random.Generator) -> np.ndarray:
-        raise NotImplementedError
+        """Return points (count, dim) of the unit cube."""
 
 
 def _scaled(u: np.ndarray, name: str, ends: object, logarithmic: bool) -> list[Value]:
