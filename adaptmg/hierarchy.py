@@ -472,7 +472,6 @@ class Hierarchy:
         origin = self.origin if self.origin.endswith(", grown") else f"{self.origin}, grown"
         return replace(self, levels=(*self.levels, new), timings=self._with(spent), origin=origin)
 
-    @one_blas_thread()
     def forecast(self, finer: float = 1.0) -> Forecast:
         """Return what a solve will take, from measured costs.
 
@@ -491,6 +490,7 @@ class Hierarchy:
         dim = min(max(dim, 2), 3)
         return Forecast(nodes, unknowns, _BYTES[dim] * cost, _SECONDS[dim] * cost)
 
+    @one_blas_thread()
     def with_problem(self, problem: ContactProblem) -> Hierarchy:
         """Return the same meshes with another law, friction, load, material or support.
 
