@@ -26,6 +26,7 @@ diagonal process), until it is that of the solution.
 from __future__ import annotations
 
 import copy
+import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -590,6 +591,15 @@ def _state_function(name: str, value: object) -> object:
             f"{name} must be a function of pressures and slips, got {checks.described(value)}; a number "
             "or a function of position belongs in Coulomb(...)"
         )
+    try:
+        inspect.signature(value).bind(None, None)
+    except ValueError:  # compiled functions may not tell
+        pass
+    except TypeError as error:
+        raise TypeError(
+            f"{name} must be a function of two arguments, pressures in Pa and slips in m, got one of "
+            f"{inspect.signature(value)}"
+        ) from error
     return value
 
 

@@ -257,6 +257,11 @@ test_refused = refused(
     (lambda: am.StateLaw(0.3), TypeError, "function of pressures and slips"),
     (lambda: am.StateLaw(lambda p, s: 0.5 - 1e-9 * p), "friction.* must be >= 0.*numpy.maximum"),
     (lambda: am.StateLaw(lambda p, s: 0.3), "shape"),
+    (
+        lambda: am.StateLaw(lambda p: 0.3 * p),
+        TypeError,
+        r"two arguments.* slips in m, got one of \(p\)",
+    ),
     (solved(Mine()), "user-defined method cannot follow a StateLaw; use"),
     (solved(am.SingleGrid(stop="change")), 'stop="error"'),
     (lambda: am.NormalCompliance(-1e-13), "compliance must be"),
