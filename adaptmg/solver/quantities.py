@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import pandas
 
     from adaptmg.geometry.location import Location
+    from adaptmg.solver.certificate import Certificate
 
 
 class Quantities:
@@ -35,6 +36,7 @@ class Quantities:
     reaction: np.ndarray
     mesh: MeshArrays | None
     stress_data: StressData | None
+    checked: Certificate | None
     supports: dict[str, list[list[float]]]
     ties: TieForces | None
     springs: dict[str, list[float]]
@@ -189,8 +191,11 @@ class Quantities:
         """Return the strain energy, J (plane: J/m): u'Au / 2, with initial strains that of the
         elastic strains.
 
-        The potential of loads and friction is not part of it.
+        The potential of loads and friction is not part of it. Without materials (scalar problems,
+        bare matrices) the energy is that of the certificate, of the displacement that was solved for.
         """
+        if self.stress_data is None and self.checked is not None:
+            return 0.5 * self.checked.energy_norm**2
         return self._data().energy(need_mesh(self), self.displacement)
 
     @property
@@ -276,6 +281,11 @@ class Quantities:
         return in_units(pandas.DataFrame(rows), units)
 
     def _data(self) -> StressData:
+        if self.dim == 1:
+            raise ValueError(
+                "result must be that of a body, got that of a scalar problem, which has no stresses and "
+                "strains: its values are result.displacement[:, 0]"
+            )
         if self.stress_data is None or self.mesh is None:
             raise ValueError(
                 "this result has no materials to compute stresses from (it comes from a bare "

@@ -140,6 +140,15 @@ def test_a_round_bar_yields_outside_of_the_elastic_radius():
     assert (result.contact.normal[result.contact.closed] == 1.0).all()
 
 
+def test_the_energy_of_a_twisted_elastic_bar_is_that_of_its_torque():
+    problem = am.cases.elastic_plastic_torsion(size=2.0, shear=3.0, twist=0.1, yield_stress=2.0)
+    result = am.solve(on_disc(problem, (0.4, 0.2)))
+    assert not result.contact.closed.any()
+    # the integral of |grad phi|^2 / 2 is that of G theta phi
+    torque = problem.reference["torque"]
+    assert result.energy == pytest.approx(3.0 * 0.1 * torque / 2, rel=2e-2)
+
+
 @pytest.mark.parametrize("made", ["prolongations", "aggregates"])
 def test_coarse_spaces_of_a_bare_matrix_take_restricted_obstacles(made):
     grids = membrane(3, True)
@@ -218,18 +227,28 @@ def posed(**parts):
     return am.DiscreteProblem(**given | parts)
 
 
+def held_at(value, **limits):
+    square = am.Rectangle(width=1.0, height=1.0)
+    return am.Hierarchy.uniform(am.ScalarProblem(domain=square, value=value, **limits), (2, 4))
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [
         (lambda: posed(), "one of them"),
         (lambda: posed(bounds=am.Bounds(lower=1.0, upper=0.0)), "room between two"),
+        (lambda: posed(bounds=am.Bounds(lower=1.0, upper=1.0)), "prescribe values"),
+        (lambda: posed(bounds=am.Bounds(lower=np.inf)), r"bounds\.lower must be < inf"),
+        (lambda: posed(bounds=am.Bounds(upper=-np.inf)), r"bounds\.upper must be > -inf"),
         (lambda: posed(bounds=am.Bounds(lower=[0.0, 1.0])), "3 entries, one a dof"),
         (lambda: posed(bounds=am.Bounds(upper=np.array([0, np.nan, 1]))), "must be finite"),
         (lambda: posed(bounds=am.Bounds(upper=1.0), law=am.Coulomb(0.1)), "no tangents"),
         (lambda: posed(bounds=3), "Bounds"),
         (lambda: am.plot.deformation(am.solve(membrane(2, False))), "scalar"),
         (lambda: am.plot.contact(am.solve(membrane(2, False))), "scalar"),
-        (lambda: am.solve(membrane(2, False)).stress(), "no materials"),
+        (lambda: am.solve(membrane(2, False)).stress(), "scalar problem, which has no stresses"),
+        (lambda: held_at(0.0, lower=0.1), "lower must leave.* 0.1 beyond it"),
+        (lambda: held_at(0.0, upper=-0.1), "upper must leave.* 0.1 beyond it"),
         (lambda: am.Hierarchy.graded(am.ScalarProblem()), "from_meshes"),
         (lambda: am.cases.obstacle_problem(depth=0.3), "depth must be below 0.25"),
     ],
