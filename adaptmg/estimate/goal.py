@@ -118,7 +118,8 @@ class Goal:
     -----
     A quantity that the contact state holds (an opening while all nodes touch, the motion of a node
     that sticks) has no dual field; then elements are marked by the energy of the error, until a
-    finer mesh has another state.
+    finer mesh has another state. Where the estimate is rounding, as the load alone gives the quantity
+    on that mesh, a loop refines all elements alike; it ends where this happens on two meshes in a row.
 
     The signed estimate contains the algebraic error, as far as it leaves the contact state
     unchanged.

@@ -1,5 +1,7 @@
 """Peak pressure and dissipated energy as goals: their values, and their signed estimates."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,19 @@ def test_goals_of_contact_are_estimated_with_their_sign(case, quantity, value_of
         error = exact - float(step.estimate.value)
         assert 0.5 < float(step.estimate.signed) / error < 2
         assert abs(exact - float(step.estimate.corrected[0])) < abs(error)
+
+
+def test_a_loop_goes_on_where_the_load_alone_gives_the_goal():
+    problem = am.cases.hertz_cylinder()
+    goal = am.Goal(am.PeakPressure("contact"))
+    steps = list(am.adapt(problem, indicator=goal, max_nodes=4500))
+    assert np.count_nonzero(steps[0].result.contact.closed) == 1
+    # Hertz for 1 MN/m, R = 50 mm, E = 210 GPa, nu = .3: p = p0 (1 - x^2)^(1/2), whose mean of the
+    # power 9 over that of the power 8 is G(11/2)^2 / (G(6) G(5)) p0
+    peak = math.sqrt(1e6 * 2.1e11 / (2 * (1 - 0.3**2)) / (math.pi * 50e-3))
+    smoothed = math.gamma(5.5) ** 2 / (math.gamma(6) * math.gamma(5)) * peak
+    assert steps[-1].result.max_pressure == pytest.approx(peak, rel=0.01)
+    assert float(steps[-1].estimate.value) == pytest.approx(smoothed, rel=0.003)
 
 
 def test_goals_of_contact_name_what_they_refuse():
