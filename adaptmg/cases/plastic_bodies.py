@@ -124,7 +124,9 @@ def hill_cylinder(
 
     ``reference`` holds ``plastic_radius``, c, m, ``limit``, the pressure at which all of the tube
     yields, Pa, ``stress`` and ``residual_stress``, functions of the radius, m, that return the
-    radial and the hoop stress (2, n), Pa, under the pressure and after it, and ``sources``.
+    radial and the hoop stress (2, n), Pa, under the pressure and after it, and ``sources``. The tube
+    yields again as the pressure is taken away, and there is no ``residual_stress``, where the
+    pressure is above twice that at which yield begins.
 
     Parameters
     ----------
@@ -147,42 +149,45 @@ def hill_cylinder(
         raise ValueError(f"outer must be > inner, {a:g}, got {b:g}")
     steel = am.Plastic(am.Axisymmetric(young=young, poisson=poisson), yield_stress=yield_stress)
     k = steel.yield_stress / math.sqrt(3)
-    first, last = (_pressure_at(k, a, b, radius) for radius in (a, b))
-    if not first <= checks.quantity("pressure", pressure) < last:
+    first = _pressure_at(k, a, b, a)
+    last = _pressure_at(k, a, b, b)
+    pressure = checks.quantity("pressure", pressure)
+    if not first <= pressure < last:
         raise ValueError(
             f"pressure must be at least {first:.6g} Pa, where yield begins, and below the limit "
             f"{last:.6g} Pa, got {pressure!r}"
         )
-    radius = brentq(lambda c: _pressure_at(k, a, b, c) - pressure, a, b, xtol=1e-12 * b)
+    radius = brentq(lambda c: _pressure_at(k, a, b, c) - pressure, a, b, xtol=checks.ROUNDING * b)
     stress = partial(_tube_stress, k, a, b, radius, pressure)
-    height = 0.25 * (b - a)
+    reference = {
+        "quantity": "radial and hoop stress, Pa",
+        "plastic_radius": radius,
+        "limit": last,
+        "stress": stress,
+        "sources": {"stress": "Hill, The Mathematical Theory of Plasticity, 5.2"},
+    }
+    if pressure <= 2 * first:
+        reference["residual_stress"] = partial(_residual_stress, stress, a, b, pressure)
     return am.ContactProblem(
         name="Hill's cylinder",
         material=steel,
-        domain=am.Rectangle(width=b - a, height=height, origin=(a, 0.0)),
+        domain=am.Rectangle(width=b - a, height=0.25 * (b - a), origin=(a, 0.0)),
         loads=(am.Pressure("left", pressure),),
         supports=(am.Support("bottom", y=0.0), am.Support("top", y=0.0)),
         elements=elements,
-        reference={
-            "quantity": "radial and hoop stress, Pa",
-            "plastic_radius": radius,
-            "limit": last,
-            "stress": stress,
-            "residual_stress": partial(_residual_stress, stress, a, b, pressure),
-            "sources": {"stress": "Hill, The Mathematical Theory of Plasticity, 5.2"},
-        },
+        reference=reference,
     )
 
 
 def _pressure_at(k: float, a: float, b: float, c: float) -> float:
-    """The pressure that makes the tube yield within the radius c."""
+    """Return the pressure that makes the tube yield within the radius c."""
     return k * (2 * math.log(c / a) + 1 - (c / b) ** 2)
 
 
 def _tube_stress(
     k: float, a: float, b: float, c: float, pressure: float, r: np.ndarray
 ) -> np.ndarray:
-    """The radial and the hoop stress (2, n) of a tube that has yielded within the radius c."""
+    """Return the radial and the hoop stress (2, n) of a tube that has yielded within the radius c."""
     r = np.asarray(r, dtype=np.float64)
     yielded = r < c
     radial = np.where(yielded, -pressure + 2 * k * np.log(r / a), k * c**2 * (1 / b**2 - 1 / r**2))
@@ -192,7 +197,7 @@ def _tube_stress(
 def _residual_stress(
     stress: partial, a: float, b: float, pressure: float, r: np.ndarray
 ) -> np.ndarray:
-    """The same after the pressure."""
+    """Return the radial and the hoop stress (2, n) after the pressure."""
     r = np.asarray(r, dtype=np.float64)
     size = pressure * a**2 / (b**2 - a**2)
     return stress(r) - size * np.array([1 - (b / r) ** 2, 1 + (b / r) ** 2])

@@ -96,6 +96,19 @@ def test_hills_cylinder_has_the_stresses_of_the_closed_form(hill, step, name):
     assert result.cycles <= 20
 
 
+@pytest.mark.parametrize("outer", [0.15, 0.2, 0.3, 0.5])
+def test_residual_stresses_of_hills_cylinder_are_below_the_yield_stress(outer):
+    """In thick tubes they would not be: these yield again, and have none."""
+    limit = 2 * SIZE / np.sqrt(3) * np.log(outer / 0.1)
+    reference = am.cases.hill_cylinder(outer=outer, pressure=0.999 * limit).reference
+    radius = np.linspace(0.1, outer, 100)
+    # with a ratio of 2.22 the residual stress at the limit is twice the shear strength
+    assert ("residual_stress" in reference) == (outer < 0.222)
+    if "residual_stress" in reference:
+        radial, hoop = reference["residual_stress"](radius)
+        assert np.abs(hoop - radial).max() <= 2 * SIZE / np.sqrt(3)
+
+
 def pushed(turn: np.ndarray) -> am.ContactProblem:
     """A block on a rough plane under a moving one; its left side is guided. All is turned."""
     down = turn @ np.array((0.0, -1.0))
