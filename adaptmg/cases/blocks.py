@@ -275,9 +275,10 @@ def _tilted(
     )
 
 
-# m: a strut of 5 : 1; at half and twice the size the problem is the same, scaled
+# m: a strut of 5 : 1 and the radius of its foot; at other lengths the problem is the same, scaled
 _LENGTH = 1 / 10
 _WIDTH = _LENGTH / 5
+_FOOT = _LENGTH / 4
 
 
 def leaning_strut(
@@ -337,5 +338,5 @@ def leaning_strut(
 
 
 def _curved(points: np.ndarray) -> np.ndarray:
-    """Gap (n,) below the foot, radius 25 mm, m."""
-    return 20.0 * (points[:, 0] - _WIDTH / 2) ** 2
+    """Return the gap (n,) below the foot, m."""
+    return (points[:, 0] - _WIDTH / 2) ** 2 / (2 * _FOOT)

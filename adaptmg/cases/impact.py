@@ -40,11 +40,11 @@ def impact_bar(
     young : float
         Pa; Poisson's ratio is 0.
     density : float
-        kg/m^3, that of the Dynamics.
+        kg/m^3; give :class:`adaptmg.Dynamics` the same.
     gap : float
-        Of the bar from the wall at the start, m.
+        Distance of the bar from the wall at the start, m, > 0.
     speed : float
-        At which it flies, m/s, > 0: the initial velocity is (0, -speed).
+        Speed of the bar, m/s, > 0: give Dynamics the initial velocity (0, -speed).
 
     Examples
     --------
@@ -52,28 +52,23 @@ def impact_bar(
     >>> bar.reference["force"], round(bar.reference["end"], 4)
     (300.0, 1.1667)
     """
-    length, width, young, density, gap, speed = (
-        checks.quantity(name, value, positive=True)
-        for name, value in (
-            ("length", length),
-            ("width", width),
-            ("young", young),
-            ("density", density),
-            ("gap", gap),
-            ("speed", speed),
-        )
-    )
-    wave_speed = math.sqrt(young / density)
+    length = checks.quantity("length", length, positive=True)
+    density = checks.quantity("density", density, positive=True)
+    gap = checks.quantity("gap", gap, positive=True)
+    speed = checks.quantity("speed", speed, positive=True)
+    material = am.PlaneStrain(young=young, poisson=0.0)
+    domain = am.Rectangle(width=width, height=length)
+    wave_speed = math.sqrt(material.young / density)
     begin = gap / speed
     return am.ContactProblem(
         name="impact of a bar",
-        material=am.PlaneStrain(young=young, poisson=0.0),
+        material=material,
         law=am.Frictionless(),
-        domain=am.Rectangle(width=width, height=length),
+        domain=domain,
         contact=am.Contact("bottom", am.Plane(point=(0.0, -gap), normal=(0.0, 1.0))),
         reference={
             "quantity": "contact force, N/m, and times of contact, s",
-            "force": density * wave_speed * speed * width,
+            "force": density * wave_speed * speed * domain.width,
             "begin": begin,
             "end": begin + 2 * length / wave_speed,
             "wave_speed": wave_speed,

@@ -313,7 +313,7 @@ def upset_block(
     Friction holds the foot, so that sticking contact meets the free 90 degree corner at x = 0:
     there u ~ r^lambda with lambda < 1.
 
-    ``reference`` holds, for friction 0.5, ``exponent`` (lambda) and
+    ``reference`` holds, for friction 0.5 and a Poisson's ratio > 0, ``exponent`` (lambda) and
     ``uniform_rate``: the energy error falls like N^-uniform_rate on uniform meshes of N nodes.
 
     Parameters
