@@ -314,14 +314,14 @@ class Hierarchy:
         from adaptmg.transfer.galerkin import coarse_spaces
 
         checks.instance("discrete", discrete, DiscreteProblem, "a DiscreteProblem")
+        checks.flag("contact", contact)
         begin = clock()
         checked, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
         levels = [Level(discrete, None, checked[-1])]
         for P, above, A in zip(
             [None, *checked[:-1]][::-1], checked[::-1], matrices[::-1], strict=True
         ):
-            restricts = checks.flag("contact", contact)
-            problem = restricted_problem(levels[0].discrete, above, A) if restricts else None
+            problem = restricted_problem(levels[0].discrete, above, A) if contact else None
             levels.insert(0, Level(problem, None, P, galerkin=A))
         return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})
 
@@ -478,7 +478,7 @@ class Hierarchy:
         Parameters
         ----------
         finer : float
-            Of meshes all of whose sizes are that many times smaller than those of the finest one.
+            Factor by which the element sizes are smaller than those of the finest mesh.
         """
         finest = self.finest
         dim = finest.discrete.dim if finest.mesh is None else finest.mesh.dim
