@@ -436,7 +436,7 @@ def friction_at(law: FollowsState, pressure: np.ndarray, slip: np.ndarray) -> np
 
 @dataclass(frozen=True, eq=False)
 class NodalLaw:
-    """Limits and coefficients of the contact nodes of boundaries with laws of their own."""
+    """Give limits and coefficients at the contact nodes of boundaries with different laws."""
 
     slip_limit: np.ndarray  # (n_contact,), N
     friction: np.ndarray  # (n_contact,)
@@ -452,7 +452,7 @@ class NodalLaw:
 
 @dataclass(frozen=True, eq=False)
 class NodalStateLaw(NodalLaw):
-    """The same where laws depend on pressure and slip."""
+    """Give them where some of these laws depend on pressure and slip."""
 
     laws: tuple[tuple[FollowsState, np.ndarray], ...]  # each with its nodes, numbers (k,)
 
@@ -593,7 +593,7 @@ def _state_function(name: str, value: object) -> object:
         )
     try:
         inspect.signature(value).bind(None, None)
-    except ValueError:  # compiled functions may not tell
+    except ValueError:  # compiled functions may not have a signature
         pass
     except TypeError as error:
         raise TypeError(
@@ -610,15 +610,17 @@ class StateLaw(checks.Checked):
     The coefficient follows the iterates of a solver until it is that of their pressures and slips,
     and the certificate recomputes it from the result. Friction times pressure should not fall with
     the pressure, nor friction with the slip faster than the bodies can follow: there may then be
-    several solutions, and a warning says so.
+    several solutions, and a warning says so. Where friction rises steeply with the slip, ``Truncated``
+    takes the coefficients in part, and ``ActiveSet`` their tangents; ``SingleGrid`` and ``Monotone``,
+    which do neither, may not converge.
 
     Parameters
     ----------
     friction : callable
         Takes pressures (n,) in Pa and slips (n,) in m, and returns coefficients (n,), finite and
         >= 0 for pressures up to 1e12 and slips up to 1e3 (larger ones are cut). The slip is the
-        length of the way in contact, back and forth, of all steps of a load path
-        (:meth:`PathResult.slip_path`) and of the present step. On a DiscreteProblem the pressure
+        length of the path in contact, back and forth, in all steps of a load path
+        (:meth:`PathResult.slip_path`) and in the present step. On a DiscreteProblem the pressure
         is the nodal force over ``ContactNodes.weights``.
 
     Examples
