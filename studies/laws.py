@@ -31,19 +31,19 @@ VARIANTS = {
 
 
 def wearing(pressure: np.ndarray, slip: np.ndarray) -> np.ndarray:
-    """Friction that falls from 0.06 to 0.02 over a way of 20 mm."""
+    """Return coefficients that fall from 0.06 towards 0.02 over a slip length of 20 mm."""
     return 0.02 + 0.04 * np.exp(-slip / 2e-2)
 
 
 def bar(law: am.problem.Law, compliance: float, n: int) -> am.Hierarchy:
-    """The bar on a layer."""
+    """Return grids of the bar on a layer."""
     problem = am.cases.greco_bar(law=law)
     layer = replace(problem.contact[0], compliance=am.NormalCompliance(compliance))
     return am.Hierarchy.uniform(replace(problem, contact=layer), divisions=chain(n, 4))
 
 
 def run(variant: str, n: int) -> dict:
-    """Cycles of a variant, and of the bar with its coefficients given at the nodes."""
+    """Count cycles of a variant, and of the bar with its coefficients given at the nodes."""
     law, compliance = VARIANTS[variant]
     method = am.FullMultigrid(rtol=1e-8)
     result = am.solve(bar(law, compliance, n), method)

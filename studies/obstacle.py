@@ -38,12 +38,12 @@ CASES = {
 
 @lru_cache(maxsize=4)
 def grids(case: str, n: int) -> am.Hierarchy:
-    """Nested grids from 4 x 4 cells."""
+    """Return nested grids from 4 x 4 cells."""
     return am.Hierarchy.uniform(CASES[case], [2**k for k in range(2, n.bit_length())])
 
 
 def run(case: str, n: int, method: str) -> dict:
-    """Cycles, work and seconds of a method."""
+    """Measure cycles, work and seconds of a method."""
     hierarchy = grids(case, n)
     solver = METHODS[method] or am.SingleGrid(omega=2 / (1 + np.sin(np.pi / n)))
     result = am.solve(hierarchy, solver, throw=False)
@@ -58,13 +58,13 @@ def run(case: str, n: int, method: str) -> dict:
 
 
 def last_rate(result: am.Result) -> float:
-    """The mean rate of four cycles before corrections are 1e-10."""
+    """Return the mean rate of the last four cycles before corrections fall below 1e-10."""
     change = result.history["change"][result.history["change"] > 1e-10]
     return float((change[-1] / change[-5]) ** 0.25)
 
 
 def rates(case: str, n: int) -> dict:
-    """The rate of truncated cycles, and that of the linear problem with touching nodes held."""
+    """Measure the rate of truncated cycles, and that of the linear problem with touching nodes held."""
     discrete = grids(case, n).finest.discrete
     tight = am.Multigrid(correction=PLAIN, rtol=1e-12)
     result = am.solve(grids(case, n), tight, throw=False)
@@ -85,7 +85,7 @@ def rates(case: str, n: int) -> dict:
 
 
 def closed_form(case: str, size: float) -> dict:
-    """The error of the force on the floor, or of the torque, on meshes of a disc."""
+    """Measure the error of the force on the floor, or of the torque, on meshes of a disc."""
     force = case == "force on the floor"
     problem = am.cases.obstacle_problem() if force else am.cases.elastic_plastic_torsion()
     disc = am.Circle((0.0, 0.0), 1.0, "edge")
@@ -98,7 +98,7 @@ def closed_form(case: str, size: float) -> dict:
 
 
 def least_squares(n: int) -> float:
-    """How far the membrane is from what Lawson and Hanson's method finds, over the depth."""
+    """Return the largest distance from the solution by Lawson and Hanson's method, over the depth."""
     discrete, free = grids("floor", n).finest.discrete, ~grids("floor", n).finest.discrete.fixed
     factor = np.linalg.cholesky(discrete.matrix.toarray()[np.ix_(free, free)])
     rest = (discrete.load + 0.3 * (discrete.matrix @ free.astype(float)))[free]
@@ -117,9 +117,7 @@ def study(out: Output) -> None:
     ]
     table = am.Study(run, points, out.store).run(throw=True)
     table = table.drop(columns=["n", "status", "run_seconds", "error"])
-    note = (
-        "Cycles of one grid are sweeps, of the active set Newton steps: their factors are no work."
-    )
+    note = "Cycles of one grid are sweeps, of the active set Newton steps: their factors are not counted as work."
     formats = {"work": ".1f", "seconds": ".3f"}
     out.table("methods", table, "To 1e-8, by all methods", note, formats=formats)
     cells = [{"case": case, "n": n} for case in CASES for n in sizes[:2]]

@@ -55,7 +55,7 @@ class ContactNodes:
         of their boundary mass, over its own. Its force acts there too, in these proportions.
         Default none.
     compliance : (n_contact,) array, optional
-        By what the surface gives way, m/N: penetration over nodal force. Default 0.
+        Penetration of the surface over nodal force, m/N. Default 0.
 
     Examples
     --------
@@ -186,8 +186,8 @@ class ContactNodes:
         return self.normals.shape[1]
 
     def facing(self, moved: np.ndarray) -> ContactNodes:
-        """Return nodes with the normals and gaps of the obstacles that are nearest at displacements
-        (n_contact, dim), and without others."""
+        """Return the nodes of a scalar problem with the normals and gaps of the obstacles that are
+        nearest at displacements (n_contact, dim), and without the opposite ones."""
         if self.dim > 1:
             return self
         u_n = np.einsum("nd,nd->n", moved, self.normals)
@@ -295,7 +295,7 @@ class Bounds:
         shape = max(np.shape(lower), np.shape(upper), key=len) or fixed.shape
         if math.prod(shape) != len(fixed):
             raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
-        gaps = []  # against the axes, and along
+        gaps = []  # against the axes, and along them
         for name, limit, sign in (("lower", lower, -1.0), ("upper", upper, 1.0)):
             given = np.full(shape, limit) if np.ndim(limit) == 0 else limit
             values = sign * _limits(f"bounds.{name}", given, shape).reshape(-1)

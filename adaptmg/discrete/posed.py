@@ -354,7 +354,7 @@ class Posed:
         )
 
     def _compliance(self, nodes: np.ndarray, owner: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return by how much the surfaces at contact nodes give way, m/N."""
+        """Return the compliances (n,) of the surfaces at contact nodes, m/N."""
         result = np.zeros(len(nodes))
         for k, contact_part in enumerate(self.problem.contact):
             if contact_part.compliance is not None:
@@ -387,7 +387,7 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
     ]
     if all(law is problem.law for law in laws):
         law = problem.law.at_nodes(points, contact.weights)
-        check_law("law", law)  # a user's own may return anything
+        check_law("law", law)  # a user-defined law may return anything
         return law
     bounds = np.zeros((2, len(contact)))
     following: list[tuple[FollowsState, np.ndarray]] = []

@@ -1,5 +1,5 @@
-r"""ScalarProblem: one unknown a node, a membrane over or between obstacles, say, on meshes of the
-package.
+r"""ScalarProblem: problems with one unknown a node, such as a membrane between obstacles, on meshes
+of the package.
 
 .. math:: -\nabla\cdot(k\,\nabla u) = f,\qquad l \le u \le h,
 

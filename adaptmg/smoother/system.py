@@ -63,7 +63,7 @@ class NodalContact:
     #: problems only, None of others
     lowest: np.ndarray | None = None
     friction_at: FrictionAt | None = None
-    compliance: np.ndarray | None = None  # (n_contact,): what a surface gives way by, m/N; None: 0
+    compliance: np.ndarray | None = None  # (n_contact,): penetration over nodal force, m/N; None: 0
 
     @property
     def compliances(self) -> np.ndarray:

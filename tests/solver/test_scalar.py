@@ -24,8 +24,8 @@ METHODS = {
 
 
 def membrane(seed: int, two_sided: bool) -> am.Hierarchy:
-    """A membrane under a load of both signs, over a floor and perhaps under a ceiling that are not
-    flat, on nodes numbered at random."""
+    """Return grids of a membrane under a load of both signs, over a floor and perhaps under a
+    ceiling, neither of which is flat."""
     rng = np.random.default_rng(seed)
     size, waves = 10.0 ** rng.uniform(-2, 2), rng.uniform(2, 6, 4)
     problem = am.ScalarProblem(
@@ -40,7 +40,7 @@ def membrane(seed: int, two_sided: bool) -> am.Hierarchy:
 
 
 def bounded_least_squares(problem: am.DiscreteProblem) -> np.ndarray:
-    """The solution (n_nodes,) as the least |L'u - L^-1 b| within the bounds, A = LL'."""
+    """Return the solution (n_nodes,): the least |L'u - L^-1 b| within the bounds, A = LL'."""
     lower, upper = np.full((2, problem.n_nodes), np.inf)
     contact = problem.contact
     up = contact.normals[:, 0] > 0

@@ -23,12 +23,12 @@ PLANE, SPACE = (2, 0.4, (0.3, -0.2)), (3, (0.2, -0.3, 0.5), (0.1, 0.2, -0.1))
 
 
 def falling(pressure, slip):
-    """Of a surface whose roughness is pressed flat, and worn."""
+    """Return the friction of a surface whose roughness is pressed flat, and worn."""
     return (0.1 + 0.4 / (1 + pressure / 5e7)) * (0.7 + 0.3 * np.exp(-slip / 1e-5))
 
 
 def block(law, place=PLANE, compliance=None, push=1e8, poisson=0.2):
-    """A block pressed on a plane and pushed along it."""
+    """Return grids of a block pressed on a plane and pushed along it."""
     dim, turn, shift = place
     domain = (
         am.Rectangle(width=0.04, height=0.04)
@@ -50,7 +50,7 @@ def block(law, place=PLANE, compliance=None, push=1e8, poisson=0.2):
 
 
 def given(grids, friction):
-    """The same with coefficients by node on the finest level."""
+    """Return the same grids with given coefficients at the nodes of the finest level."""
     discrete = grids.finest.discrete.posing(law=am.Coulomb(friction))
     return replace(grids, levels=(*grids.levels[:-1], grids.finest.posing(discrete=discrete)))
 
@@ -103,12 +103,12 @@ def test_friction_that_rises_steeply_with_the_slip_needs_no_other_method(place):
 
 
 def wearing(pressure, slip):
-    """So little friction that its moment does not lift an edge."""
+    """Return friction so low that its moment does not lift an edge."""
     return 0.002 + 0.004 * np.exp(-slip / 2e-2)
 
 
 def dragged(friction=wearing):
-    """A nearly rigid block, pressed on a plane and dragged to and fro."""
+    """Return grids of a nearly rigid block, pressed on a plane and dragged to and fro."""
     problem = am.ContactProblem(
         domain=am.Rectangle(width=0.1, height=0.01),
         material=am.PlaneStrain(young=1e12, poisson=0.0),
@@ -120,14 +120,14 @@ def dragged(friction=wearing):
 
 
 PLACES = [0.5, 1.0, 2.0, 1.5, 0.0, 1.0]
-WAY = am.LoadPath({"drag": PLACES})
+DRAG = am.LoadPath({"drag": PLACES})
 
 
 @pytest.mark.parametrize("method", [FINE, am.ActiveSet(rtol=1e-7)], ids=IDS[:2])
 def test_friction_of_a_rigid_block_falls_with_its_way(method):
     moves = 1e-2 * np.diff(PLACES, prepend=0.0)
     expected = -np.sign(moves) * 1e5 * wearing(0.0, np.cumsum(np.abs(moves)))
-    forces = [step.resultant("contact").force[0] for step in am.solve_path(dragged(), WAY, method)]
+    forces = [step.resultant("contact").force[0] for step in am.solve_path(dragged(), DRAG, method)]
     np.testing.assert_allclose(forces, expected, rtol=2e-5)
 
 
@@ -137,12 +137,12 @@ def test_stored_paths_go_on_with_the_slips_so_far(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        am.solve_path(dragged(), WAY, store=tmp_path, callback=stop)
-    again = am.solve_path(dragged(), WAY, store=tmp_path)
-    for one, other in zip(am.solve_path(dragged(), WAY), again, strict=True):
+        am.solve_path(dragged(), DRAG, store=tmp_path, callback=stop)
+    again = am.solve_path(dragged(), DRAG, store=tmp_path)
+    for one, other in zip(am.solve_path(dragged(), DRAG), again, strict=True):
         np.testing.assert_array_equal(one.displacement, other.displacement)
     with pytest.raises(ValueError, match="law differs"):
-        am.solve_path(dragged(lambda p, s: wearing(p, 1.1 * s)), WAY, store=tmp_path)
+        am.solve_path(dragged(lambda p, s: wearing(p, 1.1 * s)), DRAG, store=tmp_path)
 
 
 @pytest.mark.parametrize("method", METHODS, ids=IDS)
@@ -245,7 +245,7 @@ def test_doubtful_laws_are_warned_of(friction, words):
         am.solve(block(am.StateLaw(friction)), throw=False)
 
 
-class Mine:
+class UserDefined:
     setup = None.__init__
 
 
@@ -262,7 +262,7 @@ test_refused = refused(
         TypeError,
         r"two arguments.* slips in m, got one of \(p\)",
     ),
-    (solved(Mine()), "user-defined method cannot follow a StateLaw; use"),
+    (solved(UserDefined()), "user-defined method cannot follow a StateLaw; use"),
     (solved(am.SingleGrid(stop="change")), 'stop="error"'),
     (lambda: am.NormalCompliance(-1e-13), "compliance must be"),
     (solved(am.Multigrid(correction=am.Monotone()), compliance=SOFT), "correction=am.Truncated"),
