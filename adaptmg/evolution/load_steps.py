@@ -139,6 +139,11 @@ def step_outcome(
     return restarted(solver, hierarchy, examiner, run, past), None, None
 
 
+def without_nested_start(solver: FullMultigrid) -> Multigrid:
+    """Return the Multigrid with the parameters of a FullMultigrid."""
+    return Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
+
+
 def restarted(
     solver: Solver, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
 ) -> Outcome:
@@ -146,7 +151,7 @@ def restarted(
     if not (past.given or past.near):
         return solver.run(hierarchy, run, None)
     if isinstance(solver, FullMultigrid):
-        solver = Multigrid(**{item.name: getattr(solver, item.name) for item in fields(Multigrid)})
+        solver = without_nested_start(solver)
     start = past.extrapolated if past.near else better_start(examiner, past, run)
     return solver.run(hierarchy, run, start)
 

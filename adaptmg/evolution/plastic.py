@@ -18,7 +18,7 @@ from __future__ import annotations
 import copy
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import is_dataclass, replace
 from functools import partial
 from typing import Any, cast
 
@@ -27,7 +27,8 @@ import numpy as np
 from adaptmg.discrete.plasticity import InelasticBodies, Response
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.stress import StressData
+from adaptmg.discrete.stress import PlasticState, StressData
+from adaptmg.evolution.load_steps import without_nested_start
 from adaptmg.evolution.path_loop import PathLoop
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
@@ -90,7 +91,7 @@ class PlasticLoop(PathLoop):
             result = super().step(k, progress)
             if result.status.ok:
                 done = self.share
-                self.state = self._data_of(result).state
+                self.state = _state_of(result)
             elif part > _SMALLEST:
                 vars(self).update(before)
                 part /= 2
@@ -102,10 +103,7 @@ class PlasticLoop(PathLoop):
 
     def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
         super().take_over(k, result, coarse)
-        self.state = self._data_of(result).state
-
-    def _data_of(self, result: Result) -> Any:
-        return cast("StressData", result.stress_data).plastic
+        self.state = _state_of(result)
 
     def _solve(
         self,
@@ -151,6 +149,12 @@ class PlasticLoop(PathLoop):
                 data,
             )
         return result, (grids, forces, None)
+
+
+def _state_of(result: Result) -> np.ndarray:
+    """Return the states of the plastic patches at the end of a step."""
+    data = cast("StressData", result.stress_data)
+    return cast("PlasticState", data.plastic).state
 
 
 class _Newton:
@@ -222,10 +226,9 @@ class _Newton:
         start = self.at.displacement
         unloaded = not start.any()
         if isinstance(solver, FullMultigrid) and not (unloaded and grids.discretised):
-            names = [item.name for item in fields(Multigrid)]
-            solver = Multigrid(**{name: getattr(solver, name) for name in names})
+            solver = without_nested_start(solver)
         if is_dataclass(solver) and hasattr(solver, "rtol"):
-            changed: dict[str, Any] = {"rtol": tolerance}
+            changed: dict[str, float] = {"rtol": tolerance}
             if isinstance(solver, Multigrid) and not last:
                 changed["max_cycles"] = min(_CYCLES, solver.max_cycles)
             solver = replace(cast("Any", solver), **changed)
