@@ -212,7 +212,8 @@ def deformation(
         *style.state_lines(present),
     ]
     if isinstance(colors, Coloring):
-        bar = style.figure_of(ax).colorbar(
+        figure = style.figure_of(ax)
+        bar = figure.colorbar(
             ScalarMappable(colors.norm),
             ax=ax,
             label=colors.label,
@@ -222,6 +223,10 @@ def deformation(
         )
         bar.outline.set_visible(False)
         style.legend_below(ax, handles)
+        if style.narrow(ax):
+            figure.draw_without_rendering()
+            if bar.ax.yaxis.label.get_window_extent().y1 > figure.bbox.y1:
+                bar.set_label(colors.label.replace(", ", ",\n"))
     else:
         patches = [
             Patch(facecolor=color, edgecolor=style.INK, linewidth=0.6, label=style.plain(name))

@@ -84,11 +84,13 @@ def history(
         )
         ax.annotate(
             "rtol",
-            (1.0, next(iter(runs.values())).rtol),
+            (0.0, next(iter(runs.values())).rtol),  # curves end at the right
+            (3, 0),
             xycoords=("axes fraction", "data"),
+            textcoords="offset points",
             color=style.GREY,
             fontsize="small",
-            ha="right",
+            ha="left",
             va="bottom",
         )
     ax.set_xlabel(_AGAINST[against])

@@ -19,6 +19,12 @@ import adaptmg as am
 from adaptmg import plot
 
 PLANE, SOLID = two_bodies(), two_bodies(3, 4, 3)
+FLAT = am.solve(
+    am.Hierarchy.uniform(
+        dataclasses.replace(am.cases.greco_bar(), domain=am.Rectangle(width=40e-3, height=20e-3)),
+        divisions=((4, 2), (8, 4)),
+    )
+)
 
 
 def adapted(case: am.ContactProblem, size: float, nodes: int) -> list[am.Step]:
@@ -43,6 +49,7 @@ PICTURES = {
     "deformation 2D stress": lambda: plot.deformation(PLANE, stress=True, states=True),
     "deformation 3D stress": lambda: plot.deformation(SOLID, stress=True, states=True),
     "deformation 3D from below": lambda: turned(plot.deformation(SOLID, displacement=True)),
+    "deformation of a flat body": lambda: plot.deformation(FLAT, stress=True, states=True),
     "history": lambda: plot.history({"truncated": PLANE, "a long label of a method": SOLID}),
     "path": lambda: plot.path(result_on(square(4)), steps=8),
     "load_history 2D": lambda: plot.load_history(

@@ -52,6 +52,21 @@ def test_pictures_have_the_units_that_are_set(chosen):
     assert "[psi]" in bar.get_ylabel()
 
 
+def test_units_change_no_shape_of_a_curve(chosen):
+    slip = np.abs(RESULT.contact.slip).max()
+
+    def shape() -> np.ndarray:
+        ax = am.plot.contact(RESULT).axes[2]
+        (drawn,) = (line for line in ax.get_lines() if line.get_label() == "slip")
+        return np.array(ax.get_ylim()) * slip / np.abs(drawn.get_ydata()).max()
+
+    metres = shape()
+    assert 1e-6 < slip < metres[1] < 3 * slip
+    for units in ("mm-MPa", "in-psi"):
+        chosen(units)
+        np.testing.assert_allclose(shape(), metres, rtol=0.01)
+
+
 def test_reports_convert_columns_whose_unit_is_given(chosen):
     table = pd.DataFrame({"peak": [2e6], "n": [3]})
 
