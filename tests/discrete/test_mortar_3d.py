@@ -8,6 +8,7 @@ from refused import refused
 from scipy.spatial import ConvexHull, Delaunay
 from scipy.spatial.transform import Rotation
 
+import adaptmg as am
 from adaptmg.discrete.mortar import NEVER_FACING
 from adaptmg.mesh.arrays import Surface
 
@@ -258,3 +259,29 @@ def test_a_narrow_strip_of_coverage_is_stable():
     )
     np.testing.assert_allclose(interface.gaps, 0.1, atol=1e-10)
     assert interface.weights.sum() == pytest.approx(1e-6, rel=1e-2)
+
+
+def overhanging(lean: float) -> float:
+    """Return the largest displacement of a block that overhangs another one, whose wall belongs to
+    its contact boundary and leans outwards."""
+    upper = am.Polygon(
+        vertices=((0, 0), (1, 0), (1, 0.5), (0, 0.5)), boundaries=("under", "right", "head", "left")
+    )
+    lower = am.Polygon(
+        vertices=((0, -0.5), (0.6 + 0.5 * lean, -0.5), (0.6, 0), (0, 0)),
+        boundaries=("foot", "contact", "contact", "left"),
+    )
+    parts = {"upper": am.Extrusion(upper, 0.5), "lower": am.Extrusion(lower, 0.5)}
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=parts),
+        material=am.Solid(young=2e11, poisson=0.3),
+        contact=am.ContactPair("upper.under", "lower.contact"),
+        law=am.Coulomb(0.3),
+        loads=am.Pressure("upper.head", 1e7),
+        supports=(am.Support("lower.foot", x=0, y=0, z=0), am.Support("upper.left", x=0)),
+    )
+    return np.abs(am.solve(am.Hierarchy.graded(problem, (0.25, 0.14))).displacement).max()
+
+
+def test_walls_that_lean_by_the_digits_of_a_file_change_nothing():
+    assert overhanging(1e-5) == pytest.approx(overhanging(0.0), rel=1e-3)
