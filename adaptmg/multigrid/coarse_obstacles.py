@@ -27,8 +27,8 @@ class CoarseObstacles:
         #: the level below; None where weights at contact nodes are negative, and nothing is safe
         safe = all((level.contact_prolongation.data > 0).all() for level in levels[1:])
         self.number = step.number - 1 if safe else None
-        # cycles from zero to 1e-8, floor and torsion with 64 and 256 cells a side, corrections
-        # shortened: W 8, 8, 10, 12, F 8, 8, 11, 14, V 10, 13, 14, 19; W with two sweeps 8, 7, 10, 11
+        # cycles from zero to 1e-8, floor and torsion with 64 and 256 cells a side: W and F 7, 7, 9, 8,
+        # V 7, 8, 9, 12; W with two sweeps 7, 7, 8, 8
         self.cycle = MultigridCycle(
             levels,
             Cycle(shape="W", pre=1, post=1),

@@ -124,7 +124,7 @@ DRAG = am.LoadPath({"drag": PLACES})
 
 
 @pytest.mark.parametrize("method", [FINE, am.ActiveSet(rtol=1e-7)], ids=IDS[:2])
-def test_friction_of_a_rigid_block_falls_with_its_way(method):
+def test_friction_of_a_rigid_block_falls_with_its_path(method):
     moves = 1e-2 * np.diff(PLACES, prepend=0.0)
     expected = -np.sign(moves) * 1e5 * wearing(0.0, np.cumsum(np.abs(moves)))
     forces = [step.resultant("contact").force[0] for step in am.solve_path(dragged(), DRAG, method)]
