@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class _System(NamedTuple):
-    """A system of units: by what lengths in m and forces in N are multiplied, and the names."""
+    """A system of units: factors of lengths in m and of forces in N, and names of units."""
 
     length: float
     force: float
@@ -81,7 +81,7 @@ def set_units(units: str) -> None:
     ----------
     units : {"SI", "mm-MPa", "in-psi"}
         "SI": m, N, Pa, with prefixes in pictures; "mm-MPa": mm, N, MPa; "in-psi": inch, lbf, psi.
-        One call takes others: ``result.contact.table(units="mm-MPa")``.
+        A single table takes others: ``result.contact.table(units="mm-MPa")``.
 
     Examples
     --------

@@ -203,15 +203,15 @@ def study(out: Output) -> None:
         formats={"energy_error": ".2e", "cpu": ".2f"},
     )
     named = [line for line in lines if line["problem"] in SHOWN]
+    places = "; ".join(f"{SHOWN[line['problem']]} ({line['error']:.2g} %)" for line in named)
     out.table(
         "saved",
         pd.DataFrame(
             {"meshes": name}
             | {
-                f"{what} saved: "
-                + "; ".join(
-                    f"{SHOWN[line['problem']]} ({line['error']:.2g} %)" for line in named
-                ): "; ".join(f"{line[f'{name}: {what}']:.1f}" for line in named)
+                f"{what} saved: {places}": "; ".join(
+                    f"{line[f'{name}: {what}']:.1f}" for line in named
+                )
                 for what in ("nodes", "seconds")
             }
             for name in FAMILIES

@@ -140,7 +140,7 @@ def _parser(command: str) -> _Parser:
         _warm,
         "compile all kernels in one go, so that no later solve waits for them",
         "",
-        "Each kernel is compiled once on a machine and stored. All of them took a minute of one processor here.",
+        "Each kernel is compiled once on a machine and stored. All of them take about a minute of one processor.",
     )
     return parser
 

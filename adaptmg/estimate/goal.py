@@ -109,10 +109,10 @@ class Goal:
 
     Parameters
     ----------
-    quantity : Displacement, MeanDisplacement, ContactForce, Opening, or a sequence of these
-        Of several (also several points of one Displacement) everything is relative to their values:
-        the squares are sums of relative parts, ``value`` is 1 and ``signed`` the relative error of
-        that with the largest.
+    quantity : Displacement, MeanDisplacement, ContactForce, Opening, PeakPressure, Dissipation
+        Or a sequence of these. Of several (also several points of one Displacement) everything is
+        relative to their values: the squares are sums of relative parts, ``value`` is 1 and
+        ``signed`` the relative error of that with the largest.
 
     Notes
     -----
@@ -142,7 +142,7 @@ class Goal:
                 item,
                 "functionals",
                 "Displacement(...), MeanDisplacement(...), "
-                "ContactForce(...), Opening(...), or several of these",
+                "ContactForce(...), Opening(...), PeakPressure(...), Dissipation(...), or several of these",
             )
         if not self.quantities:
             raise ValueError("quantity is empty: give at least one")

@@ -8,9 +8,8 @@ With its 99 % quantile :math:`q`
 
 - a mesh is put in between where q > 4.5 and the engine can make one (at 4 it has hardly more nodes
   than the coarser),
-- a level is dropped where it has nearly as many nodes as the next finer one, and q <= 3.5 holds
-  without it (at 4, two bisections of everything near a singularity, the flat punch's rate goes from
-  .6 to .75 and the work of the loop up).
+- a level is dropped where it has nearly as many nodes as the next finer one, and q <= 4.5 holds
+  without it.
 
 With a load path every mesh goes along the whole path, and is refined for its last load step or for
 all.

@@ -89,8 +89,9 @@ def worded(name: object, unit: str | None = None) -> tuple[str, str]:
     if not _IDENTIFIER.fullmatch(text):
         return text, unit
     words = text.split("_")
-    if (own := _UNITS.get(words[-1].lower())) and unit in ("", own):
-        unit = own
+    last = _UNITS.get(words[-1].lower())
+    if last and unit in ("", last):
+        unit = last
         words.pop()
     return " ".join(words), unit
 
@@ -502,8 +503,7 @@ def study_report(
 
     page.section("Results")
     axis = axes_of_study(done, parameters) if len(done) else None
-    known = {name: unit for name, unit in units.items() if name in done}
-    shown, names = with_units(done, known)
+    shown, names = with_units(done, {name: units[name] for name in units if name in done})
     for result in map(str, drawn):
         if axis is not None:
             drawing = curves(shown, axis, result, names.get(result, ""), names.get(axis.along, ""))
