@@ -314,7 +314,8 @@ def solve_path(
     Raises
     ------
     ValueError
-        Bad input, or a rigid motion that neither supports nor contact hold in a step.
+        Bad input, or a rigid motion that neither supports nor contact hold in a step. All steps are
+        checked before the first is solved; with Rigid obstacles or Preload, each before it is solved.
     StepNotConverged
 
     Warns

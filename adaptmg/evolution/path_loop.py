@@ -85,6 +85,10 @@ class PathLoop:
         self.accumulated_slip = finest.discrete.contact.accumulated_slip
         #: the solutions of the last two steps, and the forces that led there
         self.recent = [(np.zeros(finest.discrete.n_unknowns), np.zeros(finest.discrete.n_dofs))]
+        if not self.controls.motions:
+            # a step that nothing holds should show before the first step is solved, too
+            for k in range(len(path)):
+                self._check_statics(k, self._posed(k, {}))
 
     @property
     def _limit(self) -> float:
@@ -154,8 +158,9 @@ class PathLoop:
                 near is not None,
                 loose,
             )
-        with run.phase("statics"):
-            self._check_statics(k, grids)
+        if self.controls.motions:
+            with run.phase("statics"):
+                self._check_statics(k, grids)
         if self._at_rest(forces):
             return self._undeformed(k, grids, run, motions), (grids, forces, None)
         outcome, self.multigrid, coarse = step_outcome(

@@ -121,8 +121,6 @@ class PlasticLoop(PathLoop):
             problem = grids.finest.discrete
             forces = problem.load_from_prescribed()
             self.examiner = Examiner(problem, self.bodies)
-        with run.phase("statics"):
-            self._check_statics(k, grids)
         data = self._stress_data(k, motions)
         if self._at_rest(forces) and not self.state.any():
             result = self._undeformed(k, grids, run, motions)

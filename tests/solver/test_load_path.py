@@ -300,11 +300,15 @@ class TestData:
         with pytest.raises(ValueError, match="'lid' and 'side' prescribe different displacements"):
             am.solve_path(grids, am.LoadPath({"lid": [1, 2], "side": [1, 1]}))
 
-    def test_rigid_motion_in_a_step_is_named(self, rough):
+    def test_rigid_motion_in_a_step_is_named_before_any_is_solved(self, rough):
+        solved = []
         with pytest.raises(
             ValueError, match=r"step 1 of 2 \(top=-1, left=1\): .*translation along y"
         ):
-            am.solve_path(rough, am.LoadPath({"top": [1, -1]}))
+            am.solve_path(
+                rough, am.LoadPath({"top": [1, -1]}), callback=lambda k, _: solved.append(k)
+            )
+        assert not solved
 
 
 def solved_steps(*arguments, **options) -> list[int]:
