@@ -180,7 +180,8 @@ def test_user_defined_parts_see_one_thread():
     graded(transfer=Asks())
     problem = replace(am.cases.greco_bar(), law=am.Tresca(limit), reference={})
     am.discretise(problem, am.mesh.structured(problem.domain, 4))
-    assert len(seen) >= 4 * len(blas_threads()) and set(seen) == {1}
+    uniform().with_problem(problem)
+    assert len(seen) >= 5 * len(blas_threads()) and set(seen) == {1}
 
 
 def test_a_fork_inside_is_free_again():
