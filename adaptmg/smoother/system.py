@@ -342,9 +342,9 @@ def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     obstacles on both sides, count along the axis."""
     dim = problem.dim
     fixed = problem.fixed.reshape(-1, dim).copy()
-    frames = (
-        np.abs(frames_of(problem.contact, fixed)) if dim == 1 else frames_of(problem.contact, fixed)
-    )
+    frames = frames_of(problem.contact, fixed)
+    if dim == 1:
+        frames = np.abs(frames)
     at_contact = fixed[problem.contact.nodes]
     # tangent j is fixed if all of it lies in fixed Cartesian components
     share = np.einsum("nij,nj->ni", frames**2, at_contact.astype(float))

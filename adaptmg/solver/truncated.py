@@ -282,7 +282,7 @@ class TruncatedRun:
         ]
         self._coarse: CoarseContact | CoarseObstacles | None = None
         self._keeps = keeps
-        self._kept: dict[int, TruncatedStep] = {}
+        self._steps: dict[int, TruncatedStep] = {}
 
     def pose(self, hierarchy: Hierarchy, run: Run) -> None:
         """Go on to a hierarchy that differs in loads, prescribed values, gaps and slip references
@@ -294,7 +294,7 @@ class TruncatedRun:
         self.problems = [level.discrete_or_none for level in hierarchy.levels]
         self.cycle.factors.forget()
         with run.phase("setup"):
-            for number, step in self._kept.items():
+            for number, step in self._steps.items():
                 step.restore()
                 step.pose(self.problems[number])
 
@@ -375,7 +375,7 @@ class TruncatedRun:
         with self.run.phase("cycles"):
             first = parts.begin(start)
             del start  # long vectors limit the size of a problem
-            # no name keeps a state: the test may let go of what is large
+            # no variable refers to the first state: the test may release its large arrays
             state, status = iterate(cycles.step, cycles.measure, cycles.step(first), stop, self.run)
         failed = status in (Status.STALLED, Status.DIVERGED) and stop.rtol > 0 and not stop.rests()
         return Outcome(
@@ -390,9 +390,9 @@ class TruncatedRun:
         )
 
     def steps_on(self, number: int) -> TruncatedStep:
-        """Steps on level ``number``."""
-        if number in self._kept:
-            return self._kept[number]
+        """Return the steps on level ``number``."""
+        if number in self._steps:
+            return self._steps[number]
         with self.run.phase("setup"):
             problem = self.problems[number]
             parts = self.parts
@@ -415,11 +415,11 @@ class TruncatedRun:
                     if level.n_dofs > CoarseContact.MOST and problem.dim > 1:
                         level.drop_diagonal()
             if self._keeps:
-                self._kept[number] = step
+                self._steps[number] = step
             return step
 
     def _coarse_contact(self, step: TruncatedStep) -> CoarseContact | CoarseObstacles:
-        """The coarse contact problem of the finest level, made when it is first asked for."""
+        """Return the coarse contact problem of the finest level, made when it is first needed."""
         if self._coarse is None or self._coarse.step is not step:
             coordinates = [None if each is None else each.coordinates for each in self.problems]
             scalar = step.contact.dim == 1
