@@ -173,6 +173,11 @@ def cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
 
+# a master facet faces a slave facet if it leans towards its normal by more than this angle (rad). Walls that
+# are upright but for the digits of a file have large gaps, by which nodes next to them would lose contact: the
+# displacement of a block that overhangs a wall with a lean of 1e-5 is 15 % larger if it counts
+_GRAZING = 1e-2
+
 # -- in the plane ---------------------------------------------------------------------------------------------------
 
 _GAUSS = np.polynomial.legendre.leggauss(4)
@@ -260,9 +265,12 @@ def _edges_near(
     frames = np.stack([np.column_stack([mean[:, 1], -mean[:, 0]]), mean], axis=1) / shortest
     local = np.einsum("ead,ekd->eka", frames, corners - x[:, :1])
     pad = 1e-12 * surfaces.size
-    return BoxTree(surfaces.points, surfaces.master).meeting(
+    edge, facet = BoxTree(surfaces.points, surfaces.master).meeting(
         frames, np.ascontiguousarray(x[:, 0]), local.min(axis=1) - pad, local.max(axis=1) + pad
     )
+    leaning = np.einsum("pd,pkd->pk", surfaces.master_side.vectors[facet], n[edge]).min(axis=1)
+    facing = leaning < -_GRAZING * surfaces.master_side.measures[facet]
+    return edge[facing], facet[facing]
 
 
 def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.ndarray:
@@ -412,10 +420,6 @@ def nearest_pieces(
 
 # -- in space -------------------------------------------------------------------------------------------------------
 
-# a master facet faces a slave facet if it leans towards its normal by more than this angle (rad). Walls that
-# are upright but for the digits of a file have large gaps, by which nodes next to them would lose contact: the
-# displacement of a block that overhangs a wall with a lean of 1e-5 is 15 % larger if it counts
-_GRAZING = 1e-2
 # three points of unit covariance, coordinate by coordinate
 _POINTS = np.sqrt(2) * np.array(
     [np.cos([0, 2 * np.pi / 3, 4 * np.pi / 3]), np.sin([0, 2 * np.pi / 3, 4 * np.pi / 3])]

@@ -60,7 +60,7 @@ def moved(points, angle, shift):
     return points @ np.array([[c, s], [-s, c]]) + shift
 
 
-def covered_parts(slave, master, min_coverage=1e-3):
+def covered_parts(slave, master, min_coverage=1e-6):
     """Covered intervals of the edges of a flat slave surface, but those that are covered too
     little."""
     low, high = np.maximum(slave[:-1], master[0]), np.minimum(slave[1:], master[-1])
@@ -149,6 +149,14 @@ class TestFlat:
         np.testing.assert_array_equal(
             mortar(*two(line(xs), line(xm, up=True))).nodes, np.arange(first, 6)
         )
+
+    @pytest.mark.parametrize("lean", [1e-7, 1e-5, 5e-3])
+    def test_walls_that_lean_by_the_digits_of_a_file_have_no_gaps(self, lean):
+        wall = np.array([[0.5 + 0.5 * lean, -0.5], [0.5, 0.0], [0.0, 0.0]])
+        slave, master = (moved(x, 0.7, (1.0, 2.0)) for x in (line(np.linspace(0, 1, 6)), wall))
+        found = mortar(*two(slave, master))
+        np.testing.assert_array_equal(found.nodes, range(4))
+        np.testing.assert_allclose(found.gaps, 0.0, atol=1e-12)
 
     def test_a_hole_in_the_master_surface(self):
         xs, left, right = (
