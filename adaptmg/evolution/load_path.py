@@ -315,7 +315,8 @@ def solve_path(
     ------
     ValueError
         Bad input, or a rigid motion that neither supports nor contact hold in a step. All steps are
-        checked before the first is solved; with Rigid obstacles or Preload, each before it is solved.
+        checked before the first is solved; with Rigid obstacles or Preload, rigid motions only
+        before their step is solved.
     StepNotConverged
 
     Warns

@@ -265,6 +265,16 @@ class Controls:
         result += [[bolt.force, bolt.direction, *_numbers([bolt.at])] for bolt in self.bolts]
         return [list(map(float, numbers)) for numbers in result]
 
+    def check_pressed(self, factors: Mapping[str, float]) -> None:
+        """Raise ValueError where the factor of the only force of an obstacle does not press it."""
+        for obstacle in self.rigid.values():
+            only, *further_forces = obstacle.forces
+            if not (further_forces or factors[only] > 0):
+                raise ValueError(
+                    f"the factor of {only!r}, which a force presses, must be > 0, got {factors[only]:g}: "
+                    "begin and end with a small one"
+                )
+
     def unknowns(self, factors: Mapping[str, float]) -> list[_Unknowns]:
         """Return what is to be found in a step with these factors."""
         result: list[_Unknowns] = []
@@ -279,12 +289,6 @@ class Controls:
         for number, obstacle in self.rigid.items():
             name = obstacle.name
             dim = obstacle.dim
-            only, *further_forces = obstacle.forces
-            if not (further_forces or factors[only] > 0):
-                raise ValueError(
-                    f"the factor of {only!r}, which a force presses, must be > 0, got {factors[only]:g}: "
-                    "begin and end with a small one"
-                )
             loaded = obstacle.loaded(factors).targets
             targets = loaded[list(obstacle.free)]
             force = float(np.linalg.norm(np.nan_to_num(loaded[:dim])))

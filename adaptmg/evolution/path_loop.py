@@ -65,16 +65,18 @@ class PathLoop:
             for posed, level in coarse
         ]
         self.loads.append(self.finest_loads)
+        self.controls = Controls(problem, grids.finest)
         for k in range(len(path)):
-            # two supports that no longer agree should show before the first step is solved
+            # supports that no longer agree, and forces that do not press, should show before the
+            # first step is solved
             self.finest_loads.fixed_values(self._factors_at(k))
+            self.controls.check_pressed(self._factors_at(k))
         finest = grids.finest
         self.bodies = free_bodies(self.posed[-1], finest.discrete)
         self.examiner = Examiner(finest.discrete, self.bodies)
         #: the solver with the tolerance of the steps, and what its truncated multigrid has set up
         self.step_solver = solver
         self.multigrid: TruncatedRun | None = None
-        self.controls = Controls(problem, grids.finest)
         #: displacements of the last step on the levels; the method has those of coarse ones, or they are interpolated
         self.levels = [
             np.zeros(level.discrete.n_dofs)

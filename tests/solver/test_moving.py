@@ -458,7 +458,7 @@ def test_what_cannot_be_found_is_refused():
     def refused(obstacle, words, path=am.LoadPath(), law=am.Frictionless()):
         grids, *_ = turned_block(np.random.default_rng(1), obstacle, law)
         with pytest.raises(ValueError, match=words):
-            am.solve_path(grids, path)
+            am.solve_path(grids, path, callback=lambda *_: pytest.fail("a step was solved"))
 
     def rigid(direction, name="punch"):
         return lambda place, vector: am.Rigid(
@@ -469,7 +469,7 @@ def test_what_cannot_be_found_is_refused():
     refused(
         rigid((0.0, -1.0)),
         "the factor of 'punch', which a force presses, must be > 0, got 0",
-        am.LoadPath({"punch": [0, 1]}),
+        am.LoadPath({"punch": [0.5, 1, 0]}),
     )
     refused(rigid((0.5, -1.0)), "nothing resists 'punch'")
     grids, *_ = turned_block(np.random.default_rng(1), rigid((0.0, -1.0)))
