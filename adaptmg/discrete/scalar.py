@@ -42,7 +42,8 @@ class ScalarProblem(checks.Checked):
     load : float or callable
         f per area (3D: volume), number or function of position.
     lower, upper : float or callable, optional
-        Limits of u at the nodes, numbers or functions of position; None: no limit.
+        Limits of u at the nodes, finite numbers or functions of position; None: no limit. Where an
+        obstacle covers a part of the domain only, the limit elsewhere is one that u does not reach.
     held : sequence of str, optional
         Boundaries where u is prescribed; default all.
     value : float or callable
