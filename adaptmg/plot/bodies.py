@@ -106,9 +106,10 @@ def grids(hierarchy: Hierarchy, axes: Sequence[Axes] | None = None) -> Figure:
         ax.set_title(
             f"level {k}:{between}{need_mesh(level).n_nodes} nodes, {len(level.discrete.contact)} contact",
         )
+        place = ax.get_subplotspec()
         if dim == 3:
             ax.set_axis_off()
-        elif k % 4:
+        elif place is not None and not place.is_first_col():
             ax.set_ylabel("")
     return style.figure_of(axes[0])
 

@@ -90,6 +90,16 @@ def test_no_artist_leaves_the_figure_or_covers_another(name, width):
     assert width is None or figure.get_figwidth() == width
 
 
+@pytest.mark.parametrize("width", [2.0, 3.3, 7.0])
+def test_grids_label_the_left_axes_of_each_row(width):
+    with matplotlib.rc_context({"figure.figsize": (width, 2.5), "font.size": 6}):
+        figure = PICTURES["grids 2D"]()
+        figure.draw_without_rendering()
+    left = min(ax.get_position().x0 for ax in figure.axes)
+    for ax in figure.axes:
+        assert bool(ax.get_ylabel()) == (ax.get_position().x0 < left + 0.1)
+
+
 def test_files_hold_the_whole_picture():
     figure, stream = PICTURES["problem 3D"](), io.BytesIO()
     figure.savefig(stream, format="png", dpi=50)
