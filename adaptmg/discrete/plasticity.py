@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What inelastic patches do at a displacement."""
+    """The stresses, tangents, states and forces of inelastic patches at a displacement."""
 
     displacement: np.ndarray  # (n_dofs,): unknowns, m
     stress: np.ndarray  # (m, k): on smoothed patches without what acts on groups of nodes, Pa
@@ -155,7 +155,7 @@ class InelasticBodies:
     def _material(
         self, strain: np.ndarray, state: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Stresses, tangents and states of the materials, checked."""
+        """Return the stresses, tangents and states of the materials, checked."""
         k = strain.shape[1]
         stress = np.empty(strain.shape)
         tangent = np.empty((len(strain), k, k))
@@ -208,7 +208,8 @@ class InelasticBodies:
         return replace(data, plastic=state)
 
     def _of_elements(self, values: np.ndarray) -> np.ndarray:
-        """Values (n_elements, n) of those (m, n) of the patches, zero in elastic bodies."""
+        """Return the values (n_elements, n) of elements from those (m, n) of the patches, zero in
+        elastic bodies."""
         every = np.zeros((self.n_patches, values.shape[1]))
         every[self.numbers] = values
         smoothed = self.posed.problem.elements == "smoothed"
@@ -216,7 +217,7 @@ class InelasticBodies:
 
 
 def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -> sparse.csr_array:
-    """The matrix (len(numbers) * k, n_dofs) of the strains of some patches."""
+    """Return the matrix (len(numbers) * k, n_dofs) of the strains of some patches."""
     dim = patches.slopes.shape[1]
     place = np.full(len(patches.measures), -1)
     place[numbers] = np.arange(len(numbers))

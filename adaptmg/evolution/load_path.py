@@ -219,7 +219,7 @@ def _stored(k: int, result: Result) -> Result:
 
 
 def _results(store: StepStore, steps: int) -> list[tuple[Result, list[np.ndarray] | None]]:
-    """The results, and the displacements of coarse levels that were stored with them."""
+    """Return the results, and the displacements of coarse levels that were stored with them."""
     stored = list(store.steps())
     if len(stored) > steps:
         raise ValueError(

@@ -211,7 +211,8 @@ def _results(
 
 
 def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
-    """Return the hierarchy with the matrices of a time step; ValueError for what does not move so."""
+    """Return the hierarchy with the matrices of a time step; ValueError for problems
+    that march does not solve."""
     grids = grids_argument(grids)
     problem = grids.problem
     posed = [grids.posed_on(level) for level in grids.levels]
@@ -294,7 +295,7 @@ class March:
         advise_on_problem(self.posed)
 
     def _flying(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the nodes of what hangs together, and along which axes (dim,) bool nothing holds
+        """Return the nodes of each connected piece, and along which axes (dim,) bool nothing holds
         it."""
         problem = self.posed.problem
         held = self.posed.fixed.copy()
@@ -356,7 +357,7 @@ class March:
 
     @cached_property
     def _of_mass(self) -> DiscreteProblem:
-        """The contact problem, without friction and loads, whose matrix is the mass."""
+        """Return the contact problem, without friction and loads, whose matrix is the mass."""
         mass = partial(with_mass, factor=0.0, mass=self.mass[:, 0])
         nothing = np.zeros(self.discrete.n_dofs)
         problem = assembled(self.posed, effective=mass)
@@ -398,7 +399,7 @@ class March:
         return result
 
     def take(self, result: Result) -> None:
-        """Go past a step."""
+        """Continue after a step with its result."""
         self.displacement = result.displacement
         self.velocity = result.velocity
         self.internal = self._internal(result.displacement)

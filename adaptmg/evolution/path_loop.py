@@ -1,4 +1,4 @@
-"""PathLoop: the steps of a load path, one after another, without a store.
+"""PathLoop takes the steps of a load path, one after another, without a store.
 
 The truncated multigrid keeps its set-up (:mod:`adaptmg.evolution.load_steps`); all other methods
 start from the better of the displacement of the step before and the one extrapolated in the loads,
@@ -48,7 +48,7 @@ def way_in_contact(result: Result) -> np.ndarray:
 
 
 class PathLoop:
-    """The steps of a path."""
+    """The steps of a load path, and what each step needs of the steps before it."""
 
     def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver) -> None:
         self.grids = grids
@@ -94,7 +94,7 @@ class PathLoop:
 
     @property
     def _limit(self) -> float:
-        """The cycles, steps or sweeps that the solver may take."""
+        """Return the number of cycles, steps or sweeps that the solver may take."""
         limits = (
             getattr(self.solver, name, None) for name in ("max_cycles", "max_steps", "max_sweeps")
         )
@@ -139,8 +139,8 @@ class PathLoop:
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
     ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
-        """The result of step k with the motions of obstacles, from one ``near`` to it; and what the
-        next step needs. The tolerance may be as ``loose``."""
+        """Return the result of step k with the motions of obstacles, which starts from a result
+        ``near`` to it, and what the next step needs. The tolerance may be as large as ``loose``."""
         finest = self.grids.finest.discrete
         callback = None if progress is None else partial(progress, k)
         run = Run(unit=finest.matrix.nnz, callback=callback)
@@ -207,7 +207,7 @@ class PathLoop:
         )
 
     def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
-        """Go past a step that was solved before."""
+        """Continue after a step that was solved before, with its result."""
         motions = {name: np.array(motion) for name, motion in result.motions.items()}
         grids = self._posed(k, motions)
         if result.displacement.shape != (grids.finest.n_nodes, grids.finest.discrete.dim):
@@ -229,7 +229,7 @@ class PathLoop:
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
 
     def _loading(self, k: int, motions: Mapping[str, np.ndarray]) -> dict[str, float]:
-        """Factors of all loads: those of preloads are strains."""
+        """Return the factors of all loads; those of preloads are strains."""
         bolts = {bolt.path_name: float(motions[bolt.path_name][0]) for bolt in self.controls.bolts}
         return self._factors_at(k) | bolts
 
@@ -239,8 +239,8 @@ class PathLoop:
     def _undeformed(
         self, k: int, grids: Hierarchy, run: Run, motions: Mapping[str, np.ndarray]
     ) -> Result:
-        """The result of a step in which nothing acts: no method could tell the relative error of
-        its iterates."""
+        """Return the result of a step in which nothing acts: no method could estimate the relative
+        error of its iterates."""
         rtol = getattr(self.solver, "rtol", None)
         outcome = Outcome(
             np.zeros(grids.finest.discrete.n_unknowns),
@@ -257,8 +257,8 @@ class PathLoop:
 
     def _posed(self, k: int, motions: Mapping[str, np.ndarray]) -> Hierarchy:
         """Return the hierarchy with loads, prescribed values, places of obstacles and slip
-        references of step k. Levels coarser than the solver's, or without a problem, stay as they
-        are."""
+        references of step k. Levels coarser than the solver's, or without a problem, stay
+        unchanged."""
         factors = self._loading(k, motions)
         levels = []
         places = self.controls.placed(factors, motions)
@@ -299,8 +299,8 @@ class PathLoop:
         )
 
     def _start(self, forces: np.ndarray, near: Result | None) -> np.ndarray:
-        """A start (n_unknowns,) for a step with these forces: a result near to it, or where all
-        goes on as between the last two steps, least squares in the forces."""
+        """Return a start (n_unknowns,) for a step with these forces: a result near to it, or the
+        extrapolation of the last two steps by least squares in the forces."""
         if near is not None:
             displacement = self.grids.finest.discrete.relative(near.displacement)
             return np.append(displacement, near.pressures)

@@ -207,7 +207,7 @@ class _Newton:
         )
 
     def _linearised(self) -> Hierarchy:
-        """The hierarchy with the tangent on the finest level."""
+        """Return the hierarchy with the tangent on the finest level."""
         with self.recorder.phase("tangent"):
             tangent = self.plastic.linearised(self.problem, self.at)
             grids = self.grids
@@ -241,7 +241,7 @@ class _Newton:
         return outcome
 
     def _go(self, tangent: DiscreteProblem, solution: np.ndarray) -> float:
-        """Go towards the solution of a contact problem; returns the change in the energy norm,
+        """Go towards the solution of a contact problem, and return the change in the energy norm,
         relative to it."""
         start = self.at.displacement
         direction = solution - start
@@ -261,8 +261,8 @@ class _Newton:
     def _searched(
         self, direction: np.ndarray, slope: Callable[[Response], float]
     ) -> tuple[Response, float]:
-        """The response after a part of a direction, and this part: 1, or where the slope is small
-        (the rule of Illinois: an end that stays twice counts half)."""
+        """Return the response after a part of a direction, and this part: 1, or where the slope is
+        small (the rule of Illinois: an end that stays twice counts half)."""
         start = self.at.displacement
         places = [0.0, 1.0]
         slopes = [slope(self.at), np.nan]
