@@ -79,7 +79,7 @@ def as_mesh(mesh: MeshLike) -> MeshArrays:
         return mesh if mesh.sound and mesh.apart else check_stranger(mesh)
     if _is_ngsolve(mesh):
         return _from_ngsolve(mesh)
-    if not isinstance(mesh, str | Path):
+    if not isinstance(mesh, str | os.PathLike):
         raise TypeError(
             "mesh must be MeshArrays, an ngsolve.Mesh or the path of a mesh file, got "
             f"{type(mesh).__name__}"
@@ -121,7 +121,7 @@ def _from_ngsolve(mesh: ngsolve.Mesh) -> MeshArrays:
     )
 
 
-def _file(name: str, path: str | Path) -> Path:
+def _file(name: str, path: str | os.PathLike[str]) -> Path:
     path = checks.file_path(name, path)
     checks.fits(name, _BYTES_PER_BYTE * file_size(name, path), f"reading {str(path)!r}")
     return path
@@ -134,7 +134,7 @@ def _read(function: str, path: Path) -> Any:
 
 
 def from_file(
-    path: str | Path,
+    path: str | os.PathLike[str],
     *,
     unit: float = 1.0,
     unnamed: str | None = None,
