@@ -34,7 +34,8 @@ def hit(cells: int) -> dict:
     reference = grids.problem.reference
     steps = am.march(grids, dynamics)
     next(steps)  # compiles
-    rows, begin = [], time.process_time()
+    rows = []
+    begin = time.process_time()
     for result in steps:
         force = result.resultant("contact").force[1]
         left = result.energies["kinetic"] + result.energies["strain"]
@@ -74,24 +75,26 @@ def bars() -> tuple[float, float]:
     flying = {"left": (0.5, 0.0)}
     dynamics = am.Dynamics(density=1000.0, initial_velocity=flying, step=2e-5, end=4.5e-3)
     results = list(am.march(grids, dynamics, rtol=1e-12))
-    mesh, velocity = am.mesh.need_mesh(grids.finest), results[-1].velocity[:, 0]
+    mesh = am.mesh.need_mesh(grids.finest)
+    velocity = results[-1].velocity[:, 0]
     first, second = (velocity[mesh.elements[mesh.element_body == k]].mean() for k in (0, 1))
     energies = [result.energies["kinetic"] + result.energies["strain"] for result in results]
     return max(abs(first), abs(second - 0.5)) / 0.5, np.diff(energies).max() / energies[0]
 
 
 def block() -> tuple[float, float]:
-    """Error of the way that a block slides until friction stops it."""
+    """Error of the distance that a block slides until friction stops it."""
     friction, weight, density = 0.3, 9.81, 2000.0
     floor = am.Contact("bottom", am.Plane(point=(0, 0), normal=(0, 1)))
     body, load = am.Rectangle(width=0.4, height=0.1), am.BodyForce((0.0, -density * weight))
     grids = posed(body, floor, am.Coulomb(friction), load)
-    rest, stop = am.solve(grids), 1 / (friction * weight)
+    rest = am.solve(grids)
+    stop = 1 / (friction * weight)
     times = {"step": stop / 100, "end": 1.1 * stop, "damping": stop / 300}
     dynamics = am.Dynamics(density=density, initial_velocity=(1.0, 0.0), **times)
     *_, last = am.march(grids, dynamics, start=rest)
-    ways = (last.displacement - rest.displacement)[:, 0]
-    return np.abs(2 * friction * weight * ways - 1).max(), np.nan
+    distances = (last.displacement - rest.displacement)[:, 0]
+    return np.abs(2 * friction * weight * distances - 1).max(), np.nan
 
 
 def form(case: str) -> dict:
@@ -119,10 +122,12 @@ def ball(out: Output) -> None:
     )
     sizes = [{"ball": 3e-3 / n, "beam": 2e-3 / n} for n in ((0.5, 1) if out.quick else (1, 2))]
     grids = am.Hierarchy.graded(problem, sizes, contact_ratio=2)
-    last, flying = 1e-3 if out.quick else 3e-3, {"ball": (0.0, -8.0)}
+    last = 1e-3 if out.quick else 3e-3
+    flying = {"ball": (0.0, -8.0)}
     dynamics = am.Dynamics(density=1200.0, initial_velocity=flying, step=1e-5, end=last)
     figure, axes = plt.subplots(2, 1, figsize=(7.2, 4.4), height_ratios=(3, 2))
-    mesh, end = am.mesh.need_mesh(grids.finest), 1e3 * dynamics.end
+    mesh = am.mesh.need_mesh(grids.finest)
+    end = 1e3 * dynamics.end
     history = []
 
     def frames():
@@ -168,7 +173,7 @@ def study(out: Output) -> None:
         | dict.fromkeys(("begin_error", "end_error"), ".2%")
         | dict.fromkeys(("force", "deviation", "cycles", "step_ms"), ".2f"),
     )
-    cases = ["velocities of two bars", "way until friction stops a block"]
+    cases = ["velocities of two bars", "distance until friction stops a block"]
     forms = am.Study(form, {"case": cases}, out.store).run(throw=True)
     out.table(
         "forms",
