@@ -17,8 +17,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.laws import EDGE_PART as EDGE_PART
-from adaptmg.problem.laws import Anisotropy, Axisymmetric, Elastic, PlaneStress
+from adaptmg.problem.laws import EDGE_PART, Anisotropy, Axisymmetric, Elastic, PlaneStress
 
 #: one material for all bodies, body name -> material, or what :func:`body_materials` returns
 Materials = Elastic | Mapping[str, Elastic] | tuple[Elastic, ...]

@@ -45,7 +45,6 @@ from adaptmg.discrete.elasticity import (
 )
 from adaptmg.discrete.loads import body_elements, mean_initial_strain
 from adaptmg.discrete.moduli import (
-    EDGE_PART,
     PAIRS,
     Materials,
     Moduli,
@@ -58,7 +57,7 @@ from adaptmg.discrete.moduli import (
 )
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.laws import PlaneStress
+from adaptmg.problem.laws import EDGE_PART, PlaneStress
 from adaptmg.problem.loads import InitialStrain, Load, Preload
 
 

@@ -172,9 +172,9 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     dim = mesh.dim
     lame, shear = lame_constants(materials)
     edge = np.minimum(lame, edge_parts(materials) * shear)
-    grouped = [one.anisotropy is None for one in materials]
-    grouped &= inelastic_bodies(materials) == inelastic
-    kappa = np.where(grouped, lame - edge, 0.0)
+    isotropic = np.array([elastic.anisotropy is None for elastic in materials])
+    grouped = inelastic_bodies(materials) == inelastic
+    kappa = np.where(isotropic & grouped, lame - edge, 0.0)
     # a ratio of .4 has a kappa of rounding
     soft = (kappa > checks.ALIKE * shear)[mesh.element_body]
     if not soft.any():

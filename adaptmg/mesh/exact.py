@@ -73,7 +73,7 @@ def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
     elif isinstance(domain, Ball):
         yield (
             "surface",
-            Revolved(np.array(domain.centre), np.array(_AXIS), np.zeros(2), domain.radius, False),
+            Revolved(np.array(domain.centre), _AXIS, np.zeros(2), domain.radius, False),
         )
     elif isinstance(domain, Extrusion):
         yield from _swept(domain.polygon)
@@ -102,13 +102,12 @@ def _normal(edge: Segment) -> np.ndarray:
 def _turned(domain: Revolution) -> Iterator[tuple[str, Revolved]]:
     """The edges of a profile, turned about z."""
     origin = np.zeros(3)
-    axis = np.array(_AXIS)
     for i, name in enumerate(domain.polygon.boundaries):
         edge = domain.polygon.edges[i]
         if isinstance(edge, Arc):
-            yield name, Revolved(origin, axis, np.array(edge.center), edge.radius, False)
+            yield name, Revolved(origin, _AXIS, np.array(edge.center), edge.radius, False)
         else:
             normal = _normal(edge)
-            yield name, Revolved(origin, axis, normal, float(normal @ edge.start), True)
+            yield name, Revolved(origin, _AXIS, normal, float(normal @ edge.start), True)
     for name, angle in (("start", 0.0), ("end", np.radians(domain.angle))):
         yield name, plane_through(origin, (-np.sin(angle), np.cos(angle), 0.0))

@@ -105,9 +105,9 @@ class Netgen:
                     return
 
         threading.Thread(target=watch, daemon=True).start()
-        said = threading.Timer(_QUIET_S, _say_runs, (function, seconds))
-        said.daemon = True
-        said.start()
+        notice = threading.Timer(_QUIET_S, _say_runs, (function, seconds))
+        notice.daemon = True
+        notice.start()
         try:
             pickle.dump((function, arguments), self.requests, protocol=pickle.HIGHEST_PROTOCOL)
             self.requests.flush()
@@ -123,7 +123,7 @@ class Netgen:
             self.end()
             raise
         finally:
-            said.cancel()
+            notice.cancel()
             done.set()
         if not well:
             raise NetgenFails(answer)

@@ -87,7 +87,7 @@ _MAX_GRADING = 0.6
 # the slower growth: half and twice of the second and third change none of 30 random solids
 _ATTEMPTS = (1.0, 0.7, 0.5)
 #: how many times larger than wanted the elements of a draft may be (not two powers of two, which would refine levels
-#: whose sizes are halved from one draft), and nodes that it has at least
+#: whose sizes are halved from one draft), and nodes that it has at least.
 #: Of 30 random solids half and twice of the first change none; of the second 7, which have up to 23 % more nodes, and
 #: none; of the last 14 and 8, with up to 40 % more and 7 % fewer nodes
 _FACTORS = (7.2, 4.0, 1.8)

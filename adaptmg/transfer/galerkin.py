@@ -98,7 +98,7 @@ def _prolongation(name: str, value: object) -> sparse.csr_array:
     P = sparse.csr_array(given, dtype=np.float64, copy=True)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs
     P.sum_duplicates()
     largest = np.abs(P.data).max(initial=0.0)
-    if not checks.TINIEST <= largest <= 1 / checks.TINIEST:
+    if not checks.TINIEST <= largest <= checks.VAST:
         raise ValueError(f"{name} must have weights of about 1, the largest is {largest:.3g}")
     return P
 
