@@ -138,7 +138,7 @@ def _parser(command: str) -> _Parser:
     _add_studies(made)
     made(
         _warm,
-        "compile all kernels in one go, so that no later solve waits for them",
+        "compile the kernels in one go, so that later solves need not wait for them",
         "",
         "Each kernel is compiled once on a machine and stored. All of them take about a minute of one processor.",
     )

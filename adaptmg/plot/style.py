@@ -87,8 +87,8 @@ _Drawn = TypeVar("_Drawn")
 
 
 def styled(draw: Callable[_Arguments, _Drawn]) -> Callable[_Arguments, _Drawn]:
-    """Decorate a function that draws: it takes the common style but for what the user has set in
-    rcParams or by a style sheet, and leaves rcParams unchanged."""
+    """Decorate a function that draws: it takes the common style except for what the user has set
+    in rcParams or by a style sheet, and leaves rcParams unchanged."""
 
     @wraps(draw)
     def drawn(*arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Drawn:
