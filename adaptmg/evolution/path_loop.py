@@ -141,17 +141,9 @@ class PathLoop:
     ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
         """Return the result of step k with the motions of obstacles, which starts from a result
         ``near`` to it, and what the next step needs. The tolerance may be as large as ``loose``."""
-        finest = self.grids.finest.discrete
-        callback = None if progress is None else partial(progress, k)
-        run = Run(unit=finest.matrix.nnz, callback=callback)
+        run, grids, forces = self._set_up(k, motions, progress)
+        run.examiner = self.examiner
         with run.phase("setup"):
-            grids = self._posed(k, motions)
-            if (
-                not self.controls.rigid
-            ):  # these move until their forces fit, and may go too far on the way
-                self._check_held(grids, k, motions)
-            forces = grids.finest.discrete.load_from_prescribed()
-            run.examiner = self.examiner = Examiner(grids.finest.discrete, self.bodies)
             past = Past(
                 self.levels,
                 self.recent[-1][0],
@@ -176,6 +168,23 @@ class PathLoop:
                 grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
             )
         return result, (grids, forces, coarse)
+
+    def _set_up(
+        self,
+        k: int,
+        motions: Mapping[str, np.ndarray],
+        progress: Callable[[int, dict[str, float]], None] | None,
+    ) -> tuple[Run, Hierarchy, np.ndarray]:
+        """Return the run of step k, its hierarchy, and the forces b - A u_fixed (n_dofs,)."""
+        callback = None if progress is None else partial(progress, k)
+        run = Run(unit=self.grids.finest.discrete.matrix.nnz, callback=callback)
+        with run.phase("setup"):
+            grids = self._posed(k, motions)
+            # Rigid obstacles move until their forces fit, and may go too far on the way
+            if not self.controls.rigid:
+                self._check_held(grids, k, motions)
+            self.examiner = Examiner(grids.finest.discrete, self.bodies)
+            return run, grids, grids.finest.discrete.load_from_prescribed()
 
     def _hold(self, rtol: float) -> None:
         """Keep the tolerance that the discretisation error of the first step has set: increments

@@ -19,7 +19,6 @@ import copy
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass, replace
-from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -113,14 +112,8 @@ class PlasticLoop(PathLoop):
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
     ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
-        callback = None if progress is None else partial(progress, k)
-        run = Run(unit=self.grids.finest.discrete.matrix.nnz, callback=callback)
-        with run.phase("setup"):
-            grids = self._posed(k, motions)
-            self._check_held(grids, k, motions)
-            problem = grids.finest.discrete
-            forces = problem.load_from_prescribed()
-            self.examiner = Examiner(problem, self.bodies)
+        run, grids, forces = self._set_up(k, motions, progress)
+        problem = grids.finest.discrete
         data = self._stress_data(k, motions)
         if self._at_rest(forces) and not self.state.any():
             result = self._undeformed(k, grids, run, motions)
