@@ -10,7 +10,8 @@ what its folder takes part in is computed again: solves of random problems, load
 adaptive loops and estimates, discretisations of turned and shifted pairs, random meshes of plane and
 solid domains. A row says of how many of them cycles, statuses or numbers of nodes change, and by how
 much displacements, estimates, edges and angles do. Constants that compiled kernels read are frozen
-in these: such rows are left out, as are those of Netgen's own process. A fault is a row that ends
+in these: such rows are left out, as are those of Netgen's own process. Names that modules set to
+such a constant when they are imported (SNAP, COVERED) keep its value. A fault is a row that ends
 otherwise than before."""
 
 from __future__ import annotations
