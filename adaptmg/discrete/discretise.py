@@ -105,20 +105,10 @@ def assembled(
     parts["volumes"] = Volumes.none(mesh.n_nodes, mesh.dim)
     if problem.elements == "smoothed":
         parts["volumes"] = volume_groups(mesh, materials)
-        if len(parts["volumes"]) and posed.inclined.moving.any():
-            raise ValueError(
-                "supports along directions that are no axes cannot move smoothed elements with poisson "
-                'above .4; turn the problem, or take elements="linear"'
-            )
     if problem.inelastic and len(parts["volumes"]):
         raise ValueError(
             "smoothed elements of elastic bodies next to plastic ones must have poisson of at most "
             '.4; take elements="linear"'
-        )
-    if problem.inelastic and posed.inclined.moving.any():
-        raise ValueError(
-            "supports along directions that are no axes cannot move where bodies are plastic; turn "
-            "the problem"
         )
     parts |= _strain_free(posed, parts["volumes"])
     for array in (parts["load"], posed.fixed, values, *posed.bodies.values()):

@@ -55,7 +55,6 @@ class Response:
     tangent: np.ndarray  # (m, k, k), Pa
     state: np.ndarray  # (m, n)
     missed: np.ndarray  # (n_dofs,): load - f_int of the unknowns, N
-    relaxed: np.ndarray  # (n_dofs,): K u - f_int, N
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,11 +122,9 @@ class InelasticBodies:
             tangent[:, :3, :3] -= self.bulk[:, None, None]
         relaxed = np.einsum("nij,nj->ni", self.elastic, strain) - stress
         forces = self.strains.T @ (self.measures[:, None] * relaxed).reshape(-1)
-        relaxed = problem.relative_forces(forces)
-        nodes = np.arange(problem.n_nodes)
-        free = problem.inclined.free_part(nodes, relaxed.reshape(problem.n_nodes, -1))
-        missed = problem.residual(displacement) + free.reshape(-1)
-        return Response(displacement, stress, tangent, state, missed, relaxed)
+        elastic = problem.inclined.imbalance(problem.residual(displacement), displacement)
+        missed = elastic + problem.relative_forces(forces)
+        return Response(displacement, stress, tangent, state, missed)
 
     def linearised(self, problem: DiscreteProblem, at: Response) -> DiscreteProblem:
         """Return the contact problem whose bodies have the tangent at a response."""
@@ -142,15 +139,8 @@ class InelasticBodies:
         if problem.coupling is not None:
             matrix = problem.coupling.transformed(matrix)
         load = matrix @ at.displacement + at.missed
-        inclined = problem.inclined
-        if len(inclined):
-            # there the elimination has left out what the supports bear
-            dofs = problem.dim * inclined.nodes[:, None] + np.arange(problem.dim)
-            at_held = inclined.rows @ at.displacement
-            borne = matrix @ at.displacement + inclined.load + at.relaxed
-            load[dofs] = borne[dofs] - at_held.reshape(dofs.shape)
         parts = {"matrix": matrix, "load": load, "volumes": problem.volumes, "strain_free": None}
-        return problem.restructured(**inclined.of_problem(parts), inelastic=False)
+        return problem.restructured(**problem.inclined.of_problem(parts), inelastic=False)
 
     def _material(
         self, strain: np.ndarray, state: np.ndarray

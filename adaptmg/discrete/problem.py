@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, partial, wraps
 from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
@@ -309,8 +309,8 @@ class DiscreteProblem(Unknowns):
             fixed_values=values,
             contact=contact,
             strain_free=self.inclined.strain_free(strain_free, prescribed),
-            inclined=replace(self.inclined, load=load),
-            volumes=volumes,
+            inclined=self.inclined.at_step(factors, load),
+            volumes=self.inclined.stretched(volumes, prescribed),
         )
 
     def posing(self, **parts: object) -> DiscreteProblem:

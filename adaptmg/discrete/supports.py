@@ -9,8 +9,9 @@ the displacement
 
 has the solution of :math:`A u = b` with :math:`Z u = \bar u`: these components are coupled to no
 other, and solvers need not know of them. D has the size of the diagonal blocks. The supports exert
-:math:`Z (A u - b)`. Volumes (:mod:`adaptmg.discrete.volumes`) have :math:`B (I - Z)` for B where
-nothing is prescribed, and the supports exert :math:`Z (A u + B^T p - b)`. The energy of a displacement is that of A,
+:math:`Z (A u - b)`. Volumes (:mod:`adaptmg.discrete.volumes`) have :math:`B (I - Z)` for B and
+:math:`B \bar u` as a given strain; there the supports exert :math:`Z (A u + B^T p - b)`. The energy
+of a displacement is that of A,
 
 .. math:: u^T A u = u^T A' u + 2\,u^T (I - Z) A \bar u + \bar u^T A \bar u - \bar u^T D \bar u .
 """
@@ -26,6 +27,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._checks import narrowed
+from adaptmg.discrete.volumes import NO_PRESSURES, Volumes
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.loads import (
     AnySupport,
@@ -79,6 +81,10 @@ class Inclined:
         )
         return np.greater(moving, 0)
 
+    def at_step(self, factors: Mapping[str, float], load: np.ndarray) -> Inclined:
+        """Return the same in a load step with the load b (n_dofs,)."""
+        return replace(self, moved={"": self.prescribed(factors)}, load=load)
+
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (n, dim) at some nodes without their parts along the directions that are
         held."""
@@ -121,6 +127,7 @@ class Inclined:
         )
         free = volumes.rows - volumes.rows @ self.spread(self.spans, volumes.means.shape[1])
         prescribed = supports.prescribed({})
+        volumes = supports.stretched(volumes, prescribed)
         return parts | {
             "matrix": supports._eliminated(matrix),
             "load": supports.posed(parts["load"], prescribed),
@@ -160,6 +167,25 @@ class Inclined:
         forces[self.nodes] -= self.along(forces)
         load, energy = (0.0, 0.0) if before is None else before
         return load - forces.reshape(-1), energy + held_energy
+
+    def stretched(self, volumes: Volumes, prescribed: np.ndarray) -> Volumes:
+        """Return the volumes under what supports prescribe (k, dim)."""
+        strains: np.ndarray | float = 0.0
+        if prescribed.any():
+            moved = np.zeros((self.volumes.shape[1] // prescribed.shape[1], prescribed.shape[1]))
+            moved[self.nodes] = prescribed
+            strains = (self.volumes @ moved.reshape(-1)) / volumes.areas
+        return replace(volumes, prescribed=strains)
+
+    def imbalance(self, residual: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+        """Return b - A u (n_dofs,), N, of the residual b' - A' u of unknowns u (n_dofs,), which need
+        not be what supports prescribe."""
+        if not len(self):
+            return residual
+        ahead = self.prescribed({}) - self.along(unknowns)
+        whole = (residual + self.rows.T @ ahead.reshape(-1)).reshape(-1, self.spans.shape[1])
+        free = self.free_part(np.arange(len(whole)), whole).reshape(-1)
+        return free - self.reaction(unknowns, NO_PRESSURES)
 
     def reaction(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return the forces (n_dofs,) that the supports exert along these directions, of the

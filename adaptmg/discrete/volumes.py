@@ -73,6 +73,8 @@ class Volumes:
         np.ndarray
     )  # (n_elements, dim + 1) int32: groups of the corners of elements, -1 for none
     expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
+    #: (n_groups,): mean divergence of what supports prescribe along directions that are no axes
+    prescribed: np.ndarray | float = 0.0
 
     @classmethod
     @lru_cache(maxsize=32)  # of its levels a hierarchy asks again and again: .1 ms each
@@ -106,7 +108,7 @@ class Volumes:
         """Return the mean divergence b u (n_groups,), less that of free expansion."""
         if not len(self):
             return NO_PRESSURES
-        return (self.rows @ unknowns) / self.areas - self.expansion
+        return (self.rows @ unknowns) / self.areas - self.expansion + self.prescribed
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return b u - p / kappa (n_groups,)."""

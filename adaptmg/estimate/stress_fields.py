@@ -230,7 +230,10 @@ class Solved:
         changed = inclined.strain_free(None, inclined.along(unknowns))
         if changed is None:
             return energy_norm(unknowns, forces)
-        return float(np.sqrt(max(unknowns @ (forces - 2 * changed[0]) + changed[1], 0.0)))
+        energy = unknowns @ (forces - 2 * changed[0]) + changed[1]
+        volumes = self.discrete.volumes
+        energy += self.result.pressures @ (volumes.areas * volumes.prescribed)
+        return float(np.sqrt(max(energy, 0.0)))
 
     @cached_property
     def _moved(self) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,7 @@ from adaptmg.discrete.plasticity import InelasticBodies, Response
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import PlasticState, StressData
+from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.evolution.load_steps import without_nested_start
 from adaptmg.evolution.path_loop import PathLoop
 from adaptmg.hierarchy import Hierarchy
@@ -125,6 +126,7 @@ class PlasticLoop(PathLoop):
             responses = [self.plastic.respond(problem, start, self.state) for start in starts]
         inner = ~problem.fixed
         inner.reshape(-1, problem.dim)[problem.contact.nodes] = False
+        inner.reshape(-1, problem.dim)[problem.inclined.nodes] = False
         at = min(responses, key=lambda response: float(np.linalg.norm(response.missed[inner])))
         newton = _Newton(self, grids, run)
         outcome, last = newton.run(at)
@@ -241,6 +243,7 @@ class _Newton:
         borne = tangent.fixed.copy()
         borne.reshape(-1, tangent.dim)[tangent.contact.nodes] = True
         forces = np.where(borne, -tangent.residual(solution), 0.0)
+        forces += tangent.inclined.reaction(solution, NO_PRESSURES)
 
         def slope(response: Response) -> float:
             return -float(direction @ (response.missed + forces))

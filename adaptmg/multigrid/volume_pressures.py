@@ -53,7 +53,7 @@ class VolumePressures:
             ),
             shape=volumes.rows.shape,
         )
-        self.volumes = replace(volumes, rows=rows, expansion=0.0)
+        self.volumes = replace(volumes, rows=rows, expansion=0.0, prescribed=0.0)
         #: for each body the pressures (n_groups,) that are 1 in it
         self.uniform = [(volumes.body == k).astype(float) for k in np.unique(volumes.body)]
         #: factors (n_groups,) that make energies of the squares of :meth:`missed`, N m
@@ -141,7 +141,7 @@ class Augmented:
         self._offset = rest * self._before
         #: whether the first solve ends it
         self.exact = not (rest > 1e-12).any()
-        resting = self._offset - self._kappa * volumes.expansion
+        resting = self.pressures(np.zeros(problem.n_dofs))
         self.problem = formed.posing(
             load=problem.load - volumes.forces(resting),
             law=problem.law,

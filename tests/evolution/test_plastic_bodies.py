@@ -109,12 +109,25 @@ def test_residual_stresses_of_hills_cylinder_are_below_the_yield_stress(outer):
         assert np.abs(hoop - radial).max() <= 2 * SIZE / np.sqrt(3)
 
 
-def pushed(turn: np.ndarray) -> am.ContactProblem:
-    """A block on a rough plane under a moving one; its left side is guided. All is turned."""
+def pushed(turn: np.ndarray, clamped: bool) -> am.ContactProblem:
+    """A block on a rough plane under a moving one, or clamped under a moving guide; its left side is
+    guided. All is turned."""
     down = turn @ np.array((0.0, -1.0))
-    return am.ContactProblem(
+    left = am.Support("left", normal=0.0)
+    block = am.ContactProblem(
         name="turned",
         material=am.Plastic(am.PlaneStrain(young=E, poisson=NU), yield_stress=SIZE, kinematic=1e10),
+        law=am.Frictionless(),
+        supports=(
+            left,
+            am.Support("bottom", x=0.0, y=0.0),
+            am.Support("top", normal=-2e-3, name="press"),
+        ),
+    )
+    if clamped:
+        return block
+    return replace(
+        block,
         contact=(
             am.Contact(
                 "top",
@@ -122,19 +135,21 @@ def pushed(turn: np.ndarray) -> am.ContactProblem:
             ),
             am.Contact("bottom", am.Plane((0.0, 0.0), -down), law=am.Coulomb(0.3)),
         ),
-        law=am.Frictionless(),
-        supports=(am.Support("left", normal=0.0),),
+        supports=(left,),
     )
 
 
-def test_turned_bodies_have_turned_stresses():
+@pytest.mark.parametrize("clamped", [False, True])
+def test_turned_bodies_have_turned_stresses(clamped):
     """Loaded, and turned back: the supports of the turned block are along no axis."""
     meshes = [am.mesh.structured(am.Rectangle(width=1.0, height=0.5), n) for n in ((4, 2), (8, 4))]
     path = am.LoadPath({"press": [0.7, 1.0, 0.4]})
     results = []
     for angle in (0.0, 0.4):
         turn = rotation(angle)
-        grids = am.Hierarchy.from_meshes(pushed(turn), [turned(mesh, angle) for mesh in meshes])
+        grids = am.Hierarchy.from_meshes(
+            pushed(turn, clamped), [turned(mesh, angle) for mesh in meshes]
+        )
         results.append(am.solve_path(grids, path, am.ActiveSet(rtol=1e-10)))
     for straight, oblique in zip(*results, strict=True):
         stress = straight.stress_data.plastic.stress
