@@ -139,8 +139,10 @@ def _strain_free(posed: Posed, volumes: Volumes) -> dict[str, Any]:
 
 
 def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> DiscreteProblem:
-    """Assemble as :func:`assembled` does; ``old``, that of a problem that differs in the parts
-    ``changed`` and in the law, gives what only loads and law leave unchanged."""
+    """Return what :func:`assembled` does, and take from ``old`` all that loads and the law do not
+    change.
+
+    The problem of ``old`` differs in the parts ``changed``, and perhaps in its law."""
     problem = posed.problem
     mesh = posed.mesh
     contact = old.contact

@@ -353,14 +353,22 @@ def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> fl
 
 def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the cells of :func:`~adaptmg.discrete.elasticity.apart`, and nodal values (n,
-    n_values) of those (n_elements, n_values) of elements."""
+    n_values) of those (n_elements, n_values) of elements.
+
+    An inner node takes the value of the fit around it. Another node takes the mean of the fits of
+    its inner neighbours there, or else that of a fit to the elements of all its neighbours."""
     cells, points = apart(mesh)
     corners = cells.shape[1]
     centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
     of_nodes = elements_of_nodes(cells, len(points))
     rows, columns = shape_of(of_nodes)
+    # the elements of each node, and the nodes of each element
     around = sparse.csr_array(
         (np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=(columns, rows)
+    )
+    corners_of = sparse.csr_array(
+        (np.ones(cells.size), cells.reshape(-1), corners * np.arange(len(cells) + 1)),
+        shape=of_nodes.shape,
     )
     indptr, _ = pattern(of_nodes, starts_of(cells), cells.reshape(-1))
     # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2);
@@ -372,30 +380,25 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     inner = inner[good]
     fits = fits[good]
     nodal = np.zeros((len(points), values.shape[1]))
-    left = np.ones(len(points), dtype=bool)
     nodal[inner] = fits[:, 0]
-    left[inner] = False
-    # the nodes of each element
-    corners_of = sparse.csr_array(
-        (np.ones(cells.size), cells.reshape(-1), corners * np.arange(len(cells) + 1)),
-        shape=of_nodes.shape,
-    )
-    shared = sparse.coo_array(around[left] @ corners_of)
-    fit = np.full(len(points), -1)
-    fit[inner] = np.arange(len(inner))
-    fitted = fit[shared.col] >= 0
-    at = np.flatnonzero(left)[shared.row[fitted]]
-    other = shared.col[fitted]
-    often = shared.data[fitted]
-    fits = fits[fit[other]]
-    away = points[at] - points[other]
-    np.add.at(nodal, at, often[:, None] * (fits[:, 0] + np.einsum("nd,ndc->nc", away, fits[:, 1:])))
-    weights = np.bincount(at, often, len(points))
+    outer = np.setdiff1d(np.arange(len(points)), inner)
+    # entries are the numbers of elements that an outer node and another one share
+    shared = sparse.coo_array(around[outer] @ corners_of)
+    fit_of_node = np.full(len(points), -1)
+    fit_of_node[inner] = np.arange(len(inner))
+    has_fit = fit_of_node[shared.col] >= 0
+    node = outer[shared.row[has_fit]]
+    neighbour = shared.col[has_fit]
+    n_shared = shared.data[has_fit]
+    neighbour_fits = fits[fit_of_node[neighbour]]
+    slopes = neighbour_fits[:, 1:]
+    there = neighbour_fits[:, 0] + np.einsum("nd,ndc->nc", points[node] - points[neighbour], slopes)
+    np.add.at(nodal, node, n_shared[:, None] * there)
+    weights = np.bincount(node, n_shared, len(points))
     nodal[weights > 0] /= weights[weights > 0, None]
-    left &= weights == 0
-    nodal[left] = _fits(around[left] @ corners_of @ around, points[left], centroids, values)[0][
-        :, 0
-    ]
+    rest = outer[weights[outer] == 0]
+    wider = around[rest] @ corners_of @ around
+    nodal[rest] = _fits(wider, points[rest], centroids, values)[0][:, 0]
     return cells, nodal
 
 

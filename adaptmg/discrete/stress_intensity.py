@@ -113,10 +113,11 @@ def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
     """Return the tip of this number along the path."""
     left = mesh.boundary_facets(f"{crack}.left")
     shared = np.intersect1d(left, mesh.boundary_nodes(f"{crack}.right"))
-    # where the path begins, then where it ends
+    # Facets of the left face run along the path. A path begins at a node where facets start and
+    # none ends; reversed facets find where it ends. A mouth on the boundary has two nodes, a tip one.
     ends = [
-        (int(node), side, facets)
-        for side, facets in (("right", left), ("left", left[:, ::-1]))
+        (int(node), upper, facets)
+        for upper, facets in (("right", left), ("left", left[:, ::-1]))
         for node in np.setdiff1d(facets[:, 0], facets[:, 1])
         if node in shared
     ]
@@ -124,21 +125,21 @@ def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
         raise ValueError(
             f"tip must be below {len(ends)}, the number of tips of {crack!r} in the body, got {number}"
         )
-    last, side, facets = ends[number]
+    node, upper, facets = ends[number]
     following = dict(facets.tolist())
-    place = mesh.points[last]
-    along = place - mesh.points[following[last]]
+    place = mesh.points[node]
+    along = place - mesh.points[following[node]]
     along /= np.linalg.norm(along)
-    while last in following:  # a path passes each node once
-        step = mesh.points[last] - mesh.points[following[last]]
+    while node in following:  # away from the tip; a path passes each node once
+        step = mesh.points[node] - mesh.points[following[node]]
         if step @ along < _STRAIGHT * np.linalg.norm(step):
             break
-        last = following[last]
+        node = following[node]
     return Tip(
         place,
         np.array([along, [-along[1], along[0]]]),
-        f"{crack}.{side}",
-        float(np.linalg.norm(mesh.points[last] - place)),
+        f"{crack}.{upper}",
+        float(np.linalg.norm(mesh.points[node] - place)),
     )
 
 

@@ -294,17 +294,19 @@ class Controls:
             force = float(np.linalg.norm(np.nan_to_num(loaded[:dim])))
             problem = cast("ContactProblem", self.problem)
             nodes = mesh.surface(problem.contact[number].boundary).nodes
-            size = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
+            extent = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
             turns = np.arange(3 * dim - 3)[list(obstacle.free)] >= dim
+            # rotations and moments are measured by the extent of the boundary
+            arms = np.where(turns, extent, 1.0)
             result.append(
                 _Unknowns(
                     name,
                     first,
                     targets,
-                    force / stiffness / np.where(turns, size, 1.0),
-                    force * np.where(turns, size, 1.0),
-                    obstacle.free,
-                    number,
+                    sizes=force / stiffness / arms,
+                    forces=force * arms,
+                    free=obstacle.free,
+                    number=number,
                 )
             )
             first += len(targets)
@@ -315,14 +317,14 @@ class Controls:
             # of a bolt that is let go, the force that it had
             force = bolt.force * max(abs(factors[name]), abs(self.factors.get(name, 0.0)))
             material = cast("ContactProblem", self.problem).material
-            size = force / cut_stiffness(mesh, material, bolt)
+            strain = force / cut_stiffness(mesh, material, bolt)
             result.append(
                 _Unknowns(
                     name,
                     first,
-                    np.array([factors[name] * bolt.force]),
-                    np.array([size]),
-                    np.array([force]),
+                    targets=np.array([factors[name] * bolt.force]),
+                    sizes=np.array([strain]),
+                    forces=np.array([force]),
                 )
             )
             first += 1
@@ -440,15 +442,16 @@ class Guide:
         self.sizes = np.concatenate([part.sizes for part in parts])
         self.spent: list[Run] = []
         levels = posed(controls.motions).levels
-        few = [
+        small_levels = [
             number
             for number, level in enumerate(levels)
             if level.discrete_or_none is not None and level.discrete.n_dofs <= _GUIDING
         ]
-        self.last = len(levels) - 1
-        self.number = few[-1] if few else self.last
+        self.finest_number = len(levels) - 1
+        #: number of the level on which motions are found
+        self.level_number = small_levels[-1] if small_levels else self.finest_number
         #: tolerance that suffices where the finest level begins
-        self.loose = 0.0 if self.number == self.last else _LOOSE * _COARSE
+        self.loose = 0.0 if self.level_number == self.finest_number else _LOOSE * _COARSE
 
     def pressed(self, values: np.ndarray) -> np.ndarray:
         """Return values of the unknowns with which obstacles balance their forces, the nearest ones
@@ -473,12 +476,14 @@ class Guide:
         """Return better values than some with which the finest level misses forces by ``missed``:
         its own, or where its factors are too large or these were its own those with which the
         forces change by so much."""
-        if self.number == self.last or not factorisable(self.controls.level.discrete):
+        if self.level_number == self.finest_number or not factorisable(
+            self.controls.level.discrete
+        ):
             try:
                 return values + self._balanced(values, -missed)
             except ValueError:
                 return values
-        self.number = self.last
+        self.level_number = self.finest_number
         return self.pressed(values)
 
     def stiffness(self, values: np.ndarray) -> np.ndarray | None:
@@ -502,7 +507,7 @@ class Guide:
         resists."""
         motions = self.controls.taken(self.all_parts, values * self.sizes)
         posed = self.posed(motions)
-        discrete = posed[self.number].discrete
+        discrete = posed[self.level_number].discrete
         n = self.size
         dim = discrete.dim
         contact = discrete.contact

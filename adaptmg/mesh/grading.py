@@ -349,6 +349,7 @@ def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[flo
     along = [lengths[name] for name in boundaries if name in lengths]
     near = min(along, default=math.inf) / _ALONG[domain.dim]
     if domain.dim == 3 and along:
+        # along are square roots of areas: at most _ON_FACES squares of this size cover them together
         near = max(near, math.hypot(*along) / math.sqrt(_ON_FACES))
     return sizes, max(1.0, float(math.ceil(sizes[-1] / near)))
 

@@ -230,25 +230,26 @@ def netgen_error(domain: Domain, why: Exception) -> ValueError:
 
 
 def _onto_outline(domain: Outline, mesh: MeshArrays) -> MeshArrays:
-    """The mesh with its boundary nodes exactly on the outline."""
+    """Return the mesh with its boundary nodes exactly on arcs, on edges along an axis, and on the
+    vertices."""
     points = mesh.points.copy()
     vertices = np.array(domain.vertices)
-    for i in range(len(vertices)):
-        nodes = mesh.boundary_nodes(str(i))
-        arc = domain.arc(i)
+    for edge, start in enumerate(vertices):
+        nodes = mesh.boundary_nodes(str(edge))
+        arc = domain.arc(edge)
         if arc is not None:
-            offset = points[nodes] - np.array(arc.center)
-            points[nodes] = (
-                np.array(arc.center)
-                + offset * (arc.radius / np.linalg.norm(offset, axis=1))[:, None]
-            )
-            continue
-        first = vertices[i]
-        last = vertices[domain.following[i]]
-        points[nodes[:, None], np.flatnonzero(first == last)] = first[first == last]
-    for i, vertex in enumerate(vertices):
-        nodes = mesh.boundary_nodes(str(i))
-        points[nodes[np.argmin(np.linalg.norm(points[nodes] - vertex, axis=1))]] = vertex
+            centre = np.array(arc.center)
+            offset = points[nodes] - centre
+            stretch = arc.radius / np.linalg.norm(offset, axis=1)
+            points[nodes] = centre + offset * stretch[:, None]
+        else:
+            for axis in np.flatnonzero(start == vertices[domain.following[edge]]):
+                points[nodes, axis] = start[axis]
+    # after the edges, which would move vertices by rounding
+    for edge, start in enumerate(vertices):
+        nodes = mesh.boundary_nodes(str(edge))
+        nearest = np.argmin(np.linalg.norm(points[nodes] - start, axis=1))
+        points[nodes[nearest]] = start
     return replace(mesh, points=points)
 
 

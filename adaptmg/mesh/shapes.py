@@ -173,45 +173,58 @@ def _parts(kind: str) -> Parts:
     """Return the linear cells that a kind is cut into: the facets of each, as its local corners,
     and the numbers of its corners among the nodes of the kind."""
     shape, n = KINDS[kind]
+    if n == _CORNERS[shape]:
+        return [(FACETS.get(shape, ()), tuple(range(n)))]
+    if shape == "line" or kind in _CENTRES:
+        return _halved(kind)
+    return [*_cut_corners(kind), _core(kind)]
+
+
+def _halved(kind: str) -> Parts:
+    """Return cells of the same shape and half the size, one at each corner, and those between
+    them."""
+    shape, _ = KINDS[kind]
     corners = range(_CORNERS[shape])
     facets = FACETS.get(shape, ())
-    if n == _CORNERS[shape]:
-        return [(facets, tuple(corners))]
-    if shape == "line" or kind in _CENTRES:
-        # the same shape at each corner, half as large
-        result = [
-            (facets, tuple(_middle(kind, a, b) for b in corners))
-            for a in corners[: 4 if n == 14 else None]
-        ]
-        # A wedge has two more in its middle, between the centres of its quadrilaterals (15 to 17) and
-        # the middle nodes of its triangles (6 to 8, 9 to 11). A pyramid has one at each corner of its
-        # base, one at its tip, one upside down on the centre of its base (13), and a tetrahedron at
-        # each edge of its base.
-        if kind == "wedge18":
-            result += [
-                (facets, nodes) for nodes in ((6, 7, 8, 15, 16, 17), (15, 16, 17, 9, 10, 11))
-            ]
-        if kind == "pyramid14":
-            result += [(facets, nodes) for nodes in ((9, 10, 11, 12, 4), (12, 11, 10, 9, 13))]
-            result += [(FACETS["tetra"], (5 + i, 13, 9 + i, 9 + (i + 1) % 4)) for i in range(4)]
-        return result
-    # A cell is cut off at each corner. The core, between the middle nodes, has a face where each of
-    # them was cut off, and in 3D the middle nodes of each facet as another.
+    # the cell at the tip of a pyramid follows below: its base lies on middle nodes, not on the base
+    with_cell = corners[:4] if shape == "pyramid" else corners
+    result = [(facets, tuple(_middle(kind, a, b) for b in corners)) for a in with_cell]
+    if shape == "wedge":
+        # between the middle nodes of the triangles (6 to 8, 9 to 11) and the centres of the
+        # quadrilaterals (15 to 17)
+        result += [(facets, nodes) for nodes in ((6, 7, 8, 15, 16, 17), (15, 16, 17, 9, 10, 11))]
+    if shape == "pyramid":
+        # one at the tip, one upside down on the centre of the base (13), and a tetrahedron at each
+        # edge of the base
+        result += [(facets, nodes) for nodes in ((9, 10, 11, 12, 4), (12, 11, 10, 9, 13))]
+        result += [(FACETS["tetra"], (5 + i, 13, 9 + i, 9 + (i + 1) % 4)) for i in range(4)]
+    return result
+
+
+def _cut_corners(kind: str) -> Parts:
+    """Return the cells that the middle nodes of the edges cut off, one at each corner."""
     result = []
-    faces = []
-    for a in corners:
-        ring = _around(kind, a)
-        if len(ring) > 2:
-            faces.append(ring)
-        cell = {2: "triangle", 3: "tetra", 4: "pyramid"}[len(ring)]
-        result.append((FACETS[cell], (a, *ring) if len(ring) < 4 else (*ring[::-1], a)))
-    faces += (
-        [local[len(local) // 2 :] for _, local in facets_of(kind)] if DIMENSIONS[shape] == 3 else []
-    )
-    inner = tuple(range(_CORNERS[shape], n))
-    number = {node: i for i, node in enumerate(inner)}
-    core = tuple(tuple(number[node] for node in face) for face in faces)
-    return [*result, (core or FACETS[{3: "triangle", 4: "quad"}[len(inner)]], inner)]
+    for corner in range(_CORNERS[KINDS[kind][0]]):
+        ring = _around(kind, corner)
+        if len(ring) == 4:  # the tip comes last
+            result.append((FACETS["pyramid"], (*ring[::-1], corner)))
+        else:
+            result.append((FACETS["triangle" if len(ring) == 2 else "tetra"], (corner, *ring)))
+    return result
+
+
+def _core(kind: str) -> tuple[tuple[Corners, ...], Corners]:
+    """Return the cell between the middle nodes of the edges."""
+    shape, n = KINDS[kind]
+    n_corners = _CORNERS[shape]
+    inner = tuple(range(n_corners, n))
+    if DIMENSIONS[shape] == 2:
+        return FACETS[shape], inner
+    # a face where each corner was cut off, and one in each facet, whose second half of nodes are
+    # middle nodes
+    faces = [_around(kind, corner) for corner in range(n_corners)]
+    faces += [local[len(local) // 2 :] for _, local in facets_of(kind)]
+    return tuple(tuple(node - n_corners for node in face) for face in faces), inner
 
 
 def _around(kind: str, corner: int) -> Corners:

@@ -355,6 +355,7 @@ def draw_bodies(
     outlines before."""
     table = facet_table(mesh.elements, mesh.n_nodes)
     now = mesh.points if moved is None else moved
+    # the element of each facet
     behind = table.first[table.find(facet_keys(mesh.facets, mesh.n_nodes))]
     shown = np.isin(mesh.element_body, [mesh.bodies.index(name) for name in names or mesh.bodies])
     visible = shown[behind]
@@ -378,33 +379,22 @@ def draw_bodies(
         size = np.bincount(mesh.element_body, np.abs(mesh.volumes))
         elements = elements[np.argsort(-size[mesh.element_body[elements]], kind="stable")]
         _fill(ax, now, mesh, elements, colors, lines)
-        for points, color, width in ((before, style.GREY, 0.8), (now, style.INK, 1.0)):
-            if points is not None:
-                ax.add_collection(
-                    LineCollection(
-                        list(points[facets]),
-                        color=color,
-                        linewidth=width,
-                        zorder=3,
-                        capstyle="projecting",
-                    )
-                )
-        halves = list(style.halves(now[facets[marked]]))
-        for color, width in (("white", 4.2), (inks[codes[marked].ravel()], 2.8)):
-            ax.add_collection(
-                LineCollection(halves, color=color, linewidth=width, capstyle="round", zorder=4)
-            )
+        if before is not None:
+            _draw_edges(ax, before[facets], style.GREY, 0.8)
+        _draw_edges(ax, now[facets], style.INK, 1.0)
+        halves = style.halves(now[facets[marked]])
+        _draw_edges(ax, halves, "white", 4.2, over=True)
+        _draw_edges(ax, halves, inks[codes[marked].ravel()], 2.8, over=True)
         ax.set(aspect="equal", xlabel=f"{axes[0]} [{unit}]", ylabel=f"{axes[1]} [{unit}]")
         ax.spines[:].set_visible(False)
         ax.margins(0.03)
         ax.autoscale_view()
     else:
-        nodal = isinstance(colors, Coloring) and colors.nodal
-        rgba = (
-            np.repeat(_rgba(colors, mesh, behind)[:, None], 3, axis=1)
-            if not nodal
-            else _rgba(colors, mesh, facets)
-        )
+        # a colour for each corner of a facet
+        if isinstance(colors, Coloring) and colors.nodal:
+            rgba = _rgba(colors, mesh, facets)
+        else:
+            rgba = np.repeat(_rgba(colors, mesh, behind)[:, None], 3, axis=1)
         rgba[marked] = inks[np.median(codes[marked], axis=1).astype(int)][:, None]
         edges = sharp_edges(mesh.points, facets)
         outlines = [Lines(now[edges], style.INK, 0.9)]
@@ -416,6 +406,21 @@ def draw_bodies(
         if len(names or mesh.bodies) == 1:
             view_of(ax, now[facets[marked]])
     return set(codes[marked].ravel().tolist())
+
+
+def _draw_edges(
+    ax: Axes, edges: np.ndarray, colors: str | np.ndarray, width: float, over: bool = False
+) -> None:
+    """Draw edges (n, 2, 2) of a plane mesh, marks ``over`` outlines."""
+    ax.add_collection(
+        LineCollection(
+            list(edges),
+            color=colors,
+            linewidth=width,
+            zorder=4 if over else 3,
+            capstyle="round" if over else "projecting",
+        )
+    )
 
 
 def _fill(

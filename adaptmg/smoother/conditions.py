@@ -166,9 +166,9 @@ def linearise(
     tangential = factor * stiffness[:, 1:].max(axis=1)
     with np.errstate(invalid="ignore"):
         # with c / (1 + c e) for c, so that both signs stay those of the condition
-        deeper = unknowns[:, 0] - contact.gap - contact.compliances * residual[:, 0]
+        penetration = unknowns[:, 0] - contact.gap - contact.compliances * residual[:, 0]
         normal = factor * stiffness[:, 0]
-        augmented = residual[:, 0] + normal / (1 + normal * contact.compliances) * deeper
+        augmented = residual[:, 0] + normal / (1 + normal * contact.compliances) * penetration
     active = augmented > 0
     tau = unknowns[:, 1:] - contact.slip_reference
     bound = np.maximum(contact.limit + contact.friction * np.maximum(augmented, 0.0), 0.0)
@@ -181,13 +181,20 @@ def linearise(
     )
     along = equations.direction[:, :, None] * equations.direction[:, None, :]
     equations.curvature[:] += (active * hardening)[:, None, None] * along
-    soft = active & (contact.compliances * stiffness[:, 0] > STIFF)
-    spring = 1 / contact.compliances[soft]
-    equations.spring[soft] = spring
-    equations.prescribed[soft, 0] = False
-    equations.change[soft, 0] = 0.0
-    equations.force[soft, 0] -= spring * (unknowns[soft, 0] - contact.gap[soft])
+    soft = np.flatnonzero(active & (contact.compliances * stiffness[:, 0] > STIFF))
+    _set_springs(contact, unknowns, soft, equations)
     return _beside_held(contact, tau, residual, equations)
+
+
+def _set_springs(
+    contact: NodalContact, unknowns: np.ndarray, nodes: np.ndarray, equations: Linearised
+) -> None:
+    """Replace prescribed normal displacements of compliant ``nodes`` by springs."""
+    spring = 1 / contact.compliances[nodes]
+    equations.spring[nodes] = spring
+    equations.prescribed[nodes, 0] = False
+    equations.change[nodes, 0] = 0.0
+    equations.force[nodes, 0] -= spring * (unknowns[nodes, 0] - contact.gap[nodes])
 
 
 def _beside_held(

@@ -677,11 +677,13 @@ def _image(matrix: sparse.bsr_array, change: np.ndarray) -> np.ndarray:
     nodes = np.flatnonzero(np.logical_or.reduce(list(change.T)))
     starts = matrix.indptr[nodes]
     counts = matrix.indptr[nodes + 1] - starts
+    # the numbers of the blocks in the rows of these nodes: from each start on, as many as it has
     blocks = np.repeat(starts - np.append(0, np.cumsum(counts)[:-1]), counts)
     blocks += np.arange(len(blocks))
+    factors = np.repeat(change[nodes], counts, axis=0)
     images = np.zeros_like(change)
-    given = np.repeat(change[nodes], counts, axis=0)
-    np.add.at(images, matrix.indices[blocks], np.einsum("pij,pi->pj", matrix.data[blocks], given))
+    # by symmetry the rows are columns
+    np.add.at(images, matrix.indices[blocks], np.einsum("pij,pi->pj", matrix.data[blocks], factors))
     return images
 
 
