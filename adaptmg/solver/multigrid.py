@@ -29,8 +29,10 @@ from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.iterate import State
 from adaptmg.solver.projected import ProjectedRun
 from adaptmg.solver.record import Outcome, Run, Status
+from adaptmg.solver.steps import Cycles, Stepper
 from adaptmg.solver.truncated import TruncatedRun
 
 _LOG = logging.getLogger(__name__)
@@ -153,6 +155,33 @@ class Multigrid:
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
         return self.prepared(hierarchy, run).from_given(start)
+
+    def setup(self, hierarchy: Hierarchy, start: State | None = None) -> Stepper:
+        """Return an object whose ``step(state) -> state`` is a cycle on the finest level: to look at
+        the states, or as a part of a user-defined method.
+
+        Only the :class:`adaptmg.State` is remembered. A step that gets other unknowns than those of
+        the last state smooths them first. There is no stopping test, no nested start, and no contact
+        problem on a coarse level. ValueError for smoothed elements with poisson above .4.
+
+        Parameters
+        ----------
+        hierarchy : Hierarchy
+        start : State, optional
+            Not used; it is there for :func:`adaptmg.solve`.
+
+        Examples
+        --------
+        >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4, 8))
+        >>> stepper = am.Multigrid().setup(grids)
+        >>> state = am.State(unknowns=np.zeros(grids.finest.discrete.n_dofs))
+        >>> for _ in range(3):
+        ...     state = stepper.step(state)
+        >>> state.cycles
+        3
+        """
+        run = Run(unit=hierarchy.finest.discrete.matrix.nnz)
+        return Cycles(run, self.prepared(hierarchy, run).cycle_of_states())
 
     def prepared(
         self, hierarchy: Hierarchy, run: Run, keeps: bool = False

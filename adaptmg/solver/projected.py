@@ -6,6 +6,7 @@ The monotone and the paper's corrections are such; see :mod:`adaptmg.multigrid.c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar
@@ -71,6 +72,13 @@ class ProjectedRun:
 
     def from_nested(self, start: NestedStart) -> Outcome:
         return self.finish(self.nested_start(start))
+
+    def cycle_of_states(self) -> Callable[[State], State]:
+        """Return a cycle on the finest level from state to state, which smooths a start."""
+        if self.correction.needs_initial:
+            self.nested_start(NestedStart())
+        last = len(self.hierarchy) - 1
+        return self._cycles(self.multigrid(last), last).step
 
     def multigrid(self, finest: int) -> MultigridCycle:
         """Build cycles on level ``finest`` and those below."""

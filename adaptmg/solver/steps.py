@@ -13,7 +13,7 @@ three, that error is :math:`\delta_k\,\rho/(1-\rho)`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
 
@@ -47,6 +47,30 @@ class Method(Protocol):
         for each level of the nested start above the coarsest, which the active set method solves,
         and at last for the whole hierarchy."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Cycles:
+    """The cycles of a method of the package, whose work a run counts. The state of the method is
+    the memory of a state; its unknowns are smoothed."""
+
+    run: Run
+    cycle: Callable[[State], State]  # of a start it only smooths
+
+    def step(self, state: State) -> State:
+        before = self.run.work_units
+        smoothed = state.memory
+        if smoothed is None or not np.array_equal(smoothed.unknowns, state.unknowns):
+            smoothed = self.cycle(State(unknowns=state.unknowns))
+        new = self.cycle(smoothed)
+        passes = self.run.work_units - before
+        return State(
+            unknowns=new.unknowns,
+            passes=passes,
+            memory=new,
+            residual=new.residual,
+            cycles=state.cycles + 1,
+        )
 
 
 class Stepped:

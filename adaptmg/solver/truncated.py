@@ -26,7 +26,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from adaptmg.discrete.coordinates import Coupling
+from adaptmg.discrete.coordinates import Coupling, rotate, rotate_back
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.coarse_obstacles import CoarseObstacles
@@ -38,9 +38,10 @@ from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncated_step import CoarseContact, TruncatedState, TruncatedStep
 from adaptmg.multigrid.volume_pressures import prolonged_pressures
+from adaptmg.smoother.system import frames_and_fixed
 from adaptmg.solver.active_set import coarsest_solution
 from adaptmg.solver.examine import ROUNDING, Sizes
-from adaptmg.solver.iterate import Measured, StopTest, iterate, nested_start, true_error
+from adaptmg.solver.iterate import Measured, State, StopTest, iterate, nested_start, true_error
 from adaptmg.solver.record import Outcome, Run, Status
 
 
@@ -309,6 +310,21 @@ class TruncatedRun:
     def from_nested(self, start: NestedStart) -> Outcome:
         problem = self.problems[-1]
         return self.finish(problem.from_prescribed(self.nested_start(start)[-1]), "nested")
+
+    def cycle_of_states(self) -> Callable[[State], State]:
+        """Return a cycle on the finest level from state to state, which smooths a start."""
+        problem = self.problems[-1]
+        problem.need_no_volumes("a step from state to state")
+        parts = self.steps_on(len(self.hierarchy) - 1)
+        frames, _ = frames_and_fixed(problem)
+        nodes = problem.contact.nodes
+
+        def cycle(state: State) -> State:
+            before = state.memory or parts.begin(rotate_back(state.unknowns, frames, nodes))
+            new = parts.step(before)
+            return State(unknowns=rotate(new.iterate, frames, nodes), memory=new)
+
+        return cycle
 
     def nested_start(
         self, start: NestedStart, past: list[np.ndarray] | None = None

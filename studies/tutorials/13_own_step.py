@@ -60,6 +60,15 @@ for solver in (Mine(), am.FullMultigrid(rtol=1e-6)):
 am.plot.history(result)
 
 # %%
+# The cycles of the package go from state to state too, so that you can look at each state, or put something between
+# two cycles:
+stepper = am.Multigrid().setup(grids)
+state = am.State(unknowns=np.zeros(grids.finest.discrete.n_dofs))
+for _ in range(3):
+    state = stepper.step(state)
+    print(f"cycle {state.cycles}: {state.passes:.1f} passes")
+
+# %%
 # To exchange one part of the package's step, give it to ``am.Truncated``: ``smooth=``, ``correct=`` or ``project=``.
 #
 # **Next:** keep the directions of slip too (``am.Truncated`` does). **It depends on** your own parts.

@@ -93,6 +93,34 @@ def test_nothing_is_remembered_but_the_state(bar):
         state.unknowns[0] = 1.0
 
 
+@pytest.mark.parametrize(
+    "correction", [am.Truncated(), am.Monotone()], ids=["truncated", "monotone"]
+)
+def test_cycles_of_the_package_go_from_state_to_state(correction, bar, exact):
+    """The same state leads to the same one, other unknowns are a start; as a user-defined method
+    they end as soon as the package's method does."""
+    method = am.Multigrid(correction=correction, rtol=1e-6)
+    stepper = method.setup(bar)
+    start = am.State(unknowns=np.zeros(bar.finest.discrete.n_dofs))
+    first = stepper.step(start)
+    second = stepper.step(first)
+    assert second.cycles == 2 and second.passes > 0
+    np.testing.assert_array_equal(stepper.step(first).unknowns, second.unknowns)
+    changed = stepper.step(replace(second, unknowns=start.unknowns))
+    np.testing.assert_allclose(
+        changed.unknowns, first.unknowns, atol=1e-12 * np.abs(first.unknowns).max()
+    )
+
+    class Driven:
+        rtol = 1e-6
+        start_cycles = 0
+        setup = staticmethod(method.setup)
+
+    result = am.solve(bar, Driven())
+    assert result.status.ok and error(result, exact, bar) <= 1.05e-6
+    assert abs(result.cycles - am.solve(bar, method).cycles) <= 2
+
+
 def arrays_of(state):
     """All arrays that a state holds, copied."""
     held = [state.iterate, state.residual, state.left, *vars(state.contact).values()]
