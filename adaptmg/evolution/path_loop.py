@@ -85,8 +85,8 @@ class PathLoop:
         self.coarse: list[np.ndarray] | None = None
         #: (n_contact,): length of the slips so far, m, which the law may see
         self.accumulated_slip = finest.discrete.contact.accumulated_slip
-        #: the solutions of the last two steps, and the forces that led there
-        self.recent = [(np.zeros(finest.discrete.n_unknowns), np.zeros(finest.discrete.n_dofs))]
+        #: the solutions of the last two steps, and the factors that led there
+        self.recent = [(np.zeros(finest.discrete.n_unknowns), np.zeros(len(self.factors)))]
         if not self.controls.motions:
             # a step that nothing holds should show before the first step is solved, too
             for k in range(len(path)):
@@ -113,7 +113,7 @@ class PathLoop:
         motions = self.controls.motions
         if parts:
             self._check_statics(k, self._posed(k, motions))
-            result, (grids, forces, coarse), motions = self.controls.find(
+            result, (grids, coarse), motions = self.controls.find(
                 parts,
                 lambda motions, near, loose: self._solve(k, motions, near, progress, loose),
                 partial(self._posed, k),
@@ -121,13 +121,13 @@ class PathLoop:
             )
             self._check_held(grids, k, motions)
         else:
-            result, (grids, forces, coarse) = self._solve(k, motions, None, progress, 0.0)
+            result, (grids, coarse) = self._solve(k, motions, None, progress, 0.0)
         result = replace(
             result,
             motions={name: motion.tolist() for name, motion in motions.items()},
         )
         self.controls.take(factors, motions)
-        self._remember(grids, result, forces, coarse)
+        self._remember(k, grids, result, coarse)
         _LOG.info(self.report(k, result))
         return result
 
@@ -138,7 +138,7 @@ class PathLoop:
         near: Result | None,
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
-    ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
+    ) -> tuple[Result, tuple[Hierarchy, list[np.ndarray] | None]]:
         """Return the result of step k with the motions of obstacles, which starts from a result
         ``near`` to it, and what the next step needs. The tolerance may be as large as ``loose``."""
         run, grids, forces = self._set_up(k, motions, progress)
@@ -147,7 +147,7 @@ class PathLoop:
             past = Past(
                 self.levels,
                 self.recent[-1][0],
-                self._start(forces, near),
+                self._start(k, near),
                 len(self.recent) > 1,
                 near is not None,
                 loose,
@@ -156,7 +156,7 @@ class PathLoop:
             with run.phase("statics"):
                 self._check_statics(k, grids)
         if self._at_rest(forces):
-            return self._undeformed(k, grids, run, motions), (grids, forces, None)
+            return self._undeformed(k, grids, run, motions), (grids, None)
         outcome, self.multigrid, coarse = step_outcome(
             self.step_solver, self.multigrid, grids, self.examiner, run, past
         )
@@ -167,7 +167,7 @@ class PathLoop:
             result = result_of(
                 grids, self.examiner, run, outcome, self.solver, self._stress_data(k, motions)
             )
-        return result, (grids, forces, coarse)
+        return result, (grids, coarse)
 
     def _set_up(
         self,
@@ -227,7 +227,7 @@ class PathLoop:
         if result.displacement.any():
             self._hold(result.rtol)
         self.controls.take(self._factors_at(k), motions)
-        self._remember(grids, result, grids.finest.discrete.load_from_prescribed(), coarse)
+        self._remember(k, grids, result, coarse)
 
     def _at_rest(self, forces: np.ndarray) -> bool:
         """Return whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b -
@@ -294,7 +294,7 @@ class PathLoop:
         )
 
     def _remember(
-        self, grids: Hierarchy, result: Result, forces: np.ndarray, coarse: list[np.ndarray] | None
+        self, k: int, grids: Hierarchy, result: Result, coarse: list[np.ndarray] | None
     ) -> None:
         discrete = grids.finest.discrete
         self.coarse = coarse
@@ -302,24 +302,29 @@ class PathLoop:
         displacement = discrete.relative(result.displacement).reshape(-1)
         self.accumulated_slip = self.accumulated_slip + way_in_contact(result)
         solution = np.append(displacement, result.pressures)
-        self.recent = [*self.recent[-1:], (solution, forces)]
+        self.recent = [*self.recent[-1:], (solution, self._factor_array(k))]
         self.levels = (
             coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
         )
 
-    def _start(self, forces: np.ndarray, near: Result | None) -> np.ndarray:
-        """Return a start (n_unknowns,) for a step with these forces: a result near to it, or the
-        extrapolation of the last two steps by least squares in the forces."""
+    def _factor_array(self, k: int) -> np.ndarray:
+        return np.array(list(self._factors_at(k).values()))
+
+    def _ratio(self, k: int) -> float:
+        """Return the change of the factors towards step k over their last one, by least squares."""
+        last = self.recent[-1][1]
+        change = last - self.recent[0][1]
+        size = float(change @ change)
+        return float((self._factor_array(k) - last) @ change) / size if size else 0.0
+
+    def _start(self, k: int, near: Result | None) -> np.ndarray:
+        """Return a start (n_unknowns,) for step k: a result near to it, or the extrapolation of the
+        last two steps."""
         if near is not None:
             displacement = self.grids.finest.discrete.relative(near.displacement)
             return np.append(displacement, near.pressures)
-        earlier, forces_earlier = self.recent[0]
-        last, last_forces = self.recent[-1]
-        change = last_forces - forces_earlier
-        # not through BLAS, whose threads cost more than they gain
-        size = float(np.einsum("i,i->", change, change))
-        ratio = float(np.einsum("i,i->", forces - last_forces, change)) / size if size else 0.0
-        return last + ratio * (last - earlier)
+        last = self.recent[-1][0]
+        return last + self._ratio(k) * (last - self.recent[0][0])
 
 
 def _posed_with_names(grids: Hierarchy) -> list[Posed | None]:

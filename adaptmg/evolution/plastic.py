@@ -112,7 +112,7 @@ class PlasticLoop(PathLoop):
         near: Result | None,
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
-    ) -> tuple[Result, tuple[Hierarchy, np.ndarray, list[np.ndarray] | None]]:
+    ) -> tuple[Result, tuple[Hierarchy, list[np.ndarray] | None]]:
         run, grids, forces = self._set_up(k, motions, progress)
         problem = grids.finest.discrete
         data = self._stress_data(k, motions)
@@ -120,14 +120,11 @@ class PlasticLoop(PathLoop):
             result = self._undeformed(k, grids, run, motions)
             at = self.plastic.respond(problem, np.zeros(problem.n_dofs), self.state)
             data = self.plastic.result(problem, at, cast("StressData", data))
-            return replace(result, stress_data=data), (grids, forces, None)
-        starts = [self.recent[-1][0], self._start(forces, None)]
+            return replace(result, stress_data=data), (grids, None)
+        # where the load turns round, bodies are elastic, as they are at the last solution
+        start = self._start(k, None) if self._ratio(k) > 0 else self.recent[-1][0]
         with run.phase("tangent"):
-            responses = [self.plastic.respond(problem, start, self.state) for start in starts]
-        inner = ~problem.fixed
-        inner.reshape(-1, problem.dim)[problem.contact.nodes] = False
-        inner.reshape(-1, problem.dim)[problem.inclined.nodes] = False
-        at = min(responses, key=lambda response: float(np.linalg.norm(response.missed[inner])))
+            at = self.plastic.respond(problem, start, self.state)
         newton = _Newton(self, grids, run)
         outcome, last = newton.run(at)
         at = newton.at
@@ -141,7 +138,7 @@ class PlasticLoop(PathLoop):
                 self.solver,
                 data,
             )
-        return result, (grids, forces, None)
+        return result, (grids, None)
 
 
 def _state_of(result: Result) -> np.ndarray:

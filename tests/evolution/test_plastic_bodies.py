@@ -201,6 +201,7 @@ def test_the_punch_meets_its_limit_load(punch):
     """939 nodes; smoothed elements come nearer. The multigrid agrees with the active set method."""
     path = am.LoadPath({"punch": [0.25, 0.5, 0.75]})
     found = {}
+    most = {"linear": 7, "smoothed": 9}
     for elements in ("linear", "smoothed"):
         problem = am.cases.prandtl_punch(elements=elements)
         grids = punch.with_problem(problem)
@@ -208,9 +209,11 @@ def test_the_punch_meets_its_limit_load(punch):
         last = results[-1]
         force = last.resultant("contact").force[1]
         found[elements] = -force / problem.reference["half_width"] / problem.reference["limit"]
-        assert max(result.cycles for result in results) <= 60
+        assert max(result.cycles for result in results) <= 50
         steps = [np.isfinite(result.history["newton_change"]).sum() for result in results]
-        assert max(steps) <= 12
+        assert steps[0] <= 10
+        # towards the same motion the bodies go on as before
+        assert max(steps[1:]) <= most[elements]
         exact = am.solve_path(grids, path, am.ActiveSet(rtol=1e-10))[-1]
         assert exact.resultant("contact").force[1] == pytest.approx(force, rel=1e-5)
     assert 1.0 < found["smoothed"] < 1.025

@@ -218,6 +218,20 @@ def test_friction_follows_the_sliding_obstacle(seed):
         )
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_a_step_of_a_moving_obstacle_goes_on_from_the_steps_before(seed):
+    """Without friction the displacement of a body that stays in contact is linear in the motion."""
+
+    def moving(place, vector):
+        return am.Moving(plane(place), displacement=vector(np.array([0.0, -1e-3])), name="press")
+
+    grids, _, _ = turned_block(np.random.default_rng(seed), moving)
+    path = am.LoadPath({"press": [0.2, 0.5, 1.0, 0.4]})
+    for solver in (am.Multigrid(correction=am.Monotone(), rtol=1e-6), am.FullMultigrid(rtol=1e-6)):
+        first, *rest = (result.cycles for result in am.solve_path(grids, path, solver))
+        assert max(rest) <= 2 < first
+
+
 def test_planes_move_exactly_and_other_obstacles_to_first_order():
     rng = np.random.default_rng(5)
     for dim in (2, 3):
