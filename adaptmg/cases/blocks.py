@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.constants import g as gravity
 
 import adaptmg as am
 from adaptmg import _checks as checks
@@ -233,6 +232,8 @@ def incline(
             f"width over height must be above tan(angle) = {slope:.3g}, got {width / height:.3g}: the "
             "block tips over"
         )
+    from scipy.constants import g as gravity  # takes long to import
+
     weight = density * gravity * width * height
     reference = {
         "quantity": "resultant contact force on the block, N/m",

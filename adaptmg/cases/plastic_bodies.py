@@ -27,7 +27,6 @@ import math
 from functools import partial
 
 import numpy as np
-from scipy.optimize import brentq
 
 import adaptmg as am
 from adaptmg import _checks as checks
@@ -157,6 +156,8 @@ def hill_cylinder(
             f"pressure must be at least {first:.6g} Pa, where yield begins, and below the limit "
             f"{last:.6g} Pa, got {pressure!r}"
         )
+    from scipy.optimize import brentq  # takes long to import
+
     radius = brentq(lambda c: _pressure_at(k, a, b, c) - pressure, a, b, xtol=checks.ROUNDING * b)
     stress = partial(_tube_stress, k, a, b, radius, pressure)
     reference = {

@@ -26,7 +26,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
 
 import adaptmg as am
 from adaptmg import _checks as checks
@@ -72,6 +71,8 @@ def obstacle_problem(
 
     def above_floor(a: float) -> float:
         return q / (4 * k) * (r**2 - a**2 - 2 * a**2 * math.log(r / a)) - d
+
+    from scipy.optimize import brentq  # takes long to import
 
     a = float(brentq(above_floor, 1e-9 * r, r))
 
