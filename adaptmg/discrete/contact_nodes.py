@@ -103,8 +103,9 @@ class ContactNodes:
             raise ValueError("nodes must be distinct and >= 0")
         directions = _unit_normals(normals, n)
         scalar = directions.shape[1] == 1
-        opposite = np.full(n, np.inf) if opposite_gaps is None else opposite_gaps
-        opposite = _limits("opposite_gaps", opposite, (n,))
+        opposite = _uniform(np.inf, n)
+        if opposite_gaps is not None:
+            opposite = _limits("opposite_gaps", opposite_gaps, (n,))
         if not scalar and np.isfinite(opposite).any():
             raise ValueError(
                 "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "
@@ -120,15 +121,16 @@ class ContactNodes:
                 f"gaps must be >= 0, got {distances[i]:.6g} at contact node {i}; "
                 "for an interference fit say allow_interference=True"
             )
-        masses = bounded("weights", np.ones(n) if weights is None else weights, (n,))
+        masses = _uniform(1.0, n) if weights is None else bounded("weights", weights, (n,))
         if not masses.min(initial=1.0) >= SMALLEST:
             raise ValueError(
                 f"weights must be > 0, and at least {SMALLEST:g}, got {masses.min():.6g}"
             )
-        reference = np.zeros_like(directions) if slip_reference is None else slip_reference
-        slid = np.zeros(n) if accumulated_slip is None else accumulated_slip
-        slid = _nonnegative("accumulated_slip", slid, n)
-        soft = _nonnegative("compliance", np.zeros(n) if compliance is None else compliance, n)
+        reference = _uniform(0.0, directions.shape)
+        if slip_reference is not None:
+            reference = bounded("slip_reference", slip_reference, directions.shape, checks.VAST)
+        slid = _nonnegative("accumulated_slip", accumulated_slip, n)
+        soft = _nonnegative("compliance", compliance, n)
         if scalar and soft.any():
             raise ValueError("compliance must be 0 in scalar problems")
         places = np.zeros(n, dtype=np.int64) if boundary is None else boundary
@@ -138,7 +140,7 @@ class ContactNodes:
         faced = ("",) * len(slaves) if masters is None else _checked_masters(masters)
         if len(faced) != len(slaves):
             raise ValueError(f"masters must go with names ({len(slaves)}), got {len(faced)}")
-        taken = sparse.csr_array((n, 0))
+        taken = checks.no_entries((n, 0))
         if taken_over is not None:
             taken = sparse.csr_array(checks.sparse_matrix("taken_over", taken_over, (n, None)))
             if not taken.data.min(initial=0.0) >= 0:
@@ -148,7 +150,7 @@ class ContactNodes:
             normals=directions,
             gaps=distances,
             weights=masses,
-            slip_reference=bounded("slip_reference", reference, directions.shape, checks.VAST),
+            slip_reference=reference,
             accumulated_slip=slid,
             allow_interference=bool(allow_interference),
             boundary=places,
@@ -206,8 +208,17 @@ class ContactNodes:
         return self.weights * (1 + self.taken_over.sum(axis=1))
 
 
-def _nonnegative(name: str, value: ArrayLike, n: int) -> np.ndarray:
-    """Return numbers (n,) >= 0, read-only."""
+def _uniform(value: float, shape: int | tuple[int, ...]) -> np.ndarray:
+    """Return an array of equal numbers, read-only."""
+    result = np.full(shape, value)
+    result.flags.writeable = False
+    return result
+
+
+def _nonnegative(name: str, value: ArrayLike | None, n: int) -> np.ndarray:
+    """Return numbers (n,) >= 0, read-only; 0 where none are given."""
+    if value is None:
+        return _uniform(0.0, n)
     result = bounded(name, value, (n,), checks.VAST)
     if not result.min(initial=0.0) >= 0:
         raise ValueError(f"{name} must be >= 0, got {result.min():.6g}")

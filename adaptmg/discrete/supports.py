@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, NamedTuple, cast, get_args
 
 import numpy as np
@@ -58,6 +59,7 @@ class Inclined:
     )  # (n_groups, n_dofs): B
 
     @classmethod
+    @cache
     def none(cls, dim: int) -> Inclined:
         """Return no nodes: every direction that supports hold is an axis."""
         return cls(np.empty(0, dtype=np.int64), np.empty((0, dim, dim)), {})

@@ -81,8 +81,8 @@ class Volumes:
     def none(cls, n_nodes: int, dim: int) -> Volumes:
         """Return no groups, of a problem whose matrix holds the whole stiffness."""
         return cls(
-            rows=sparse.csr_array((0, n_nodes * dim)),
-            means=sparse.csr_array((0, n_nodes)),
+            rows=checks.no_entries((0, n_nodes * dim)),
+            means=checks.no_entries((0, n_nodes)),
             areas=NO_PRESSURES,
             compliance=NO_PRESSURES,
             modulus=NO_PRESSURES,

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from itertools import permutations
 from typing import TypeVar
 
@@ -252,14 +253,18 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
 def _simplices(counts: tuple[int, ...]) -> np.ndarray:
     """The two triangles or six tetrahedra of the cell whose lowest node is 0, positively
     oriented."""
-    dim = len(counts)
-    strides = _strides(counts)
+    return _corners(len(counts)) @ _strides(counts)
+
+
+@cache
+def _corners(dim: int) -> np.ndarray:
+    """Return the places (n_simplices, dim + 1, dim) of their corners along the axes, 0 or 1."""
     simplices = []
-    for path in permutations(range(dim)):
-        offsets = np.cumsum(np.r_[0, strides[list(path)]])
-        odd = np.linalg.det(np.eye(dim)[list(path)]) < 0
-        simplices.append(np.r_[offsets[:-2], offsets[:-3:-1]] if odd else offsets)
-    return np.array(simplices, dtype=np.int32)
+    for path in permutations(np.eye(dim, dtype=np.int32)):
+        corners = np.cumsum([np.zeros(dim, dtype=np.int32), *path], axis=0, dtype=np.int32)
+        odd = np.linalg.det(path) < 0
+        simplices.append(corners[[*range(dim - 1), dim, dim - 1]] if odd else corners)
+    return np.array(simplices)
 
 
 def _moved(simplices: np.ndarray, cells: np.ndarray) -> np.ndarray:

@@ -43,8 +43,8 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     _, singular, combinations = np.linalg.svd(
         np.linalg.qr(rows / size, mode="r"), full_matrices=True
     )
-    singular = np.pad(singular, (0, len(combinations) - len(singular)))
-    return (combinations[singular <= checks.ALIKE] / size).T
+    rank = np.count_nonzero(singular > checks.ALIKE)
+    return (combinations[rank:] / size).T
 
 
 def _is_held_body(problem: DiscreteProblem, held: np.ndarray, fixed: np.ndarray) -> bool:

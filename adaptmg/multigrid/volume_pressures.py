@@ -45,14 +45,10 @@ class VolumePressures:
 
     def __init__(self, problem: DiscreteProblem) -> None:
         volumes = problem.volumes
-        rows = sparse.csr_array(
-            (
-                volumes.rows.data * ~problem.fixed[volumes.rows.indices],
-                volumes.rows.indices,
-                volumes.rows.indptr,
-            ),
-            shape=volumes.rows.shape,
-        )
+        rows = volumes.rows
+        if len(volumes):
+            data = rows.data * ~problem.fixed[rows.indices]
+            rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
         self.volumes = replace(volumes, rows=rows, expansion=0.0, prescribed=0.0)
         #: for each body the pressures (n_groups,) that are 1 in it
         self.uniform = [(volumes.body == k).astype(float) for k in np.unique(volumes.body)]

@@ -472,7 +472,7 @@ def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
         raise ValueError(
             f"{name} must be a number or an array over the {n} contact nodes, got shape {np.shape(value)}"
         )
-    return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (n,)))
+    return np.full(n, value, dtype=np.float64)
 
 
 def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike:

@@ -229,9 +229,7 @@ def _null_combinations(rows: np.ndarray) -> np.ndarray:
     """Orthonormal rows (n_null, k) of coefficients for which ``rows`` (n, k) vanish."""
     # the triangular factor has at most k rows and the same singular values
     _, singular, combinations = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
-    return combinations[
-        np.pad(singular, (0, len(combinations) - len(singular))) <= checks.SIX_DIGITS
-    ]
+    return combinations[np.count_nonzero(singular > checks.SIX_DIGITS) :]
 
 
 def _check_body(body: _Body) -> None:
