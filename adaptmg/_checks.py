@@ -276,7 +276,7 @@ def field(
             )
     else:
         array = np.asarray(number(name, value))
-    values = np.array(np.broadcast_to(array, (n,)), dtype=np.float64)
+    values = np.full(n, array, dtype=np.float64)
     bad = ~((values >= minimum) & (values <= VAST))
     if bad.any():
         i = int(np.argmax(bad))

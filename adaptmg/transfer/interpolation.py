@@ -63,7 +63,7 @@ class Interpolation:
         ValueError if a fine node lies outside by more than a quarter of an element, bodies or
         dimensions differ, or an element is inverted."""
         _check_meshes(coarse, fine)
-        if (rows := _between_lattices(coarse, fine)) is not None:
+        if (rows := between_lattices(coarse, fine)) is not None:
             return rows
         found = locate_nodes(coarse, fine)
         return csr_from_weights(coarse.elements[found.element], found.weights, coarse.n_nodes)
@@ -169,7 +169,7 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
     return Location(element=element, weights=weights, distance=distance)
 
 
-def _between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
+def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array | None:
     """Return the rows of interpolation between structured meshes of the same bodies, to rounding;
     None for other meshes.
 
