@@ -315,15 +315,13 @@ def pattern(
     """Return row pointers and sorted columns of the matrix of patches; ValueError for a node
     without one."""
     n = of_nodes.shape[1]
-    indptr = np.zeros(of_nodes.shape[1] + 1, dtype=np.int64)
+    indptr = np.zeros(n + 1, dtype=np.int64)
     arguments = of_nodes.indptr, of_nodes.indices, start, nodes, indptr
-    in_parts(_find_neighbours, n, 8 * len(nodes), *arguments, np.empty(0, dtype=np.int32))
+    columns = in_parts(_find_neighbours, n, 8 * len(nodes), *arguments)
     if not indptr[1:].all():
         raise ValueError(f"node {np.argmin(indptr[1:])} belongs to no element; remove unused nodes")
     np.cumsum(indptr, out=indptr)
-    indices = np.empty(indptr[-1], dtype=np.int32)
-    in_parts(_find_neighbours, n, 8 * len(nodes), *arguments, indices)
-    return indptr, indices
+    return indptr, np.concatenate(columns)
 
 
 def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
@@ -343,33 +341,38 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 
 
 @kernel
-def _find_neighbours(first, last, start, listed, begin, nodes, indptr, indices):
-    """Find the columns of the pattern, ascending: nodes that share a patch, each node with itself.
-    Without ``indices`` how many there are, to ``indptr[1:]``, which comes back summed up with
-    them."""
+def _find_neighbours(first, last, start, listed, begin, nodes, counts):
+    """Return the columns of rows of the pattern, ascending: nodes that share a patch, each node with
+    itself. How many there are goes to ``counts[1:]``. Found once, in an array
+    that is too long: 10.4 ms for 263k nodes, 4.5 for 36k in 3D, counted before they are found 13.3
+    and 7.1."""
     # unsigned: numba asks of all others whether they count from the end, which takes half of the
     # time
     marker = np.full(len(start) - 1, -1, dtype=np.int32)
     one = np.uint64(1)
+    most = 0
+    for at in range(start[first], start[last]):
+        e = np.uint64(listed[at])
+        most += begin[e + one] - begin[e]
+    columns = np.empty(most, dtype=np.int32)
+    end = np.uint64(0)
     for i in range(first, last):
-        count = np.uint64(0)
-        row = np.uint64(indptr[i])
+        row = end
         for at in range(start[i], start[i + 1]):
             e = np.uint64(listed[at])
             for p in range(np.uint64(begin[e]), np.uint64(begin[e + one])):
                 v = np.uint64(nodes[p])
                 if marker[v] != i:
                     marker[v] = i
-                    if len(indices):
-                        # few are out of order
-                        k = row + count
-                        while k > row and indices[k - one] > nodes[p]:  # one further down each time
-                            indices[k] = indices[k - one]
-                            k -= one
-                        indices[k] = nodes[p]
-                    count += one
-        if not len(indices):
-            indptr[i + 1] = count
+                    # few are out of order
+                    k = end
+                    while k > row and columns[k - one] > nodes[p]:  # one further down each time
+                        columns[k] = columns[k - one]
+                        k -= one
+                    columns[k] = nodes[p]
+                    end += one
+        counts[i + 1] = end - row
+    return columns[:end]
 
 
 @kernel

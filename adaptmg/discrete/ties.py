@@ -82,6 +82,8 @@ class TieForces:
 def tie_interfaces(posed: Posed) -> list[MortarInterface]:
     """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what
     supports hold in all directions is not tied."""
+    if not posed.problem.ties:
+        return []
     taken = np.all(posed.fixed, axis=1)
     # a support that moves such a node prescribes it
     taken[posed.inclined.nodes[posed.inclined.moving]] = True

@@ -29,6 +29,7 @@ from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg._threads import LARGE, in_colours, in_parts, scattering
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy, Level
+from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, minus_row, read, scale, times, write
 from adaptmg.smoother.strips import Strips, product
 from adaptmg.transfer.galerkin import coarse_matrix, seen, without_fixed
@@ -262,8 +263,9 @@ def galerkin_levels(
         if level.discrete_or_none is None:
             matrix = level.matrix
             fixed = np.zeros(level.matrix.shape[0], dtype=bool)
-        elif not level.discrete.between_bodies and _nested(
-            above, matrix, nodal, level.discrete.matrix
+        elif not level.discrete.between_bodies and (
+            _of_nested_elements(hierarchy, above, level)
+            or _nested(above, matrix, nodal, level.discrete.matrix)
         ):
             matrix = level.discrete.matrix
             fixed = level.discrete.fixed
@@ -277,6 +279,28 @@ def galerkin_levels(
         fine = level.discrete_or_none
         result.insert(0, split(matrix, fixed))
     return result
+
+
+def _of_nested_elements(hierarchy: Hierarchy, above: Level, below: Level) -> bool:
+    """Return whether both matrices are of linear elements with constant moduli alone, on lattices of
+    a body of which one divides the other, and the prolongation is their interpolation: the coarse matrix is
+    then the Galerkin matrix. To test that takes 20 ms with 263k nodes, of 530 for hierarchy and
+    solve."""
+    fine = above.posed
+    coarse = below.posed
+    if hierarchy.transfer is not None or fine is None or coarse is None:
+        return False
+    problem = fine.problem
+    if problem is not coarse.problem or problem.elements != "linear" or problem.axisymmetric:
+        return False
+    if any(isinstance(support, Spring | PointSpring) for support in problem.supports):
+        return False
+    if any(material.anisotropy or material.inelastic for material in fine.materials):
+        return False
+    lattices = fine.mesh.lattices, coarse.mesh.lattices
+    if [len(counts) for counts in lattices] != [1, 1] or (fine.mesh.box != coarse.mesh.box).any():
+        return False
+    return all(n % m == 0 for (n, m) in zip(*(counts[0] for counts in lattices), strict=True))
 
 
 def _nested(

@@ -409,10 +409,11 @@ class TruncatedStep:
             n = len(state.past)
             d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
             d = np.concatenate([d, self.pressures.weights])
-            changes = np.array(
-                [residual - left for _, residual in state.past]
-                + [change for _, change in state.uniform]
-            )
+            changes = np.empty((n + len(state.uniform), len(left)))
+            for change, (_, residual) in zip(changes, state.past, strict=False):
+                np.subtract(residual, left, out=change)
+            for change, (_, of_uniform) in zip(changes[n:], state.uniform, strict=True):
+                change[:] = of_uniform
             alpha = least_weights(left, changes, d)
             combined = (1.0 - alpha[:n].sum()) * state.iterate
             for weight, (past, _) in zip(alpha, state.past, strict=False):
@@ -472,13 +473,15 @@ class TruncatedStep:
         arithmetic reaches."""
         matrix = self.matrix
         matrix.complete()
-        diagonal = (
-            matrix.inverse.reshape(-1, matrix.dim, matrix.dim)
-            .diagonal(axis1=1, axis2=2)
-            .reshape(-1)
+        square = sum_of_parts(
+            projected_sweeps.diagonal_square,
+            matrix.n_nodes,
+            len(matrix.inverse),
+            ZERO[matrix.dim],
+            matrix.inverse,
+            unknowns,
         )
-        stiff = np.divide(unknowns, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
-        return float(np.sqrt(_product(stiff, stiff)))
+        return float(np.sqrt(square))
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> float:

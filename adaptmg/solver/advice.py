@@ -228,8 +228,10 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
     contact = results[0].contact
     if results[0].dim == 1:  # a membrane may well stay off its obstacle
         return
+    # einsum: 1 ms for 263k nodes, by norm(axis=1) 4.6
     moved = max(
-        float(np.linalg.norm(result.displacement, axis=1).max(initial=0.0)) for result in results
+        float(np.sqrt(np.einsum("nd,nd->n", u, u).max(initial=0.0)))
+        for u in (result.displacement for result in results)
     )
     for k, name in enumerate(contact.names):
         at = contact.boundary == k

@@ -32,10 +32,20 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
-from adaptmg._numba import kernel
+from adaptmg._numba import kernel, prefetch
 from adaptmg.discrete.coordinates import frames_of, from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
-from adaptmg.smoother.blocks import ONE, ZERO, in_loop, increase, inner, read, scale, times
+from adaptmg.smoother.blocks import (
+    AHEAD,
+    ONE,
+    ZERO,
+    in_loop,
+    increase,
+    inner,
+    read,
+    scale,
+    times,
+)
 from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_point
 
 #: nodes of an aggregate and its depth in the graph, by dimension
@@ -204,39 +214,54 @@ aggregates_of = remembered_of_structure(Aggregates)
 def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, band):
     """Add the lower half of B'AB to ``band`` (n_coarse, width), column by column. ``forces`` (modes
     * dim,) comes as 0: what the matrix makes there of the motions of one aggregate, until the next
-    one comes."""
+    one comes. The half of the matrix up to the diagonal is read: 11 ms for 263k nodes (all of it
+    16), 8 for 36k in 3D (13)."""
     dim = np.uint64(len(zero))
     modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
-    for i in range(len(indptr) - 1):
-        if starts[i] == starts[i + 1]:
+    ahead = np.int64(data.ctypes.data) + AHEAD
+    for row in range(len(indptr) - 1):
+        i = np.uint64(row)
+        here = np.uint64(starts[i])
+        if here == np.uint64(starts[i + ONE]):
             continue
-        number = last = place[label[starts[i]]]
-        for p in range(np.uint64(indptr[i]), np.uint64(indptr[i + 1])):
+        number = last = place[np.uint64(label[here])]
+        for p in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
             j = np.uint64(indices[p])
+            prefetch(np.uintp(ahead + np.int64(8 * dim * dim * p)))
+            if j > i:
+                break
             at = np.uint64(starts[j])
-            other = place[np.uint64(label[at])] if at < starts[j + ONE] else number + 1
-            if other > number:
+            if at == np.uint64(starts[j + ONE]):
                 continue
+            other = place[np.uint64(label[at])]
             if other != last:
-                _project(starts[i], motions, number, last, zero, forces, band)
+                _project(here, motions, number, last, zero, forces, band)
                 last = other
+            part = 0.5 if j == i else 1.0
             for q in range(modes):
-                v = read(motions, dim * (modes * at + q), zero)
+                v = scale(part, read(motions, dim * (modes * at + q), zero))
                 increase(forces, dim * q, times(data, dim * dim * p, v))
-        _project(starts[i], motions, number, last, zero, forces, band)
+        _project(here, motions, number, last, zero, forces, band)
 
 
 @in_loop
 def _project(at, motions, number, other, zero, forces, band):
-    """Add to ``band`` the work of the forces on the motions of a node."""
+    """Add to ``band`` the work of the forces, which an aggregate exerts up to the diagonal, on the
+    motions of a node, and that of the transposed matrix."""
     dim = np.uint64(len(zero))
-    modes = len(forces) // len(zero)
+    modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
+    column = modes * np.uint64(min(number, other))
+    apart = modes * np.uint64(max(number, other)) - column
     for q in range(modes):
-        v = read(motions, dim * np.uint64(modes * at + q), zero)
-        for r in range(modes if other < number else q + 1):
-            band[modes * other + r, modes * (number - other) + q - r] += inner(
-                v, read(forces, dim * np.uint64(r), zero)
-            )
+        v = read(motions, dim * (modes * at + q), zero)
+        for r in range(modes):
+            work = inner(v, read(forces, dim * r, zero))
+            if number == other and q == r:
+                band[column + q, 0] += 2.0 * work
+            elif number > other or (number == other and q > r):
+                band[column + r, apart + q - r] += work
+            else:
+                band[column + q, apart + r - q] += work
     forces[:] = 0.0
 
 

@@ -57,6 +57,7 @@ from adaptmg.problem.loads import (
     Traction,
 )
 from adaptmg.problem.surfaces import ContactPair, Periodic
+from adaptmg.smoother.strips import product
 from adaptmg.solver.certificate import Condition, Evidence
 
 #: share of its boundary mass that a contact node may miss by rounding, and that a facet may miss at
@@ -105,7 +106,7 @@ def _stiffness(
     shift = rng.uniform(-1.0, 1.0, mesh.dim)
     field = points @ gradient.T + shift
     unknowns = np.asarray(discrete.relative(field)).reshape(-1)
-    forces = discrete.physical_forces(discrete.matrix @ unknowns).reshape(field.shape)
+    forces = discrete.physical_forces(product(discrete.matrix, unknowns)).reshape(field.shape)
     expected = np.zeros_like(field)
     strain = 0.5 * (gradient + gradient.T)
     stresses = np.stack([_stress(elastic, strain) for elastic in materials])[
@@ -221,7 +222,8 @@ def _loads(
     places = places - mesh.box.mean(axis=0)
     count = int(body.max()) + 1
     load_forces = discrete.physical_forces(discrete.whole_load).reshape(-1, mesh.dim)
-    missed = _resultants(points, load_forces, arm, body, count)
+    loaded = np.flatnonzero(_any_component(load_forces))
+    missed = _resultants(points[loaded], load_forces[loaded], arm, body[loaded], count)
     missed -= _resultants(places, forces, arm, body[nodes], count)
     if problem.axisymmetric:
         missed = missed[:, 1]

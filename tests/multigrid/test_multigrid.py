@@ -1,10 +1,13 @@
 """Coarse spaces, corrections, cycles, coarse solves: properties and hand-counted work."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import adaptmg as am
 from adaptmg.multigrid.cycle import MultigridCycle, correction_levels
+from adaptmg.multigrid.split_matrix import galerkin_levels, nodal_prolongations
 from adaptmg.solver.record import Run
 
 
@@ -42,6 +45,33 @@ def test_the_frozen_slip_and_limit_of_the_paper_move_the_solution():
     assert result.status is am.Status.STALLED
     assert result.history["true_error"][-1] > 1e-4
     assert "Monotone" in result.status.value
+
+
+WOOD = am.PlaneStrain.orthotropic(
+    young=(12e9, 0.8e9, 0.5e9),
+    poisson=(0.4, 0.4, 0.5),
+    shear=(0.7e9, 0.6e9, 0.1e9),
+    angle=lambda x: 2e3 * x[:, 0],
+)
+STEEP = am.Spring("top", normal=lambda x: 1e13 * (x[:, 0] > 0.013))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"material": WOOD}, {"supports": (*am.cases.greco_bar().supports, STEEP)}],
+    ids=["constant moduli", "moduli that vary", "springs that vary"],
+)
+def test_levels_have_galerkin_matrices(changes):
+    problem = replace(am.cases.greco_bar(), **changes)
+    grids = am.Hierarchy.uniform(problem, divisions=(2, 4, 8))
+    levels = galerkin_levels(grids, nodal_prolongations(grids))
+    matrix = grids.finest.matrix
+    for k in (1, 0):
+        matrix = am.transfer.galerkin_product(matrix, grids[k + 1].prolongation)
+        free = ~grids[k].discrete.fixed
+        expected = matrix.toarray()[np.ix_(free, free)]
+        actual = levels[k].dense()[np.ix_(free, free)]
+        np.testing.assert_allclose(actual, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_hand_counted_work():
