@@ -13,7 +13,7 @@ Domain      Rectangle, Circle, Polygon, Outline, Cracked; Box, Ball, Cylinder, E
             in problem
 Grids       Hierarchy (a Level for each grid, a Forecast of costs): uniform, graded, from_meshes, ...; transfers
             Interpolation, PseudoL2, L2, LumpedL2, QuasiInterpolation; mesh, MeshArrays, SizeNear
-Solve       solve, solve_path, march (impact); Multigrid, FullMultigrid, SingleGrid, ActiveSet with
+Solve       solve, solve_path (transfer_state), march (impact); Multigrid, FullMultigrid, SingleGrid, ActiveSet with
             Direct or AMG; set_threads
 Ingredients State (a step of yours), PyAMG, Cycle, NestedStart, CoarseSolve, ProjectedGaussSeidel;
             corrections Truncated, Monotone, PaperCorrection; modules multigrid, smoother, transfer,

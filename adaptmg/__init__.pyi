@@ -107,6 +107,7 @@ from .solver.active_set import ActiveSet as ActiveSet
 from .solver.certificate import Certificate as Certificate
 from .smoother.linear import AMG as AMG, Direct as Direct
 from .evolution.load_path import PathResult as PathResult, solve_path as solve_path
+from .evolution.state_transfer import transfer_state as transfer_state
 from .solver.multigrid import FullMultigrid as FullMultigrid, Multigrid as Multigrid
 from .solver.projected import SingleGrid as SingleGrid
 from .solver.record import Status as Status

@@ -58,7 +58,7 @@ from adaptmg.mesh.arrays import MeshArrays, pair_keys
 from adaptmg.problem.laws import Elastic
 
 #: corners of the edges of an element
-_EDGES = {
+EDGES = {
     2: np.array([(0, 1), (0, 2), (1, 2)]),
     3: np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]),
 }
@@ -221,7 +221,7 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> Patches:
         read_only(sums.indices),
         np.ascontiguousarray(means[:, :dim]),
         np.ascontiguousarray(means[:, dim:].reshape(-1)),
-        volumes / len(_EDGES[dim]),
+        volumes / len(EDGES[dim]),
         edges.indices[edges.indptr[:-1]],
         np.empty((0, 0)),
     )
@@ -235,14 +235,21 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
     return 2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1) * mesh.volumes
 
 
-def _elements_of_edges(mesh: MeshArrays) -> sparse.csr_array:
-    """The elements (n_edges, n_elements) around each edge of each body, as ones."""
-    a, b = (mesh.elements[:, ends] for ends in _EDGES[mesh.dim].T)
+def edges_of_elements(mesh: MeshArrays) -> np.ndarray:
+    """Return the numbers (n_elements, n_edges) of the edges of elements; where bodies share an edge
+    each has one."""
+    a, b = (mesh.elements[:, ends] for ends in EDGES[mesh.dim].T)
     first = pair_keys(mesh.element_body[:, None], np.minimum(a, b), mesh.n_nodes)
     keys = pair_keys(first, np.maximum(a, b), mesh.n_nodes)
-    number, (n, k) = np.unique(keys, return_inverse=True)[1].reshape(-1), keys.shape
+    return np.unique(keys, return_inverse=True)[1].reshape(keys.shape)
+
+
+def _elements_of_edges(mesh: MeshArrays) -> sparse.csr_array:
+    """The elements (n_edges, n_elements) around each edge of each body, as ones."""
+    number = edges_of_elements(mesh)
+    n, k = number.shape
     edges = sparse.csr_array(
-        (np.ones(n * k), number, k * np.arange(n + 1)), shape=(n, number.max() + 1)
+        (np.ones(n * k), number.reshape(-1), k * np.arange(n + 1)), shape=(n, number.max() + 1)
     )
     return sparse.csr_array(edges.T)
 
@@ -252,13 +259,13 @@ def smoothed(mesh: MeshArrays, values: np.ndarray, measures: np.ndarray) -> np.n
     ``measures``."""
     edges = _elements_of_edges(mesh)
     means = (edges @ (measures[:, None] * values)) / (edges @ measures)[:, None]
-    return (edges.T @ means) / len(_EDGES[mesh.dim])
+    return (edges.T @ means) / len(EDGES[mesh.dim])
 
 
 def edge_means(mesh: MeshArrays, values: np.ndarray) -> np.ndarray:
     """Return the means (n_elements, n_values) of the values of the edges of elements, the patches
     of smoothed ones."""
-    return (_elements_of_edges(mesh).T @ values) / len(_EDGES[mesh.dim])
+    return (_elements_of_edges(mesh).T @ values) / len(EDGES[mesh.dim])
 
 
 def shape_gradients(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:

@@ -277,6 +277,7 @@ def solve_path(
     rtol: float | None = None,
     store: str | os.PathLike[str] | None = None,
     depends: Mapping[str, object] | None = None,
+    start: Result | None = None,
     throw: bool = True,
     callback: Callable[[int, Result], None] | None = None,
     progress: Callable[[int, dict[str, float]], None] | bool | None = None,
@@ -302,6 +303,10 @@ def solve_path(
     depends : mapping of str to value, optional
         For the store: values that stand for what cannot be compared (an open file, a generator of
         random numbers), by the name of the variable that is read, or "solver".
+    start : Result, optional
+        On the finest mesh, of a step that led to the loads of the first step of ``path``; of another
+        mesh by :func:`adaptmg.transfer_state`. The bodies begin with its displacement, its slips
+        and its plastic state, and the first step restores equilibrium.
     throw : bool
         Raise :class:`StepNotConverged` if a step does not reach the tolerance. False ends the path
         with that step, whose status says it; ``complete`` is then False.
@@ -330,6 +335,7 @@ def solve_path(
     >>> steps = am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0, 0.0]}))
     >>> len(steps)
     3
+    >>> more = am.solve_path(grids, am.LoadPath({"left": [0.0, -1.0]}), start=steps[-1])
     """
     checks.instance("path", path, LoadPath, "a LoadPath")
     grids, solver, choice = method_argument(solver, grids_argument(grids), rtol)
@@ -342,13 +348,14 @@ def solve_path(
     if depends is not None:
         checks.mapping("depends", depends, "names to what stands for them")
     loop = _loop(grids, path, solver)
+    begun = () if start is None else _check_start(loop, start)
     parts: dict[str, object] = {"solver": solver}
     if grids.finest.discrete.inelastic:
         parts["material"] = grids.problem.material
     mark = (
         {}
         if store is None
-        else fingerprint(grids, loop.loads, loop.factors, len(path), parts, depends)
+        else fingerprint(grids, loop.loads, loop.factors, len(path), parts, depends, begun)
     )
     if store is not None and (obstacles := loop.controls.posed()):
         mark["obstacles and preloads"] = obstacles
@@ -357,6 +364,8 @@ def solve_path(
         if store is None
         else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
     )
+    if start is not None:
+        loop.go_on(start)
     results: list[Result] = []
     for result, coarse in () if steps is None else _results(steps, len(path)):
         loop.take_over(len(results), result, coarse)
@@ -382,6 +391,30 @@ def solve_path(
     advise_on_results(grids.posed, results)
     advise_on_chords(grids.posed, grids.finest.discrete, results)
     return PathResult(tuple(results), loop.factors, mark, len(path))
+
+
+def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
+    """Return what a path takes from a result, which must be on its finest mesh."""
+    checks.instance("start", start, Result, "a Result")
+    finest = loop.grids.finest
+    mesh = finest.mesh
+    alike = start.displacement.shape == (finest.n_nodes, finest.discrete.dim)
+    if alike and mesh is not None and start.mesh is not None:
+        alike = np.array_equal(start.mesh.points, mesh.points)
+    if not alike:
+        raise ValueError(
+            f"start must be on the finest mesh, which has {finest.n_nodes} nodes, got a result on "
+            f"another mesh of {len(start.displacement)}: carry it over by am.transfer_state"
+        )
+    plastic = None if start.stress_data is None else start.stress_data.plastic
+    state = np.zeros((0, 0)) if plastic is None else plastic.state
+    wanted = loop.plastic.unloaded.shape if isinstance(loop, PlasticLoop) else (0, 0)
+    if state.shape != wanted:
+        raise ValueError(
+            f"start must have states {wanted} of plastic bodies (patches, numbers), as the finest "
+            f"level has, got {state.shape}: take a result of the same materials and elements"
+        )
+    return start.displacement, state, start.contact.accumulated_slip
 
 
 def _loop(grids: Hierarchy, path: LoadPath, solver: Solver) -> PathLoop:

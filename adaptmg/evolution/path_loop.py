@@ -83,6 +83,8 @@ class PathLoop:
             for level in grids.levels[0 if grids.discretised else -1 :]
         ]
         self.coarse: list[np.ndarray] | None = None
+        #: whether the path goes on from a result under the loads of its first step
+        self.continued = False
         #: (n_contact,): length of the slips so far, m, which the law may see
         self.accumulated_slip = finest.discrete.contact.accumulated_slip
         #: the solutions of the last two steps, and the factors that led there
@@ -229,6 +231,11 @@ class PathLoop:
         self.controls.take(self._factors_at(k), motions)
         self._remember(k, grids, result, coarse)
 
+    def go_on(self, start: Result) -> None:
+        """Begin at a result under the loads of the first step, which repeats them."""
+        self.take_over(0, start, None)
+        self.continued = True
+
     def _at_rest(self, forces: np.ndarray) -> bool:
         """Return whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b -
         A u_fixed."""
@@ -300,7 +307,7 @@ class PathLoop:
         self.coarse = coarse
         # from the result, as a path that goes on from its store has it
         displacement = discrete.relative(result.displacement).reshape(-1)
-        self.accumulated_slip = self.accumulated_slip + way_in_contact(result)
+        self.accumulated_slip = result.contact.accumulated_slip
         solution = np.append(displacement, result.pressures)
         self.recent = [*self.recent[-1:], (solution, self._factor_array(k))]
         self.levels = (

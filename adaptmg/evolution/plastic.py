@@ -76,7 +76,9 @@ class PlasticLoop(PathLoop):
         factors = super()._factors_at(k)
         if self.share == 1.0:
             return factors
-        before = super()._factors_at(k - 1) if k else dict.fromkeys(factors, 0.0)
+        before = factors if self.continued else dict.fromkeys(factors, 0.0)
+        if k:
+            before = super()._factors_at(k - 1)
         return {
             name: before[name] + self.share * (factor - before[name])
             for name, factor in factors.items()
@@ -92,7 +94,7 @@ class PlasticLoop(PathLoop):
             if result.status.ok:
                 done = self.share
                 self.state = _state_of(result)
-            elif part > _SMALLEST:
+            elif part > _SMALLEST and not (k == 0 and self.continued):
                 vars(self).update(before)
                 part /= 2
                 _LOG.info("step %d: Newton's method fails; going on in parts of %g", k, part)

@@ -15,7 +15,7 @@ reactions :math:`A u - b` of the supports."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -107,6 +107,8 @@ class ContactResult:
         the neighbours carry no conditions their part.
     axisymmetric : bool
         Whether x is the radius, and forces and masses are those of the full circumference (N, m^2).
+    accumulated_slip : (n,) array
+        Length of the slips at the end of a step of a load path, m, which the next step begins with.
 
     Examples
     --------
@@ -139,6 +141,7 @@ class ContactResult:
     master_is_slave: np.ndarray
     measures: np.ndarray
     axisymmetric: bool = False
+    accumulated_slip: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def pair(self) -> np.ndarray:
@@ -387,6 +390,7 @@ class Examiner:
             master_boundary=boundary,
             master_is_slave=itself,
             measures=contact.measures,
+            accumulated_slip=contact.accumulated_slip + size / share * (state != OPEN),
         )
 
 

@@ -44,7 +44,7 @@ from adaptmg.solver.fingerprint import value_parts
 
 Kinds = tuple[type[Any], ...]
 
-_FORMAT, _META = 4, "meta"
+_FORMAT, _META = 5, "meta"
 #: the head of a path of a million steps has some 20 MB
 _MOST_BYTES = 2**28
 #: a step of a loop has some hundreds of arrays; displacements hardly shrink, so that the whole shrinks some ten times
@@ -368,8 +368,10 @@ def fingerprint(
     steps: int,
     parts: Mapping[str, object],
     depends: Mapping[str, object] | None = None,
+    start: Sequence[np.ndarray] = (),
 ) -> dict[str, object]:
-    """Return what the steps depend on, as plain values by the names that messages give them."""
+    """Return what the steps depend on, as plain values by the names that messages give them;
+    ``start``: arrays of the result at which they begin."""
     depends = checks.instance(
         "depends", {} if depends is None else depends, Mapping, "a mapping of names to values"
     )
@@ -412,6 +414,7 @@ def fingerprint(
         ],
         "path": {"steps": steps}
         | {name: list(map(float, values)) for name, values in factors.items()},
+        "start": [_sums(part) for part in start],
     }
     return dependences | value_parts(parts, depends)
 

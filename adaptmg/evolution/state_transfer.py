@@ -1,0 +1,295 @@
+r"""transfer_state: carry what a load path has left in the bodies to another mesh.
+
+The state s of a patch p of the new mesh is the mean over what it has in common with the patches q
+of the old one,
+
+.. math:: s_p = \frac{\sum_q |p \cap q|\, s_q}{\sum_q |p \cap q|},
+
+so that :math:`\sum_p |p|\, s_p` is that of the old mesh where both meshes cover the same body. The
+volumes are exact: simplices are clipped (:mod:`adaptmg.transfer.projections`). The patches of linear
+elements are the elements. Those of smoothed elements surround edges: in each element the triangle of
+an edge and the centroid, in space the two tetrahedra of an edge, the centroid and that of a face at
+the edge. In axisymmetry volumes count with the radius.
+
+Means of stresses on the yield limit lie within it, and the interpolated displacement is in no
+equilibrium: the load step that follows restores both, by the return mapping of the material and by
+Newton's method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+from scipy import sparse
+
+from adaptmg import _checks as checks
+from adaptmg._threads import one_blas_thread
+from adaptmg.discrete.elasticity import EDGES, edges_of_elements
+from adaptmg.discrete.moduli import inelastic_bodies
+from adaptmg.discrete.plasticity import InelasticBodies
+from adaptmg.discrete.posed import Posed
+from adaptmg.discrete.stress import PlasticState, StressData
+from adaptmg.hierarchy import Hierarchy
+from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.smoother.system import OPEN
+from adaptmg.solver.active_set import ActiveSet
+from adaptmg.solver.examine import ContactResult, Examiner
+from adaptmg.solver.outcome import result_of
+from adaptmg.solver.record import Outcome, Run
+from adaptmg.solver.result import Result
+from adaptmg.transfer.contact import surface_interpolation
+from adaptmg.transfer.interpolation import Interpolation
+from adaptmg.transfer.projections import overlaps
+
+
+@one_blas_thread()
+def transfer_state(old_grids: Hierarchy, result: Result, new_grids: Hierarchy) -> Result:
+    """Carry a result of a load path to the finest mesh of another hierarchy, from where
+    ``solve_path(new_grids, path, start=...)`` goes on.
+
+    The meshes need not be nested. The state of plastic bodies is conserved: its integral over the
+    new mesh is that over the old one, up to rounding where both meshes cover the same body. New
+    elements that stick out at a curved boundary take the state of the old ones next to them.
+
+    Parameters
+    ----------
+    old_grids : Hierarchy
+        That of ``result``.
+    result : Result
+        A converged step on the finest mesh of ``old_grids``.
+    new_grids : Hierarchy
+        Of the same bodies, with materials whose states have the same numbers. Its elements may be
+        smoothed where those of ``old_grids`` are linear, and the other way round.
+
+    Returns
+    -------
+    Result
+        On the finest mesh of ``new_grids``: the interpolated displacement, means of the stress, the
+        plastic strain and the state, and the accumulated slip of the contact nodes. It is not in
+        equilibrium: its contact forces and reactions are zero, its residual is NaN. A load step
+        with the same loads restores equilibrium; its forces differ from those of ``result`` by what
+        the change of the mesh costs.
+
+    Raises
+    ------
+    ValueError
+        If bodies, dimensions or materials of the two differ, the meshes do not cover the same
+        bodies, or the result is on another mesh or has not converged.
+
+    Examples
+    --------
+    >>> problem = am.cases.hill_cylinder()
+    >>> old = am.Hierarchy.uniform(problem, divisions=[(4, 1), (8, 2)])
+    >>> new = am.Hierarchy.uniform(problem, divisions=[(5, 1), (10, 3)])
+    >>> first = am.solve_path(old, am.LoadPath({"left": [0.9, 1.0]}))
+    >>> start = am.transfer_state(old, first[-1], new)
+    >>> rest = am.solve_path(new, am.LoadPath({"left": [1.0, 0.0]}), start=start)
+    >>> len(rest), rest[-1].mesh.n_nodes
+    (2, 44)
+    """
+    checks.instance("result", result, Result, "a Result")
+    before = _Side.of("old_grids", old_grids)
+    after = _Side.of("new_grids", new_grids)
+    _check(before, result, after)
+    old_mesh = before.posed.mesh
+    mesh = after.posed.mesh
+    discrete = new_grids.finest.discrete
+    try:
+        nodal = Interpolation().build(old_mesh, mesh)
+    except ValueError as error:
+        raise ValueError(f"old_grids and new_grids, here coarse and fine: {error}") from error
+    displacement = discrete.relative(nodal @ result.displacement).reshape(-1)
+    pressures = discrete.volumes.means @ (
+        nodal @ old_grids.finest.discrete.volumes.at_nodes(result.pressures)
+    )
+    carried = result_of(
+        new_grids,
+        Examiner(discrete, certified=False),
+        Run(unit=discrete.matrix.nnz),
+        Outcome(np.append(displacement, pressures), result.status, 0, result.rtol),
+        ActiveSet(),  # its name is replaced
+        _stress_data(before, cast("StressData", result.stress_data), after),
+    )
+    return replace(
+        carried,
+        contact=_at_rest(carried.contact, _slips(old_mesh, result.contact, mesh, carried.contact)),
+        reaction=np.zeros(mesh.points.shape),
+        residual=np.nan,
+        solver_name=f"transfer_state from {old_mesh.n_nodes} nodes",
+        ties=None,
+        springs={},
+        motions=result.motions,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """The old or the new mesh, in cells that belong to one element and one patch each."""
+
+    posed: Posed
+
+    @classmethod
+    def of(cls, name: str, grids: Hierarchy) -> _Side:
+        checks.instance(name, grids, Hierarchy, "a Hierarchy")
+        if grids.posed is None:
+            raise ValueError(f"{name} must be the Hierarchy of a ContactProblem, with its meshes")
+        return cls(grids.posed)
+
+    @cached_property
+    def bodies(self) -> InelasticBodies | None:
+        """The plastic bodies, if there are any."""
+        inelastic = inelastic_bodies(self.posed.materials).any()
+        return InelasticBodies.of(self.posed) if inelastic else None
+
+    @property
+    def smoothed(self) -> bool:
+        return self.posed.problem.elements == "smoothed"
+
+    @cached_property
+    def cells(self) -> MeshArrays:
+        mesh = self.posed.mesh
+        corners = _corners(mesh.dim) if self.smoothed else np.eye(mesh.dim + 1)[None]
+        points = np.einsum("cvk,ekd->ecvd", corners, mesh.points[mesh.elements])
+        n = len(mesh.elements) * len(corners)
+        return MeshArrays(
+            points.reshape(-1, mesh.dim),
+            np.arange(n * (mesh.dim + 1)).reshape(n, -1),
+            np.empty((0, mesh.dim), dtype=np.int32),
+            np.empty(0, dtype=np.int32),
+            (),
+            np.repeat(mesh.element_body, len(corners)),
+            mesh.bodies,
+        )
+
+    @property
+    def elements(self) -> sparse.csr_array:
+        """The cells of each element (n_elements, n_cells), as ones."""
+        n = len(self.posed.mesh.elements)
+        return _members(np.repeat(np.arange(n), len(self.cells.elements) // n), n)
+
+    @property
+    def patches(self) -> sparse.csr_array:
+        """The cells of each plastic patch (n_patches, n_cells), as ones."""
+        if not self.smoothed:
+            return self.elements[cast("InelasticBodies", self.bodies).numbers]
+        number = edges_of_elements(self.posed.mesh)
+        of_cells = np.repeat(number, len(self.cells.elements) // number.size, axis=1).reshape(-1)
+        bodies = cast("InelasticBodies", self.bodies)
+        return _members(of_cells, bodies.n_patches)[bodies.numbers]
+
+
+def _corners(dim: int) -> np.ndarray:
+    """Return the shares (n, dim + 1, dim + 1) of the corners of an element in those of its cells,
+    edge by edge."""
+    unit = np.eye(dim + 1)
+    cells = []
+    for a, b in EDGES[dim].tolist():
+        others = [c for c in range(dim + 1) if c not in (a, b)]
+        faces = [(unit[a] + unit[b] + unit[c]) / 3 for c in others] if dim == 3 else []
+        centroid = np.full(dim + 1, 1 / (dim + 1))
+        for rest in [(face, centroid) for face in faces] or [(centroid,)]:
+            cell = np.array([unit[a], unit[b], *rest])
+            cells.append(cell if np.linalg.det(cell) > 0 else cell[[1, 0, *range(2, dim + 1)]])
+    return np.array(cells)
+
+
+def _members(owner: np.ndarray, n: int) -> sparse.csr_array:
+    """Return the members (n, len(owner)) of each owner, as ones."""
+    ones = np.ones(len(owner))
+    return sparse.csr_array((ones, (owner, np.arange(len(owner)))), shape=(n, len(owner)))
+
+
+def _check(before: _Side, result: Result, after: _Side) -> None:
+    if not result.status.ok:
+        raise ValueError(f"result must be a converged load step, got status {result.status.name}")
+    mesh = before.posed.mesh
+    if result.mesh is None or not np.array_equal(result.mesh.points, mesh.points):
+        raise ValueError(
+            f"result must be on the finest mesh of old_grids, which has {mesh.n_nodes} nodes, got "
+            f"one of {len(result.displacement)} nodes"
+        )
+    names = mesh.bodies
+    new_names = after.posed.mesh.bodies
+    one = len(names) == len(new_names) == 1
+    if not one and (different := set(names) ^ set(new_names)):
+        raise ValueError(
+            f"old_grids and new_grids must have the same bodies, got {', '.join(sorted(different))} "
+            "in one of them only"
+        )
+    for k, name in enumerate(names):
+        other = 0 if one else new_names.index(name)
+        sizes = [
+            None if material.inelastic is None else material.inelastic.state_size
+            for material in (before.posed.materials[k], after.posed.materials[other])
+        ]
+        if sizes[0] != sizes[1]:
+            raise ValueError(
+                f"new_grids: the material of body {name!r} must have states as in old_grids, of "
+                f"{sizes[0]} numbers (None: elastic), got {sizes[1]}"
+            )
+    plastic = cast("StressData", result.stress_data).plastic
+    if (plastic is None) != (before.bodies is None):
+        raise ValueError("result must be of the problem of old_grids, whose materials differ")
+
+
+def _means(volumes: sparse.csr_array, values: np.ndarray) -> np.ndarray:
+    """Return the means (n_new, ...) of values (n_old, ...)."""
+    total = np.asarray(volumes.sum(axis=1)).reshape(-1, 1)
+    means = (volumes @ values.reshape(len(values), -1)) / total
+    return means.reshape(-1, *values.shape[1:])
+
+
+def _stress_data(before: _Side, data: StressData, after: _Side) -> StressData:
+    """Return the stress data of the new mesh, with means of the old."""
+    posed = after.posed
+    mesh = posed.mesh
+    result = StressData.of(mesh, posed.materials, (), posed.problem.elements)
+    if after.bodies is None and not len(data.initial_strain):
+        return result
+    density = after.cells.points[:, 0] if result.axisymmetric else None
+    shared = overlaps(before.cells, after.cells, density)
+    elements = after.elements @ shared @ before.elements.T
+    if len(data.initial_strain):
+        result = replace(result, initial_strain=_means(elements, data.initial_strain))
+    if after.bodies is None:
+        return result
+    old = cast("PlasticState", data.plastic)
+    state = _means(after.patches @ shared @ before.patches.T, old.state)
+    parts = (_means(elements, part) for part in (old.stress, old.strain, old.accumulated))
+    return replace(result, plastic=PlasticState(state, *parts))
+
+
+def _slips(
+    old_mesh: MeshArrays, old: ContactResult, mesh: MeshArrays, new: ContactResult
+) -> np.ndarray:
+    """Return the accumulated slip of new contact nodes (n,): that of the old boundary next to
+    them."""
+    result = np.zeros(len(new))
+    for k, name in enumerate(new.names):
+        if name not in old.names:
+            continue
+        at = new.boundary == k
+        source = old.boundary == old.names.index(name)
+        if not source.any():
+            continue
+        facets = old_mesh.boundary_facets(name)
+        rows = surface_interpolation(old_mesh, mesh, facets, new.node[at])
+        slips = np.zeros((old_mesh.n_nodes, 2))
+        slips[old.node[source], 0] = old.accumulated_slip[source]
+        # nodes of the boundary that another one has, or a support holds, have no slip
+        slips[old.node[source], 1] = 1.0
+        total, share = (rows @ slips).T
+        result[at] = np.divide(total, share, out=np.zeros_like(total), where=share > 0)
+    return result
+
+
+def _at_rest(contact: ContactResult, accumulated_slip: np.ndarray) -> ContactResult:
+    """Return contact quantities without forces and without a slip of the last step."""
+    zeros = {
+        name: np.zeros_like(getattr(contact, name))
+        for name in ("slip", "force_n", "force_t", "limit", "master_force")
+    }
+    state = np.full_like(contact.state, OPEN)
+    return replace(contact, state=state, accumulated_slip=accumulated_slip, **zeros)
