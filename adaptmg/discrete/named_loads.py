@@ -96,7 +96,8 @@ class LoadSteps:
         owner = np.full(self.n_dofs, -1)
         for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
             scaled = factors.get(name, 1.0) * values
-            clash = (owner[dofs] >= 0) & ~np.isclose(result[dofs], scaled, rtol=1e-12, atol=0.0)
+            apart = np.abs(result[dofs] - scaled) > 1e-12 * np.abs(scaled)
+            clash = (owner[dofs] >= 0) & apart
             if clash.any():
                 dof = int(dofs[np.argmax(clash)])
                 other = list(self.prescribed)[owner[dof]]

@@ -92,7 +92,7 @@ class PathLoop:
         if not self.controls.motions:
             # a step that nothing holds should show before the first step is solved, too
             for k in range(len(path)):
-                self._check_statics(k, self._posed(k, {}))
+                self._check_statics(k, self._posed(k, {}, between=False))
 
     @property
     def _limit(self) -> float:
@@ -271,17 +271,18 @@ class PathLoop:
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0)
 
-    def _posed(self, k: int, motions: Mapping[str, np.ndarray]) -> Hierarchy:
+    def _posed(self, k: int, motions: Mapping[str, np.ndarray], between: bool = True) -> Hierarchy:
         """Return the hierarchy with loads, prescribed values, places of obstacles and slip
         references of step k. Levels coarser than the solver's, or without a problem, stay
-        unchanged."""
+        unchanged; so do those ``between`` the ends, which statics does not read."""
         factors = self._loading(k, motions)
         levels = []
         places = self.controls.placed(factors, motions)
         n_unused = len(self.grids) - len(self.levels)  # coarsest levels
+        ends = (n_unused, len(self.grids) - 1)
         parts = zip(self.grids.levels, self.loads, self.posed, strict=True)
         for number, (level, loads, posed) in enumerate(parts):
-            if loads is not None and number >= n_unused:
+            if loads is not None and number >= n_unused and (between or number in ends):
                 problem = level.discrete
                 reference = level.discrete.contact.slip_reference
                 if len(self.recent) > 1:
