@@ -21,7 +21,7 @@ from adaptmg.cases.closed_forms import (
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
 from adaptmg.cases.impact import impact_bar
 from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
-from adaptmg.cases.plastic_bodies import hill_cylinder, prandtl_punch
+from adaptmg.cases.plastic_bodies import hill_cylinder, prandtl_punch, upset_billet
 from adaptmg.cases.scalar import elastic_plastic_torsion, obstacle_problem
 from adaptmg.problem import ContactProblem
 
@@ -51,6 +51,7 @@ __all__ = [
     "obstacle_problem",
     "prandtl_punch",
     "two_block_patch",
+    "upset_billet",
     "upset_block",
 ]
 

@@ -1,4 +1,4 @@
-r"""Plastic bodies: Prandtl's punch and Hill's cylinder.
+r"""Plastic bodies: Prandtl's punch, Hill's cylinder and an upset billet.
 
 Prandtl: a flat rigid punch on a block that yields without hardening cannot bear a mean pressure
 above
@@ -19,7 +19,15 @@ radius c,
 
 and is elastic again where p is taken away: the stress of the elastic tube under p is subtracted
 (Hill, section 5.2). This is Tresca's condition; von Mises' is the same for Poisson's ratio .5, and
-near it for less, with the axial stress between the two others."""
+near it for less, with the axial stress between the two others.
+
+A billet of radius R and height 2h between rough plates needs, by the equilibrium of slabs, the mean
+pressure
+
+.. math:: p = \sigma_y \Big(1 + \frac{2\mu R}{3 \cdot 2h}\Big)
+
+(E. Siebel 1923; W. Johnson and P. B. Mellor, Engineering Plasticity, 1973, section 6.5), and bulges
+in the middle like a barrel. Slabs do not bulge: p is a little too large."""
 
 from __future__ import annotations
 
@@ -202,3 +210,67 @@ def _residual_stress(
     r = np.asarray(r, dtype=np.float64)
     size = pressure * a**2 / (b**2 - a**2)
     return stress(r) - size * np.array([1 - (b / r) ** 2, 1 + (b / r) ** 2])
+
+
+def upset_billet(
+    *,
+    friction: float = 0.1,
+    radius: float = 10e-3,
+    height: float = 20e-3,
+    compression: float = 0.03,
+    young: float = 2e11,
+    poisson: float = 0.3,
+    yield_stress: float = 3e8,
+    hardening: float = 2e6,
+    elements: str = "smoothed",
+) -> am.ContactProblem:
+    """Pose a round billet that is pressed between two rough plates; axisymmetric, its upper half.
+
+    ``reference`` holds ``pressure``, the mean pressure of slabs without hardening, Pa, ``radius``
+    and ``sources``. The motion of the plate has the name "plate" in load paths.
+
+    Parameters
+    ----------
+    friction : float
+        Coulomb's coefficient at the plates.
+    radius, height : float
+        R and 2h, m.
+    compression : float
+        Motion of both plates towards each other over the height; a theory of small strains holds for
+        some percent.
+    young, poisson, yield_stress, hardening
+        See :class:`adaptmg.Plastic`.
+    elements : {"linear", "smoothed"}
+
+    Examples
+    --------
+    >>> round(am.cases.upset_billet().reference["pressure"] / 3e8, 4)
+    1.0333
+    """
+    friction = checks.nonnegative("friction", friction)
+    r = checks.quantity("radius", radius, positive=True)
+    half = 0.5 * checks.quantity("height", height, positive=True)
+    depth = half * checks.quantity("compression", compression, positive=True)
+    steel = am.Plastic(
+        am.Axisymmetric(young=young, poisson=poisson),
+        yield_stress=yield_stress,
+        hardening=hardening,
+    )
+    plate = am.Moving(
+        am.Plane(point=(0.0, half), normal=(0.0, -1.0)), displacement=(0.0, -depth), name="plate"
+    )
+    return am.ContactProblem(
+        name="upset billet",
+        material=steel,
+        domain=am.Rectangle(width=r, height=half),
+        contact=am.Contact("top", plate),
+        law=am.Coulomb(friction),
+        supports=(am.Support("left", x=0.0), am.Support("bottom", y=0.0)),
+        elements=elements,
+        reference={
+            "quantity": "mean pressure under the plate, Pa",
+            "pressure": steel.yield_stress * (1 + friction * r / (3 * half)),
+            "radius": r,
+            "sources": {"pressure": "Johnson and Mellor, Engineering Plasticity, 6.5"},
+        },
+    )

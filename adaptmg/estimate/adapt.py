@@ -20,6 +20,7 @@ from adaptmg import _checks as checks
 from adaptmg._text import say
 from adaptmg.estimate.engines import Bisect, Engine, sound_mesh
 from adaptmg.estimate.estimate import AnyEstimate, Doerfler, Indicator, Mark, Residual
+from adaptmg.estimate.goal import Goal, need_linear
 from adaptmg.estimate.loop import (
     LOOP_KINDS,
     AdaptiveLoop,
@@ -62,6 +63,7 @@ def adapt(
     rtol: float | None = None,
     load_path: LoadPath | None = None,
     adapt_on: str = "last",
+    remesh_every: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Iterator[Step[AnyEstimate]]:
     """Solve on meshes that follow the error, one finer than the other, until a limit is reached.
@@ -118,6 +120,11 @@ def adapt(
     adapt_on : {"last", "worst"}
         With a load path: take the estimate of its last load step and refine for it; or the largest
         relative estimate of all load steps, and refine where any of them needs it.
+    remesh_every : int, optional
+        With a load path: go along it once, and change the mesh after so many load steps. Each mesh
+        begins with the state of the mesh before (:func:`adaptmg.transfer_state`), and its first load
+        step repeats the load reached. The mesh stays where the estimate meets ``tolerance``, or where
+        the engine makes no other one; Remesh keeps about ``max_nodes``. Steps end with the path.
     progress : callable or bool, optional
         Called with a dict before each phase of a step, and after it: step, phase, nodes, estimate
         (of the step before), seconds. True: write lines to standard error.
@@ -149,18 +156,16 @@ def adapt(
         load_path,
         adapt_on,
         tolerance_argument(rtol, solver),
+        remesh_every,
     )
     _check(parts)
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
     if depends is not None:
         checks.mapping("depends", depends, "names to what stands for them")
-    _check_obstacles(problem, load_path)
-    if problem.elements != "linear":
-        from adaptmg.estimate.goal import Goal, need_linear  # most loops do without it
-
-        if isinstance(parts.indicator, Goal):
-            need_linear(problem)
+    _check_obstacles(problem, parts)
+    if problem.elements != "linear" and isinstance(parts.indicator, Goal):
+        need_linear(problem)
     first = _first_hierarchy(problem, start, transfer, engine, limits)
     steps = None
     if store is not None:
@@ -173,6 +178,7 @@ def adapt(
             "transfer": first.transfer,
             "contact_rows": first.contact_rows,
             "adapt_on": parts.adapt_on,
+            "remesh_every": parts.remesh_every,
         }
         head = {"fingerprint": loop_fingerprint(first, options, load_path, depends)}
         steps = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
@@ -182,18 +188,20 @@ def adapt(
     )
 
 
-def _check_obstacles(problem: ContactProblem, path: LoadPath | None) -> None:
+def _check_obstacles(problem: ContactProblem, parts: LoopParts) -> None:
+    path = parts.load_path
     if problem.by_force:
         raise ValueError(
             "problem has a Rigid obstacle or a Preload, which the estimates do not account for: give "
             "am.adapt the motion that am.solve finds (Result.motions) as Moving or InitialStrain"
         )
     if problem.inelastic:
-        raise ValueError(
-            "problem has plastic bodies, which the estimates do not account for: adapt the meshes of the "
-            "problem with their elastic parts, and solve on the hierarchy of the last step "
-            "(with_problem)"
-        )
+        if path is None or isinstance(parts.indicator, Residual | Goal):
+            raise ValueError(
+                "problem has plastic bodies, which need a load_path and, as other estimates do not account "
+                "for them, indicator=am.Recovery()"
+            )
+        return
     if path is not None and obstacles_in_path(problem):
         raise ValueError(
             "problem has an obstacle that moves along load_path, which the estimates do not account for: "
@@ -232,6 +240,10 @@ def _check(parts: LoopParts) -> None:
     if parts.load_path is not None:
         checks.instance("load_path", parts.load_path, LoadPath, "a LoadPath")
     checks.choice("adapt_on", parts.adapt_on, ("last", "worst"))
+    if parts.remesh_every is not None:
+        checks.integer("remesh_every", parts.remesh_every, 1)
+        if parts.load_path is None or parts.adapt_on == "worst":
+            raise ValueError('remesh_every must come with a load_path, and adapt_on="last"')
 
 
 #: nodes of a loop without limits

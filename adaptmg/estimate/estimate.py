@@ -570,10 +570,11 @@ class Recovery:
         :func:`adaptmg.solve` on it.
 
         The terms of the estimate are the bodies by name; elements at a
-        :class:`adaptmg.PointForce` are left out. TypeError and ValueError as of
+        :class:`adaptmg.PointForce` are left out. Plastic bodies count as elastic under their whole
+        strain, so that the error of the plastic strain counts too. TypeError and ValueError as of
         :meth:`adaptmg.Residual.indicate`.
         """
-        state = solved(hierarchy, result)
+        state = solved(hierarchy, result, plastic=True)
         squares = state.regular * recovered_energy(
             state.stress, *recovered(state.mesh, state.stress.values)
         )

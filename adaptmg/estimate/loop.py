@@ -12,7 +12,8 @@ With its 99 % quantile :math:`q`
   without it.
 
 With a load path every mesh goes along the whole path, and is refined for its last load step or for
-all.
+all; or a mesh takes some load steps, and the next mesh goes on from its state
+(:mod:`adaptmg.evolution.state_transfer`).
 
 In a folder each step is one file of a :class:`adaptmg.solver.store.StepStore`: the result with its
 mesh, and a
@@ -40,6 +41,7 @@ from adaptmg.estimate.engines import Engine, divisible, sound_mesh
 from adaptmg.estimate.estimate import AnyEstimate, Estimate, Indicator, Mark, estimate_of, marks_of
 from adaptmg.estimate.goal import GoalEstimate
 from adaptmg.evolution.load_path import PathResult, solve_path
+from adaptmg.evolution.state_transfer import transfer_state
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.mesh.arrays import MeshArrays, Refinement, need_mesh, sound_by_construction
 from adaptmg.mesh.bisection import with_refinement
@@ -108,7 +110,8 @@ class Step(Generic[AnyEstimate]):
     work_units, total_work_units : float
         Of the solve, and of all solves so far, in passes over the finest matrix of this step.
     path : PathResult or None
-        All load steps, where there is a load path.
+        All load steps, where there is a load path; with ``remesh_every`` those on this mesh, of
+        which the first repeats the last one of the mesh before.
     settled : bool or None
         Of a goal: whether its signed estimates have the sign of those of the mesh before, and are
         no smaller than the change of the corrected values since then; False on the first mesh.
@@ -241,6 +244,18 @@ class LoopParts:
     load_path: LoadPath | None = None
     adapt_on: str = "last"
     rtol: float | None = None
+    remesh_every: int | None = None
+
+    def path_of(self, number: int) -> LoadPath:
+        """Return the load steps that mesh ``number`` takes: all, or those after the last one of the
+        mesh before, which it repeats."""
+        path = cast("LoadPath", self.load_path)
+        if self.remesh_every is None:
+            return path
+        end = (number + 1) * self.remesh_every
+        steps = slice(max(end - self.remesh_every - 1, 0), end)
+        factors = {name: values[steps] for name, values in path.factors.items()}
+        return LoadPath(factors, path.default[steps])
 
 
 #: nodes of the next mesh over those of the last, below which it is not worth making, and of one
@@ -287,15 +302,33 @@ class AdaptiveLoop:
             yield self._solve(self.first, None)
         while True:
             last = self.done[-1]
-            reason = self._reached(last)
+            met = self._reached(last)
+            remeshed = self.parts.remesh_every is not None
+            # a path goes on on a mesh that needs no finer one
+            reason = self._ended(last) if remeshed else met or self._ended(last)
             mesh = None
-            if not reason:
-                mesh, reason = self._refine(last)
+            if not (reason or met):
+                mesh, stopped = self._refine(last)
+                reason = "" if remeshed else stopped
             if reason:
                 object.__setattr__(last, "outcome", reason)
                 _LOG.debug("the adaptive loop ends: %s", reason)
                 return
-            yield self._solve(*self._carry(last, cast("MeshArrays", mesh)))
+            if mesh is None:
+                yield self._solve(last.hierarchy, last.result)
+            else:
+                yield self._solve(*self._carry(last, mesh))
+
+    def _ended(self, last: Step) -> str:
+        """Return as text why there are no more steps, whatever the estimate; empty if there are."""
+        limits = self.limits
+        every = self.parts.remesh_every
+        if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
+            return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
+        load_steps = 0 if self.parts.load_path is None else len(self.parts.load_path)
+        if every is not None and (last.number + 1) * every >= load_steps:
+            return f"the load path ends after {load_steps} load steps"
+        return ""
 
     def _reached(self, last: Step) -> str:
         """Return as text which limit a step has reached; empty if none."""
@@ -316,13 +349,14 @@ class AdaptiveLoop:
             return "no progress: the indicator finds no error beyond rounding"
         if self._full(last.nodes):
             return f"max_nodes: {last.nodes} of {limits.max_nodes} nodes are used"
-        if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
-            return f"max_seconds: {last.total_seconds:.1f} s of {limits.max_seconds:g} s are used"
         return ""
 
     def _full(self, nodes: int) -> bool:
-        """Return whether this number of nodes leaves no room for another mesh."""
-        return self.limits.max_nodes is not None and nodes * LEAST_GROWTH > self.limits.max_nodes
+        """Return whether this number of nodes leaves no room for another mesh; along a path meshes
+        may follow each other with the same number."""
+        if self.limits.max_nodes is None or self.parts.remesh_every is not None:
+            return False
+        return nodes * LEAST_GROWTH > self.limits.max_nodes
 
     @one_blas_thread()
     def _refine(self, last: Step) -> tuple[MeshArrays | None, str]:
@@ -344,7 +378,8 @@ class AdaptiveLoop:
                 finer = engine.refine(problem, mesh, estimate, marked, max_nodes=bound)
                 if finer is not None:
                     finer = sound_mesh(engine, "refine", problem, finer, mesh)
-                if finer is None or finer.n_nodes <= mesh.n_nodes:
+                fewest = mesh.n_nodes + 1 if self.parts.remesh_every is None else 0
+                if finer is None or finer.n_nodes < fewest:
                     floor = (
                         ""
                         if divisible(mesh)[marked].any()
@@ -393,7 +428,12 @@ class AdaptiveLoop:
                 solver = default if parts.solver is None else parts.solver
                 solver = solver if _applies(solver, hierarchy) else None
                 rtol = parts.rtol if solver is None else None
-                path = solve_path(hierarchy, parts.load_path, solver, rtol=rtol)
+                begin = None
+                if last is not None and parts.remesh_every is not None:
+                    reached = cast("PathResult", last.path)[-1]
+                    begin = transfer_state(last.hierarchy, reached, hierarchy)
+                load_path = parts.path_of(number)
+                path = solve_path(hierarchy, load_path, solver, rtol=rtol, start=begin)
                 result = None
         self._report("estimate", hierarchy.finest.n_nodes)
         with self.clock.phase("estimate"):
@@ -401,7 +441,7 @@ class AdaptiveLoop:
                 result = cast("Result", result)
                 estimate = estimate_of(parts.indicator, hierarchy, result)
             else:
-                k, estimate, self.steering = _path_estimate(hierarchy, parts, path)
+                k, estimate, self.steering = _path_estimate(hierarchy, parts, path, number)
                 result = path[k]
         work = result.work_units if path is None else sum(step.work_units for step in path)
         nonzeros = hierarchy.finest.matrix.nnz
@@ -452,7 +492,7 @@ class AdaptiveLoop:
         if last.path is None or self.parts.adapt_on == "last":
             return last.estimate
         if self.steering is None:  # the step is from a store
-            self.steering = _path_estimate(last.hierarchy, self.parts, last.path)[2]
+            self.steering = _path_estimate(last.hierarchy, self.parts, last.path, last.number)[2]
         return self.steering
 
     def _restored(self, number: int, step: Stored) -> Step:
@@ -589,7 +629,7 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
     reference = discrete.contact.slip_reference
     slips = discrete.contact.accumulated_slip
     if k > 0:
-        slips = slips + results.slip_path()[k - 1]
+        slips = results[k - 1].contact.accumulated_slip
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
     step = step_problem(problem, factors)
     discrete = loads.step(discrete, factors, reference, slips)
@@ -598,7 +638,7 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
 
 
 def _path_estimate(
-    hierarchy: Hierarchy, parts: LoopParts, results: PathResult
+    hierarchy: Hierarchy, parts: LoopParts, results: PathResult, number: int
 ) -> tuple[int, Estimate, Estimate]:
     """The last load step, or the one with the largest relative estimate: number, estimate, and what
     to refine by. Of several load steps each element counts with its largest share in the relative
@@ -608,7 +648,7 @@ def _path_estimate(
     estimates = {
         k: estimate_of(
             parts.indicator,
-            posed_at(hierarchy, cast("LoadPath", parts.load_path), results, k),
+            posed_at(hierarchy, parts.path_of(number), results, k),
             results[k],
         )
         for k in steps

@@ -18,7 +18,7 @@ has that of its neighbours."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
 
@@ -284,8 +284,9 @@ class Solved:
             )
 
 
-def solved(hierarchy: Hierarchy, result: Result) -> Solved:
-    """Return a result on the finest mesh of a hierarchy, checked to belong to it."""
+def solved(hierarchy: Hierarchy, result: Result, plastic: bool = False) -> Solved:
+    """Return a result on the finest mesh of a hierarchy, checked to belong to it; ``plastic``: also
+    one of plastic bodies, with the stress that the whole strain would have."""
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
     checks.instance("result", result, Result, "a Result")
     posed = hierarchy.posed
@@ -310,6 +311,11 @@ def solved(hierarchy: Hierarchy, result: Result) -> Solved:
             f"result.displacement must be finite, got {result.displacement[i]} at node {i}: the solver "
             f"ended with {result.status.name}"
         )
+    data = result.stress_data
+    if plastic and data is not None and data.plastic is not None:
+        # loads are not checked: the elastic matrix does not hold the forces of these bodies
+        result = replace(result, stress_data=replace(data, plastic=None))
+        return Solved(posed, hierarchy.finest.discrete, result)
     state = Solved(posed, hierarchy.finest.discrete, result)
     state.check_loads()
     return state

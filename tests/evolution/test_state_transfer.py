@@ -202,6 +202,65 @@ def test_elements_outside_the_old_mesh_take_the_state_of_their_body():
         am.transfer_state(old, result, alone)
 
 
+def test_a_billet_is_upset_on_three_meshes(tmp_path):
+    """The forces are those of one fine mesh, below those of slabs; the middle bulges; a loop that
+    was interrupted ends with the same bits."""
+    problem = am.cases.upset_billet()
+    path = am.LoadPath({"plate": np.arange(1, 7) / 6})
+    options = {
+        "indicator": am.Recovery(),
+        "engine": am.Remesh(),
+        "load_path": path,
+        "remesh_every": 2,
+        "max_nodes": 400,
+        "solver": am.FullMultigrid(rtol=1e-6),
+    }
+    start = am.Hierarchy.graded(problem, [4e-3, 2e-3, 1e-3])
+    steps = list(am.adapt(problem, start, store=tmp_path / "whole", **options))
+    assert [len(step.path) for step in steps] == [2, 3, 3]
+    assert "load path ends after 6" in steps[-1].outcome
+    assert steps[0].nodes < steps[1].nodes < steps[2].nodes <= 400
+    area = np.pi * problem.reference["radius"] ** 2
+
+    def pressures(results):
+        return np.array([-result.resultant("contact").force[1] / area for result in results])
+
+    one = am.solve_path(am.Hierarchy.graded(problem, [4e-3, 2e-3, 8e-4]), path, options["solver"])
+    exact = pressures(one)
+    for k, step in enumerate(steps):
+        found = pressures(step.path)
+        np.testing.assert_allclose(found[-2:], exact[2 * k : 2 * k + 2], rtol=5e-4)
+        if k:
+            assert -0.06 < found[0] / exact[2 * k - 1] - 1 < 0  # the dip at the change
+    slabs = problem.reference["pressure"]
+    assert 0.98 * slabs < exact[-1] < slabs
+    mesh = steps[-1].result.mesh
+    side = steps[-1].result.displacement[mesh.surface("right").nodes, 0]
+    height = mesh.points[mesh.surface("right").nodes, 1]
+    assert side[height.argmin()] > 1.5 * side[height.argmax()] > 0
+    loop = am.adapt(problem, start, store=tmp_path / "part", **options)
+    next(loop)
+    next(loop)
+    loop.close()
+    again = list(am.adapt(problem, start, store=tmp_path / "part", **options))
+    np.testing.assert_array_equal(again[-1].result.displacement, steps[-1].result.displacement)
+
+
+def test_elastic_bodies_with_friction_are_followed_on_several_meshes():
+    """Loaded and unloaded: the slips that stay are those of one fine mesh."""
+    problem = am.cases.greco_bar()
+    path = am.LoadPath({"left": [0.5, 1.0, 0.5, 0.2]})
+    start = am.mesh.structured(problem.domain, 6)
+    steps = list(am.adapt(problem, start, load_path=path, remesh_every=2, max_nodes=400, rtol=1e-8))
+    one = am.solve_path(steps[-1].hierarchy, path, rtol=1e-8)
+    assert steps[0].nodes < steps[1].nodes
+    for found, exact in zip(steps[-1].path[1:], one[2:], strict=True):
+        force = exact.resultant("contact").force
+        np.testing.assert_allclose(
+            found.resultant("contact").force, force, atol=0.02 * np.abs(force).max()
+        )
+
+
 def test_what_is_refused():
     plain = pressed("plane")
     meshes = blocks("plane", [3, 5])
@@ -231,3 +290,12 @@ def test_what_is_refused():
         am.solve_path(elastic, path, TIGHT, start=start)
     with pytest.raises(ValueError, match="states"):
         am.solve_path(other, path, TIGHT, start=start)
+    options = {"indicator": am.Recovery(), "load_path": path}
+    for changed, words in (
+        ({"load_path": None, "remesh_every": 1}, "come with a load_path"),
+        ({"remesh_every": 0}, "remesh_every"),
+        ({"remesh_every": 1, "adapt_on": "worst"}, "adapt_on"),
+        ({"indicator": am.Residual()}, "Recovery"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            am.adapt(plain, meshes[0], **options | changed)
