@@ -206,16 +206,17 @@ class StressData:
         return strain
 
     def suppressed(self, mesh: MeshArrays) -> float:
-        """Return the energy of stresses that suppress initial strains, N m; of plane bodies of
-        those in the plane."""
+        """Return the energy of the stresses that suppress the initial strains, N m; in plane bodies
+        only stresses in the plane count."""
         of_elements = self.of_elements(mesh)
         volume = element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
-        strain[self.thin[mesh.element_body], 2] = 0.0
+        strain[self.thin[mesh.element_body], 2] = 0.0  # sheets are free to become thicker
         stress = of_elements.stress(strain[:, :, None] * np.eye(3))
-        if plane := mesh.dim == 2 and not self.axisymmetric:
+        plane = mesh.dim == 2 and not self.axisymmetric
+        if plane:
             stress = stress[:, [0, 1, 3]]  # xx, yy and xy: without zz
-        # means around edges of what the tensors of bodies make
+        # smoothed elements bear the means of the stresses around their edges
         means = smoothed(mesh, stress, volume) if self.smoothed else stress
         return float(volume @ of_elements.work(stress, means, plane))
 

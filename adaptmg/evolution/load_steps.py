@@ -381,15 +381,19 @@ class Controls:
         limit: float,
     ) -> tuple[Result, Kept, dict[str, np.ndarray]]:
         """Return the result, what is kept of it, and the motions with which the forces are as
-        prescribed. Cycles are those of all contact problems on the finest level, work and seconds
-        those of guides, too. No contact problem begins there after ``limit`` cycles, from where
-        every bolt pulls on."""
+        prescribed.
+
+        A guide finds motions of obstacles on a level with few unknowns; contact problems on the
+        finest level correct them, and shorten bolts. The result counts the cycles of all contact
+        problems there, and the work and seconds of the guide too. Once every bolt pulls, no further
+        contact problem begins after ``limit`` cycles."""
         search = Search(self, parts, solve, limit)
         guide = Guide(self, parts, posed)
         values = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
         values = guide.pressed(values / search.sizes)
         try:
-            if len(guide.parts) < len(parts):
+            has_bolts = len(guide.parts) < len(parts)
+            if has_bolts:
                 found = search.run(search.pulled(search.at(values, None, _LOOSE)), None)
             else:
                 found = search.run(search.at(values, None, guide.loose), guide)

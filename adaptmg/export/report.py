@@ -19,7 +19,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from numbers import Real
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -531,9 +530,7 @@ class Axis:
 
 def numbers(column: pd.Series) -> pd.Series | None:
     """Return a column as floats if all its values that are not missing are numbers, else None."""
-    present = column.dropna()
-    plain_numbers = (isinstance(v, Real) and not isinstance(v, bool | np.bool_) for v in present)
-    return None if present.empty or not all(plain_numbers) else column.astype(float)
+    return column.astype(float) if numeric(column.dropna()) else None
 
 
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
@@ -544,11 +541,11 @@ def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None
     if not varied:
         return None
     shared = [name for name in varied if counts[name] < len(table)]
-    numeric = [name for name in shared or varied if numbers(table[name]) is not None]
-    along = max(numeric or shared or varied, key=counts.__getitem__)
-    candidates = [name for name in varied if name != along and counts[name] <= _LINES]
+    candidates = [name for name in shared or varied if numbers(table[name]) is not None]
+    along = max(candidates or shared or varied, key=counts.__getitem__)
+    few = [name for name in varied if name != along and counts[name] <= _LINES]
     return Axis(
-        along, max(candidates, key=counts.__getitem__, default=""), bool(shared) or len(varied) == 1
+        along, max(few, key=counts.__getitem__, default=""), bool(shared) or len(varied) == 1
     )
 
 

@@ -181,9 +181,7 @@ class SizeNear:
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "size", checks.quantity("size", self.size, positive=True))
         object.__setattr__(self, "radius", checks.nonnegative("radius", self.radius))
-        object.__setattr__(self, "grading", checks.positive("grading", self.grading))
-        if not self.grading <= 1:
-            raise ValueError(f"grading must be at most 1, got {self.grading!r}")
+        object.__setattr__(self, "grading", growth(self.grading))
 
     def scaled(self, factor: float) -> SizeNear:
         """Return the size function times a factor everywhere, for another level of a family whose

@@ -90,7 +90,7 @@ def _stiffness(
     materials = body_materials(mesh, problem.material)
     springs = [support for support in problem.supports if isinstance(support, Spring)]
     covered = (
-        all(_is_isotropic(elastic) for elastic in materials)
+        all(elastic.anisotropy is None and np.isfinite(elastic.lame) for elastic in materials)
         and not any(isinstance(support, PointSpring) for support in problem.supports)
         and all(_numbers(spring.normal, spring.tangential) is not None for spring in springs)
         and not len(discrete.volumes)
@@ -120,10 +120,6 @@ def _stiffness(
         cells, blocks = _spring_blocks(mesh, spring, False)
         np.add.at(expected, cells, _spring_forces(cells, blocks, field))
     return (_condition("stiffness", forces - expected, float(np.linalg.norm(expected))),)
-
-
-def _is_isotropic(material: Elastic) -> bool:
-    return material.anisotropy is None and np.isfinite(material.lame)
 
 
 def _kinds_of_nodes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> np.ndarray | None:

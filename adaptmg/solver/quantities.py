@@ -328,7 +328,8 @@ class Quantities:
             return Resultant(total, None)
         about = np.zeros(self.dim) if about is None else checks.vector("about", about, self.dim)
         turning = moment(self.mesh.points[nodes] - about, forces)
-        if boundary in self.springs and not (self._touches(boundary) or self._is_tied(boundary)):
+        tied_names = () if self.ties is None else self.ties.names
+        if boundary in self.springs and boundary not in tied_names and not self._touches(boundary):
             of_springs = np.array(self.springs[boundary])
             force = of_springs[: self.dim]
             total = total + force
@@ -339,9 +340,6 @@ class Quantities:
         """Return whether a boundary is a contact boundary, a master, or 'contact' for all."""
         names = [name for name in (*self.contact.names, *self.contact.masters) if name]
         return boundary in names or (boundary == "contact" and bool(self.contact.names))
-
-    def _is_tied(self, boundary: str) -> bool:
-        return self.ties is not None and boundary in self.ties.names
 
     def _forces_on(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
         """Return nodes and the forces on them: of contact and ties, or elsewhere of supports without

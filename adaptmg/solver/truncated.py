@@ -201,11 +201,11 @@ class TruncatedCycles:
         return (change / state.size if state.size > 0 else change) > self.LARGE
 
     def measure(self, state: TruncatedState) -> Measured:
-        """Measure what the smoothing leaves."""
+        """Return the norms of the state after its smoothing."""
         sizes = self.sizes
         unknowns = self.parts.displacement(state)
+        # before the second cycle no rate is known: only rounding tells an exact start
         early = state.cycles < 2
-        # an exact start has no rate to measure, and needs none
         floor = self.rounding(state) if early or sizes.prescribed else 0.0
         columns = {"status_changes": float(state.changed)}
         idle = sizes.nothing_strains(state.reactions, ROUNDING * floor, unknowns)
@@ -213,12 +213,12 @@ class TruncatedCycles:
             error = unknowns - self.problem.from_prescribed(self.run.reference)
             columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
         return Measured(
-            state.cycles,
-            state.natural,
-            sizes.forces(unknowns, state.reactions),
-            state.size,
-            floor if early or idle else 0.0,
-            idle,
+            cycles=state.cycles,
+            residual=state.natural,
+            forces=sizes.forces(unknowns, state.reactions),
+            size=state.size,
+            floor=floor if early or idle else 0.0,
+            idle=idle,
             change=float(np.sqrt(abs(state.correction))) if state.cycles else None,
             from_start=state.from_start,
             columns=columns,

@@ -1,6 +1,7 @@
 """The texts of a picture."""
 
 import io
+import re
 import warnings
 
 import matplotlib.pyplot as plt
@@ -14,10 +15,12 @@ def words(figure: Figure) -> str:
 
 
 def texts(figure: Figure) -> list[str]:
-    """The texts as they are set: those without math lose their escapes; a legend that drops an
-    entry fails."""
+    """The texts as they are seen: without the signs that delimit math, and without escapes; a
+    legend that drops an entry fails."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure.savefig(io.BytesIO(), format="png", dpi=30)
     shown = [text._preprocess_math(text.get_text()) for text in figure.findobj(plt.Text)]
-    return [text.replace(r"\$", "$") if math else text for text, math in shown]
+    return [
+        re.sub(r"(?<!\\)\$", "", text).replace(r"\$", "$") if math else text for text, math in shown
+    ]

@@ -120,26 +120,10 @@ def smooth(level, contact, load, u):
     return residual
 
 
-@pytest.mark.parametrize("law", ["frictionless", "tresca", "coulomb"])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_projected_half_passes_are_the_smoother(dim, law):
-    problem, level, contact, load = parts(dim, law)
-    u = np.zeros(problem.system.n_dofs)
-    contact.start(u)
-    w = problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim))
-    for _ in range(3):
-        residual = smooth(level, contact, load, u)
-        am.ProjectedGaussSeidel(order="backward").smooth(
-            problem.system, problem.contact, problem.load, w
-        )
-        am.ProjectedGaussSeidel(order="forward").smooth(
-            problem.system, problem.contact, problem.load, w
-        )
-        np.testing.assert_allclose(
-            problem.to_local((u + problem.discrete.fixed_values).reshape(-1, dim)), w, atol=1e-11
-        )
-        np.testing.assert_allclose(residual, load - level.matrix() @ u, atol=1e-11)
-    other = np.random.default_rng(0).normal(size=u.shape) * ~problem.discrete.fixed
+def test_half_of_a_matrix_gives_the_energy_of_a_difference(dim):
+    problem, level, *_ = parts(dim, "coulomb")
+    u, other = np.random.default_rng(0).normal(size=(2, level.n_dofs)) * ~problem.discrete.fixed
     product = projected_sweeps.energy_product(
         0,
         level.n_nodes,

@@ -263,6 +263,6 @@ def test_contact_that_fills_its_boundary_needs_no_more_nodes():
     assert not am.solve(whole).advice and (am.solve(whole).contact.state != am.OPEN).all()
     corner = am.cases.hertz_sphere(dim=3)
     assert "need 30" in am.solve(am.Hierarchy.graded(corner, contact_ratio=30)).advice[0]
-    fine = am.solve(am.Hierarchy.graded(corner))
-    assert not fine.advice
-    assert fine.max_pressure == pytest.approx(corner.reference["peak"], rel=0.15)
+    mesh = am.Hierarchy.graded(corner).finest.mesh
+    radius = np.linalg.norm(mesh.points[mesh.boundary_nodes("upper.contact"), :2], axis=1)
+    assert np.count_nonzero(radius < corner.reference["half_width"]) >= 30

@@ -60,10 +60,8 @@ def test_coefficient_is_the_fixed_point_of_problems_with_given_ones(place):
     law = am.StateLaw(falling)
     grids = block(law, place) if place else bar_hierarchy(bar_on_block(law))
     result = am.solve(grids, FINE)
-    friction = np.full(len(result.contact), 0.3)
-    for _ in range(40):
-        outer = am.solve(given(grids, friction), EXACT).contact
-        friction = falling(outer.pressure, np.linalg.norm(outer.slip, axis=1))
+    friction = falling(result.contact.pressure, np.linalg.norm(result.contact.slip, axis=1))
+    outer = am.solve(given(grids, friction), EXACT).contact
     assert outer.counts()["slip"] > 3
     for name in ("force_n", "force_t", "slip"):
         expected = getattr(outer, name)
