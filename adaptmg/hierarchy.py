@@ -36,6 +36,7 @@ from adaptmg.problem import Assembly, Box, Contact, ContactProblem, Rectangle
 
 if TYPE_CHECKING:
     from adaptmg.mesh.read import MeshLike
+    from adaptmg.mesh.sizes import SizeField
     from adaptmg.transfer import Transfer
 
 Divisions = int | tuple[int, ...]
@@ -211,7 +212,10 @@ class Hierarchy:
         sizes : sequence of float or mapping, optional
             Element size away from contact, coarse to fine, m; of several bodies also body name ->
             size. Default: a quarter, an eighth and a sixteenth (3D: a third and a sixth) of the
-            bodies' mean extent.
+            bodies' mean extent. Without ``contact_ratio`` the problem is then solved on the
+            coarsest mesh, and where only a part of a boundary touches, all meshes are made finer
+            there, until at least 12 nodes (3D: 30) touch in each patch of the finest: about 0.05 s
+            a solve in the plane, 0.2 to 1 s in space, one solve to six.
         contact_ratio : float or mapping, optional
             Size away from contact over size at contact (at ties where there is no contact), >= 1;
             of several bodies also body name -> ratio. Default 1; without ``sizes`` such that the
@@ -234,6 +238,7 @@ class Hierarchy:
 
         domain = meshed_domain(problem)
         ratio = 1.0
+        by_default = sizes is None and contact_ratio is None and problem.pair_boundaries
         if sizes is None:
             sizes, ratio = sensible_sizes(domain, problem.pair_boundaries)
         fine = problem.pair_boundaries or problem.tied_boundaries
@@ -243,17 +248,31 @@ class Hierarchy:
             f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
         )
         gradings = gradings_of(sizes, grading)
-        return cls._build(
-            problem,
-            lambda: [
-                graded(domain, size, fine, contact_ratio, growth, mesher=mesher)
-                for size, growth in zip(sizes, gradings, strict=True)
-            ],
-            transfer,
-            origin,
-            begin,
-            contact_rows,
-        )
+
+        def mesh(level: int, finer: SizeField | None = None) -> MeshArrays:
+            size = sizes[level]
+            return graded(
+                domain,
+                size,
+                fine,
+                contact_ratio,
+                gradings[level],
+                mesher=mesher,
+                size_function=finer and (lambda x: size / sizes[0] * finer(x)),
+            )
+
+        def meshes() -> list[MeshArrays]:
+            coarsest = mesh(0)
+            finer = None
+            if by_default:
+                from adaptmg.estimate.contact_sizes import finer_at_contact
+
+                coarsest, finer = finer_at_contact(
+                    problem, coarsest, lambda field: mesh(0, field), sizes[-1] / sizes[0], grading
+                )
+            return [coarsest, *(mesh(level, finer) for level in range(1, len(sizes)))]
+
+        return cls._build(problem, meshes, transfer, origin, begin, contact_rows)
 
     @classmethod
     def from_meshes(

@@ -100,6 +100,65 @@ def test_sizes_have_defaults_that_follow_bodies_and_contact():
     assert len(plain.finest.discrete.contact) < len(bar.finest.discrete.contact) / 2
 
 
+def roller(scale: float, angle: float, load: float) -> am.ContactProblem:
+    """Pose a quarter of a cylinder on a plane, all of its arc in contact."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    move = scale * np.array([3.0, -2.0])
+    corners = scale * np.array([(0, 0), (0, -1), (1, 0)]) @ turn.T + move
+    return am.ContactProblem(
+        domain=am.Outline(vertices=corners, boundaries=("axis", "arc", "cut"), arcs={1: move}),
+        material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+        contact=am.Contact("arc", am.Plane(corners[1], turn @ (0, 1))),
+        law=am.Frictionless(),
+        loads=am.Pressure("cut", load / (2 * scale)),
+        supports=am.Support("axis", normal=0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("scale", "angle", "slenderness"), [(1.0, 0.0, 20), (50e-3, 0.7, 100), (2.0, 2.0, 1000)]
+)
+def test_default_meshes_resolve_a_small_patch_of_a_long_contact_boundary(scale, angle, slenderness):
+    half_width = scale / slenderness
+    load = np.pi * 2.1e11 / (1 - 0.3**2) * half_width**2 / (4 * scale)  # Hertz
+    grids = am.Hierarchy.graded(roller(scale, angle, load))
+    result = am.solve(grids)
+    touching = result.contact.state != am.OPEN
+    assert 12 <= touching.sum() <= 50
+    assert not result.advice
+    extent = np.linalg.norm(np.ptp(result.contact.x[touching], axis=0))
+    # to an edge and a half
+    assert extent == pytest.approx(half_width, abs=1.5 * half_width / touching.sum())
+    assert grids.finest.n_nodes < 10_000
+
+
+@pytest.mark.parametrize("name", sorted(am.cases.CASES))
+@pytest.mark.filterwarnings("ignore:friction")
+def test_twelve_nodes_touch_in_each_case_by_default(name):
+    grids = am.Hierarchy.graded(am.cases.CASES[name].function())
+    contact = am.solve(grids).contact
+    # the strut may stand or lose contact
+    assert (contact.state != am.OPEN).sum() >= 12 or name == "leaning_strut"
+
+
+def test_sizes_that_are_given_are_left_alone():
+    problem = roller(50e-3, 0.0, 1e5)
+    plain = am.mesh.graded(problem.domain, 10e-3, "arc", 2)
+    given = am.Hierarchy.graded(problem, (10e-3,), contact_ratio=2)
+    np.testing.assert_array_equal(given.finest.mesh.points, plain.points)
+    by_ratio = am.Hierarchy.graded(problem, contact_ratio=3)
+    # without supports there is no contact to measure, as of bodies that only inertia holds
+    free = am.Hierarchy.graded(replace(problem, supports=()))
+    for level, other in zip(by_ratio, free, strict=True):
+        np.testing.assert_array_equal(level.mesh.points, other.mesh.points)
+    # a block of which all nodes touch
+    block = am.cases.upset_block()
+    sizes = (10e-3, 5e-3, 2.5e-3)
+    given = am.Hierarchy.graded(block, sizes, 4)
+    for level, other in zip(am.Hierarchy.graded(block), given, strict=True):
+        np.testing.assert_array_equal(level.mesh.points, other.mesh.points)
+
+
 def test_errors_of_graded_families_fall_with_squares_of_sizes():
     problem, sizes = am.cases.hertz_cylinder(), [12.5e-3 / 2**k for k in range(4)]
     grids = am.Hierarchy.graded(problem, sizes, contact_ratio=64)

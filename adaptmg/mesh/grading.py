@@ -81,6 +81,7 @@ def graded(
     grading: float | Mapping[str, float] = 0.3,
     *,
     mesher: str = "own",
+    size_function: SizeField | None = None,
 ) -> MeshArrays:
     """Mesh a domain, finer near some boundaries.
 
@@ -104,6 +105,9 @@ def graded(
         boxes our own) and improvement of shapes, a tenth to a twentieth. "netgen": Netgen alone,
         which also meshes where "own" fails. Solids with faces other than planes, cylinders, cones,
         spheres and tori are left to Netgen.
+    size_function : callable, optional
+        Edge lengths (n,) at points (n, dim), m, that no edge exceeds either, for instance an
+        :class:`adaptmg.SizeNear`.
 
     Returns
     -------
@@ -143,7 +147,15 @@ def graded(
             near = boundaries_of(body, names)
             fine = near or not names or isinstance(contact_ratio, Mapping)
             ratio = ratios[body] if fine else 1.0
-            meshes[body] = graded(part, sizes[body], near, ratio, gradings[body], mesher=mesher)
+            meshes[body] = graded(
+                part,
+                sizes[body],
+                near,
+                ratio,
+                gradings[body],
+                mesher=mesher,
+                size_function=size_function,
+            )
         return swept(merged(meshes))
     size = checks.positive("size", size)
     ratio = _ratio(contact_ratio)
@@ -156,6 +168,7 @@ def graded(
         size / ratio,
         growth(grading),
         checks.choice("mesher", mesher, MESHERS),
+        checks.optional_callable("size_function", size_function, "points (n, dim)"),
     )
 
 
@@ -182,10 +195,12 @@ def _graded_body(
     near: float,
     grading: float,
     mesher: str,
+    size_function: SizeField | None,
 ) -> MeshArrays:
     """See :func:`graded`; one body, checked arguments, and the size along the boundaries."""
+    solid = SolidSizes(size, names, near, grading, size_function)
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
-        return solid_mesh(domain, SolidSizes(size, names, near, grading), mesher)
+        return solid_mesh(domain, solid, mesher)
     volume, areas = boundary_measures(domain)
     # before Netgen works for minutes on a mesh that bisection would then find too large
     refuse_too_many(
@@ -194,17 +209,19 @@ def _graded_body(
     )
 
     def field(x: np.ndarray) -> np.ndarray:
-        return (
+        sizes = (
             np.minimum(size, near + grading * distance_to_boundaries(domain, names, x))
             if names
             else np.full(len(x), size)
         )
+        return sizes if size_function is None else np.minimum(sizes, sizes_at(size_function, x))
 
     if mesher == "own" and (mesh := _own(domain, field)) is not None:
         return mesh
     if isinstance(domain, Box):
-        return solid_mesh(domain, SolidSizes(size, names, near, grading), "netgen")
-    return plane_mesh(domain, field, size, near, names, grading, 1 if names else 0)
+        return solid_mesh(domain, solid, "netgen")
+    rounds = int(bool(names)) + int(size_function is not None)
+    return plane_mesh(domain, field, size, near, names, grading, rounds)
 
 
 def _own(domain: Outline | Box, field: SizeField, growth: float | None = None) -> MeshArrays | None:

@@ -532,12 +532,33 @@ class Sizes:
         )
 
 
-def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
-    """Return a sentence for each contact boundary of which a part touches on few nodes; none of
-    scalar problems, whose obstacles lie behind all nodes."""
-    advice = []
-    if contact.frames.shape[1] == 1:
-        return advice
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Nodes of a contact boundary that touch next to each other, with open ones around.
+
+    Attributes
+    ----------
+    name : str
+        The contact boundary.
+    nodes : (n,) int array
+    size : float
+        Mean length of the edges there, m.
+    """
+
+    name: str
+    nodes: np.ndarray
+    size: float
+
+    def share_for(self, nodes: float, dim: int) -> float:
+        """Return by which factor edges must change for about so many nodes to touch there."""
+        # the patch ends somewhere beyond its last nodes; that of a single facet may be a point
+        cells = max(len(self.nodes) - (1 if dim == 2 else 3), 0.5)
+        return (cells / nodes) ** (1 / (dim - 1))
+
+
+def touching_patches(contact: ContactResult, mesh: MeshArrays) -> list[Patch]:
+    """Return the patches of all contact boundaries of which a part touches."""
+    patches = []
     for k, name in enumerate(contact.names):
         on_boundary = contact.boundary == k
         touching = on_boundary & (contact.state != OPEN)
@@ -546,19 +567,30 @@ def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
         inside = np.zeros(mesh.n_nodes, dtype=bool)
         inside[contact.node[touching]] = True
         facets = mesh.boundary_facets(name)
-        edges = facets[inside[facets].all(axis=1)]
-        pairs = np.concatenate([edges[:, [0, j]] for j in range(1, mesh.dim)])
+        edges = np.concatenate([facets[:, [i - 1, i]] for i in range(mesh.dim)])
+        pairs = edges[inside[edges].all(axis=1)]
         graph = sparse.coo_array((np.ones(len(pairs)), pairs.T), (mesh.n_nodes, mesh.n_nodes))
-        patch = sparse.csgraph.connected_components(graph, directed=False)[1][inside]
-        fewest = int(np.unique(patch, return_counts=True)[1].min())
-        few = FEW_NODES[mesh.dim]
-        if fewest < few:
-            near = mesh.points[facets[inside[facets].any(axis=1)]]
-            length = np.linalg.norm(near[:, 1] - near[:, 0], axis=1).mean()
-            # the patch ends somewhere beyond its last nodes
-            size = length * (max(fewest - 1, 0.5) / few) ** (1 / (mesh.dim - 1))
-            advice.append(
-                f"contact {name!r}: {fewest} nodes touch in a patch, and peaks of pressure need {few}; "
-                f"take elements of at most {size:.2g} m there"
-            )
-    return advice
+        labels = sparse.csgraph.connected_components(graph, directed=False)[1]
+        for label in np.unique(labels[inside]):
+            nodes = np.flatnonzero(inside & (labels == label))
+            near = mesh.points[facets[np.isin(facets, nodes).any(axis=1)]]
+            size = float(np.linalg.norm(near[:, 1] - near[:, 0], axis=1).mean())
+            patches.append(Patch(name, nodes, size))
+    return patches
+
+
+def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
+    """Return a sentence for each contact boundary of which a part touches on few nodes; none of
+    scalar problems, whose obstacles lie behind all nodes."""
+    if contact.frames.shape[1] == 1:
+        return []
+    few = FEW_NODES[mesh.dim]
+    smallest: dict[str, Patch] = {}
+    for patch in touching_patches(contact, mesh):
+        if len(patch.nodes) < min(few, len(smallest.get(patch.name, patch).nodes) + 1):
+            smallest[patch.name] = patch
+    return [
+        f"contact {name!r}: {len(patch.nodes)} nodes touch in a patch, and peaks of pressure need {few}; "
+        f"take elements of at most {patch.size * patch.share_for(few, mesh.dim):.2g} m there"
+        for name, patch in smallest.items()
+    ]
