@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import rotation
+from refused import refused
 from scipy.spatial.transform import Rotation
 
 import adaptmg as am
@@ -469,7 +470,7 @@ def test_no_obstacle_goes_through_what_a_support_holds(kind):
 
 
 def test_what_cannot_be_found_is_refused():
-    def refused(obstacle, words, path=am.LoadPath(), law=am.Frictionless()):
+    def check(obstacle, words, path=am.LoadPath(), law=am.Frictionless()):
         grids, *_ = turned_block(np.random.default_rng(1), obstacle, law)
         with pytest.raises(ValueError, match=words):
             am.solve_path(grids, path, callback=lambda *_: pytest.fail("a step was solved"))
@@ -479,13 +480,13 @@ def test_what_cannot_be_found_is_refused():
             plane(place), force=tuple(PRESS * vector(np.array(direction))), name=name
         )
 
-    refused(rigid((0.0, 1.0)), "nothing resists 'punch': .* press towards the body")
-    refused(
+    check(rigid((0.0, 1.0)), "nothing resists 'punch': .* press towards the body")
+    check(
         rigid((0.0, -1.0)),
         "the factor of 'punch', which a force presses, must be > 0, got 0",
         am.LoadPath({"punch": [0.5, 1, 0]}),
     )
-    refused(rigid((0.5, -1.0)), "nothing resists 'punch'")
+    check(rigid((0.5, -1.0)), "nothing resists 'punch'")
     grids, *_ = turned_block(np.random.default_rng(1), rigid((0.0, -1.0)))
     with pytest.raises(ValueError, match="start must be None"):
         am.solve(grids, start=np.zeros((grids.finest.n_nodes, 2)))
@@ -500,26 +501,38 @@ def test_what_cannot_be_found_is_refused():
     for method in (None, am.Multigrid(rtol=1e-4)):
         with pytest.raises(ValueError, match=r"nothing resists .body.: .* hold a bolt"):
             am.solve(am.Hierarchy.uniform(free, [(1, 8), (2, 16)]), method)
-    ring, floor = am.Axisymmetric(young=E, poisson=NU), am.Plane((0, 0), (0, 1))
-    for obstacle in (
-        am.Moving(floor, displacement=(1.0, 0.0)),
-        am.Moving(floor, displacement=(0, 1), rotation=1e-3),
-        am.Rigid(floor, force=(0.0, 1.0)),
-        am.Rigid(floor, force=(None, 1.0), moment=0.0),
-    ):
-        with pytest.raises(ValueError, match="must move along the axis only"):
-            am.ContactProblem(
-                material=ring, contact=am.Contact("bottom", obstacle), law=am.Frictionless()
-            )
-    for make, words in (
-        (lambda: am.Rigid(floor, force=(None, None)), "force and moment are None"),
-        (lambda: am.Rigid(floor, force=(0.0, None)), "component other than zero"),
-        (lambda: am.Moving(floor, displacement=(0, 0, 1)), "displacement must have 2 components"),
-        (lambda: am.Moving(floor, displacement=(0, np.nan)), "displacement"),
-        (lambda: am.Preload("bolt", force=-1.0, axis="y"), "force must be > 0"),
-        (lambda: am.Preload("bolt", force=1.0, axis="w"), "axis must be"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            make()
-    with pytest.raises(TypeError, match="must not be Rigid"):
-        am.Moving(am.Rigid(floor, force=(None, 1.0)), displacement=(0, 0))
+
+
+FLOOR = am.Plane((0, 0), (0, 1))
+
+
+def axisymmetric(obstacle):
+    return am.ContactProblem(
+        material=am.Axisymmetric(young=E, poisson=NU),
+        contact=am.Contact("bottom", obstacle),
+        law=am.Frictionless(),
+    )
+
+
+test_wrong_motions_and_forces_are_refused = refused(
+    *(
+        (lambda obstacle=obstacle: axisymmetric(obstacle), "must move along the axis only")
+        for obstacle in (
+            am.Moving(FLOOR, displacement=(1.0, 0.0)),
+            am.Moving(FLOOR, displacement=(0, 1), rotation=1e-3),
+            am.Rigid(FLOOR, force=(0.0, 1.0)),
+            am.Rigid(FLOOR, force=(None, 1.0), moment=0.0),
+        )
+    ),
+    (lambda: am.Rigid(FLOOR, force=(None, None)), "force and moment are None"),
+    (lambda: am.Rigid(FLOOR, force=(0.0, None)), "component other than zero"),
+    (lambda: am.Moving(FLOOR, displacement=(0, 0, 1)), "displacement must have 2 components"),
+    (lambda: am.Moving(FLOOR, displacement=(0, np.nan)), "displacement"),
+    (lambda: am.Preload("bolt", force=-1.0, axis="y"), "force must be > 0"),
+    (lambda: am.Preload("bolt", force=1.0, axis="w"), "axis must be"),
+    (
+        lambda: am.Moving(am.Rigid(FLOOR, force=(None, 1.0)), displacement=(0, 0)),
+        TypeError,
+        "must not be Rigid",
+    ),
+)

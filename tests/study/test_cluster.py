@@ -19,6 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from refused import refused
 
 import adaptmg as am
 from adaptmg.study import cluster as executor
@@ -224,22 +225,26 @@ def test_studies_can_share_a_cluster_from_several_threads(cluster, tmp_path):
     assert [table["m"].sum() for table in tables] == [0, 45, 90]
 
 
-def test_wrong_clusters_and_functions_are_refused(monkeypatch):
-    study = am.Study(lambda n: {"m": n}, {"n": [1]})
-    with pytest.raises(ValueError, match="not both"):
-        study.run(workers=1, scheduler="tcp://127.0.0.1:1")
-    with pytest.raises(ValueError, match="workers must be >= 1"):
-        study.run(workers=0)
-    with pytest.raises(ValueError, match="need workers"):
-        study.run(limit_s=1.0)
-    with pytest.raises(TypeError, match="scheduler must be"):
-        study.run(scheduler=3)
-    for address in ("", "tcp://", "host", "tcp://host: 8786"):
-        with pytest.raises(ValueError, match="scheduler must be an address"):
-            study.run(scheduler=address)
+def numbered():
+    return am.Study(lambda n: {"m": n}, {"n": [1]})
+
+
+test_wrong_clusters_are_refused = refused(
+    (lambda: numbered().run(workers=1, scheduler="tcp://127.0.0.1:1"), "not both"),
+    (lambda: numbered().run(workers=0), "workers must be >= 1"),
+    (lambda: numbered().run(limit_s=1.0), "need workers"),
+    (lambda: numbered().run(scheduler=3), TypeError, "scheduler must be"),
+    *(
+        (lambda address=address: numbered().run(scheduler=address), "must be an address")
+        for address in ("", "tcp://", "host", "tcp://host: 8786")
+    ),
+)
+
+
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     monkeypatch.setattr(executor, "CONNECT_S", 0.5)
     with pytest.raises(OSError, match=r"nobody answers at tcp:..127\.0\.0\.1:9"):
-        study.run(scheduler="tcp://127.0.0.1:9")
+        numbered().run(scheduler="tcp://127.0.0.1:9")
 
 
 SCRIPT = """
