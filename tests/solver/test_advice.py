@@ -137,15 +137,6 @@ def test_an_adaptive_loop_warns_once():
     assert {one.filename for one in caught} == {__file__}
 
 
-@pytest.mark.parametrize("name", am.cases.CASES)
-def test_no_case_is_beyond_the_theory_and_all_adapt_by_default(name):
-    caught = warned(lambda: next(am.adapt(am.cases.get(name).function())))
-    # what the strut is about
-    assert all(
-        name == "leaning_strut" and "may not be unique" in str(one.message) for one in caught
-    ), caught
-
-
 def test_one_mesh_takes_the_quickest_method_but_a_named_one(tmp_path):
     grids = bar(divisions=(21,))
     result = am.solve(grids)
