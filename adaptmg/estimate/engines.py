@@ -321,14 +321,14 @@ class Remesh:
 
     def mesh(self, problem: ContactProblem, field: SizeField) -> MeshArrays:
         """Mesh the problem's domain by a size field."""
-        from adaptmg.mesh import sized
+        from adaptmg.mesh.grading import sized_by
 
         functions = {body: field.function(body) for body in field.mesh.bodies}
-        return sized(
+        return sized_by(
             meshed_domain(problem),
             functions if len(functions) > 1 else functions.popitem()[1],
             float(field.sizes.max()),
-            grading=GRADING,
+            GRADING,
         )
 
 
