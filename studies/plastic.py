@@ -6,14 +6,17 @@ A rigid punch on a block without hardening has the limit load of Prandtl, (2 + p
 are too strong, as volumes hardly change where all flows; smoothed ones come near it. A rigid ball on
 a block yields first at 1.1 times the yield stress, and has 2.8 to 3 times it where all of the
 contact flows (Johnson, Contact Mechanics, 6.3). A thick tube under inner pressure has the stresses
-of Hill, also after the pressure.
+of Hill, also after the pressure. A billet between rough plates is upset on one mesh and on three,
+each of which goes on from the state of the one before.
 
 Each load step is solved by Newton steps; each of these is a contact problem for the multigrid."""
 
 import warnings
 
 import numpy as np
+import pandas as pd
 from common import Output, drawing, main
+from matplotlib import pyplot as plt
 
 import adaptmg as am
 
@@ -119,6 +122,79 @@ def flow(out: Output) -> None:
     out.figure("flow", figure, "The block under Prandtl's punch; displacements 5 times too large")
 
 
+def mean_pressures(problem: am.ContactProblem, results: list[am.Result]) -> np.ndarray:
+    """Mean pressure under the plate over the yield stress after each load step."""
+    area = np.pi * problem.reference["radius"] ** 2
+    forces = [result.resultant("contact").force[1] for result in results]
+    return -np.array(forces) / area / STRENGTH
+
+
+def billet(out: Output) -> None:
+    """Upset a billet on three meshes, compare its forces with those on one fine mesh, and draw."""
+    problem = am.cases.upset_billet()
+    path = am.LoadPath({"plate": np.arange(1, 7) / 6})
+    sizes = [4e-3, 2e-3, 1e-3]
+    fine = am.Hierarchy.graded(problem, [*sizes, 7e-4 if out.quick else 5e-4])
+    whole = mean_pressures(problem, list(am.solve_path(fine, path, SOLVER)))
+    steps = list(
+        am.adapt(
+            problem,
+            am.Hierarchy.graded(problem, sizes),
+            am.Recovery(),
+            engine=am.Remesh(),
+            load_path=path,
+            remesh_every=2,
+            max_nodes=400 if out.quick else 800,
+            solver=SOLVER,
+        )
+    )
+    figure, axes = plt.subplots(
+        1, 3, figsize=(11.4, 3.6), layout="constrained", sharex=True, sharey=True
+    )
+    rows = []
+    for number, (step, ax) in enumerate(zip(steps, axes, strict=True)):
+        found = mean_pressures(problem, list(step.path))
+        restored, found = found[:-2], found[-2:]
+        exact = whole[2 * number : 2 * number + 2]
+        rows.append(
+            {
+                "nodes": step.nodes,
+                "dip": restored[0] / whole[2 * number - 1] - 1 if number else 0.0,
+                "pressure": found[-1],
+                "difference": np.abs(found / exact - 1).max(),
+                "estimate": step.estimate.relative,
+            }
+        )
+        mesh = am.mesh.need_mesh(step.result)
+        x, y = 1e3 * (mesh.points + 10 * step.result.displacement).T
+        shade = ax.tripcolor(
+            x,
+            y,
+            mesh.elements,
+            facecolors=100 * step.result.accumulated_plastic_strain,
+            edgecolors="k",
+            linewidth=0.1,
+            vmin=0,
+            vmax=8,
+        )
+        ax.set(xlabel="r [mm]", aspect="equal", title=f"{step.nodes} nodes")
+    axes[0].set_ylabel("z [mm]")
+    figure.colorbar(shade, ax=axes, label="accumulated plastic strain [%]", extend="max")
+    table = pd.DataFrame(rows)
+    out.table(
+        "billet",
+        table,
+        "An upset billet on three meshes: mean pressure over the yield stress",
+        "Two load steps on each mesh; the dip of the force where the mesh changes, and the largest difference of "
+        f"these load steps from one mesh of {fine.finest.n_nodes} nodes.",
+        formats={"dip": ".2%", "difference": ".1e", "estimate": ".2%", "pressure": ".4f"},
+    )
+    out.figure("billet", figure, "The billet on its meshes; displacements 10 times too large")
+    out.check("forces on three meshes against those on one", table["difference"].max(), high=5e-4)
+    slabs = problem.reference["pressure"] / STRENGTH
+    out.check("pressure of the billet over that of slabs", whole[-1] / slabs, 0.98, 1.0)
+
+
 def study(out: Output) -> None:
     """Compare limit loads and stresses with closed forms, and draw."""
     warnings.filterwarnings("ignore", message="strains exceed")
@@ -150,6 +226,7 @@ def study(out: Output) -> None:
     ax.set(xlabel="E* a / (yield stress R)", ylabel="mean pressure / yield stress")
     out.figure("ball", figure, "A ball on a block; the band: all of the contact flows (Johnson)")
     flow(out)
+    billet(out)
     best = table[table["elements"] == "smoothed"].iloc[-1]
     out.number(
         f"Limit load of Prandtl's punch, smoothed, {best['nodes']:.0f} nodes; Newton steps, cycles a load step",

@@ -301,22 +301,17 @@ def mixed_mass(coarse: MeshArrays, fine: MeshArrays) -> MixedMass:
     return MixedMass(coarse, fine, *(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
-def overlaps(
-    coarse: MeshArrays, fine: MeshArrays, density: np.ndarray | None = None
-) -> sparse.csr_array:
-    """Return the volumes (n_fine_elements, n_coarse_elements) that elements have in common; of fine
-    elements that stick out the coarse ones next to them have the rest. No coarse elements share a
-    node. ``density`` (n_fine_nodes,), linear in each element, multiplies the volume."""
+def overlaps(coarse: MeshArrays, fine: MeshArrays, density: np.ndarray) -> sparse.csr_array:
+    """Return the masses (n_fine_elements, n_coarse_elements) that elements have in common, of a
+    ``density`` (n_fine_nodes,), linear in each fine element; of fine elements that stick out the
+    coarse ones next to them have the rest. No coarse elements share a node."""
     integrals = mixed_mass(coarse, fine)
-    if density is None:
-        density = np.ones(fine.n_nodes)
     weights = density[fine.elements[integrals.elements]]
-    volumes = np.einsum("ek,ek->e", integrals.values, weights)
-    columns = np.repeat(np.arange(len(coarse.elements)), fine.dim + 1)
+    masses = np.einsum("ek,ek->e", integrals.values, weights)
     owner = np.empty(coarse.n_nodes, dtype=np.int64)
-    owner[coarse.elements.reshape(-1)] = columns
+    owner[coarse.elements] = np.arange(len(coarse.elements))[:, None]
     shape = (len(fine.elements), len(coarse.elements))
-    return sparse.csr_array((volumes, (integrals.elements, owner[integrals.columns])), shape=shape)
+    return sparse.csr_array((masses, (integrals.elements, owner[integrals.columns])), shape=shape)
 
 
 def _body_entries(

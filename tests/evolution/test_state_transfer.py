@@ -81,7 +81,13 @@ def test_integrals_of_the_state_and_constants_stay(kind, smoothed):
     strain = rng.random(data.plastic.strain.shape)
     held = replace(data.plastic, state=state, strain=strain, accumulated=strain[:, 0, 0])
     result = replace(result, stress_data=replace(data, plastic=held))
+    # slips rise along the contact boundary
+    along = rotation((0.0, 0.0, angle))[: old_mesh.dim, 0]
+    slips = 1e-4 * (2 + result.contact.x @ along)
+    result = replace(result, contact=replace(result.contact, accumulated_slip=slips))
     found = am.transfer_state(old, result, new)
+    moved = found.contact
+    np.testing.assert_allclose(moved.accumulated_slip, 1e-4 * (2 + moved.x @ along), rtol=1e-9)
     weights = [
         mesh.volumes * (mesh.points[mesh.elements, 0].mean(axis=1) if kind == "axisymmetric" else 1)
         for mesh in (old_mesh, new_mesh)
@@ -92,8 +98,8 @@ def test_integrals_of_the_state_and_constants_stay(kind, smoothed):
         rtol=1e-12,
     )
     if smoothed == "linear":
-        moved = weights[1] @ found.stress_data.plastic.state[:, 0]
-        assert moved == pytest.approx(weights[0] @ state[:, 0], rel=1e-12)
+        integral = weights[1] @ found.stress_data.plastic.state[:, 0]
+        assert integral == pytest.approx(weights[0] @ state[:, 0], rel=1e-12)
     np.testing.assert_allclose(found.stress_data.plastic.state[:, 1], 0.3, rtol=1e-14)
     same = am.transfer_state(old, result, old).stress_data.plastic
     np.testing.assert_allclose(same.state, state, rtol=1e-11)
@@ -126,17 +132,9 @@ def test_a_path_on_the_same_mesh_goes_on_as_if_nothing_had_happened(elements, tm
         np.testing.assert_allclose(
             other.contact.accumulated_slip, one.contact.accumulated_slip, atol=1e-8 * size
         )
-
-    class Stop(Exception):
-        pass
-
-    def stop(k, result):
-        if k == 1:
-            raise Stop
-
     store = tmp_path / "store"
-    with pytest.raises(Stop):
-        am.solve_path(grids, path, TIGHT, start=start, store=store, callback=stop)
+    am.solve_path(grids, path, TIGHT, start=start, store=store)
+    (store / "step_0002.npz").unlink()
     again = am.solve_path(grids, path, TIGHT, start=start, store=store)
     np.testing.assert_array_equal(again[-1].displacement, rest[-1].displacement)
     with pytest.raises(ValueError, match="start"):
