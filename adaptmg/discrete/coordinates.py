@@ -280,9 +280,11 @@ class Unknowns:
         return self.inclined.free_part(nodes, result)
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
-        """Return for each component the contact nodes at which it is fixed and faces fixed ones,
-        and the weights of these. Indices (k,) of contact nodes, weights (k, n_nodes) with row sums
-        1, component."""
+        """Return for each component the slave nodes that are fixed in it and face master nodes fixed
+        in it too.
+
+        An entry has the indices (k,) of these slave nodes among the contact nodes, the weights (k,
+        n_nodes) of the fixed master nodes, scaled to row sums 1, and the component."""
         if self.coupling is None:
             return []
         rows = self.coupling.weights[self.contact.nodes]

@@ -181,7 +181,7 @@ def pair_interface(
     gaps = interface.gaps.copy()
     if pair.gap is not None:
         gaps = checks.field(f"gap of {what}", pair.gap, mesh.points[interface.nodes])
-        # a row that slave nodes without a multiplier take part in measures their gaps with its own
+        # rows may contain slave nodes without a multiplier: their gaps count with the same weights
         silent = np.setdiff1d(slave.nodes, interface.nodes)
         if len(silent):
             gaps = gaps - cast("sparse.csr_array", interface.coupling)[:, silent] @ checks.field(

@@ -469,6 +469,8 @@ class Dissipation:
         chosen = _of_slaves(source, self.boundary) > 0
         frictions = np.where(chosen[:, None], _at_nodes(source, contact.residual)[:, 1:], 0.0)
         frictions[contact.held] = 0.0
+        # the product of frictions and slips varies with both: the matrix times the slips is the
+        # variation of the frictions, and the frictions are that of the slips
         slips = np.zeros((len(chosen), view.mesh.dim))
         slips[chosen, 1:] = -contact.slip[chosen]
         tractions = np.zeros_like(slips)

@@ -95,18 +95,19 @@ def opened_tables(
     body: np.ndarray,
     bodies: Sequence[str],
 ) -> tuple:
-    """Return Netgen's tables with cracks opened: ``right`` names the right face of each label of a
-    left one, whose outward normals point along ``normals``. Facets that would stay closed are cut
-    at their middles first."""
+    """Return Netgen's tables with cracks opened.
+
+    ``right`` names the right face by the label of the left one, and ``normals`` are outward normals
+    of left faces, by their labels. Facets that would stay closed are cut at their middles first."""
     elements = positive(points, elements)
     crack = np.isin(labels, list(right))
-    at = np.flatnonzero(crack)
-    at = at[np.unique(facet_keys(facets[at], len(points)), return_index=True)[1]]
-    along = np.einsum(
-        "nd,nd->n", Surface(points, facets[at]).vectors, np.array([normals[k] for k in labels[at]])
-    )
-    faces = np.where(along[:, None] > 0, facets[at], facets[at, ::-1])
-    left = labels[at]
+    # each facet of a crack once, oriented as the left face
+    once = np.unique(facet_keys(facets[crack], len(points)), return_index=True)[1]
+    faces = facets[crack][once]
+    left = labels[crack][once]
+    outward = np.array([normals[label] for label in left])
+    cosines = np.einsum("nd,nd->n", Surface(points, faces).vectors, outward)
+    faces = np.where(cosines[:, None] > 0, faces, faces[:, ::-1])
     facets = facets[~crack]
     labels = labels[~crack]
     while True:

@@ -226,9 +226,11 @@ class TruncatedStep:
         trusted: Callable[[np.ndarray], float] = lambda unknowns: np.inf,
         with_energy: bool = False,
     ) -> TruncatedState:
-        """Find the contact status after the smoothing, and truncate the residual. One above what is
-        ``trusted`` (N) for the unknowns freezes g in the coarse matrices, which keeps them
-        symmetric."""
+        """Return the state with the contact status after the smoothing, and with the residual
+        truncated to what this status leaves free.
+
+        If the residual, N, is above ``trusted(unknowns)``, g is frozen in the coarse matrices, which
+        keeps them symmetric."""
         unknowns, values = self.parts(state)
         residual = state.residual
         contact = state.contact
@@ -262,7 +264,7 @@ class TruncatedStep:
             uniform = ()
         if len(values) and not uniform and changed <= self.FEW:
             uniform = tuple(
-                self._of_uniform(contact, whole, residual, one) for one in self.pressures.uniform
+                self._of_uniform(contact, whole, residual, mode) for mode in self.pressures.uniform
             )
         return state.but(
             past=past,
