@@ -202,7 +202,8 @@ def cases_page() -> str:
         "\nProblems with defaults for all arguments; the values are those of the defaults, in SI "
         "units. ``am.cases.NAME().reference`` holds them.\n"
     )
-    cases = {name: (case.description, case.function()) for name, case in am.cases.CASES.items()}
+    listed = {**am.cases.CASES, **am.cases.FROM_PYTHON}
+    cases = {name: (case.description, case.function()) for name, case in listed.items()}
     page += _table(
         ["case", "what it is"],
         [[f":func:`~adaptmg.cases.{name}`", text] for name, (text, _) in cases.items()],

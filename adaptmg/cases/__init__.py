@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 from adaptmg import _checks as checks
 from adaptmg.cases.blocks import incline, leaning_strut, two_block_patch
@@ -23,10 +24,10 @@ from adaptmg.cases.impact import impact_bar
 from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
 from adaptmg.cases.plastic_bodies import hill_cylinder, prandtl_punch, upset_billet
 from adaptmg.cases.scalar import elastic_plastic_torsion, obstacle_problem
-from adaptmg.problem import ContactProblem
 
 __all__ = [
     "CASES",
+    "FROM_PYTHON",
     "Case",
     "Flanges",
     "HertzContact",
@@ -67,8 +68,11 @@ class Case:
     'dovetail'
     """
 
-    function: Callable[..., ContactProblem]
+    #: returns a ContactProblem, or a ScalarProblem where ``call`` says how it is solved
+    function: Callable[..., Any]
     description: str
+    #: in Python the call that solves ``problem``; empty where the command line does it
+    call: str = ""
 
 
 CASES: Mapping[str, Case] = MappingProxyType(
@@ -117,6 +121,41 @@ CASES: Mapping[str, Case] = MappingProxyType(
     }
 )
 
+#: cases in time, along a load path or with one unknown a node, which the command line lists only
+FROM_PYTHON: Mapping[str, Case] = MappingProxyType(
+    {
+        "impact_bar": Case(
+            impact_bar,
+            "a bar that hits a rigid wall and rebounds, closed form (2D, in time)",
+            "am.march(am.Hierarchy.uniform(problem, ((1, 10), (2, 20))), "
+            "am.Dynamics(density=1.0, initial_velocity=(0.0, -10.0), step=0.02, end=1.5))",
+        ),
+        "prandtl_punch": Case(
+            prandtl_punch,
+            "a flat punch on a block that yields, limit load of Prandtl (2D)",
+            'am.solve_path(am.Hierarchy.graded(problem), am.LoadPath({"punch": [0.5, 1.0]}))',
+        ),
+        "hill_cylinder": Case(
+            hill_cylinder,
+            "a thick tube that yields under inner pressure, closed form of Hill (2D)",
+            "am.solve_path(am.Hierarchy.uniform(problem, ((20, 5), (40, 10))), "
+            'am.LoadPath({"left": [0.9, 1.0, 0.0]}))',
+        ),
+        "obstacle_problem": Case(
+            obstacle_problem,
+            "a round membrane pressed on a floor, closed form (scalar)",
+            "am.solve(am.Hierarchy.from_meshes(problem, "
+            "[am.mesh.graded(problem.domain, size) for size in (0.2, 0.1, 0.05)]))",
+        ),
+        "elastic_plastic_torsion": Case(
+            elastic_plastic_torsion,
+            "a twisted bar that yields, round (closed form) or square (scalar)",
+            "am.solve(am.Hierarchy.from_meshes(problem, "
+            "[am.mesh.graded(problem.domain, size) for size in (0.2, 0.1, 0.05)]))",
+        ),
+    }
+)
+
 
 def get(name: str) -> Case:
     """Return the case of a name; ValueError lists the names.
@@ -124,12 +163,13 @@ def get(name: str) -> Case:
     >>> get("greco_bar").function(poisson=0.3).material.poisson
     0.3
     """
-    if checks.boundary_name("name", name) not in CASES:
+    cases = {**CASES, **FROM_PYTHON}
+    if checks.boundary_name("name", name) not in cases:
         raise ValueError(
-            f"there is no case {name!r}{checks.suggestion(name, CASES)}; the cases are "
-            f"{', '.join(CASES)}"
+            f"there is no case {name!r}{checks.suggestion(name, cases)}; the cases are "
+            f"{', '.join(cases)}"
         )
-    return CASES[name]
+    return cases[name]
 
 
 def __dir__() -> list[str]:

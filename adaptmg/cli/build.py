@@ -19,7 +19,7 @@ from typing import Any, cast
 
 import adaptmg as am
 from adaptmg import _checks as checks
-from adaptmg.cases import CASES, get
+from adaptmg.cases import get
 from adaptmg.problem.contact_problem import ELEMENTS
 from adaptmg.problem.load_path import names_in_path
 from adaptmg.solver.record import Solver
@@ -190,7 +190,13 @@ def problem_of(values: Arguments) -> am.ContactProblem:
     the law."""
     name = values.pop("case")
     elements = values.pop("elements", ELEMENTS[0])
-    function = get(name).function
+    case = get(name)
+    function = case.function
+    if case.call:
+        raise ValueError(
+            f"the command line does not solve the case {name!r}: in Python, "
+            f"problem = am.cases.{name}() is solved by {case.call}"
+        )
     if (
         "law" not in values
         and "law" in _parameters(function)
@@ -347,11 +353,14 @@ def solved(
 
 
 def case_facts(name: str) -> dict[str, Any]:
-    """Return arguments, boundaries and loads of a case as JSON takes them."""
-    posed = get(name).function()
-    return {
-        "name": name,
-        "description": CASES[name].description,
+    """Return arguments, boundaries and loads of a case as JSON takes them; of a case from Python
+    the call that solves it."""
+    case = get(name)
+    described = {"name": name, "description": case.description}
+    if case.call:
+        return described | {"call": case.call}
+    posed = case.function()
+    return described | {
         "dimension": posed.dim,
         "arguments": {key: dataclasses.asdict(item) for key, item in case_keys(name).items()},
         "boundaries": list(posed.domain.boundaries or ()),
@@ -364,6 +373,20 @@ def about_case(name: str) -> str:
     """Return arguments, boundaries and loads of a case as text, and what its function says of
     itself."""
     facts = case_facts(name)
+    words = inspect.getdoc(get(name).function) or ""
+    if "call" in facts:
+        return "\n".join(
+            [
+                f"{name}: {facts['description']}",
+                "",
+                "From Python:",
+                "  import adaptmg as am",
+                f"  problem = am.cases.{name}()",
+                f"  solved = {facts['call']}",
+                "",
+                words,
+            ]
+        )
     arguments = [
         f"  {key:<15} {item.values}{f', default {item.default}' if item.default else ''}"
         for key, item in case_keys(name).items()
@@ -378,6 +401,6 @@ def about_case(name: str) -> str:
             "",
             *lists,
             "",
-            inspect.getdoc(get(name).function) or "",
+            words,
         ]
     ).rstrip()

@@ -245,7 +245,7 @@ def _print_json(value: object) -> None:
 
 
 def _cases(parsed: Namespace) -> None:
-    from adaptmg.cases import CASES
+    from adaptmg.cases import CASES, FROM_PYTHON
 
     if parsed.case is not None:
         from adaptmg.cli import build
@@ -255,11 +255,19 @@ def _cases(parsed: Namespace) -> None:
         )
     elif parsed.json:
         _print_json(
-            [{"name": name, "description": case.description} for name, case in CASES.items()]
+            [
+                {"name": name, "description": case.description, "call": case.call}
+                for name, case in {**CASES, **FROM_PYTHON}.items()
+            ]
         )
     else:
-        width = max(map(len, CASES))
-        _say("\n".join(f"{name:<{width}}  {case.description}" for name, case in CASES.items()))
+        width = max(map(len, [*CASES, *FROM_PYTHON]))
+        for title, cases in (
+            ("", CASES),
+            ("\nfrom Python, see 'adaptmg cases NAME':\n", FROM_PYTHON),
+        ):
+            rows = [f"{name:<{width}}  {case.description}" for name, case in cases.items()]
+            _say(title + "\n".join(rows))
 
 
 def _solve(parsed: Namespace) -> int:

@@ -6,6 +6,7 @@ import json
 import logging
 import subprocess
 import sys
+import textwrap
 
 import numpy as np
 import pytest
@@ -48,9 +49,25 @@ def test_cases_are_listed(command):
     )
     assert (module.returncode, module.stdout) == (0, version)
     _, out, _ = command("cases")
-    assert [row.split()[0] for row in out.splitlines()] == list(am.cases.CASES)
+    alone, others = out.split("\n\nfrom Python, see 'adaptmg cases NAME':\n")
+    assert [row.split()[0] for row in alone.splitlines()] == list(am.cases.CASES)
+    assert [row.split()[0] for row in others.splitlines()] == list(am.cases.FROM_PYTHON)
     _, out, _ = command("cases", "--json")
-    assert [row["name"] for row in json.loads(out)] == list(am.cases.CASES)
+    assert [row["name"] for row in json.loads(out)] == [*am.cases.CASES, *am.cases.FROM_PYTHON]
+
+
+@pytest.mark.parametrize("case", am.cases.FROM_PYTHON)
+def test_cases_from_python_are_solved_by_the_call_that_is_printed(command, case):
+    _, out, _ = command("cases", case)
+    script = textwrap.dedent(out.split("From Python:\n")[1].split("\n\n")[0])
+    names = {}
+    exec(script, names)
+    solved = names["solved"]
+    assert all(
+        result.status.ok for result in ([solved] if isinstance(solved, am.Result) else solved)
+    )
+    code, _, error = command("solve", case)
+    assert code == 2 and f"problem = am.cases.{case}()" in error
 
 
 def test_solve_prints_json_and_nothing_else_to_standard_output(command):
