@@ -47,9 +47,6 @@ UPPER = {dim: np.triu_indices(dim) for dim in (1, 2, 3)}
 class TruncatedContact:
     """Contact data and contact status of one level, flat as the kernels read them."""
 
-    #: share of the contact nodes that a recombination may cut
-    #: half and twice change none of 119 solves, paths and loops (campaign constants)
-    FEW: ClassVar[float] = 0.02
     #: compliance of a surface, over that of its node, up to which the linear problems take it as rigid, and leave
     #: its yielding to the sweeps: 30 solves with layers from 1e-16 to 1e-12 m/Pa take 325 cycles; 332 at 0.03, 331
     #: at 0.1, 327 at 1, 346 at 1e-6
@@ -340,9 +337,9 @@ class TruncatedContact:
         )
 
     def admits(self, unknowns: np.ndarray) -> bool:
-        """Return whether an iterate closes open nodes or reverses slips at few nodes, which the
-        projection cuts."""
-        return self._project(unknowns, False) <= 1 + self.FEW * len(self.nodes)
+        """Return whether an iterate closes open nodes or reverses slips at one node at most, which
+        the projection cuts."""
+        return self._project(unknowns, False) <= 1
 
     def friction_slope(self, before: np.ndarray) -> Callable[[float], float]:
         """Return the slope of sum g |slip| along the step from local unknowns ``before``, and of what

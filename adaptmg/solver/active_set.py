@@ -179,11 +179,7 @@ class ActiveSet:
 
 class _NewtonTest(StopTest):
     """The last step bounds the error of the iterate before it; every step refines, so that rounding
-    excuses none. As long as the contact status changes, nodes may follow one another: many such
-    steps may be left."""
-
-    # half and twice change none of 119 solves, paths and loops (campaign constants)
-    UNSETTLED = 10.0  # factor on the last step while the status changes
+    excuses none."""
 
     def judge(self, state: Measured) -> None:
         super().judge(state)
@@ -192,9 +188,7 @@ class _NewtonTest(StopTest):
         self.error_estimate = np.inf
         if self.changes:
             change = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
-            self.error_estimate = (
-                self._caution * change * (1.0 if state.settled else self.UNSETTLED)
-            )
+            self.error_estimate = self._caution * change
         self.met = self._small_enough()
 
 
@@ -226,8 +220,8 @@ class _Newton:
     #: steps after which the iteration counts as repeating itself: in 3D the direction of a slip may go round while no
     #: status comes back
     LONG = 15
-    #: augmentation c over the diagonal of the matrix: it weighs gaps against forces where a status is decided
-    #: half and twice change none of 119 solves, paths and loops (campaign constants)
+    #: augmentation c over the diagonal of the matrix: it weighs gaps against forces where a status is decided: 156
+    #: solves take 1195 cycles and steps; 1246 at .001, 1237 at 1, 1299 at 1000
     FACTOR = 0.1
 
     def __init__(
@@ -290,7 +284,6 @@ class _Newton:
             state.cycles,
             state.unknowns,
             state.residual,
-            settled=state.equations.key == state.last,
             active=int(active.sum()),
             slip=int((active & slip).sum()),
         )

@@ -87,7 +87,7 @@ class Certificate:
 
     #: lines beyond the first multiple of rtol, and an energy error beyond the second, contradict a solver that says it
     #: has converged
-    #: FACTOR: half and twice change none of 119 solves, paths and loops (campaign constants)
+    #: FACTOR: of 870 random solves to 1e-6 that converge the largest line is 8.6 times rtol, the next 6.2
     FACTOR, ENERGY_FACTOR = 20.0, 3.0
     #: relative violations that rounding may excuse at most: what has run away does not balance its forces as well
     #: springs a millionth as stiff as their body leave 4.8e-6 (test_supports): at 1e-6 they are refused
@@ -195,7 +195,8 @@ _WRONG = 0.05
 #: which methods came to rest (beams of 50 to 147 : 1), of 2 half of that
 _SAMPLES = 4
 #: times a change of the status that may be missing after it
-#: half and twice change none of 119 solves, paths and loops (campaign constants)
+#: 0 and no limit change neither cycles nor contradictions of 316 random solves; what they do to the estimate was not
+#: compared
 _FOUND = 2.0
 #: compliance of a surface, over that of its node, above which it counts as a spring, below as rigid
 _STIFF = checks.SIX_DIGITS

@@ -67,7 +67,7 @@ from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, at_nodes
 
 #: the share of the energy that the last step may have left, and of the least Ritz value that stays; with
 #: volumes the share by which each of the last two steps may have changed the energy
-#: _MISSING: half and twice change none of 119 solves, paths and loops (campaign constants)
+#: _MISSING: a tenth changes 2 of 373 random solves by a cycle, no limit one by two
 _MISSING, _SETTLED, _CALM = 0.3, 0.7, 0.1
 #: least steps
 _LEAST = 3

@@ -469,8 +469,9 @@ def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> flo
 class Sizes:
     """Norms used to make errors and residuals of one problem relative."""
 
-    # half and twice change none of 119 solves, paths and loops (campaign constants)
-    IDLE = 1e3  # forces below this multiple of the rounding of a residual are rounding
+    #: forces below this multiple of the rounding of a residual are rounding: 1 and 1e9 change none of 316 solves of
+    #: random problems, none of which is idle
+    IDLE = 1e3
 
     def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:
         self.load = euclidean_norm(problem.load)

@@ -41,7 +41,6 @@ class Measured:
     idle: bool = False  # whether the acting forces are mere rounding: nothing strains
     change: float | None = None  # A-norm of what the step changed; None: unknown
     relative_change: float | Any = None  # Euclidean, relative to the iterate; Any: as of residual
-    settled: bool = True  # whether the contact status has come to rest
     from_start: float | None = None  # A-norm of what the first cycle changed, where it is asked
     gives_up: Status | None = None  # why the method has no next state; then no more is measured
     columns: dict[str, float] = field(default_factory=dict)  # further ones of the history
@@ -399,7 +398,6 @@ class Measure:
         cycles: int,
         unknowns: np.ndarray,
         r: np.ndarray,
-        settled: bool = True,
         **columns: float,
     ) -> Measured:
         """The norms of an iterate, which must not change any more, and its residual r = b - A w
@@ -427,9 +425,7 @@ class Measure:
                 self.local.discrete,
                 cast("Run", self.run),
             )
-        return Measured(
-            cycles, natural, forces, size, floor, idle, change, settled=settled, columns=columns
-        )
+        return Measured(cycles, natural, forces, size, floor, idle, change, columns=columns)
 
     def of(self, state: State) -> Measured:
         """Measure a state; the residual that it lacks is counted."""

@@ -129,7 +129,7 @@ class ProjectedRun:
             state, _ = iterate(cycles.step, cycles.norms.of, first, stop)
             unknowns = state.unknowns
         else:
-            for _ in range(start.cycles_on(local.discrete, self.problems[level + 1].discrete)):
+            for _ in range(int(start.cycles)):
                 multigrid.cycle(level, local.contact, local.load, unknowns, self.cycle.shape)
         self._remember(multigrid, level, unknowns)
         return unknowns

@@ -469,8 +469,7 @@ class TruncatedRun:
             stop = TruncatedTest(cycles, start.rtol, self.COMPLETE_LIMIT)
             state, _ = iterate(cycles.step, cycles.measure, cycles.step(state), stop)
         else:
-            enough = start.cycles_on(problem, self.problems[number + 1])
-            state = self._few_cycles(parts, problem, state, enough)
+            state = self._few_cycles(parts, problem, state, int(start.cycles))
         parts.restore()
         if state is None:
             _LOG.info("level %d: the cycles of the nested start diverge", number)

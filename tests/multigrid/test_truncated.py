@@ -135,19 +135,6 @@ def test_bare_matrices():
             am.solve(solid, needing)
 
 
-def test_cycles_of_a_nested_start():
-    one, finer = (
-        level.discrete for level in am.Hierarchy.uniform(am.cases.greco_bar(), (4, 8)).levels
-    )
-    joint = am.Hierarchy.graded(am.cases.dovetail(), (12e-3, 9e-3, 4e-3), 1.0)
-    coarse, middle, fine = (level.discrete for level in joint.levels)
-    start = am.NestedStart()
-    assert start.cycles_on(one, finer) == 1
-    assert middle.n_nodes < 3 * coarse.n_nodes and start.cycles_on(coarse, middle) == 1
-    assert fine.n_nodes > 3 * middle.n_nodes and start.cycles_on(middle, fine) == 2
-    assert am.NestedStart(cycles=3).cycles_on(middle, fine) == 3
-
-
 class Jacobi:
     """Damped sweeps: twenty as a coarse solve, two as a smoother; their passes are counted."""
 
