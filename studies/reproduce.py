@@ -51,7 +51,7 @@ STUDIES = {
     "obstacle": 40,
     "crack": 22,
     "impact": 26,
-    "plastic": 40,
+    "plastic": 27,
     "laws": 6,
 }
 #: only with --full, or where they are named

@@ -22,7 +22,12 @@ from adaptmg.cases.closed_forms import (
 from adaptmg.cases.coulomb_transition import TransitionField, coulomb_transition
 from adaptmg.cases.impact import impact_bar
 from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
-from adaptmg.cases.plastic_bodies import hill_cylinder, prandtl_punch, upset_billet
+from adaptmg.cases.plastic_bodies import (
+    hill_cylinder,
+    pierced_plate,
+    prandtl_punch,
+    upset_billet,
+)
 from adaptmg.cases.scalar import elastic_plastic_torsion, obstacle_problem
 
 __all__ = [
@@ -50,6 +55,7 @@ __all__ = [
     "incline",
     "leaning_strut",
     "obstacle_problem",
+    "pierced_plate",
     "prandtl_punch",
     "two_block_patch",
     "upset_billet",

@@ -1,4 +1,4 @@
-r"""Plastic bodies: Prandtl's punch, Hill's cylinder and an upset billet.
+r"""Plastic bodies: Prandtl's punch, a plate with a hole, Hill's cylinder and an upset billet.
 
 Prandtl: a flat rigid punch on a block that yields without hardening cannot bear a mean pressure
 above
@@ -9,6 +9,17 @@ smooth or rough (L. Prandtl 1920; R. Hill, The Mathematical Theory of Plasticity
 9.5). The block, half of it by symmetry, is 5 half-widths wide and 4 deep, between rigid walls: the
 zone that flows reaches 3 half-widths from the middle, and next to a free wall the block would fail
 sooner.
+
+Plate: a square plate of half-width b with a hole of radius a in plane strain bears the mean
+pressure
+
+.. math:: p = 2k\,(1 - a/b)
+
+between rigid plates, smooth or rough. It is not less, as the stress -2k in the strips next to the
+hole and zero in the strip with the hole is in equilibrium; it is not more, as from the two points
+of the hole that are nearest to the free sides slip lines at 45 degrees may let the halves of the
+plate approach each other and wedges escape to the sides. Thin plates have the same factor 1 - a/b
+(F. A. Gaydon, A. W. McCrum, J. Mech. Phys. Solids 2, 1954).
 
 Hill: a thick tube of radii a and b in plane strain under the inner pressure p yields within the
 radius c,
@@ -112,6 +123,76 @@ def prandtl_punch(
             "limit": (2 + math.pi) * steel.yield_stress / math.sqrt(3),
             "half_width": a,
             "sources": {"limit": "Prandtl 1920; Hill, The Mathematical Theory of Plasticity, 9.5"},
+        },
+    )
+
+
+def pierced_plate(
+    *,
+    law: Law = am.Frictionless(),
+    half_width: float = 20e-3,
+    radius: float = 4e-3,
+    displacement: float = 1.2e-4,
+    young: float = 2e11,
+    poisson: float = 0.3,
+    yield_stress: float = 3e8,
+    hardening: float = 2e6,
+    elements: str = "linear",
+) -> am.ContactProblem:
+    """Pose a square plate with a round hole that rigid plates squeeze beyond its yield limit; plane
+    strain, one quarter by symmetry.
+
+    ``reference`` holds ``limit``, the largest mean pressure without hardening, Pa, ``half_width``
+    and ``sources``. The motion of the plate has the name "press" in load paths.
+
+    Parameters
+    ----------
+    law : Law
+        Under the rigid plate; the limit is the same for every friction.
+    half_width, radius : float
+        Of the square, b, and of the hole, a, m.
+    displacement : float
+        Of the rigid plate towards the middle, m.
+    young, poisson, yield_stress, hardening
+        Of the plate, see :class:`adaptmg.Plastic`.
+    elements : {"linear", "smoothed"}
+        Smoothed ones come nearer to the limit.
+
+    Examples
+    --------
+    >>> round(am.cases.pierced_plate().reference["limit"] / 3e8, 4)
+    0.9238
+    """
+    b = checks.quantity("half_width", half_width, positive=True)
+    a = checks.quantity("radius", radius, positive=True)
+    if not a < b:
+        raise ValueError(f"radius must be < half_width, {b:g}, got {a:g}")
+    depth = checks.quantity("displacement", displacement, positive=True)
+    steel = am.Plastic(
+        am.PlaneStrain(young=young, poisson=poisson),
+        yield_stress=yield_stress,
+        hardening=hardening,
+    )
+    press = am.Moving(
+        am.Plane(point=(0.0, b), normal=(0.0, -1.0)), displacement=(0.0, -depth), name="press"
+    )
+    return am.ContactProblem(
+        name="pierced plate",
+        material=steel,
+        domain=am.Outline(
+            vertices=((a, 0.0), (b, 0.0), (b, b), (0.0, b), (0.0, a)),
+            boundaries=("middle", "side", "contact", "symmetry", "hole"),
+            arcs={4: (0.0, 0.0)},
+        ),
+        contact=am.Contact("contact", press),
+        law=law,
+        supports=(am.Support("symmetry", x=0.0), am.Support("middle", y=0.0)),
+        elements=elements,
+        reference={
+            "quantity": "mean pressure under the rigid plate, Pa",
+            "limit": 2 * steel.yield_stress / math.sqrt(3) * (1 - a / b),
+            "half_width": b,
+            "sources": {"limit": "two bounds that agree, see adaptmg.cases.plastic_bodies"},
         },
     )
 

@@ -223,6 +223,58 @@ def test_the_punch_meets_its_limit_load(punch):
     assert last.certificate()["equilibrium"].relative < 1e-5
 
 
+@pytest.mark.parametrize(("radius", "law"), [(3e-3, am.Coulomb(0.3)), (8e-3, am.Frictionless())])
+def test_a_plate_with_a_hole_bears_what_the_rest_of_its_section_bears(radius, law):
+    """In plane strain 2 / sqrt(3) of the yield stress, which two bounds give; smoothed elements are
+    1 to 4 % above it, and half of that on the finer mesh."""
+    excess = []
+    problem = am.cases.pierced_plate(radius=radius, law=law, elements="smoothed")
+    grids = am.Hierarchy.graded(problem, [8e-3, 4e-3, 2e-3, 1e-3], contact_ratio=1)
+    path = am.LoadPath({"press": [0.25, 0.5, 0.75, 1.0]})
+    for finest in (2, 3):
+        results = am.solve_path(grids.truncated(finest=finest), path, am.FullMultigrid(rtol=1e-5))
+        force = -results[-1].resultant("contact").force[1]
+        excess.append(force / (2 / np.sqrt(3) * SIZE * (20e-3 - radius)) - 1)
+    assert 0.0 < excess[1] < 0.02
+    assert excess[1] < 0.6 * excess[0]
+
+
+def test_a_ball_makes_a_block_yield_where_hertz_says():
+    """Below the middle von Mises' stress is .62 of the largest pressure, which is 1.5 times the mean
+    one (Johnson, Contact Mechanics, 4.2): first yield at 1.07 times the yield stress."""
+    radius, wide = 0.1, 12e-3
+    steel = am.Plastic(am.Axisymmetric(young=1e11, poisson=0.3), yield_stress=2e8)
+    problem = am.ContactProblem(
+        name="ball",
+        material=steel,
+        domain=am.Polygon(
+            vertices=((0, -wide), (wide, -wide), (wide, 0), (8e-4, 0), (0, 0)),
+            boundaries=("bottom", "side", "free", "contact", "axis"),
+        ),
+        contact=am.Contact(
+            "contact",
+            am.Moving(
+                am.GapFunction(lambda points: points[:, 0] ** 2 / (2 * radius)),
+                displacement=(0.0, -1e-6),
+                name="ball",
+            ),
+        ),
+        law=am.Frictionless(),
+        supports=(am.Support("axis", x=0.0), am.Support("bottom", y=0.0)),
+        elements="smoothed",
+    )
+    grids = am.Hierarchy.graded(problem, [wide / 2, wide / 4, wide / 8], contact_ratio=60)
+    for result in am.solve_path(grids, am.LoadPath({"ball": np.linspace(1.2, 2.7, 9)})):
+        force = -result.resultant("contact").force[1]
+        # Hertz: the mean pressure that belongs to a force
+        modulus = 1e11 / (1 - 0.3**2)
+        contact = (3 * force * radius / (4 * modulus)) ** (1 / 3)
+        pressure = force / (np.pi * contact**2)
+        if result.accumulated_plastic_strain.max() > 1e-6:
+            break
+    assert 1.0 < pressure / 2e8 < 1.15
+
+
 def test_a_path_goes_on_from_its_store_with_the_same_bits(punch, tmp_path):
     grids = punch.truncated(finest=1)
     path = am.LoadPath({"punch": [0.3, 0.5, 0.2]})
