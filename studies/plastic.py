@@ -265,13 +265,13 @@ def study(out: Output) -> None:
         "direct",
         seconds[["nodes", "multigrid", "factors"]],
         "Processor seconds of four load steps of the punch, linear elements",
-        "The same Newton steps, by multigrid and by the active set method with sparse factors.",
+        "Newton's method around multigrid, and around the active set method with sparse factors.",
         formats=dict.fromkeys(("multigrid", "factors"), ".2f"),
     )
-    first, last = (3e-4, 4) if out.quick else (1.5e-4, 10)
+    size, n_steps = (3e-4, 4) if out.quick else (1.5e-4, 10)
     # these steps end where E* a / (yield stress R) is 50
-    sizes, pressures, _ = ball(0.01, first, 0.45 * np.arange(1, last + 1) / last)
-    _, elastic, plastic = ball(6e-4, 0.08 * first, np.linspace(0.4, 0.7, 7))
+    sizes, pressures, _ = ball(0.01, size, 0.45 * np.arange(1, n_steps + 1) / n_steps)
+    _, elastic, plastic = ball(6e-4, 0.08 * size, np.linspace(0.4, 0.7, 7))
     onset = np.searchsorted(plastic, 1e-6)
     figure, ax = drawing()
     ax.plot(sizes, pressures, "o-")
