@@ -406,6 +406,12 @@ def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
             f"start must be on the finest mesh, which has {finest.n_nodes} nodes, got a result on "
             f"another mesh of {len(start.displacement)}: carry it over by am.transfer_state"
         )
+    obstacles = sorted(loop.controls.motions)
+    if sorted(start.motions) != obstacles:
+        raise ValueError(
+            f"start must have motions of {obstacles} (Rigid obstacles and preloads), got "
+            f"{sorted(start.motions)}: take a result of the same problem"
+        )
     plastic = None if start.stress_data is None else start.stress_data.plastic
     state = np.zeros((0, 0)) if plastic is None else plastic.state
     wanted = loop.plastic.unloaded.shape if isinstance(loop, PlasticLoop) else (0, 0)

@@ -66,11 +66,13 @@ def transfer_state(old_grids: Hierarchy, result: Result, new_grids: Hierarchy) -
     Returns
     -------
     Result
-        On the finest mesh of ``new_grids``: the interpolated displacement, means of the stress, the
-        plastic strain and the state, and the accumulated slip of the contact nodes. It is not in
-        equilibrium: its contact forces and reactions are zero, its residual is NaN. A load step
-        with the same loads restores equilibrium; its forces differ from those of ``result`` by what
-        the change of the mesh costs.
+        On the finest mesh of ``new_grids``: the interpolated displacement, the accumulated slip of
+        the contact nodes and, with plastic bodies, means of the state, the plastic strain and the
+        stress. It is not in equilibrium: its contact forces and reactions are zero, its residual is
+        NaN. A load step with the same loads restores equilibrium. There the forces of plastic bodies
+        dip below those of ``result``, by 3 to 4 % in the middle of a path of Prandtl's punch; in the
+        next step they differ from those of an uninterrupted path on the new mesh by .03 % with
+        smoothed elements, by .12 % with linear ones.
 
     Raises
     ------

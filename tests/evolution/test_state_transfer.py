@@ -288,6 +288,8 @@ def test_what_is_refused():
         am.solve_path(elastic, path, TIGHT, start=start)
     with pytest.raises(ValueError, match="states"):
         am.solve_path(other, path, TIGHT, start=start)
+    with pytest.raises(ValueError, match="motions"):
+        am.solve_path(new, path, TIGHT, start=replace(start, motions={"press": [0.0]}))
     options = {"indicator": am.Recovery(), "load_path": path}
     for changed, words in (
         ({"load_path": None, "remesh_every": 1}, "come with a load_path"),
