@@ -1,6 +1,7 @@
 """Kernels: their options, where no cache can be written, and what is said and counted while they
 are compiled."""
 
+import gc
 import os
 import shutil
 import subprocess
@@ -9,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.errors import TypingError
+from numba.extending import overload
 
 import adaptmg as am
 from adaptmg._numba import compiling_seconds, inner_kernel, kernel
@@ -40,6 +43,39 @@ def test_compiling_is_counted():
     assert after > before
     once(2.0)
     assert compiling_seconds() == after
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_the_collector_rests_while_kernels_compile_and_is_then_as_before(collects):
+    collected = []
+
+    def one():
+        return 1.0
+
+    @overload(one)
+    def _compiled_one():
+        collected.append(gc.isenabled())
+        return lambda: 1.0
+
+    @kernel(cache=False)
+    def two():
+        return one() + 1.0
+
+    @kernel(cache=False)
+    def impossible():
+        return one().missing
+
+    if not collects:
+        gc.disable()
+    try:
+        assert two() == 2.0
+        assert gc.isenabled() == collects
+        with pytest.raises(TypingError):
+            impossible()
+        assert gc.isenabled() == collects
+    finally:
+        gc.enable()
+    assert collected and not any(collected)
 
 
 @pytest.fixture
