@@ -437,7 +437,7 @@ class PeakPressure:
         local = np.zeros((len(weights), view.mesh.dim))
         local[:, 0] = np.where(weights > 0, -change / total, 0.0)
         direction = _direction(view, source, local)
-        name = f"peak pressure on {self.boundary!r}"
+        name = f"smoothed peak pressure on {self.boundary!r}"
         return [Functional(name, float(largest * mean), "Pa", view.discrete.matrix @ direction)]
 
 

@@ -477,9 +477,10 @@ class Guide:
         return values
 
     def nearer(self, values: np.ndarray, missed: np.ndarray) -> np.ndarray:
-        """Return better values than some with which the finest level misses forces by ``missed``:
-        its own, or where its factors are too large or these were its own those with which the
-        forces change by so much."""
+        """Return better values than those with which the finest level misses the forces by
+        ``missed``. The first time they come from a search on the finest level. Later, and where
+        its factors take too much memory, one Newton step on the level of the search before
+        corrects the values by what is missed."""
         if self.level_number == self.finest_number or not factorisable(
             self.controls.level.discrete
         ):

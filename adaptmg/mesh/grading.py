@@ -160,7 +160,10 @@ def graded(
     size = checks.positive("size", size)
     ratio = _ratio(contact_ratio)
     if ratio > 1 and not names:
-        raise ValueError(f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty")
+        raise ValueError(
+            f"contact_ratio is {contact_ratio!r}, but contact_boundaries is empty: without contact and "
+            "ties am.mesh.sized makes meshes that are finer somewhere, for Hierarchy.from_meshes"
+        )
     return _graded_body(
         shape,
         size,

@@ -203,7 +203,7 @@ test_refuses = refused(
     ),
     (
         lambda: am.mesh.graded(TWO, 1.0, "upper.bottom", {"upper": 2, "lower": 2}),
-        "contact_boundaries is empty",
+        "contact_boundaries is empty: without contact and ties am.mesh.sized",
     ),
     (lambda: am.mesh.sized(TWO, {"upper": 0.1}, 1.0), "size_function must name each body once"),
     (
