@@ -297,8 +297,7 @@ def clipped_rows(
     rows, reached = _with_moments(dropped(matrix, tolerance), coarse, fine, moments)
     # a correction may make an entry small; each round removes at least one
     while np.abs(rows.data).min() < CLIP:
-        rows, again = _with_moments(dropped(rows, CLIP), coarse, fine, moments)
-        reached &= again
+        rows, reached = _with_moments(dropped(rows, CLIP), coarse, fine, moments)
     return rows, reached
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bodies import turned
 
 import adaptmg as am
 from adaptmg.discrete.sides import with_sides
@@ -62,6 +63,19 @@ def test_auto_takes_the_softer_then_the_finer_side_either_way_written(contrast, 
     assert am.discretise(pair(contrast, finer=finer)[0], made[0].finest.mesh).contact.names == (
         slave,
     )
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.0])
+def test_sides_of_equal_size_stay_as_they_are_written(angle):
+    """Turned, the sizes differ by rounding."""
+    parts = {
+        name: am.Rectangle(width=1.0, height=0.5, origin=(0.0, low))
+        for name, low in (("upper", 0.0), ("lower", -0.5))
+    }
+    mesh = turned(am.mesh.structured(am.Assembly(parts=parts), 7), angle)
+    for names in (("upper.bottom", "lower.top"), ("lower.top", "upper.bottom")):
+        problem = replace(pair(1.0, *names)[0], domain=None)
+        assert with_sides(problem, mesh).contact_boundaries == names[:1]
 
 
 def test_another_contrast_on_the_same_meshes_exchanges_the_sides():
