@@ -140,6 +140,32 @@ def test_a_round_bar_yields_outside_of_the_elastic_radius():
     assert (result.contact.normal[result.contact.closed] == 1.0).all()
 
 
+@pytest.mark.parametrize("twist", [0.5, 1.0, 2.0, 4.0])
+def test_a_square_bar_bears_its_torque(twist):
+    """Elastic in closed form: .1406 G theta (2 a)^4; in part plastic against computed values."""
+    size, shear, limit = 0.3, 7.0, 5.0
+    problem = am.cases.elastic_plastic_torsion(
+        section="square",
+        size=size,
+        shear=shear,
+        twist=twist * limit / (shear * size),
+        yield_stress=limit,
+    )
+    found = []
+    for n in (32, 64):
+        mesh = am.mesh.structured(problem.domain, n)
+        grids = am.Hierarchy.uniform(problem, divisions=(n // 4, n // 2, n))
+        u = am.solve(grids, am.FullMultigrid(rtol=1e-8)).displacement[:, 0]
+        found.append(2 * mesh.volumes @ u[mesh.elements].mean(axis=1))
+    torque = problem.reference["torque"]
+    assert (4 * found[1] - found[0]) / 3 == pytest.approx(torque, rel=2e-4)
+    if twist == 0.5:
+        assert torque == pytest.approx(
+            0.1406 * shear * twist * limit / (shear * size) * (2 * size) ** 4, rel=5e-4
+        )
+    assert "torque" not in am.cases.elastic_plastic_torsion(section="square", twist=3.0).reference
+
+
 def test_the_energy_of_a_twisted_elastic_bar_is_that_of_its_torque():
     problem = am.cases.elastic_plastic_torsion(size=2.0, shear=3.0, twist=0.1, yield_stress=2.0)
     result = am.solve(on_disc(problem, (0.4, 0.2)))
