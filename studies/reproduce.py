@@ -179,8 +179,8 @@ def _beat(runs: Mapping[Future, str]) -> None:
     begin = time.perf_counter()
     while sys.stderr.isatty() and not all(run.done() for run in runs):
         time.sleep(10)
-        names = ", ".join(name for run, name in runs.items() if run.running())
-        say(f"{time.perf_counter() - begin:.0f} s: {names} running")
+        if names := ", ".join(name for run, name in runs.items() if run.running()):
+            say(f"{time.perf_counter() - begin:.0f} s: {names} running")
 
 
 def run_one(name: str, options: Sequence[str], out: Path) -> tuple[int, float, str]:
