@@ -53,7 +53,7 @@ def finer_at_contact(
                 # nodes of a bolted sector
                 grids = Hierarchy.from_meshes(problem, [mesh])
                 contact = solve(grids, ActiveSet(), throw=False).contact
-        except ValueError:
+        except (ValueError, RuntimeError):
             break
         patches = touching_patches(contact, mesh)
         if all(len(patch.nodes) >= enough for patch in patches):

@@ -10,7 +10,7 @@ the axis."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -32,6 +32,9 @@ from adaptmg.solver.result import Result
 #: length of the mean of the unit normals below which a surface bends around an axis: that of a
 #: hemisphere, beyond which a picture along the mean normal folds
 _AROUND = 1 / 2
+#: what is drawn to each side of the middle of a small patch, over its width; small is where that is
+#: less than this part of the line
+_AROUND_PATCH, _SMALL_PART = 2.0, 0.2
 
 
 @style.styled
@@ -47,7 +50,8 @@ def contact(
     In 2D: contact pressure p, MPa; tangential traction t on the body, MPa, within the band
     :math:`\pm \mu p` (Tresca: plus or minus the limit) that friction allows; gap and slip. Curves
     and backgrounds have the colours of the states. In 3D: maps of pressure, size of the traction
-    and gap, and the states.
+    and gap, and the states. Of a plane boundary of which less than a twentieth touches that part
+    and its surroundings are drawn.
 
     Parameters
     ----------
@@ -104,7 +108,7 @@ def contact(
 
 def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     c = result.contact
-    lines = lines_of(result, name)
+    lines = [line.around(c.state[line.index] != OPEN) for line in lines_of(result, name)]
     nodes = np.concatenate([line.index for line in lines])
     scale, unit = style.scaled(
         max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m"
@@ -273,6 +277,15 @@ class Line:
     index: np.ndarray  # (n,) int: into the contact arrays, in order along the line
     position: np.ndarray  # (n,): along the line, increasing, in the unit of the label
     label: str  # for the axis
+
+    def around(self, touching: np.ndarray) -> Line:
+        """Return the part around nodes that touch (n,), where they are on a small part of it."""
+        places = self.position[touching]
+        reach = _AROUND_PATCH * float(np.ptp(places)) if len(places) else 0.0
+        if not 0 < 2 * reach < _SMALL_PART * np.ptp(self.position):
+            return self
+        drawn = np.abs(self.position - (places.min() + places.max()) / 2) <= reach
+        return replace(self, index=self.index[drawn], position=self.position[drawn])
 
 
 def lines_of(result: Result, boundary: str) -> list[Line]:

@@ -284,6 +284,27 @@ def test_a_curved_contact_line_is_drawn_against_its_arc_length():
     np.testing.assert_allclose(rest.position, h * np.arange(8), atol=1e-15)
 
 
+def test_a_small_patch_of_contact_fills_the_picture():
+    corners = ((0, 0.05), (0, 0), (0.05, 0.05))
+    roller = am.ContactProblem(
+        domain=am.Outline(vertices=corners, boundaries=("axis", "arc", "cut"), arcs={1: (0, 0.05)}),
+        material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+        contact=am.Contact("arc", am.Plane((0, 0), (0, 1))),
+        law=am.Frictionless(),
+        loads=am.Pressure("cut", 1e6),
+        supports=am.Support("axis", normal=0),
+    )
+    result = am.solve(am.Hierarchy.graded(roller))
+    half_width = np.ptp(result.contact.x[result.contact.closed], axis=0).max()
+    axes = am.plot.contact(result).axes
+    left, right = np.diff([ax.get_xlim() for ax in axes]).ravel()[[0, -1]]
+    # mm; the arc is 78 mm long
+    assert left == right == pytest.approx(2.5 * 1e3 * half_width, rel=0.1)
+    assert axes[0].get_ylim()[1] > 1e-6 * result.max_pressure
+    # the gap is that of the surroundings, not of the whole arc
+    assert axes[2].get_ylim()[1] < 50
+
+
 def test_parts_without_contact_nodes_interrupt_the_line():
     result = without_nodes(two_bodies(n=10), [4])
     first, second = lines_of(result, "upper.bottom")
