@@ -38,7 +38,12 @@ SNAP = checks.ROUNDING
 @kernel
 def common_moments(mu, k, pieces, levels, moments):
     """Compute the moments of the fine shape functions over the intersection of a fine and a coarse
-    element."""
+    element with k corners each; returns the fraction of the fine element that it is.
+
+    ``mu`` (k, k): coarse barycentric coordinates mu[v, m] of the fine corner v. ``pieces`` is a
+    stack; a row holds the fraction of the fine element, then for each corner of the piece the k
+    fine coordinates lambda, then for each the k coarse ones. ``levels``: how many of the
+    half-spaces mu_m >= 0 the piece is known to lie in."""
     kk = k * k
     moments[:] = 0.0
     pieces[0, 0] = 1.0
@@ -57,6 +62,7 @@ def common_moments(mu, k, pieces, levels, moments):
             _add_moments(pieces, top, k, moments)
             depth -= 1
             continue
+        # corners strictly on the two sides of the plane mu_m = 0
         inner = -1
         outer = -1
         n_inner = 0
@@ -85,7 +91,9 @@ def common_moments(mu, k, pieces, levels, moments):
 
 @kernel
 def _cut(pieces, at, moved, kept, m, k):
-    """Move a corner of a piece along the edge towards the corner ``kept`` to where mu_m = 0."""
+    """Move a corner of a piece along the edge towards the corner ``kept`` to where mu_m = 0: to
+    (1 - t) kept + t moved with t = b / (b - a), of mu_m = a at ``moved`` and b at ``kept``. The
+    piece keeps the fraction t of its volume."""
     kk = k * k
     first = 1 + moved * k
     second = 1 + kept * k

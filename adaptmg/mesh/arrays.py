@@ -35,8 +35,8 @@ _VIEW = np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 
 
 def _frozen(name: str, array: ArrayLike, dtype: type) -> np.ndarray:
-    """A read-only copy; node numbers are not rounded from floats, nor wrapped from more than 32
-    bits."""
+    """Return the array of a field of MeshArrays as a read-only copy, or itself if it is one
+    already; TypeError for floats where numbers count, ValueError beyond 32 bits."""
     if (
         type(array) is np.ndarray
         and array.dtype == dtype
@@ -46,6 +46,7 @@ def _frozen(name: str, array: ArrayLike, dtype: type) -> np.ndarray:
     ):
         return array
     data = np.asarray(array)
+    # of labels also masks and whole floats
     whole = name in _LABELS and (
         data.dtype.kind == "b" or (data.dtype.kind == "f" and (data == data // 1).all())
     )
@@ -173,10 +174,12 @@ class MeshArrays:
         """Draw the edges of a plane mesh, or those on the surface of a solid one; None where they
         are too many."""
         cells = self.elements if self.dim == 2 and len(self.elements) <= _MANY else self.facets
+        # every pair of corners of a cell is an edge
         ends = np.concatenate([cells[:, [a, b]] for a in range(cells.shape[1]) for b in range(a)])
         edges = np.unique(np.sort(ends, axis=1), axis=0)
         if not 0 < len(edges) <= 10 * _MANY:
             return None
+        # in the plane of the picture, whose second axis points down
         seen = self.points[edges] @ (np.diag([1.0, -1.0]) if self.dim == 2 else _VIEW)
         seen -= seen.min(axis=(0, 1))
         at = seen * (_SIZE / (seen.max() or 1.0)) + 4
@@ -393,7 +396,8 @@ class Surface:
 
 
 def _check_numbers(points: np.ndarray, elements: np.ndarray, facets: np.ndarray) -> None:
-    """Compiled code follows node numbers wherever they point."""
+    """Raise ValueError unless shapes fit, points are finite and all node numbers exist: compiled
+    code follows them without a check."""
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"points must have shape (n, 2) or (n, 3), got {points.shape}")
     if not np.isfinite(points).all():
@@ -415,6 +419,8 @@ def _check_numbers(points: np.ndarray, elements: np.ndarray, facets: np.ndarray)
 
 
 def _check_labels(mesh: MeshArrays) -> None:
+    """Raise ValueError unless there is a label for each facet and element, all of them index names,
+    and names are distinct."""
     for name, count, what in (
         ("facet_labels", len(mesh.facets), "boundaries"),
         ("element_body", len(mesh.elements), "bodies"),
@@ -441,13 +447,15 @@ def signed_measures(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 @kernel
 def _measure(points, elements, result):
-    """Write signed areas or volumes: 196 608 of tetrahedra take .7 ms, by numpy 16 with 15
-    temporaries."""
+    """Write the signed area or volume of each element into ``result`` (n_elements,): 196 608
+    tetrahedra take .7 ms, by numpy 16 with 15 temporaries."""
     for e in range(len(elements)):
         i = elements[e, 0]
         j = elements[e, 1]
         k = elements[e, 2]
-        a = points[j, 0] - points[i, 0]  # scalars take a quarter of the time of an array of edges
+        # det [[a, b, c], [d, f, g], [p, q, r]] / dim! of the edges from corner i (2D: [[a, b], [d, f]]);
+        # scalars take a quarter of the time of an array of edges
+        a = points[j, 0] - points[i, 0]
         b = points[j, 1] - points[i, 1]
         d = points[k, 0] - points[i, 0]
         f = points[k, 1] - points[i, 1]
@@ -605,6 +613,7 @@ def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
     dim = elements.shape[1] - 1
     facets = element_facets(elements).reshape(-1, dim)
     keys = facet_keys(facets, n_nodes)
+    # a facet of two elements stands there twice: once sorted, in adjacent rows
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     start = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
@@ -647,8 +656,8 @@ def normalised(
     body_index: np.ndarray,
     body_names: Sequence[str],
 ) -> MeshArrays:
-    """Make MeshArrays of tables as files hold them: orientations set right, facets inside and
-    unused nodes dropped."""
+    """Make MeshArrays of tables as files hold them: turn elements and facets, drop facets inside
+    and unused nodes; ``facet_index`` and ``body_index`` are rows of the names."""
     facets = np.reshape(facets, (-1, points.shape[1]))
     _check_numbers(points, elements, facets)
     elements = positive(points, elements)
@@ -658,6 +667,7 @@ def normalised(
     points = points[used]
     elements = number[elements]
     facets = number[facets]
+    # without facets that have a node of no element
     facet_index = np.asarray(facet_index)[(facets >= 0).all(axis=1)]
     facets = facets[(facets >= 0).all(axis=1)]
     table = facet_table(elements, len(points))

@@ -206,7 +206,8 @@ class Refined:
 
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
-    """Bisect the marked elements."""
+    """Bisect the marked elements (n_elements,) until all their edges are halved, or ``passes``
+    times: then what came of them, too, as long as it is of less than so many generations."""
     if passes is None:
         return _once(mesh, marked, True)
     result = _once(mesh, marked, False)
@@ -222,14 +223,15 @@ def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> 
 
 
 def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
-    """Bisect the marked elements once, or until all their edges are halved."""
+    """Bisect the marked elements once, or (``every_edge``) until all their edges are halved, and
+    what conformity asks for."""
     n, corners = mesh.elements.shape
     rows = _rows(mesh)
     sizes = np.array([n, mesh.n_nodes])
     n_cells = -1
     # of uniform refinement in 2D: 4 times the elements, 4 times the nodes
     room = min(1.0, 2.0 * np.count_nonzero(marked) / n) * (2.0**mesh.dim if every_edge else 2.0)
-    while n_cells < 0:
+    while n_cells < 0:  # the tables were too short: again with longer ones
         spare = (room * sizes).astype(int) + 16
         cells = np.concatenate([rows, np.empty((spare[0], rows.shape[1]), dtype=np.int32)])
         nodes = np.full((mesh.n_nodes + spare[1], 4), -1, dtype=np.int32)
@@ -270,7 +272,8 @@ def _generations(mesh: MeshArrays) -> np.ndarray:
 
 
 def _rows(mesh: MeshArrays) -> np.ndarray:
-    """The elements as rows, labelled if the mesh was never bisected."""
+    """Return the elements as rows of bisection (module docstring); those of a mesh that was never
+    bisected get their first labels."""
     n, corners = mesh.elements.shape
     cells = mesh.elements
     sides = _sides(mesh)
@@ -280,6 +283,7 @@ def _rows(mesh: MeshArrays) -> np.ndarray:
         sides = np.take_along_axis(sides, turn, axis=1)
         marks = np.zeros(n, dtype=np.int32)
         if corners == 4:
+            # 3 times the mark of the face (1, 2, 3), plus that of (0, 2, 3)
             marks = 3 * _longest(mesh.points, cells[:, 1:]) + _longest(
                 mesh.points, cells[:, [0, 2, 3]]
             )
@@ -290,10 +294,12 @@ def _rows(mesh: MeshArrays) -> np.ndarray:
 
 
 def _sides(mesh: MeshArrays) -> np.ndarray:
-    """The boundary facet opposite each corner of each element, -1 where there is none."""
+    """Return the number of the boundary facet opposite each corner of each element (n_elements, dim
+    + 1), -1 where there is none."""
     on = np.zeros(mesh.n_nodes, dtype=np.int8)
     on[mesh.facets] = 1
     result = np.full(mesh.elements.shape, -1, dtype=np.int32)
+    # only elements with as many boundary nodes as a facet has can have one
     near = np.flatnonzero(sum(on[nodes] for nodes in mesh.elements.T) >= mesh.dim)
     keys = facet_keys(mesh.facets, mesh.n_nodes)
     order = np.argsort(keys)
@@ -304,7 +310,8 @@ def _sides(mesh: MeshArrays) -> np.ndarray:
 
 
 def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """The number of the pair of corners that is the longest edge of each cell."""
+    """Return which pair of corners (a row of ``_PAIRS``) is the longest edge of each cell; of edges
+    of one length that with the higher node numbers."""
     longest = np.zeros(len(cells), dtype=np.int64)
     best = None
     for k, (i, j) in enumerate(_PAIRS[cells.shape[1]]):
@@ -315,6 +322,7 @@ def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
         if best is None:
             best = edge
             continue
+        # (length, high, low) in the order of words, compared from the last entry to the first
         longer = edge[2] > best[2]
         for length, other in zip(edge[1::-1], best[1::-1], strict=True):
             longer = (length > other) | ((length == other) & longer)
@@ -326,11 +334,13 @@ def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
 def _mesh_of(
     before: MeshArrays, points: np.ndarray, parents: np.ndarray, cells: np.ndarray
 ) -> MeshArrays:
-    """The mesh that rows hold, with the boundaries and bodies of the mesh they come from."""
+    """Return the mesh that rows of bisection hold (module docstring), with the boundaries and
+    bodies of the mesh they come from."""
     corners = before.dim + 1
     marks = 2 * corners
     opposite = element_facets(np.arange(corners)[None])[0]
-    # in the order of the facets they come from
+    # columns from ``corners`` to ``marks``: the facet of the mesh before that a side is a part of;
+    # new facets in the order of these
     row, side = np.nonzero(cells[:, corners:marks] >= 0)
     origin = cells[row, corners + side]
     order = np.argsort(origin, kind="stable")
@@ -370,8 +380,8 @@ def _midpoint_of(nodes, a, b):
 
 @inner_kernel
 def _halve(nodes, n_nodes, a, b):
-    """The node that halves the edge (a, b), entered in the next row if it is new, and the number of
-    nodes."""
+    """Return the node that halves the edge (a, b), and the number of nodes; a new one is entered in
+    the next row, and put first into the list of the higher end."""
     p = np.int64(_midpoint_of(nodes, a, b))
     if p < 0:
         p = n_nodes
@@ -395,11 +405,16 @@ def _has_halved_edge(cells, e, corners, nodes):
 
 @inner_kernel
 def _write_children(cells, e, n, corners, p, orders, new_mark, old):
-    """Bisect element e at node p: children into rows e and n; ``old`` is scratch."""
+    """Bisect element e at node p, the middle of its corners 0 and 1; ``old`` is scratch.
+
+    Child 0 goes to row e, with p in place of corner 1; child 1 to row n, with p in place of corner
+    0. The face between them lies opposite corner 0 in the first, corner 1 in the other. Child 0
+    inherits the face (0, 2, 3) and its mark, child 1 the face (1, 2, 3)."""
     for k in range(len(old)):
         old[k] = cells[e, k]
     flagged = old[2 * corners] >= _FLAG
     marks = old[2 * corners] - _FLAG if flagged else old[2 * corners]
+    # both marked edges go to the same corner, 2 or 3: they lie in one plane with the halved edge
     plane = corners == 4 and marks // 3 == marks % 3 and marks < 6
     for child in range(2):
         row, mark = (n, marks // 3) if child else (e, marks % 3)
@@ -417,6 +432,7 @@ def _write_children(cells, e, n, corners, p, orders, new_mark, old):
 def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, orders, new_mark, old):
     """Bisect the marked elements and what conformity asks for; returns the numbers of elements and
     nodes, -1 where the tables have too few rows."""
+    # first halve the edge of corners 0 and 1 of marked elements, or all their edges
     most = corners if every_edge else 2
     for e in range(n_cells):
         for i in range(1, most if marked[e] else 0):

@@ -72,6 +72,7 @@ def mesh_of(
     points, elements, block, cell, notes = _cut(contents)
     points = unit * points
     table = facet_table(elements, len(points))
+    # which elements are in each set of cells; of no interest where the caller names the body
     sets = (
         {}
         if body is not None
@@ -115,8 +116,8 @@ def _check(contents: Contents) -> None:
 
 
 def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list[str]]:
-    """Points, and the simplices of the cells of the largest dimension; block and row of each; what
-    was cut."""
+    """Return the points, the simplices of the cells of the largest dimension, the block and the row
+    of the cell that each is a part of, and notes of what was cut."""
     kinds = {kind for kind, nodes in contents.cells if len(nodes)}
     dim = max(map(dimension, kinds), default=0)
     if dim < 2:
@@ -133,6 +134,7 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
             cells, owner = simplices(kind, nodes, points)
             bad = _turned_over(points[:, :dim], cells, owner, len(nodes))
             if dim == 3 and len(bad) and kind not in ("tetra", "hexahedron27"):
+                # cells with a simplex that is turned over are cut from their centres instead
                 whole = ~np.isin(owner, bad)
                 again, cut_cell = around_centres(kind, nodes[bad], len(points))
                 points = np.concatenate([points, points[nodes[bad]].mean(axis=1)])
@@ -173,7 +175,9 @@ def _pieces(
 def _names(
     parts: np.ndarray, sets: dict[str, np.ndarray], unnamed: str, split: bool
 ) -> tuple[list[str], list[str]]:
-    """The name of each piece, and what is to be said of them."""
+    """Return the name of each piece of the mesh, and notes; ``parts`` (n_elements,): the piece of
+    each element, ``sets``: masks over the elements."""
+    # a piece is called after the smallest set that holds all of it
     sizes = np.bincount(parts)
     called = [unnamed] * len(sizes)
     least = np.full(len(sizes), len(parts) + 1)
@@ -184,6 +188,7 @@ def _names(
         ):
             called[k] = name.replace(".", "_") if split else name
             least[k] = count
+    # pieces of one name are numbered
     names = []
     count = Counter()
     for name in called:
@@ -214,8 +219,9 @@ def _labelled(
     boundaries: Sequence[str] | None,
     split: bool,
 ) -> tuple[np.ndarray, np.ndarray, list[str], list[str], list[str]]:
-    """The facets that have names, of the boundary and between bodies that are split; their labels
-    from 1 on; names, notes, and what is to be said of facets that no element has."""
+    """Return the facets (m, dim) that have names, on the boundary and between bodies that are
+    split; their labels (m,), from 1 on; names, notes, and notes of facets that no element has."""
+    # facets that may have names; ``facets_of`` holds rows of these for each name
     dim = table.facets.shape[1]
     rim = (table.counts == 1) | (split & (parts[table.first] != parts[table.second]))
     keys = table.keys[rim]
@@ -223,6 +229,7 @@ def _labelled(
     facets_of: dict[str, np.ndarray] = {}
     notes: list[str] = []
     strange: list[str] = []
+    # sets of faces
     for name, members in contents.sets.items():
         faces = [
             (kind, nodes[rows])
@@ -244,6 +251,7 @@ def _labelled(
                     f"{name!r}: {inner} of {len(set_facets)} facets lie inside and are dropped; "
                     "split_bodies=True makes boundaries of those between bodies"
                 )
+    # sets of nodes: of facets that have all their nodes in the set
     first = contents.surfaces.union(facets_of)
     between = _between(contents) if contents.node_sets else []
     at_rim = np.zeros(n, dtype=bool)
@@ -260,6 +268,7 @@ def _labelled(
             )
         else:
             facets_of.setdefault(name, np.flatnonzero(inside[facets].all(axis=1)))
+    # a facet goes to the first name that has it: sets of faces come first, small sets before large
     order = (
         list(boundaries)
         if boundaries is not None
@@ -294,7 +303,7 @@ def _is_volume(
     """Return whether a set of nodes is that of some elements, among them a whole piece of the mesh
     or one with a node within."""
     whole = inside[elements].all(axis=1)
-    # nodes of no element may be in it
+    # every node of the set must be in such an element; nodes of no element may be in it
     covered = np.ones_like(inside)
     covered[elements] = False
     covered[elements[whole]] = True

@@ -134,7 +134,7 @@ class _Deck:
                 self._read(block, path, place)
                 block = _Block(" ".join(line[1:].split(",")[0].upper().split()), {}, number)
                 self._parameters(block, line.split(",")[1:])
-                unfinished = line.endswith(",")
+                unfinished = line.endswith(",")  # more parameters in the next line
             elif block is None:
                 raise _InLine(
                     f"{place}line {number}: data before the first keyword; a deck begins with a line *KEYWORD"
@@ -155,6 +155,7 @@ class _Deck:
             self.spelling.setdefault(value.upper(), value)
 
     def _read(self, block: _Block | None, path: Path, place: str) -> None:
+        """Read a block that is complete; errors get its line and its keyword."""
         if block is None:
             return
         try:
@@ -195,12 +196,14 @@ class _Deck:
             self.sets["NSET"].setdefault(name, []).append(self.numbers[-1])
 
     def _elements(self, block: _Block) -> None:
+        """Read the elements of *ELEMENT: number and nodes of each, in one line or in several."""
         kind = block.parameters.get("TYPE", "")
         name = block.parameters.get("ELSET", "")
         # of unknown types it is not known how many numbers an element has
         width = 1 + KINDS[_kind(kind) or "vertex"][1]
         rows = []
         for line in block.data if _kind(kind) else ():
+            # a row that is too short goes on in the next line
             words = [int(word) for word in line.split(",") if word.strip()]
             if rows and len(rows[-1]) < width:
                 rows[-1] += words
@@ -217,6 +220,8 @@ class _Deck:
             self.sets["ELSET"].setdefault(name, []).append(table[:, 0])
 
     def _set(self, block: _Block) -> None:
+        """Read the members of *NSET or *ELSET: numbers, names of sets, or with GENERATE the first
+        number, the last one and the step."""
         members = self.sets[block.keyword].setdefault(
             block.parameters.get(block.keyword, ""), [_counted(np.empty(0))]
         )
@@ -233,6 +238,8 @@ class _Deck:
                 members += [self._members(block.keyword, word) for word in words]
 
     def _surface(self, block: _Block) -> None:
+        """Read *SURFACE: a set or number of elements and a face (S1 to S6) in each line, or a set
+        or number of nodes."""
         name = block.parameters.get("NAME", "")
         nodal = block.parameters.get("TYPE", "ELEMENT") == "NODE"
         for word, *rest in block.rows():
@@ -322,6 +329,7 @@ class _Deck:
             notes=notes,
             surfaces=self.nodal,
         )
+        # sets of elements
         groups = self._groups()
         if self.sections or not self.of_gmsh:
             bodies = self.sections or [section for *_, section in self.elements]
@@ -331,10 +339,12 @@ class _Deck:
                 (k, np.flatnonzero(np.isin(elements, members)))
                 for k, (_, elements, _) in enumerate(blocks)
             ]
+        # sets of nodes
         for name, members in self.sets["NSET"].items():
             contents.node_sets[self._spelt(name)] = np.flatnonzero(
                 np.isin(numbers, np.concatenate(members))
             )
+        # surfaces: their faces become blocks of their own, behind those of the elements
         solid = [block for block in blocks if dimension(block[0]) == dim]
         for name, members in self.surfaces.items():
             faces = [face for selected, facet in members for face in _faces(solid, selected, facet)]

@@ -30,9 +30,11 @@ class Untriangulated(ValueError):
 def of_boundary(
     places: np.ndarray, edges: np.ndarray, spread: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the triangles inside a boundary of directed edges (n, 2), their neighbours, and which
-    edges are among theirs. If ``spread``, every second node comes last, and so on: one after the
-    other around a thin ring each would swap all the edges across it."""
+    """Return the triangles (m, 3) inside a boundary of directed edges (n, 2) between places, their
+    neighbours (m, 3), and a mask (n,) of the edges that they have; if one is missing, all triangles,
+    which are not yet cut off at the boundary. If ``spread``, every second node comes last, and so
+    on: one after the other around a thin ring each would swap all the edges across it."""
+    # two triangles of a square far around the domain; its corners are the last four nodes
     n = len(places)
     low = places.min(axis=0)
     high = places.max(axis=0)
@@ -46,6 +48,7 @@ def of_boundary(
     across[1, 2] = 0
     present = np.zeros(len(edges), dtype=bool)
     points = np.concatenate([places, corners])
+    # put in the nodes one by one
     count = 2
     e = 0
     order = np.arange(n)
@@ -55,6 +58,8 @@ def of_boundary(
         count, e = _put(points, elements, across, order[begin : begin + BATCH], count, e)
         if e < 0:
             raise Untriangulated(f"nodes at {places[begin : begin + 1]}")
+    # swap until every edge of the boundary is there; edges from node i have the rows start[i] to
+    # start[i + 1] of tails and heads, and at[i] is a triangle of it
     rows = np.argsort(edges[:, 0], kind="stable")
     tails, heads = np.ascontiguousarray(edges[rows].T)
     start = np.searchsorted(tails, np.arange(n + 1))
@@ -88,7 +93,9 @@ def of_boundary(
 def _inside(
     elements: np.ndarray, across: np.ndarray, n_nodes: int, tails: np.ndarray, heads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangles inside the boundary, their neighbours, and which edges are there."""
+    """Return the triangles inside the boundary, which lie left of its edges from ``tails`` to
+    ``heads``, their neighbours, and which of these edges they have."""
+    # the side opposite each corner, in the direction of its triangle and in the other one
     begins, ends = (np.roll(elements, -k, axis=1) for k in (1, 2))
     keys = np.stack([pair_keys(begins, ends, n_nodes), pair_keys(ends, begins, n_nodes)])
     edges = pair_keys(tails, heads, n_nodes)
@@ -97,6 +104,7 @@ def _inside(
     along, against = edges[row] == keys
     present = np.zeros(len(edges), dtype=bool)
     present[row[0, along]] = True
+    # triangles that are joined without crossing the boundary are all inside, or all outside
     across = np.where(along | against, -1, across)
     joined = across >= 0
     starts = np.append(0, np.cumsum(joined.sum(axis=1)))
@@ -148,8 +156,15 @@ def _swap_edge(points, elements, across, e, k):
 
 @inner_kernel
 def _swap(elements, across, e, k):
-    """Swap the edge opposite corner k of an element, the diagonal of a convex quadrilateral. The
-    corner k then comes first in both elements."""
+    r"""Swap the edge opposite corner k of an element, the diagonal of a convex quadrilateral. The
+    corner k then comes first in both elements.
+
+          c                c
+        / | \            / f \
+       a e|f d    ->    a-----d
+        \ | /            \ e /
+          b                b
+    """
     f = np.int64(across[e, k])
     a = elements[e, k]
     b = elements[e, (k + 1) % 3]
@@ -160,7 +175,7 @@ def _swap(elements, across, e, k):
     beside_c = across[e, (k + 1) % 3]
     over_b = across[f, (m + 1) % 3]
     over_c = across[f, (m + 2) % 3]
-    # f = d c b: opposite c lies the edge b d, opposite b the edge d c
+    # neighbours beyond a b (beside_b), c a (beside_c), b d (over_b), d c (over_c), as f = (d, c, b)
     elements[e, 0] = a
     elements[e, 1] = b
     elements[e, 2] = d
@@ -196,6 +211,7 @@ def walk(points, elements, across, e, p):
     the mesh. In a Delaunay triangulation no triangle comes twice: the power of p with respect to
     their circles falls."""
     for _ in range(len(elements)):
+        # leave across the side that has p farthest on its outer side
         worst = 0.0
         side = -1
         for k in range(3):
@@ -226,9 +242,21 @@ def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
 
 @inner_kernel
 def insert(points, elements, across, n, e, p, settled):
-    """Cut triangle e at the node p in it, or at an edge both triangles there, and swap edges;
-    returns the number of triangles. Nothing happens at a node or an edge of the boundary. Triangles
-    that change are no longer ``settled``."""
+    r"""Cut triangle e at the node p in it, or at an edge both triangles there, and swap edges;
+    returns the number of triangles, n before. Nothing happens at a node or an edge of the boundary.
+    Triangles that change are no longer ``settled``.
+
+    The new triangles are n and m; of those in the picture on the right f is the one beyond b c:
+
+             c                      c
+           / | \                  / | \
+          /m p n\                /n | f\
+         / /   \ \              a---p---d
+        a----e----b              \e | m/
+                                  \ | /
+                                    b
+    """
+    # on how many sides p lies: none, one (opposite corner k), or two, where it is a corner
     k = 0
     on = 0
     for j in range(3):
@@ -265,7 +293,8 @@ def insert(points, elements, across, n, e, p, settled):
         _place(elements, across, m, p, b, d, beyond_c, f, e)
         _replace_neighbour(across, over_b, e, n)
         _replace_neighbour(across, beyond_c, f, m)
-    # around the node, which comes first in its triangles; ends as swaps do
+    # go around p, which comes first in its triangles, and swap the sides opposite it; this ends as
+    # swaps do
     first = e
     while True:
         settled[e] = False
@@ -277,8 +306,8 @@ def insert(points, elements, across, n, e, p, settled):
 
 @kernel
 def _put(points, elements, across, nodes, count, e):
-    """Put nodes into the triangles, the way to the first from triangle e. Returns the number of
-    triangles and the last one; -1 where a node lies on another one."""
+    """Put nodes into the ``count`` triangles; triangle e is where the search for the first of them
+    begins. Returns the number of triangles and the last one found, -1 if a node lies on another."""
     settled = np.empty(len(elements), dtype=np.bool_)
     for p in nodes:
         e = walk(points, elements, across, e, p)
@@ -292,7 +321,7 @@ def _put(points, elements, across, nodes, count, e):
 
 @inner_kernel
 def _edge(start, heads, a, b):
-    """The number of the edge of the boundary from node a to node b, -1 where there is none."""
+    """Return the number of the edge of the boundary from node a to node b, -1 if there is none."""
     if a < len(start) - 1:
         for i in range(start[a], start[a + 1]):
             if heads[i] == b:
@@ -302,8 +331,9 @@ def _edge(start, heads, a, b):
 
 @inner_kernel
 def _towards(points, elements, across, e, a, b):
-    """Look from node a, a corner of triangle e, to node b. Returns the triangle in between and its
-    corner a; -1 and b where the edge is there, -1 and another node that is in the way."""
+    """Look from node a, a corner of triangle e, to node b. Returns the triangle (a, u, v) at a that
+    the straight way enters, and which of its corners is a; -1 and b if the edge is there, -1 and
+    the node u if that lies on the way."""
     first = e
     while True:  # once around a
         k = np.int64(0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2)
@@ -311,6 +341,7 @@ def _towards(points, elements, across, e, a, b):
         v = np.int64(elements[e, (k + 2) % 3])
         if u == b or v == b:
             return np.int64(-1), b
+        # b to the left of a u and to the right of a v lies in the angle between them
         right = turn(points, a, u, b)
         left = turn(points, a, v, b)
         ahead = (points[u, 0] - points[a, 0]) * (points[b, 0] - points[a, 0]) + (
@@ -327,10 +358,17 @@ def _towards(points, elements, across, e, a, b):
 
 @inner_kernel
 def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
-    """Go from node a, corner k of triangle e, to node b, and swap the first edge on the way that
+    r"""Go from node a, corner k of triangle e, to node b, and swap the first edge on the way that
     ends to the left in node ``far`` and is the diagonal of a strictly convex quadrilateral. Returns
-    whether, and the farthest node to the left before; -1 and the first node of what is in the way
-    where that is an edge of the boundary, or a node."""
+    1 if it swapped one, 0 if it came to b, and the farthest node to the left so far; -1 and the
+    first node of what is in the way if that is an edge of the boundary, or a node.
+
+                  v
+                / | \
+       a .. behind-+--w .. b      e = (behind, u, v), f = (w, v, u): the way crosses u v at +
+                \ | /
+                  u
+    """
     farthest = np.int64(-1)
     most = 0.0
     while True:  # no triangle comes twice
@@ -360,10 +398,10 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
 
 @kernel
 def _force(points, elements, across, start, tails, heads, begin, end, at, missing):
-    """Make edges from ``tails`` to ``heads`` by swaps; ``at``: a triangle of each node. ``missing``
-    becomes True for those that cross others, and for these. At the farthest of the nodes to the
-    left of an edge some edge that it crosses can be swapped, until none ends there: no more swaps
-    than the square of the edges that are crossed."""
+    """Make the edges ``begin`` to ``end`` from ``tails`` to ``heads`` by swaps; ``at`` is a triangle
+    of each node. ``missing`` becomes True for an edge that crosses others, and for these. At the
+    farthest of the nodes to the left of an edge some edge that it crosses can be swapped, until
+    none ends there: no more swaps than the square of the edges that are crossed."""
     for edge in range(begin, end):
         a = tails[edge]
         b = heads[edge]
@@ -372,6 +410,7 @@ def _force(points, elements, across, start, tails, heads, begin, end, at, missin
             if e < 0:
                 break
             k = node
+            # a first way, without swaps, finds the farthest node; the second swaps an edge there
             swapped, node = _swap_towards(
                 points, elements, across, start, heads, e, k, a, b, np.int64(-1), at
             )

@@ -59,7 +59,7 @@ def _merged(named: Iterable[tuple[str, Revolved]]) -> dict[str, list[Revolved]]:
 
 
 def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
-    """The name and surface of each face."""
+    """Yield the name and the surface of each face of a solid, or of each edge of a plane domain."""
     if isinstance(domain, Outline):
         yield from _swept(domain)
     elif isinstance(domain, Box):
@@ -100,7 +100,8 @@ def _normal(edge: Segment) -> np.ndarray:
 
 
 def _turned(domain: Revolution) -> Iterator[tuple[str, Revolved]]:
-    """The edges of a profile, turned about z."""
+    """Yield the names and surfaces of the edges of a profile, turned about z, and of the two ends
+    of the turn."""
     origin = np.zeros(3)
     for i, name in enumerate(domain.polygon.boundaries):
         edge = domain.polygon.edges[i]

@@ -200,7 +200,8 @@ def _graded_body(
     mesher: str,
     size_function: SizeField | None,
 ) -> MeshArrays:
-    """See :func:`graded`; one body, checked arguments, and the size along the boundaries."""
+    """Mesh one body as :func:`graded` does; arguments are checked, ``near`` is the size along the
+    boundaries ``names``."""
     solid = SolidSizes(size, names, near, grading, size_function)
     if isinstance(domain, SolidDomain) or (isinstance(domain, Box) and mesher == "netgen"):
         return solid_mesh(domain, solid, mesher)
@@ -228,7 +229,8 @@ def _graded_body(
 
 
 def _own(domain: Outline | Box, field: SizeField, growth: float | None = None) -> MeshArrays | None:
-    """The mesh of a plane domain or a box, None if triangulation fails."""
+    """Return the mesh of a plane domain or a box that is made without Netgen, None if that
+    fails."""
     try:
         if isinstance(domain, Box):
             mesh = drafted(
@@ -245,6 +247,7 @@ def _own(domain: Outline | Box, field: SizeField, growth: float | None = None) -
 def _cells(domain: Box, field: SizeField) -> MeshArrays:
     """Return a box in cells whose tetrahedra have about the largest size of a field."""
     sides = domain.upper - domain.lower
+    # read the field on a lattice over the box
     shares = np.indices([_READINGS] * 3).reshape(3, -1).T / (_READINGS - 1)
     sizes = field(domain.lower + shares * sides)
     least = float(sizes.min())
@@ -380,6 +383,7 @@ def sensible_sizes(domain: Domain, boundaries: Sequence[str]) -> tuple[tuple[flo
     """Return sizes, coarse to fine, m, that follow bodies, and a contact ratio by the shortest of
     some boundaries."""
     volumes, lengths = measures(domain)
+    # edge of the square or cube that is as large as a body on average
     across = (sum(volumes) / len(volumes)) ** (1 / domain.dim)
     sizes = tuple(float(f"{across / count:.2g}") for count in _ACROSS[domain.dim])
     along = [lengths[name] for name in boundaries if name in lengths]

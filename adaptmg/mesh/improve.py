@@ -73,12 +73,13 @@ def drafted(
     field: Callable[[MeshArrays], np.ndarray],
     onto: Callable[[MeshArrays, int], MeshArrays] | None = None,
 ) -> MeshArrays:
-    """Refine a sound draft to the sizes at the nodes of a mesh. ``onto`` puts nodes from a number
-    on onto the boundary; this is called by the names that it has in the draft."""
+    """Refine a sound draft until its elements have the sizes that ``field`` gives at the nodes of a
+    mesh. ``onto`` puts the nodes of a mesh from a number on onto the boundary of the domain."""
     mesh = draft
     for _ in range(3 * MAX_BISECTIONS):
         at = field(mesh)
         n_old = mesh.n_nodes
+        # sizes over those wanted: above sqrt 2 they are too large
         elements = equilateral_sizes(mesh.points, mesh.elements) / at[mesh.elements].mean(axis=1)
         facets = equilateral_sizes(mesh.points, mesh.facets) / at[mesh.facets].mean(axis=1)
         large = elements > TOO_LARGE
@@ -117,8 +118,8 @@ _AROUND = _OCTAHEDRA[:, [[0, 1, 2 + k, 2 + (k + 1) % 4] for k in range(4)]]
 
 
 def _inside(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Four children (n, 4, 4) of each octahedron; ``nodes`` (n, 10): corners and middles of each
-    element."""
+    """Return the four children (n, 4, 4) of the octahedron inside each element, around its shortest
+    diagonal; ``nodes`` (n, 10): corners and middles of each element."""
     ends = points[nodes[:, _OCTAHEDRA[:, :2]]]
     lengths = np.square(ends[:, :, 0] - ends[:, :, 1]).sum(axis=2)
     best = np.zeros(len(nodes), dtype=np.int64)
@@ -134,12 +135,14 @@ def _inside(points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 def halved(mesh: MeshArrays) -> MeshArrays:
     """Return the mesh of tetrahedra with every edge cut in two."""
     n = mesh.n_nodes
+    # number the distinct edges: each gets a node at its middle
     every = facet_keys(mesh.elements[:, _EDGES].reshape(-1, 2), n)
     keys, first, number = np.unique(every, return_index=True, return_inverse=True)
     middles = n + np.argsort(np.argsort(first))  # in the order of the elements
     low, high = np.divmod(every[np.sort(first)], n)
     points = np.concatenate([mesh.points, 0.5 * (mesh.points[low] + mesh.points[high])])
     nodes = np.concatenate([mesh.elements, middles[number].reshape(-1, 6)], axis=1)
+    # eight children: four at the corners, four in the octahedron between them
     elements = np.concatenate([nodes[:, _CORNERS], _inside(points, nodes)], axis=1)
     on = middles[
         np.searchsorted(keys, facet_keys(mesh.facets[:, _SIDES].reshape(-1, 2), n))
@@ -221,8 +224,9 @@ def _move(
 
 @inner_kernel
 def _spokes(zero, points, cells, item, x, spokes):
-    """Write the edges from x, in place of a corner, to the other corners; returns the determinant:
-    dim! times the measure. With ``zero`` (dim numbers) kernels know the dimension when they are
+    """Write the edges from x to the other corners of an element into ``spokes`` (dim, dim), as if
+    x stood in place of its corner ``item`` (a place in ``cells``); returns their determinant: dim!
+    times the measure. With ``zero`` (dim numbers) kernels know the dimension when they are
     compiled."""
     k = len(zero) + 1
     e = item // k
@@ -243,8 +247,10 @@ def _spokes(zero, points, cells, item, x, spokes):
 
 @inner_kernel
 def _shape(zero, spokes, measure, total):
-    """Return the shape of an element; ``total`` (dim,) becomes the sum of its edges at one
-    corner."""
+    """Return the shape of an element (module docstring) times a constant: the sum of its squared
+    edges over ``measure`` (dim! times its own) to the power 2 / dim. ``total`` (dim,) becomes the
+    sum of the spokes s_j; all edges together have sum_edges l^2 = (dim + 1) sum_j |s_j|^2 -
+    |total|^2."""
     dim = len(zero)
     squares = 0.0
     both = 0.0
@@ -254,15 +260,20 @@ def _shape(zero, spokes, measure, total):
             total[c] += spokes[j, c]
             squares += spokes[j, c] ** 2
         both += total[c] ** 2
-    # the sum of the squares of all edges
     squares = (dim + 1) * squares - both
     return squares / measure if dim == 2 else squares * measure ** (-2.0 / 3.0)
 
 
 @inner_kernel
 def _add_derivatives(zero, spokes, measure, shape, total, normal, gradient, hessian):
-    """Add those of the shape of an element with respect to its corner; ``normal`` is overwritten by
-    those of minus the measure."""
+    """Add the first and second derivatives of the shape of an element with respect to its corner x
+    to ``gradient`` (dim,) and the lower half of ``hessian`` (dim, dim).
+
+    With the sum q of squared edges, m = ``measure`` and p = m^(-2/dim) the shape is S = q p. As
+    grad q = -2 t (t = ``total``) and n = -grad m / m (written into ``normal``), with s = 2 / dim
+
+        gradient  s S n - 2 p t
+        hessian   s (s + 1) S n n' - 2 s p (t n' + n t') + 2 dim p I"""
     dim = len(zero)
     for c in range(dim):
         if dim == 2:
@@ -320,6 +331,7 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end):
     for i in range(begin, end):
         if held[i]:
             continue
+        # gradient (in ``step``) and hessian of the sum of shapes around the node
         before = 0.0
         for c in range(dim):
             x[c] = points[i, c]
@@ -333,6 +345,8 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end):
             _add_derivatives(zero, spokes, measure, shape, total, normal, step, hessian)
         if not _solve(zero, hessian, step):
             continue
+        # a Newton step, halved until the sum falls and every element keeps enough of its measure;
+        # the hessian is scratch from here on
         share = -1.0
         for _ in range(5):
             after = 0.0

@@ -53,6 +53,7 @@ def read_mdpa(path: Path) -> Contents:
                 contents.cells.append((kind, rows_of(nodes, numbers)[:, order]))
                 cells.append((keyword, table[:, 0]))
         elif part and what == "Nodes":
+            # a SubModelPart, called after those that it is a part of
             contents.node_sets[part] = rows_of(np.concatenate(rows).astype(np.int64), numbers)
         elif part and what in ("Elements", "Conditions", "Geometries"):
             numbers_of_part = np.concatenate(rows).astype(np.int64)
@@ -65,7 +66,8 @@ def read_mdpa(path: Path) -> Contents:
 
 
 def _blocks(text: str) -> Iterator[tuple[list[list[str]], list[list[str]]]]:
-    """The blocks that have rows: the words of its line and of those around it, and its rows."""
+    """Yield the blocks that have rows: the words of the Begin lines of the blocks around it and of
+    its own, outermost first, and the words of its rows."""
     names = []
     rows = []
     for line in text.splitlines():

@@ -96,6 +96,7 @@ class Netgen:
         end = time.monotonic() + _PATIENCE * seconds
 
         def watch() -> None:
+            # kill the process when its time is up, which ends the wait for its answer
             left = seconds
             while not done.wait(min(max(left, 0.1), threading.TIMEOUT_MAX)):
                 left = min(seconds - self._spent() + start, end - time.monotonic())

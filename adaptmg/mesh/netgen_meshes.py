@@ -122,8 +122,8 @@ def plane_mesh(
     grading: float,
     rounds: int,
 ) -> MeshArrays:
-    """Mesh a plane domain by a size field, which is at most ``size``, and ``near`` along some
-    boundaries."""
+    """Mesh a plane domain by a size field, which is at most ``size``, and ``near`` along the
+    boundaries ``names``: Netgen makes a draft in ``rounds`` + 1 rounds, bisection the rest."""
     start = size / _NETGEN_RATIO if near is None else _raised(near, size)
     mesh = finished(
         domain,
@@ -158,7 +158,8 @@ def _plane_draft(
     grading: float,
     rounds: int,
 ) -> MeshArrays:
-    """Netgen's mesh, again by the sizes on the mesh before, not checked."""
+    """Return Netgen's mesh of a plane domain, not checked: a first one, then ``rounds`` more, each
+    by the sizes at the centroids of the mesh before."""
     lower, scale = extent(domain)
     volume, lengths = boundary_measures(domain)
     nodes = refuse_too_many(
@@ -192,7 +193,8 @@ def _plane_draft(
                     seconds=limit_s(nodes, 2),
                 )
             if domain.twins:
-                # edges turned by -90 degrees
+                # open the cracks: ``edges`` are the labels by the numbers of edges, normals are edges
+                # turned by -90 degrees
                 normals = (np.array(domain.vertices)[domain.following] - domain.vertices) @ [
                     [0, -1],
                     [1, 0],
@@ -417,8 +419,9 @@ def solid_mesh(domain: SolidDomain | Box, sizes: SolidSizes, mesher: str = "own"
 def _at_rest(
     domain: SolidDomain | Box,
 ) -> tuple[SolidDomain | Box, np.ndarray, np.ndarray]:
-    """The solid along its own axes, and the rotation and shift from there. Netgen cuts space along
-    the axes: of slim bars that lie obliquely its elements have a tenth of the angles."""
+    """Return the solid before it was moved, a cylinder upright, and the rotation (3, 3) and shift
+    (3,) that lead from there to the domain. Netgen cuts space along the axes: of slim bars that lie
+    obliquely its elements have a tenth of the angles."""
     if isinstance(domain, Moved):
         solid, turn, offset = _at_rest(domain.solid)
         return solid, domain.rotation @ turn, domain.rotation @ offset + domain.offset
@@ -460,6 +463,7 @@ def _unit_mesh(
             "tori",
             domain,
         )
+    # attempts: drafts with sizes times a factor, then meshes with growth times ``slower``
     drafts = [
         (factor, 1.0) for factor in _FACTORS if surfaces is not None and nodes > _LEAST * factor**3
     ]
@@ -546,7 +550,8 @@ def _solid_draft(
     nodes: float,
     rounds: int,
 ) -> MeshArrays:
-    """Netgen's mesh at unit size; again by the sizes on the mesh before where these vary."""
+    """Return Netgen's mesh at unit size: a first one, then ``rounds`` more, each by the sizes at
+    the centroids of the mesh before."""
     face_sizes = {int(face): _raised(sizes.near, sizes.size) / shape.scale for face in faces}
     options = {
         "maxh": sizes.size / shape.scale,
@@ -600,8 +605,9 @@ def _flat_ones(mesh: MeshArrays) -> np.ndarray:
 
 
 def _relieved(mesh: MeshArrays, possible: list[list[Revolved]]) -> MeshArrays:
-    """The sound mesh at unit size, its flat elements bisected and moved: those of Netgen whose
-    corners all lie on the boundary, which moves alone cannot mend."""
+    """Return a sound mesh at unit size with its flat elements bisected and moved: those of Netgen
+    whose corners all lie on the boundary, which moves alone cannot mend. Of the meshes on the way
+    that with the best worst element is returned."""
     best = mesh
     try:
         surfaces = surfaces_of(possible, mesh)
@@ -624,7 +630,7 @@ def _bisected(
     faces: Sequence[str],
     domain: Domain,
 ) -> MeshArrays:
-    """The mesh at unit size after bisection until no element is too large."""
+    """Return the mesh at unit size after bisection until no element is too large."""
     for _ in range(MAX_BISECTIONS):
         mesh = _placed(unit, shape)
         large, at_centroids = too_large(mesh, lambda x, mesh=mesh: sizes.field(x, mesh, faces))
@@ -649,9 +655,9 @@ def _placed(unit: MeshArrays, shape: Shape) -> MeshArrays:
 
 
 def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndarray) -> MeshArrays:
-    """The mesh in m, rotated and shifted, its faces (called by their numbers so far) with their
-    names; nodes of plane faces normal to an axis at one coordinate, free of the rounding of
-    scaling."""
+    """Return the mesh in m, rotated and shifted, with the names of its faces in place of their
+    numbers. Nodes of a plane face normal to an axis get one coordinate along it, free of the
+    rounding of scaling."""
     points = (shape.lower + shape.scale * unit.points) @ turn.T + offset
     reach = float(np.abs(points).max())
     for face in unit.boundaries:
@@ -659,7 +665,7 @@ def _in_metres(unit: MeshArrays, shape: Shape, turn: np.ndarray, offset: np.ndar
         for axis in np.flatnonzero(np.ptp(points[nodes], axis=0) < checks.ALIKE * reach):
             points[nodes, axis] = (
                 round(float(np.median(points[nodes, axis])), _DIGITS - math.ceil(math.log10(reach)))
-                + 0.0
+                + 0.0  # no -0.0
             )
     order = tuple(dict.fromkeys(shape.names))
     labels = np.array([order.index(shape.names[int(face)]) for face in unit.boundaries])
@@ -687,12 +693,15 @@ def check_volume(mesh: MeshArrays, volume: float) -> None:
 
 
 def _left_by_chords(mesh: MeshArrays) -> float:
-    """Bound of the volume between curved faces and the mesh (module docstring)."""
+    """Return a bound of the volume between curved faces and the mesh: the sum over the boundary
+    triangles of half the area times the longest edge times the largest angle to a neighbour on the
+    same face."""
     surface = Surface(mesh.points, mesh.facets)
     normals = surface.normals
     areas = surface.measures
     longest = longest_edges(mesh.points[mesh.facets])
     edges = facet_table(mesh.facets, mesh.n_nodes)
+    # the two triangles at each edge of the boundary
     first = edges.first
     second = edges.second
     angles = np.arccos(np.clip(np.sum(normals[first] * normals[second], axis=1), -1.0, 1.0))

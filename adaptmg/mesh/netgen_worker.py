@@ -79,8 +79,8 @@ def tables(
     boundaries: Sequence[str] | None = None,
     bodies: Sequence[str] | None = None,
 ) -> Tables:
-    """Copy the tables of a mesh: points, elements, facets, labels, their names, body of each
-    element, names."""
+    """Copy the tables of a mesh: points, elements, facets, labels of these, the names that labels
+    are numbers of, the body of each element, names of the bodies."""
     dim = mesh.dim
     if dim not in (2, 3):
         raise ValueError(f"mesh must be 2D or 3D, got a {dim}D mesh")
@@ -154,8 +154,8 @@ def ngsolve_mesh(
 
 
 def _cut(table: np.ndarray, points: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The simplices of elements, which are cut where they are others, and their body; of facets by
-    numbers alone, and their label."""
+    """Return the simplices (n, dim + 1) that elements (or without ``points`` facets) are, or are
+    cut into, and the body (label) of each."""
     from adaptmg.mesh.shapes import KINDS, simplices
 
     cells = []
@@ -208,7 +208,7 @@ def mesh_shape(
 def _generated(
     geometry: SplineGeometry | OCCGeometry, options: Mapping[str, float], sizes: Sizes
 ) -> Tables:
-    """Netgen's mesh by sizes at points."""
+    """Return the tables of Netgen's mesh of a geometry, with sizes at most as given at points."""
     # Netgen's threads spend more time waiting than the work takes: 3 to 30 times slower
     parameters = netgen.meshing.MeshingParameters(**options, parallel_meshing=False)
     for points, lengths in sizes:
@@ -235,7 +235,8 @@ def bisect(marked: np.ndarray) -> Tables:
 def _spline_geometry(
     domain: Outline, lower: np.ndarray, scale: float, sides: Mapping[str, float]
 ) -> SplineGeometry:
-    r"""Netgen's geometry of a plane domain; its edges are called by their numbers. An arc becomes
+    r"""Return Netgen's geometry of a plane domain at unit size, with edges called by their numbers;
+    ``sides`` are sizes along some boundaries. An arc becomes
     rational quadratic splines, which are exact circles: the middle control point is the meeting
     point of the tangents, at the distance
     :math:`r / \cos(\theta / 2)` from the centre."""
@@ -327,8 +328,9 @@ def _name_products(
     uses: Mapping[str, Sequence[tuple[str, str]]],
     products: dict[Solid, str],
 ) -> None:
-    """Names of the products of the leaves below a node. Netgen says the names of instances, the
-    file of what."""
+    """Enter the names of the products of the solids below a node into ``products``. Netgen knows
+    the names of instances, the file (``names``, ``uses`` of :func:`_parts_of`) the product that an
+    instance is of; ``part`` is that of the node."""
     below = list(uses.get(part, ()))
     for child in node.children:
         # names that OCC reads otherwise follow in the order of the file
@@ -343,8 +345,16 @@ def _name_products(
 
 
 def _parts_of(text: str) -> tuple[dict[str, str], dict[str, list[tuple[str, str]]]]:
-    """Names of the parts of a STEP file by their numbers, and instances of parts in each of them:
-    their names and of which; of "" those that are in none."""
+    """Return the names of the parts of a STEP file by their numbers, and by the number of a part
+    the instances in it: their names and the numbers of what they are instances of. Parts that are
+    in no other are instances in "".
+
+    The file writes (strings may be $, and doubled quotes stand for one)
+
+        #1=PRODUCT('id','name',...)
+        #2=PRODUCT_DEFINITION_FORMATION('id','text',#1)
+        #3=PRODUCT_DEFINITION('id','text',#2,...)                       the part number 3
+        #9=NEXT_ASSEMBLY_USAGE_OCCURRENCE('id','name','text',#3,#7,$)   an instance of 7 in 3"""
     string = r"'((?:[^']|'')*)'"
     described = rf"\s*\(\s*{string}\s*,\s*(?:{string}|\$)\s*,\s*"
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
@@ -466,6 +476,8 @@ def _samples(face: Face) -> np.ndarray:
 
 
 def _shape(domain: Domain, origin: np.ndarray, scale: float) -> TopoDS_Shape:
+    """Return OCC's shape of a solid in lengths (x - origin) / scale, its faces named."""
+
     def place(p: ArrayLike) -> Pnt:
         return Pnt(*((np.asarray(p, dtype=np.float64) - origin) / scale))
 
@@ -541,7 +553,8 @@ def _name_ends(shape: TopoDS_Shape, names: tuple[str, str], key: Callable[[Face]
 
 
 def _profile_face(outline: Outline, place: Callable[[np.ndarray], Pnt]) -> Face:
-    """A plane face whose edges are named; ``place`` puts points of the profile into space."""
+    """Return the plane face inside an outline, its edges named; ``place`` puts points of the plane
+    into space."""
     vertices = [np.array(v) for v in outline.vertices]
     edges = []
     middles = []
@@ -565,8 +578,8 @@ def _profile_face(outline: Outline, place: Callable[[np.ndarray], Pnt]) -> Face:
 
 
 def _combination(domain: Combination, origin: np.ndarray, scale: float) -> TopoDS_Shape:
-    r"""A boolean operation, which OCC may get wrong without an error: volumes are compared with the
-    complementary ones,
+    r"""Return the shape that a boolean operation makes. OCC may get it wrong without an error:
+    volumes are compared with the complementary ones,
     :math:`|a \setminus b| + |a \cap b| = |a|` and :math:`|a \cup b| + |a \cap b| = |a| + |b|`."""
     a, b = (_shape(part, origin, scale) for part in (domain.a, domain.b))
     for part, shape in (("a", a), ("b", b)):
@@ -674,8 +687,9 @@ def _groups(
 
 
 def _numbered(raw: meshio.Mesh) -> dict[str, list[tuple[int, np.ndarray]]]:
-    """Sets of cells by the numbers of the first data that are whole numbers; of Gmsh by those of
-    physical groups, which have names for some, and 0 for none."""
+    """Return sets of cells (block, rows) by their names: cells that have the same number in the
+    first data that are whole numbers. Of Gmsh these are numbers of physical groups, which have
+    names for some, and 0 for none."""
     sets: dict[str, list[tuple[int, np.ndarray]]] = {}
     key, numbers = next(
         (

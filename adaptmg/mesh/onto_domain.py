@@ -71,6 +71,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
     sides = [(patches, *_new_nodes(mesh, name, n_old)) for name, patches in known.items()]
     parents = mesh.refinement.parents
     depth = _depth(parents, n_old)
+    # nodes whose move would spoil an element stay, and all others are moved again
     stays = np.zeros(mesh.n_nodes, dtype=bool)
     near = None
     for _ in range(_MAX_TRIES):
@@ -120,14 +121,16 @@ def _moved(
     stays: np.ndarray,
     n_old: int,
 ) -> np.ndarray:
-    """The points, each new node after its parents: on the surfaces of the one or two boundaries that
-    it lies on."""
+    """Return the points (n_nodes, dim) with new nodes on the surfaces of the one or two boundaries
+    that they lie on, but for those that ``stays``: halfway between their parents, which are moved
+    before. ``sides``: surfaces, new nodes and normals there of each boundary."""
     points = mesh.points.copy()
     surfaces = [patch for surfaces_of_side, *_ in sides for patch in surfaces_of_side]
     near = _ROUNDING * float(np.ptp(points, axis=0).max())
     for level in range(1, int(depth.max()) + 1):
         these = np.flatnonzero(depth[n_old:] == level) + n_old
         points[these] = 0.5 * (points[parents[these, 0]] + points[parents[these, 1]])
+        # two surfaces of each node, as places in ``surfaces``; the same one twice if it is on one
         labels = np.full((len(points), 2), -1)
         first = 0
         for patches, nodes, normals in sides:

@@ -141,6 +141,7 @@ def facets_of(kind: str) -> tuple[tuple[str, Corners], ...]:
     result = []
     for corners in FACETS[KINDS[kind][0]]:
         k = len(corners)
+        # its edges, of a line only one; then the nodes: corners, middles of edges, the centre
         ring = list(zip(corners, corners[1:] + corners[:1], strict=True))[: 1 if k == 2 else k]
         local = (*corners, *(node for edge in ring for node in _between(kind, *edge)))
         if k == 4:
@@ -214,7 +215,8 @@ def _cut_corners(kind: str) -> Parts:
 
 
 def _core(kind: str) -> tuple[tuple[Corners, ...], Corners]:
-    """Return the cell between the middle nodes of the edges."""
+    """Return the cell between the middle nodes of the edges: its facets, as places among its nodes,
+    and its nodes, as local nodes of the kind."""
     shape, n = KINDS[kind]
     n_corners = _CORNERS[shape]
     inner = tuple(range(n_corners, n))
@@ -228,9 +230,10 @@ def _core(kind: str) -> tuple[tuple[Corners, ...], Corners]:
 
 
 def _around(kind: str, corner: int) -> Corners:
-    """The middle nodes of the edges at a corner, seen from there one after the other with the
-    clock."""
+    """Return the middle nodes of the edges at a corner, one after the other as the clock runs, seen
+    from the corner."""
     shape = KINDS[kind][0]
+    # each face at the corner leads from the middle of one of its edges to that of the other
     steps = {}
     for face in FACETS[shape] if DIMENSIONS[shape] == 3 else (tuple(range(_CORNERS[shape])),):
         if corner in face:
@@ -247,15 +250,16 @@ def _around(kind: str, corner: int) -> Corners:
 def simplices(
     kind: str, nodes: np.ndarray, points: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return triangles, tetrahedra or lines of some cells of a kind, oriented as these, and the
-    cell that each comes from; those that collapsed cells leave flat are dropped. Of elements, whose
-    ``points`` choose the shorter diagonals, or of boundary facets, which are cut by numbers
-    alone."""
+    """Return the simplices that cells ``nodes`` (n, k) of a kind are cut into, oriented as these,
+    and the cell that each comes from. With ``points`` (of elements) the shorter diagonals are
+    taken, without (of boundary facets) those through the smallest nodes. Simplices that have a node
+    twice, as collapsed cells leave them, are dropped."""
     cells = []
     owners = []
     for facets, local in _parts(kind):
         part = nodes[:, local]
         if len(local) == 4 and len(facets) == 4 and len(facets[0]) == 2:
+            # a quadrilateral, which has four edges: turned, then cut through its first node
             turned = _first(
                 part,
                 part.argmin(axis=1) if points is None else _shorter(part, points, ((0, 2), (1, 3))),
@@ -307,7 +311,8 @@ def _first(ring: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> tuple[list, list]:
-    """Tetrahedra over the facets that do not hold the apex."""
+    """Return tetrahedra from the apex (n,), a local node of each cell ``part`` (n, k), to the
+    facets that do not hold it, and the rows of the cells that they come from."""
     cells = []
     rows = []
     for top in np.unique(apex):

@@ -33,9 +33,10 @@ from adaptmg.mesh.soundness import check_mesh
 def opened(
     elements: np.ndarray, facets: np.ndarray, n_nodes: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the elements and facets whose nodes are doubled along facets that stand twice; which
-    of the facets are open; and the old node that each new one comes from. ValueError where such a
-    facet is not inside the mesh."""
+    """Return the elements (n_elements, k) and facets (n, k - 1) with nodes doubled along slits:
+    facets that stand twice; a mask (n,) of the facets that are open; and the old node that each
+    node comes from. ValueError if a facet of a slit is not inside the mesh."""
+    # facets of slits, and the elements (``near``, ``cells``) with a node on them
     keys = facet_keys(facets, n_nodes)
     slit, counts = np.unique(keys, return_counts=True)
     slit = slit[counts > 1]
@@ -50,8 +51,10 @@ def opened(
         raise ValueError("facets of a slit must lie between two elements")
 
     def corners(cell: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        # places in cells.ravel(): corner j of cell i is number k i + j
         return k * cell + np.argmax(cells[cell] == nodes[:, None], axis=1)
 
+    # graph of the corners: a and b are the same node, seen from both sides of a facet of no slit
     joined = np.flatnonzero((table.second >= 0) & ~np.isin(table.keys, slit))
     a, b = (
         np.concatenate([corners(cell[joined], nodes) for nodes in table.facets[joined].T])
@@ -60,6 +63,7 @@ def opened(
     part = connected_components(
         sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(cells.size, cells.size))
     )[1]
+    # a connected set of corners at a slit is one node: the first keeps the number, others are new
     node = cells.ravel()
     pairs, number = np.unique(
         pair_keys(np.where(at_slit[node], part, cells.size), node, n_nodes), return_inverse=True
@@ -71,6 +75,7 @@ def opened(
     result = np.array(elements)
     sides = np.array(facets)
     result[near] = new
+    # facets take the nodes of the element on their inner side
     touched = np.flatnonzero(at_slit[facets].any(axis=1))
     row = table.find(keys[touched])
     sides_elements = np.where(
@@ -80,6 +85,7 @@ def opened(
         [new.ravel()[corners(sides_elements, nodes)] for nodes in facets[touched].T], axis=1
     )
     origin = np.concatenate([np.arange(n_nodes), origin[again]])
+    # a facet that still stands twice did not open
     closed, counts = np.unique(facet_keys(sides, len(origin)), return_counts=True)
     return result, sides, ~np.isin(facet_keys(sides, len(origin)), closed[counts > 1]), origin
 
@@ -133,8 +139,8 @@ def _cut_middles(
     body: np.ndarray,
     closed: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
-    """The tables with a node in the middle of closed facets, of those that share an element of
-    one."""
+    """Return the tables with a new node in the middle of ``closed`` facets, which cuts them and the
+    elements on both sides in dim parts; a facet stays closed if one before it shares its element."""
     table = facet_table(elements, len(points))
     row = table.find(facet_keys(faces[closed], len(points)))
     cells = np.stack([table.first[row], table.second[row]], axis=1)
@@ -147,6 +153,7 @@ def _cut_middles(
     cells = cells[cuttable]
     corners = faces[closed]
     middle = len(points) + np.arange(len(closed))[:, None]
+    # part k has the new node in place of corner k of the facet
     parts = [
         np.where(elements[cells] == corners[:, k, None, None], middle[:, None], elements[cells])
         for k in range(corners.shape[1])

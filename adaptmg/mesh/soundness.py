@@ -82,6 +82,7 @@ def _at(points: np.ndarray) -> str:
 
 
 def _check_elements(mesh: MeshArrays) -> None:
+    """Raise ValueError if elements are flat or inverted, or nodes belong to none."""
     unit = "m^2" if mesh.dim == 2 else "m^3"
     inverted = np.flatnonzero(mesh.volumes < 0)
     flat = np.flatnonzero(np.abs(mesh.volumes) <= checks.ALIKE * mesh.element_sizes**mesh.dim)
@@ -104,6 +105,8 @@ def _check_elements(mesh: MeshArrays) -> None:
 
 
 def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
+    """Raise ValueError unless the facets of the boundary are just the facets of one element only,
+    each of them once and outwards, and no facet is folded or of three elements."""
     kind = "edge" if mesh.dim == 2 else "face"
 
     def fail(bad: np.ndarray, what: str, facets: np.ndarray) -> None:
@@ -144,6 +147,7 @@ def _check_closed(mesh: MeshArrays, table: FacetTable) -> None:
 
 
 def _check_bodies(mesh: MeshArrays, table: FacetTable) -> None:
+    """Raise ValueError unless the elements of each body hang together through facets."""
     part = components(table, mesh.element_body)
     elements_of = np.bincount(part)
     body_of = np.empty(len(elements_of), dtype=np.int64)
@@ -215,8 +219,8 @@ def quality(mesh: MeshArrays) -> MeshQuality:
 
 
 def _angles(points: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n_pairs, n) between the facets of elements, degrees, and the measures (n, dim + 1) of
-    the facets."""
+    """Return the angles (n_pairs, n) inside elements between their facets, degrees, and the
+    measures (n, dim + 1) of the facets."""
     sides = points[element_facets(elements)]
     first = sides[:, :, 1] - sides[:, :, 0]
     if points.shape[1] == 2:
@@ -268,8 +272,8 @@ def check_overlap(mesh: MeshArrays) -> MeshArrays:
 def overlapping_bodies(
     mesh: MeshArrays, apart: Iterable[tuple[int, int]]
 ) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Return the pairs of bodies of which one lies deep inside elements of the other, and such a
-    place (dim,)."""
+    """Yield the pairs of bodies, of those ``apart``, of which one lies deep inside elements of the
+    other, and such a place (dim,)."""
     box = {}
     for k in np.unique(mesh.element_body).tolist():
         points = mesh.points[mesh.elements[mesh.element_body == k]].reshape(-1, mesh.dim)
@@ -282,7 +286,7 @@ def overlapping_bodies(
 
 
 def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
-    """Places (n, dim) of the boundary of a body that lie deep inside elements of another, or of
+    """Return places (n, dim) of the boundary of a body that lie deep inside elements of another, or of
     itself: nodes, and a point of each facet off its centroid, as in regular meshes both may lie in
     planes that no element crosses."""
     of_body = np.zeros(mesh.n_nodes, dtype=bool)
@@ -297,6 +301,7 @@ def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     )
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
+    # pairs of an element and a place in the ball around it
     tree = cKDTree(places)
     corners = mesh.points[elements]
     centre = corners.mean(axis=1)
@@ -305,6 +310,7 @@ def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     found = tree.query_ball_point(centre[near], reach[near])
     element = np.repeat(near, [len(f) for f in found])
     place = np.concatenate([np.empty(0, dtype=np.int64), *map(np.asarray, found)]).astype(np.int64)
+    # deep inside: barycentric coordinates, of which the first is 1 - the sum of the others
     base = corners[element, 0]
     edges = (corners[element, 1:] - base[:, None]).transpose(0, 2, 1)
     weights = np.linalg.solve(edges, (places[place] - base)[:, :, None])[:, :, 0]

@@ -97,8 +97,8 @@ def _plain(name: str) -> str:
 def _chosen(
     domain: StepFile, entries: Sequence[str], named: Sequence[str], bodies: Sequence[str]
 ) -> list[int]:
-    """The numbers of the solids that a domain chooses, by their names in the file or those of its
-    bodies."""
+    """Return the numbers of the solids that a domain chooses: by their names in the file, by the
+    names of its bodies, or as "name.2", the second of one name."""
     chosen: list[int] = []
     for entry in entries:
         same = [k for k, name in enumerate(named) if name == _plain(entry)]
@@ -128,7 +128,8 @@ def _distinct(names: list[str]) -> list[str]:
 def _renamed(
     domain: StepFile, bodies: list[str], faces: list[list[str]]
 ) -> dict[str, tuple[str, ...]]:
-    """Names after the mapping of the domain; every key of it must be used."""
+    """Return the names of the faces of each body; bodies and faces are renamed by the mapping of the
+    domain. ValueError if a key of it is not used."""
     unused = set(domain.names)
     result = {}
 
@@ -320,7 +321,7 @@ def _domain(path: str | Path | StepFile) -> StepFile:
 
 
 def _faces_of(worker: Netgen, solids: Mapping[str, StepSolid]) -> Iterator[tuple[str, list[_Face]]]:
-    """The name of each solid in turn, and its faces with their triangles."""
+    """Yield the name of each solid, and its faces with their triangles."""
     for body, solid in solids.items():
         shape = built_shape(worker, solid)
         size = _EDGE * float(np.ptp(shape.corners, axis=0).max())
@@ -337,6 +338,7 @@ def _faces_of(worker: Netgen, solids: Mapping[str, StepSolid]) -> Iterator[tuple
 
 
 def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -> _Face:
+    """Return a face of a shape in m; its kind is that of the surface through its samples."""
     kind = "other"
     radius = np.nan
     if surfaces := candidates(shape.samples[number : number + 1]):
@@ -389,9 +391,9 @@ def _on(worker: Netgen, face: _Face, other: _Face, solid: StepSolid, reach: floa
         return False
     nearest = cKDTree(other.triangles.mean(axis=1)).query(face.triangles[close].mean(axis=1))[1]
     face_normals = face.normals[close]
-    its = other.normals[nearest]
-    cosine = (face_normals * its).sum(axis=1) / (
-        np.linalg.norm(face_normals, axis=1) * np.linalg.norm(its, axis=1)
+    other_normals = other.normals[nearest]
+    cosine = (face_normals * other_normals).sum(axis=1) / (
+        np.linalg.norm(face_normals, axis=1) * np.linalg.norm(other_normals, axis=1)
     )
     return bool((cosine < _OPPOSITE).any())
 
@@ -419,7 +421,8 @@ def _surfaces_of_file(domain: StepFile, names: Sequence[str]) -> dict[str, list[
 def _read_surfaces(
     domain: StepFile, _changed: int, bodies: frozenset[str]
 ) -> dict[str, list[Revolved]]:
-    """The surfaces of faces of some solids; read once as long as the file does not change."""
+    """Return the surfaces of the faces "body.face" of some bodies; those of a file are read once as
+    long as it does not change."""
     faces: dict[str, list[list[Revolved]]] = {}
     solids = {body: solid for body, solid in step_solids(domain).items() if body in bodies}
     with netgen() as worker:

@@ -120,7 +120,7 @@ def warn_of_stretched(domain: Domain, divisions: Divisions | Mapping[str, Divisi
 
 
 def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
-    """See :func:`structured`; one body."""
+    """Mesh one body as :func:`structured` does."""
     dim = domain.dim
     sides = [
         lower + np.arange(n + 1) / n * (upper - lower)
@@ -156,18 +156,21 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
     elements = []
     facets = {}
     for axis in range(3):
-        # the last axis runs across faces
+        # for each face of a cell that the axis crosses: its corners in turn (``around``), and the
+        # centres of the cells on its two sides (``below``, ``above``)
         corner = np.moveaxis(corners, axis, -1)
         centre = np.moveaxis(centres, axis, -1)
         around = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]])
         below = centre[..., :-1]
         above = centre[..., 1:]
+        # two centres and an edge of the face between them
         elements += [
             np.stack(
                 [below, above, around[k, ..., 1:-1], around[k - 1, ..., 1:-1]], axis=-1
             ).reshape(-1, 4)
             for k in range(4)
         ]
+        # on the two sides of the box: a centre and half a face
         for end in (0, -1):
             halves = [
                 np.moveaxis(around[[0, k, k + 1], ..., end], 0, -1).reshape(-1, 3) for k in (1, 2)
@@ -187,7 +190,7 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
 
 
 def _cells(counts: tuple[int, ...], last: np.ndarray, *, axis: int = -1) -> np.ndarray:
-    """Lowest nodes of the cells whose place along ``axis`` is in ``last``, in ascending order."""
+    """Return the lowest node of each cell whose place along ``axis`` is in ``last``, ascending."""
     axis %= len(counts)
     result = np.zeros(1, dtype=np.int32)
     stride = 1
@@ -206,8 +209,9 @@ def _strides(counts: tuple[int, ...]) -> np.ndarray:
 def _boundary(
     names: Sequence[str], counts: tuple[int, ...], simplices: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Outward facets and their labels: side by side, along each in the order of the nodes. Those of
-    one cell, cut into ``simplices``, are moved along the side."""
+    """Return the outward facets (n, dim) and their labels (n,): side by side, along each in the
+    order of the nodes. Those of the cell at node 0, cut into ``simplices``, are moved along the
+    side."""
     dim = len(counts)
     strides = _strides(counts)
     facets = []
@@ -216,6 +220,7 @@ def _boundary(
         axis, end = BOX_SIDES[name]
         axis = min(axis, dim - 1)
         cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
+        # facets of the cell whose nodes all have the place ``end`` along the axis
         side_facets = _moved(
             every[(every // strides[axis] % (counts[axis] + 1) == end).all(axis=1)], cells
         )
@@ -226,7 +231,7 @@ def _boundary(
 
 
 def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
-    """One number of cells for each axis."""
+    """Return the number of cells along each axis."""
     several = not isinstance(divisions, str) and getattr(divisions, "shape", None) != ()
     numbers = (
         tuple(divisions) if several and isinstance(divisions, Iterable) else (divisions,) * dim

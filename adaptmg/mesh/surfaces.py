@@ -69,6 +69,7 @@ class Revolved:
     def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the signed distances (n,) of points from the surface, and their gradients (n,
         3)."""
+        # points in the half plane (r, z), ``outward`` is the direction of r
         offset = points - self.origin
         z = offset @ self.axis
         away = offset - z[:, None] * self.axis
@@ -105,7 +106,7 @@ class Revolved:
         0 where they graze it, or miss it."""
         far = np.zeros(len(points))
         hit = np.ones(len(points), dtype=bool)
-        for _ in range(_NEWTON):
+        for _ in range(_NEWTON):  # Newton's method for gap(point + far direction) = 0
             gaps, gradients = self.gaps(points + far[:, None] * directions)
             slopes = np.einsum("nd,nd->n", gradients, directions)
             hit &= np.abs(slopes) > _GRAZING
@@ -185,6 +186,7 @@ def nearest(
     # planes first: what lies on two is rather straight
     for k in sorted(range(len(surfaces)), key=lambda k: not surfaces[k].plane):
         surface = surfaces[k]
+        # the largest distance of a corner
         away = np.abs([surface.gaps(corner)[0] for corner in np.moveaxis(corners, 1, 0)]).max(
             axis=0
         )
@@ -248,6 +250,9 @@ def _cylinder(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
 
 
 def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
+    """Return the surface of revolution with some centred points and normals (n, 3), None if they
+    have no common axis."""
+    # (p x n, n) . (a, m) = 0 (module docstring): the vector of the least singular value
     *_, complexes = np.linalg.svd(np.hstack([np.cross(points, normals), normals]))
     axis = complexes[-1, :3]
     moment = complexes[-1, 3:]
@@ -257,6 +262,7 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
     axis = axis / length
     moment = moment / length
     origin = np.cross(axis, moment)
+    # points and normals in the half plane (r, z): constant normals mean a line, else a circle
     z = (points - origin) @ axis
     away = points - origin - np.outer(z, axis)
     r = np.linalg.norm(away, axis=1)
@@ -281,8 +287,8 @@ def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
 
 
 def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> list[Revolved]:
-    """Return the surface of each boundary of a mesh (called by the numbers of faces) that all its
-    nodes lie on."""
+    """Return for each boundary of a mesh (called by the numbers of faces) the first of the
+    candidates of its face that all its nodes lie on; Misplaced if there is none."""
     result = []
     for label, face in enumerate(mesh.boundaries):
         nodes = mesh.points[np.unique(mesh.facets[mesh.facet_labels == label])]
@@ -300,8 +306,8 @@ def surfaces_of(candidates: Sequence[Sequence[Revolved]], mesh: MeshArrays) -> l
 def settled(
     surfaces: Sequence[Revolved], points: np.ndarray, labels: np.ndarray, near: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (n, 3) put onto two surfaces (n, 2) each, within ``near``, and the numbers of
-    those that do not reach them."""
+    """Return points (n, 3) put onto two surfaces each, of which ``labels`` (n, 2) are the numbers,
+    within ``near``, and the rows of the points that do not reach them."""
     places = points.copy()
     rest = np.arange(len(points))
     for _ in range(_STEPS):
@@ -314,6 +320,7 @@ def settled(
         rest = rest[far]
         if not len(rest):
             break
+        # x - J^+ f (module docstring)
         places[rest] -= np.einsum(
             "nij,nj->ni", np.linalg.pinv(gradients[far], rcond=checks.SIX_DIGITS), gaps[far]
         )
@@ -329,6 +336,7 @@ def onto_surfaces(
     row, corner = np.nonzero(mesh.facets >= n_old)
     if not len(row):
         return mesh
+    # the lowest and the highest label at each new node: its surfaces, twice the same of only one
     pairs = np.unique(pair_keys(mesh.facets[row, corner], mesh.facet_labels[row], len(surfaces)))
     nodes, first, count = np.unique(pairs // len(surfaces), return_index=True, return_counts=True)
     labels = (pairs % len(surfaces))[np.stack([first, first + count - 1], axis=1)]

@@ -83,6 +83,7 @@ def triangulated(
     field = _beside_short_edges(domain, field)
     middle = 0.5 * (domain.lower + domain.upper)
     scale = 2.0 ** math.frexp((domain.upper - domain.lower).max())[1]
+    # lay nodes along the boundary; again with smaller sizes next to thin parts until there are none
     least = field
     for k in range(_PASSES):
         places, facets, labels, elements, across = _laid(
@@ -115,11 +116,13 @@ def _laid(
     scale: float,
     spread: bool,
 ) -> tuple[np.ndarray, ...]:
-    """Nodes along the edges, facets between them and their edges; triangles between nodes, and
-    their neighbours."""
+    """Lay nodes along the edges and triangulate them. Returns the nodes (n, 2), the facets (n, 2)
+    from each to the next, the edge that each facet is a part of, the triangles and their
+    neighbours; chords that the triangulation does not hold are halved first."""
     fractions = _spaced(domain, field, growth)
     for _ in range(_CUTS):
         laid = [edge.at(t) for edge, t in zip(domain.edges, fractions, strict=True)]
+        # the two faces of a crack have the same nodes, in opposite order
         for right, left in domain.twins.items():
             laid[right] = np.roll(laid[left][::-1], 1, axis=0)
         places = np.concatenate(laid)
@@ -165,8 +168,14 @@ def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndar
 def _thin_parts(
     places: np.ndarray, elements: np.ndarray, across: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find where nodes lie across the domain from edges far longer than it is thick: their feet
-    there, and fitting sizes."""
+    """Find where nodes lie across the domain from facets far longer than it is thick: feet (n, 2)
+    of the nodes on these facets, and fitting sizes (n,).
+
+                 c
+               . |  .
+             .   | height .         part = (foot - a) / (b - a)
+           a---foot---------b
+    """
     e, k = np.nonzero(across < 0)
     a, b, c = (places[elements[e, (k + i) % 3]] for i in (1, 2, 0))
     along = b - a
@@ -218,9 +227,11 @@ def _spaced(
     field: Callable[[np.ndarray], np.ndarray],
     growth: float | None,
 ) -> list[np.ndarray]:
-    """Fractions of each edge at which its nodes lie, its first end included."""
+    """Return the fractions of each edge at which its nodes lie, its first end (0) included: the
+    integral of ds / h from one to the next is the same, about 1."""
     edges = domain.edges
     lengths = domain.lengths
+    # intervals (``at``, fractions) are halved until each is shorter than the sizes at its ends
     at = [np.linspace(0.0, 1.0, _INTERVALS + 1)] * len(edges)
     for _ in range(MAX_BISECTIONS):
         sizes = np.split(
@@ -233,6 +244,7 @@ def _spaced(
             if isinstance(edge, Arc):
                 sizes[i] = np.minimum(sizes[i], _MAX_EDGE * edge.radius)
             if growth is not None:
+                # least size that another one along the edge, plus growth times distance, allows
                 slope = growth * length * t
                 sizes[i] = np.minimum(
                     np.minimum.accumulate(sizes[i] - slope) + slope,
@@ -249,6 +261,7 @@ def _spaced(
         raise unreachable(domain, np.concatenate(longs))
     fractions = []
     for t, h, length in zip(at, sizes, lengths, strict=True):
+        # the integral of ds / h up to each fraction, by the trapezoidal rule
         passed = np.append(0.0, np.cumsum(0.5 * length * np.diff(t) * (1 / h[1:] + 1 / h[:-1])))
         n = max(1, round(float(passed[-1])))
         fractions.append(np.interp(np.arange(n) * (passed[-1] / n), passed, t))
@@ -263,7 +276,8 @@ def _filled(
     field: Callable[[np.ndarray], np.ndarray],
     growth: float | None,
 ) -> tuple[np.ndarray, ...]:
-    """Nodes put into the triangles of a boundary, and the neighbours of these."""
+    """Put nodes into the triangles of a boundary until none is too large for the field. Returns all
+    nodes, the triangles and their neighbours."""
     points = places
     n = len(places)
     n_elements = len(elements)
@@ -352,13 +366,17 @@ def _limit(points, elements, sizes, growth):
 
 @inner_kernel
 def _next_place(points, elements, e, sizes, place):
-    """Write where a triangle gets a node; returns its circumradius."""
+    """Write into ``place`` where a triangle gets a node, and return its circumradius: on the
+    perpendicular through the middle of its shortest side a b, at the centre of the circle, but at
+    most sqrt(3) / 2 h high, where h is the size at that side: of a side of length h this makes an
+    equilateral triangle."""
     a = elements[e, 0]
     b = elements[e, 1]
     c = elements[e, 2]
     ab = (points[b, 0] - points[a, 0]) ** 2 + (points[b, 1] - points[a, 1]) ** 2
     bc = (points[c, 0] - points[b, 0]) ** 2 + (points[c, 1] - points[b, 1]) ** 2
     ca = (points[a, 0] - points[c, 0]) ** 2 + (points[a, 1] - points[c, 1]) ** 2
+    # a b becomes the shortest side
     if bc < ab and bc <= ca:
         a, b, c, ab = b, c, a, bc
     elif ca < ab:
@@ -380,8 +398,8 @@ def _next_place(points, elements, e, sizes, place):
 
 @inner_kernel
 def _is_free(points, elements, across, t, p, apart):
-    """Return whether node p in triangle t is so far from its corners, and not next to the
-    boundary."""
+    """Return whether node p in triangle t is at least ``apart`` from the corners of t, and not next
+    to a side of t that lies on the boundary."""
     x = points[p, 0]
     y = points[p, 1]
     for k in range(3):
@@ -399,7 +417,7 @@ def _is_free(points, elements, across, t, p, apart):
 
 @inner_kernel
 def _interpolated(points, elements, t, p, sizes):
-    """The size at node p in triangle t."""
+    """Return the size at node p in triangle t, by barycentric coordinates from its corners."""
     x = points[p, 0]
     y = points[p, 1]
     total = 0.0
@@ -415,8 +433,8 @@ def _interpolated(points, elements, t, p, sizes):
 
 @kernel
 def _look(points, sizes, elements, n_read, settled):
-    """Triangles with nodes from ``n_read`` on, whose sizes are new, are not ``settled``. Returns
-    the integral of the power -2 of the size."""
+    """Mark triangles with nodes from ``n_read`` on, whose sizes are new, as not ``settled``. Returns
+    the integral of size^-2 over all triangles: the number of squares of that size."""
     cells = 0.0
     for e in range(len(elements)):
         a = elements[e, 0]
