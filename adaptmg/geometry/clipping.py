@@ -112,6 +112,8 @@ def _cut(pieces, at, moved, kept, m, k):
 
 @inner_kernel
 def _add_moments(pieces, at, k, moments):
+    """Add the integrals of lambda_i lambda_j over a piece (module docstring; V is its fraction of the
+    fine element) to ``moments`` (k, k)."""
     scale = pieces[at, 0] / (k * (k + 1))
     for i in range(k):
         sum_i = 0.0
@@ -158,6 +160,7 @@ def keep_left(polygon, n, ax, ay, bx, by, out):
         if corners < room and (
             (side > 0.0 and side_last < 0.0) or (side < 0.0 and side_last > 0.0)
         ):
+            # the edge crosses the line
             t = side_last / (side_last - side)
             for c in range(2):
                 out[corners, c] = (1.0 - t) * polygon[last, c] + t * polygon[i, c]
@@ -172,7 +175,8 @@ def keep_left(polygon, n, ax, ay, bx, by, out):
 
 @kernel
 def clip(polygon, n, window, m, out, spare):
-    """Write the intersection of two polygons to ``out``."""
+    """Write the intersection of a polygon with n corners and a convex one (``window``) with m to
+    ``out``; returns its number of corners, 0 if it has no area. ``spare`` is scratch."""
     count = n
     for i in range(n):
         out[i, 0], out[i, 1] = polygon[i, 0], polygon[i, 1]
@@ -235,7 +239,11 @@ def separated(polygon, n, window, m, tolerance):
 
 @inner_kernel
 def _add_triangle(moments, polygon, i, j, k):
-    """Merge the moments of the triangle of three corners into ``moments`` (MOMENTS,)."""
+    """Merge the moments of the triangle of three corners into ``moments`` (MOMENTS,): area A,
+    centroid c and covariance S.
+
+    With the share s of the triangle of the whole area, and the difference d of the centroids: c + s
+    d and (1 - s) S + s S_triangle + s (1 - s) d d'."""
     area = 0.5 * _side(polygon, k, polygon[i, 0], polygon[i, 1], polygon[j, 0], polygon[j, 1])
     if not area > 0.0:
         return
@@ -281,6 +289,7 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
         moments[c] = 0.0
     depth = _push(polygon, n, 0, 0, stack, states, 0)
     while depth > 0:  # at most four pieces follow one, each with a later (blocker, edge)
+        # a triangle inside the first ``edge`` edges of blocker ``at``, and outside those before
         depth -= 1
         at = states[depth, 0]
         edge = states[depth, 1]
@@ -292,7 +301,7 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
             states[depth, 0] = at + 1
             depth += 1
             continue
-        if edge == 3:
+        if edge == 3:  # hidden
             continue
         end = edge + 1 if edge < 2 else 0
         ax = blocker[edge, 0]
@@ -307,7 +316,8 @@ def add_visible(polygon, n, blockers, hiding, n_hiding, tolerance, stack, states
 
 @inner_kernel
 def _push(polygon, n, at, edge, stack, states, depth):
-    """Put the triangles of a polygon with their state on the stack; returns its new depth."""
+    """Put the fan of triangles that makes a polygon on the stack, with their state; returns its new
+    depth."""
     for i in range(1, n - 1):
         for c in range(2):
             stack[depth, 0, c] = polygon[0, c]

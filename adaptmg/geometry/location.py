@@ -47,7 +47,8 @@ class SimplexLocator:
             raise ValueError(f"mesh: element {element} has no volume; remove degenerate elements")
 
     def locate(self, points: np.ndarray) -> Location:
-        """Find points."""
+        """Return where each of points (n, dim) lies in the mesh; of points outside the nearest
+        place. TypeError or ValueError for other arrays, or if a point is not finite."""
         queries = checks.real_array(points)
         if queries is None:
             raise TypeError(f"points must be real numbers, got {checks.shown(points)}")
@@ -109,7 +110,8 @@ def affine_maps(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 @inner_kernel
 def _coordinates(maps, e, x, y, z, dim):
-    """Weights of corners 1, 2 and 3 (2D: 0) of element ``e`` at a point, and of corner 0."""
+    """Return the weights of corners 1, 2 and 3 (2D: 0) of element ``e`` at a point, and that of
+    corner 0."""
     if dim == 2:
         x = x - maps[e, 0]
         y = y - maps[e, 1]
@@ -143,8 +145,8 @@ def _box_contains(boxes, node, x, y, z, dim):
 
 @inner_kernel
 def _holder(x, y, z, start, maps, boxes, dim, stack):
-    """The position of an element that contains a point and its leaf, -1 if there is none; leaf
-    ``start`` comes first, then its sibling, its parent's sibling, and so on up to the root."""
+    """Return the position of an element that contains a point and its leaf, -1 if there is none;
+    leaf ``start`` comes first, then its sibling, its parent's sibling, and so on up to the root."""
     n = len(maps)
     n_leaves = (len(boxes) + 1) // 2
     top = stack[0] = start
@@ -162,6 +164,7 @@ def _holder(x, y, z, start, maps, boxes, dim, stack):
             for s in range(first, last):
                 if _inside(maps, s, x, y, z, dim):
                     return s, node
+        # all below ``top`` was seen: its sibling is next, then both are below their parent
         if depth == 0 and top > 0:
             stack[0] = top + 1 if top % 2 == 1 else top - 1
             top = (top - 1) // 2
@@ -188,8 +191,8 @@ def locate(first, last, queries, sequence, maps, boxes, holder, weights):
 
 @inner_kernel
 def _take_clipped(maps, e, x, y, z, dim, q, weights):
-    """Row q of the weights, normalised; those that the rounding of coordinates explains are
-    zero."""
+    """Write row q of the weights of a point in element e, normalised; those so small that the
+    rounding of coordinates explains them become zero."""
     # a point on an edge of a small element has a weight of about eps |x| / h at the corner opposite
     steepest = 0.0
     for m in range(dim, dim + dim * dim):

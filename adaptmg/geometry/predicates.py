@@ -38,6 +38,7 @@ def turn(points, a, b, c):
 def in_circle(points, a, b, c, d):
     """Return a number that is positive where d lies inside the circle through a, b, c, zero on
     it."""
+    # (x, y) = b - a, (z, w) = c - a, (p, q) = b - d, (r, s) = c - d, in the formula above
     x = points[b, 0] - points[a, 0]
     y = points[b, 1] - points[a, 1]
     z = points[c, 0] - points[a, 0]
@@ -47,6 +48,7 @@ def in_circle(points, a, b, c, d):
     r = points[c, 0] - points[d, 0]
     s = points[c, 1] - points[d, 1]
     value = (p * s - q * r) * (x * z + y * w) - (x * w - y * z) * (p * r + q * s)
+    # rounding changes the value by less than a part of the sum of its absolute terms
     x = abs(x)
     y = abs(y)
     z = abs(z)
@@ -64,7 +66,7 @@ def in_circle(points, a, b, c, d):
 
 @inner_kernel
 def _sum(a, b):
-    """A sum, and its rounding error."""
+    """Return a sum, and its rounding error."""
     total = a + b
     part = total - a
     return total, (a - (total - part)) + (b - part)
@@ -72,7 +74,7 @@ def _sum(a, b):
 
 @inner_kernel
 def _product(a, b):
-    """A product, and its rounding error."""
+    """Return a product, and its rounding error."""
     u = 134217729.0 * a
     v = 134217729.0 * b
     product = a * b
@@ -85,6 +87,7 @@ def _product(a, b):
 def _add(terms, n, value):
     """Add a number to the sum of n terms, which do not overlap and ascend; returns how many they
     are then."""
+    # the rounding errors of the partial sums are the new terms
     m = 0
     for i in range(n):
         value, error = _sum(terms[i], value)
@@ -119,7 +122,8 @@ def _add_product(terms, n, factors, sign, work):
 
 @inner_kernel
 def _exact(points, a, b, c, d):
-    """The value of ``in_circle``, or for d < 0 of ``turn``, with the right sign."""
+    """Return the value of ``in_circle``, or for d < 0 of ``turn``, with the right sign: all products
+    in the formulas above are added up without error, each difference as a sum of two terms."""
     terms = np.empty(8 * _TERMS)
     work = np.empty((2, _TERMS))
     factors = np.empty((4, 2))
@@ -138,6 +142,8 @@ def _exact(points, a, b, c, d):
                 factors[0, t], factors[1, t] = sides[0, 0, k, t], sides[0, 1, 1 - k, t]
             n = _add_product(terms, n, factors[:2], sign, work)
             continue
+        # det(from d) dot(from a) - det(from a) dot(from d): component k of one side and 1 - k of
+        # the other make the determinant, components m of both the scalar product
         for m in range(2):
             for i in range(2):
                 for t in range(2):

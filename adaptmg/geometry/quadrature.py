@@ -69,7 +69,8 @@ def integration(
 
 
 def simplex_rule(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1."""
+    """Return the conical product Gauss-Jacobi rule (Stroud 1971) on a simplex of volume 1: the
+    barycentric coordinates (n^dim, dim + 1) of its points, and their weights (n^dim,)."""
     from scipy.special import roots_jacobi  # a first solve without it starts sooner
 
     shape = np.ones((1, 1))

@@ -35,7 +35,8 @@ def leaf_range(node, n_leaves, n_simplices):
 
 @kernel
 def _build(points, simplices, n_leaves, boxes):
-    """Boxes (2 n_leaves - 1, 2 dim): lower corner, upper corner; empty ones are inverted."""
+    """Write the boxes (2 n_leaves - 1, 2 dim) of all nodes of the tree, leaves first: lower corner,
+    upper corner; those of empty leaves are inverted."""
     n, k = simplices.shape
     dim = points.shape[1]
     for node in range(n_leaves - 1, 2 * n_leaves - 1):
@@ -171,6 +172,8 @@ def _nearest(queries, points, simplices, boxes, dim, found, weights, distances):
 
 @inner_kernel
 def _box_meets_turned(boxes, node, frame, origin, low, high):
+    """Return whether the extents of the box of a node along each row of ``frame``, its centre plus
+    and minus a radius, meet ``low`` to ``high`` (from ``origin``)."""
     dim = len(origin)
     for a in range(dim):
         centre = 0.0
@@ -185,6 +188,8 @@ def _box_meets_turned(boxes, node, frame, origin, low, high):
 
 @inner_kernel
 def _simplex_meets_turned(points, corners, frame, origin, low, high):
+    """Return whether the extents of a simplex along each row of ``frame`` meet ``low`` to ``high``
+    (from ``origin``)."""
     dim = len(origin)
     for a in range(dim):
         lowest = np.inf
@@ -337,7 +342,7 @@ def _dot_from(points, a, b, x, c):
 
 @inner_kernel
 def _on_segment(points, a, b, x):
-    """Weight of b in the point of the segment (a, b) closest to x."""
+    """Return the weight of b in the point of the segment (a, b) closest to x."""
     length = _dot_from(points, a, b, points[b], a)
     if length == 0.0:
         return 0.0
@@ -346,7 +351,9 @@ def _on_segment(points, a, b, x):
 
 @inner_kernel
 def _on_triangle(points, a, b, c, x):
-    """Weights of b and c in the point of the triangle (a, b, c) closest to x."""
+    """Return the weights of b and c in the point of the triangle (a, b, c) closest to x: tests in
+    turn whether that is a, b, on the edge a b, c, on a c, on b c, or inside (Ericson, with his
+    names)."""
     d1 = _dot_from(points, a, b, x, a)
     d2 = _dot_from(points, a, c, x, a)
     if d1 <= 0.0 and d2 <= 0.0:

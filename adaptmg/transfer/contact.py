@@ -129,7 +129,9 @@ def between_levels(
     fine_problem: DiscreteProblem,
     contact_rows: bool = True,
 ) -> LevelTransfer:
-    """Return prolongations between the discretisations of one problem on two meshes."""
+    """Return prolongations between the discretisations of one problem on two meshes: that of
+    ``transfer``, with other rows on crack faces and (``contact_rows``) on contact boundaries, and
+    from it the two forms for relative values (module docstring)."""
     on_lattices = between_lattices(coarse, fine) if type(transfer) is Interpolation else None
     nodal = _built(transfer, coarse, fine) if on_lattices is None else on_lattices
     contact = fine_problem.contact
@@ -137,6 +139,7 @@ def between_levels(
     if coupling is not None:
         _check_bodies(nodal, coarse, fine, transfer)
     slave_nodes = [contact.nodes[contact.boundary == k] for k in range(len(contact.names))]
+    # for each contact boundary its slave nodes, and their rows of interpolation along the coarse one;
     # on lattices interpolation is that along their sides: .84 of the time of a hierarchy of 1089 nodes
     slave_rows = (
         [_along(coarse, fine, *side) for side in zip(contact.names, slave_nodes, strict=True)]
@@ -157,11 +160,15 @@ def between_levels(
             if largest_entry((nodal[nodes] - rows).data) > CLIP:  # not on nested meshes
                 nodal = with_contact_rows(nodal, nodes, rows)
     relative = relative_prolongation(nodal, coupling, coarse_problem.coupling)
+    # the second form: slave rows over coarse slave nodes only; ``surface`` replaces rows one boundary
+    # after the other
     above = coarse_problem.contact
     surface = relative
-    # others are held: no coarse bound limits what they would pass to fine contact nodes
+    # coarse nodes that pass values to fine contact nodes without a master: contact nodes, whose
+    # bounds limit them, and held ones
     passes = np.array(coarse_problem.fixed.reshape(-1, coarse.dim).all(axis=1))
     passes[above.nodes] = True
+    # contact nodes that take over weights of tied nodes
     takes = np.diff(contact.taken_over.indptr) > 0
     for k, (nodes, rows) in enumerate(slave_rows):
         known = above.nodes[above.boundary == k]
@@ -199,8 +206,8 @@ def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str
 def _on_side(
     nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, face: str, other: str
 ) -> np.ndarray:
-    """Fine nodes on a face, and inner ones between it and the coarse one, of those that follow the
-    other coarse one."""
+    """Return the fine nodes on a face of a crack, and the inner ones between the fine and the
+    coarse face that the prolongation ``nodal`` lets follow the opposite coarse face."""
     near = np.flatnonzero(
         abs(nodal) @ np.isin(np.arange(coarse.n_nodes), coarse.boundary_nodes(other))
     )
@@ -220,6 +227,8 @@ def _on_side(
 
 
 def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array:
+    """Return the prolongation that a transfer builds; ValueError unless it is a sparse matrix of
+    the right shape with finite entries of about 1."""
     returned = transfer.build(coarse, fine)
     wanted = (fine.n_nodes, coarse.n_nodes)
     if sparse.issparse(returned) and returned.shape != wanted:
@@ -245,7 +254,8 @@ def _built(transfer: Transfer, coarse: MeshArrays, fine: MeshArrays) -> sparse.c
 def _check_bodies(
     nodal: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, transfer: Transfer
 ) -> None:
-    """No fine node may follow coarse nodes of a body that its own does not hang together with."""
+    """Raise ValueError if a fine node follows a coarse node of another body, unless coarse elements
+    of both bodies share nodes, directly or through other bodies."""
     body = np.repeat(coarse.element_body, coarse.elements.shape[1])
     incidence = sparse.csr_array(
         (np.ones(coarse.elements.size), (coarse.elements.ravel(), body)),
@@ -275,8 +285,8 @@ def _along(
 def _among(
     known: np.ndarray, rows: sparse.csr_array, points: np.ndarray, coarse_points: np.ndarray
 ) -> sparse.csr_array:
-    """Rows with sum 1 over the columns ``known`` alone: scaled, or 1 at the nearest; zero without
-    any."""
+    """Return the rows with entries in the columns ``known`` only and sums 1: scaled, or 1 at the
+    nearest of these coarse nodes where nothing is left; zero if there are none."""
     if not len(known):
         return sparse.csr_array(rows.shape)
     same_side = sparse.csr_array(
@@ -385,6 +395,7 @@ def restricted_problem(
             "contact=True needs prolongations of nodes (n_nodes, n_nodes coarse), got one of shape "
             f"{nodal.shape}: give those, or leave contact=False"
         )
+    # coarse contact nodes are all that fine ones follow
     contact = fine.contact
     rows = sparse.csr_array(nodal[contact.nodes], copy=True)
     rows.eliminate_zeros()

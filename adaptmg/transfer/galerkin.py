@@ -28,11 +28,11 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
 
 
 def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
-    """Return what :func:`galerkin_product` does, of matrices of the package's own."""
+    """Return P'AP as :func:`galerkin_product` does, of matrices that need no checks."""
     dim = matrix.blocksize[0]
     coarse = nodal.shape[1]
-    # products of scalars would drop entries that vanish, and truncation needs the whole pattern: a
-    # column of zeros more
+    # truncation needs the whole pattern, but products of blocks of size 1 drop entries that vanish:
+    # such blocks get a column of zeros more
     wide = max(dim, 2)
     prolongation = sparse.bsr_array(
         (nodal.data[:, None, None] * np.eye(dim, wide), nodal.indices, nodal.indptr),
@@ -46,7 +46,8 @@ def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.b
     diagonal = result.diagonal()
     empty = ~(diagonal > 0)
     if empty.any():
-        # in place: a sum would drop blocks that vanish
+        # dofs without stiffness get the mean diagonal of the others, in place: a sum would drop
+        # blocks that vanish
         node, component = np.nonzero(empty.reshape(-1, dim))
         on = np.flatnonzero(np.repeat(np.arange(coarse), np.diff(indptr)) == result.indices)
         result.data[on[node], component, component] = (
@@ -74,8 +75,8 @@ def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_
 def _with_diagonal_blocks(
     indptr: np.ndarray, indices: np.ndarray, data: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks (indptr, indices, data) of a square matrix with the missing diagonal ones added as
-    zeros."""
+    """Return the blocks (indptr, indices, data) of a square matrix with the missing diagonal ones
+    added as zeros, at the end of their rows."""
     n = len(indptr) - 1
     rows = np.repeat(np.arange(n), np.diff(indptr))
     has = np.zeros(n, dtype=bool)
@@ -106,7 +107,8 @@ def _prolongation(name: str, value: object) -> sparse.csr_array:
 def coarse_spaces(
     matrix: sparse.bsr_array, fixed: np.ndarray, prolongations: Sequence[sparse.csr_array]
 ) -> tuple[list[sparse.csr_array], list[sparse.bsr_array]]:
-    """Check prolongations against a matrix and form the Galerkin matrices."""
+    """Check prolongations, coarse to fine, against the matrix of the finest level, and form the
+    Galerkin matrices of all coarser levels; returns both, coarse to fine."""
     listed = checks.listed("prolongations", prolongations, "scipy sparse matrices, coarse to fine")
     checked = [_prolongation(f"prolongations[{k}]", P) for k, P in enumerate(listed)]
     if not checked:
@@ -124,6 +126,7 @@ def coarse_spaces(
         current = sparse.bsr_array(sparse.csr_array(current), blocksize=(1, 1))
     matrices: list[sparse.bsr_array] = []
     rows = checked[-1].shape[0]
+    # from fine to coarse; each product takes P without nodes that the next finer one does not use
     finer = None
     for k in range(len(checked) - 1, -1, -1):
         P = checked[k]
@@ -152,7 +155,7 @@ def without_fixed(
     free = (~checked_mask("fixed", fixed, matrix.shape[0])).astype(np.float64).reshape(-1, dim)
     held: np.ndarray = ~np.all(free, axis=1)
     rows = np.repeat(np.arange(len(free)), np.diff(matrix.indptr))
-    # few blocks are touched
+    # change only the blocks in rows and columns of held nodes, which are few
     at = np.flatnonzero(held[rows] | held[matrix.indices])
     row = rows[at]
     column = matrix.indices[at]

@@ -256,8 +256,11 @@ def dropped(matrix: sparse.csr_array, tolerance: float) -> sparse.csr_array:
 def _with_moments(
     matrix: sparse.csr_array, coarse: MeshArrays, fine: MeshArrays, moments: np.ndarray
 ) -> tuple[sparse.csr_array, np.ndarray]:
-    """The matrix with other sums and moments of its rows, and whether each row has reached them; no
-    row is empty."""
+    """Return the matrix with the wanted ``moments`` (n_fine, 1 + dim) of its rows, and a mask of the
+    rows that have reached them; no row is empty.
+
+    With q_k = (1, x_k - x_i), the distances scaled to about 1, row P_i changes least so that its sum
+    over k of P_ik q_k is the wanted one: by q_k . m with (sum_k q_k q_k') m = what is missing."""
     row = np.repeat(np.arange(fine.n_nodes), np.diff(matrix.indptr))
     starts = matrix.indptr[:-1]
     apart = coarse.points[matrix.indices] - fine.points[row]
@@ -287,8 +290,8 @@ def clipped_rows(
     tolerance: float = CLIP,
     moments: np.ndarray | None = None,
 ) -> tuple[sparse.csr_array, np.ndarray]:
-    """Drop small entries, and restore row sums 1 and first moments; return also which rows have
-    reached them."""
+    """Drop small entries, and restore row sums 1 and first moments (n_fine, 1 + dim), by default
+    those before; return also which rows have reached them."""
     if moments is None:
         centre = coarse.points.mean(axis=0)  # far from the origin the differences would lose digits
         moments = matrix @ np.column_stack([np.ones(coarse.n_nodes), coarse.points - centre])

@@ -128,7 +128,8 @@ class QuasiInterpolation(_Projection):
 
 
 def _patch_coefficients(fine: MeshArrays, node: np.ndarray, element: np.ndarray) -> np.ndarray:
-    """c_i . q(x_k) at the corners k of every element of the patch of i (n_incidences, dim + 1)."""
+    """Return c_i . q(x_k) of :class:`QuasiInterpolation` at the corners k of each element of the
+    patch of each node i: (n_incidences, dim + 1); ``node``, ``element``: the incidences, by nodes."""
     k = fine.dim + 1
     first = np.searchsorted(node, np.arange(fine.n_nodes))
     relative = fine.points[fine.elements[element]] - fine.points[node][:, None, :]
@@ -180,12 +181,14 @@ class L2(_Projection):
         moments = _chebyshev(mass, rhs @ affine, fine.dim, 1e-16, 0.0)
         moments[:, 1:] -= (fine.points - centre) * moments[:, :1]
         moments /= moments[:, :1]
+        # iterates lose entries below a hundredth of what is dropped from the rows in the end
         inner = 0.01 * _DROP
         rows = _chebyshev(mass, rhs, fine.dim, inner, inner)
         rows.sort_indices()
         result, reached = interpolation.clipped_rows(
             rows, coarse, fine, tolerance=_DROP, moments=moments
         )
+        # rows that cannot have their moments any more are replaced by those of the local projection
         missed = np.flatnonzero(~reached)
         return (
             with_contact_rows(result, missed, PseudoL2()._rows(integrals)[missed])
@@ -206,6 +209,7 @@ def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
 def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, drop: float) -> Rows:
     """Solve M X = B to ``tolerance`` relative in the norm of M; sparse iterates lose entries below
     ``drop``."""
+    # D^-1 M has its eigenvalues between these two on any mesh (D: the diagonal)
     inverse = sparse.diags_array(1.0 / mass.diagonal()).tocsr()
     low = 0.5
     high = (dim + 2) / 2
@@ -254,9 +258,10 @@ class MixedMass:
         return self.fine.elements.ravel()[order], order // k, order % k
 
     def assemble(self, coefficients: np.ndarray) -> sparse.csr_array:
-        """Sum over patches: the product of the coefficients and the integrals, whose rows are
-        corners of elements."""
-        k, (nodes, elements, _) = self.fine.dim + 1, self.patches
+        """Return the sums over patches (n_fine, n_coarse) of the module docstring: the coefficients
+        a_iek (node i, corner k of element e) times the integrals B_kj of each e."""
+        k = self.fine.dim + 1
+        nodes, elements, _ = self.patches
         rows = k * len(self.fine.elements)
         corners = k * self.elements[:, None] + np.arange(k)
         integrals = sparse.csr_array(
@@ -317,8 +322,8 @@ def overlaps(coarse: MeshArrays, fine: MeshArrays, density: np.ndarray) -> spars
 def _body_entries(
     locator: interpolation.PointLocator, fine: MeshArrays, elements: np.ndarray
 ) -> list[tuple[np.ndarray, ...]]:
-    """Entries (element, coarse node, values) of clipped elements, then of those that need
-    quadrature."""
+    """Return the entries (fine element, coarse node, integrals with the fine shape functions) of the
+    fine elements that the coarse mesh covers, by clipping, and those of the others, by quadrature."""
     k = fine.dim + 1
     covered = np.empty(len(elements))
     fine_points = padded(fine.points)
@@ -350,6 +355,7 @@ def _body_entries(
         )
         if done == len(elements):
             break
+        # the tables are full: go on with tables twice as long
         element = np.concatenate([element, np.empty_like(element)])
         columns = np.concatenate([columns, np.empty_like(columns)])
         values = np.concatenate([values, np.empty_like(values)])
@@ -468,7 +474,9 @@ def _apart(points, corners, maps, e, mu):
 
 @inner_kernel
 def _add_entries(coarse_corners, mu, moments, marker, count, columns, values):
-    """Add the integrals of lambda_i mu_m = sum_v lambda_i lambda_v mu_m(v)."""
+    """Add the integrals of lambda_i mu_m = sum_v lambda_i lambda_v mu_m(v) to the row of ``values``
+    of each coarse corner m; ``marker`` has the row of a coarse node, -1 if it has none. Returns the
+    number of rows."""
     k = len(coarse_corners)
     for m in range(k):
         column = coarse_corners[m]
