@@ -88,6 +88,7 @@ def mesh(mesh: MeshArrays, path: str | os.PathLike[str], *, unit: float = 1.0) -
 
 
 def _gmsh(mesh: MeshArrays, points: np.ndarray) -> bytes:
+    """Return a mesh as a file of Gmsh, with the points in the unit of the file."""
     import meshio
 
     dim = mesh.dim
@@ -112,6 +113,7 @@ def _gmsh(mesh: MeshArrays, points: np.ndarray) -> bytes:
 
 
 def _deck(mesh: MeshArrays, points: np.ndarray) -> bytes:
+    """Return a mesh as a deck, with the points in the unit of the file."""
     out = io.StringIO()
     kind, numbers = _ELEMENTS[mesh.dim]
 
@@ -127,6 +129,7 @@ def _deck(mesh: MeshArrays, points: np.ndarray) -> bytes:
         elements = np.flatnonzero(mesh.element_body == k)
         out.write(f"*ELEMENT, TYPE={kind}, ELSET={body}\n")
         rows(np.column_stack([elements, mesh.elements[elements]]) + 1)
+    # a surface is given by elements and the numbers of their facets
     keys = facet_keys(element_facets(mesh.elements).reshape(-1, mesh.dim), mesh.n_nodes)
     order = np.argsort(keys)
     at = order[np.searchsorted(keys[order], facet_keys(mesh.facets, mesh.n_nodes))]
@@ -236,6 +239,7 @@ def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
 
 
 def _write(result: Result, path: Path) -> None:
+    """Write the fields of a result to a file of VTK; vectors get three components."""
     import meshio
 
     mesh = need_mesh(checks.instance("result", result, Result))
@@ -259,6 +263,7 @@ def _write(result: Result, path: Path) -> None:
 
 
 def _contact_data(result: Result) -> dict[str, np.ndarray]:
+    """Return the contact fields at all nodes, 0 (codes -1) at nodes without contact."""
     contact = result.contact
     n = len(result.displacement)
 

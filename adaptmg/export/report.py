@@ -485,6 +485,7 @@ def study_report(
     page = Report(str(table.attrs.get("study") or "Study"), f"{counted}. {summary}".strip())
 
     def add(frame: pd.DataFrame, caption: str, csv: str, open: bool = False) -> None:
+        # a table, with long texts cut short
         frame = frame.copy()
         for name in frame.select_dtypes(exclude="number"):
             frame[name] = pd.Series(

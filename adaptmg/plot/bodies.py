@@ -247,8 +247,8 @@ def _names(mesh: MeshArrays, bodies: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def _automatic_factor(result: Result) -> float:
-    """A round factor that draws the largest displacement as about 5 % of the size, and bodies
-    hardly over each other; 1 if nothing moves."""
+    """Return a round factor that draws the largest displacement as about 5 % of the size, and
+    bodies hardly over each other; 1 if nothing moves."""
     size = style.bounds(need_mesh(result).points)[2]
     largest = float(np.linalg.norm(result.displacement, axis=1).max())
     if not largest > 1e-12 * size:
@@ -275,6 +275,8 @@ class Coloring(NamedTuple):
 
 
 def _coloring(result: Result, shown: Sequence[str]) -> Coloring | list[str]:
+    """Return the values and the scale of the quantity shown, the colours of the bodies if there is
+    none; ValueError for several."""
     if len(shown) > 1:
         raise ValueError(f"{' and '.join(shown)} cannot both be the colours: draw two pictures")
     if "stress" in shown:
@@ -431,7 +433,7 @@ def _fill(
     colors: Coloring | Sequence[str],
     lines: bool,
 ) -> None:
-    """Fill triangles, and draw their edges."""
+    """Fill the elements ``shown`` (numbers) of a plane mesh, and draw their edges if ``lines``."""
     valued = isinstance(colors, Coloring)
     elements = mesh.elements[shown]
     # edges as wide as a pixel in the colour of their triangle close the seams between triangles

@@ -107,6 +107,7 @@ def contact(
 
 
 def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
+    """Draw pressure, friction, gap and slip along a plane contact boundary, on three axes."""
     c = result.contact
     lines = [line.around(c.state[line.index] != OPEN) for line in lines_of(result, name)]
     nodes = np.concatenate([line.index for line in lines])
@@ -176,6 +177,8 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
 
 
 def _draw_surface(result: Result, name: str, axes: Sequence[Axes]) -> None:
+    """Draw maps of pressure, friction, gap and states on a contact boundary in space, on four
+    axes."""
     c = result.contact
     flat = flattened(result, name)
     at = flat.index
@@ -217,7 +220,8 @@ class Flat:
 
 
 def flattened(result: Result, boundary: str) -> Flat:
-    """Return the contact nodes of a boundary in the plane."""
+    """Return the contact nodes of a boundary in space laid into the plane: seen along its mean
+    normal, or, if it runs around an axis, unrolled."""
     c = result.contact
     index = np.flatnonzero(c.boundary == c.names.index(boundary))
     x = c.x[index]
@@ -237,7 +241,7 @@ def flattened(result: Result, boundary: str) -> Flat:
         axis = np.linalg.svd(normals, full_matrices=False)[2][2]
         frame, names = _frame(axis * np.sign(axis[np.argmax(np.abs(axis))]))
         angle = np.degrees(np.arctan2(*(normals @ frame[:, :2]).T[::-1]))
-        # triangles across the seam would cover the rest
+        # the angle jumps from 180 to -180 degrees at a seam: triangles across the seam would cover the rest
         triangles = triangles[np.ptp(angle[triangles], axis=1) < 180.0]
         return Flat(
             index,
@@ -253,8 +257,8 @@ def flattened(result: Result, boundary: str) -> Flat:
 
 
 def _frame(normal: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Two directions across a unit normal, near Cartesian axes, and the normal (3, 3), and the
-    names of all three."""
+    """Return two directions across a unit normal, near Cartesian axes, and the normal (the columns
+    of a (3, 3) array), and the names of all three."""
     order = np.argsort(np.abs(normal), kind="stable")
     near = np.sort(order[:2])
     first = np.eye(3)[near[0]] - normal[near[0]] * normal
@@ -316,7 +320,8 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
 def _parts(
     mesh: MeshArrays, contact: ContactResult, boundary: str, index: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Contact nodes of each part, with arc lengths along the whole boundary."""
+    """Return the contact nodes of each connected part, in order, with the arc lengths there along
+    the whole boundary."""
     points = mesh.points
     place = np.full(mesh.n_nodes, -1)
     place[contact.node[index]] = index
@@ -326,6 +331,7 @@ def _parts(
         lengths = np.linalg.norm(np.diff(points[line], axis=0), axis=1)
         arc = begin + np.concatenate([[0.0], np.cumsum(lengths)])
         begin = arc[-1]
+        # runs of contact nodes that follow each other on the line
         covered = np.flatnonzero(place[line] >= 0)
         parts += [
             (place[line[run]], arc[run])
@@ -507,6 +513,8 @@ def load_history(
 
 
 def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result], np.ndarray]:
+    """Return results and factors; TypeError or ValueError unless there are as many, all on the same
+    mesh."""
     results = list(checks.listed("results", results, "Result, one a load step"))
     if not results or not all(isinstance(r, Result) for r in results):
         raise TypeError("results must be a sequence of at least one Result, one a load step")
@@ -549,6 +557,7 @@ def _evaluate(
 def _draw_curve(
     ax: Axes, factors: np.ndarray, values: np.ndarray, label: str, against: str
 ) -> None:
+    """Draw a quantity against the load factors, with an arrow on each branch if these turn."""
     ax.plot(factors, values, marker="o" if len(factors) <= 60 else "", color=style.cycled(0))
     turns = np.flatnonzero(np.diff(np.sign(np.diff(factors))) != 0) + 1
     if len(turns):

@@ -108,8 +108,8 @@ def history(
 
 
 def _chosen(runs: Mapping[str, Result], several: bool) -> list[str]:
-    """The quantities that every run recorded with at least one finite positive value; of several
-    runs the first."""
+    """Return the quantities that every run recorded with at least one finite positive value; of
+    several runs the first such quantity only."""
 
     def recorded(result: Result, name: str) -> bool:
         values = np.asarray(result.history.get(name, ()), dtype=float)
@@ -155,6 +155,7 @@ def path(result: Result, ax: Axes | None = None, *, steps: int = 120) -> Figure:
     ax = style.canvas(
         ax, (min(11.0, 3.4 + 0.1 * len(entries[:steps])), 1.1 + 0.62 * max(levels, 2))
     )
+    # the line goes on from (at, height); two actions on one level are drawn next to each other
     at = 0.0
     height = entries[0][0]
     before = "restrict"

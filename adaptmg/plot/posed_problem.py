@@ -92,7 +92,7 @@ def problem(
 
 
 def _coarse_mesh(posed: ContactProblem) -> MeshArrays:
-    """A mesh that shows the shape: edges of a fraction of the extent of each body."""
+    """Return a mesh that shows the shape: its edges are a fraction of the extent of each body."""
     from adaptmg.mesh import graded, step_table
 
     domain = meshed_domain(posed)
@@ -110,6 +110,7 @@ def _coarse_mesh(posed: ContactProblem) -> MeshArrays:
 
 
 def _draw(posed: ContactProblem, mesh: MeshArrays, ax: Axes) -> None:
+    """Draw a problem on a mesh, with arrows for loads and a legend."""
     extent = float(np.max(np.ptp(mesh.points, axis=0)))
     loadings = _surface_loadings(posed, mesh, extent)
     arrows = _arrows([(at.points, at.normals, at.tractions) for at in loadings], extent / 6)
@@ -341,8 +342,9 @@ def _name_faces(posed: ContactProblem, mesh: MeshArrays, ax: Axes3D, loaded: lis
 
 
 def _strokes(tails: np.ndarray, arrows: np.ndarray) -> list[np.ndarray]:
-    """Shafts and the four strokes of each head as segments (n, 2, 3)."""
+    """Return the shafts of arrows (n, 3) and the four strokes of each head as segments (n, 2, 3)."""
     tips = tails + arrows
+    # two directions across each arrow, as long as it: from the axis that it has least of
     first = np.zeros_like(arrows)
     first[np.arange(len(arrows)), np.argmin(np.abs(arrows), axis=1)] = 1.0
     second = np.cross(arrows, first)
@@ -373,8 +375,8 @@ def _arrows(loadings: list[_Vectors], reach: float) -> list[_Arrows]:
 
 
 def _uses(posed: ContactProblem) -> list[tuple[str, str, str]]:
-    """Boundary, colour and text of supports and contacts; later ones are painted over earlier
-    ones."""
+    """Return boundary, colour and text of supports, ties and contacts; later ones are painted over
+    earlier ones."""
     uses = [
         (
             support.place,
@@ -518,7 +520,7 @@ def _surface_text(load: SurfaceLoad, traction: np.ndarray) -> str:
 
 
 def _volume_text(load: loads.BodyForce | loads.InitialStrain | loads.Preload, axes: str) -> str:
-    """The load in a body: 'body force (0, 3) kN/m³ in 'rod''."""
+    """Return the load in a body as text: 'body force (0, 3) kN/m³ in 'rod''."""
     where = "" if load.body is None else f" in {style.quoted(load.body)}"
     if isinstance(load, loads.Preload):
         return f"preload {_value(load.force, 'N')}{where}"

@@ -94,6 +94,7 @@ class ShadedSurface(Artist):
         """Return the picture in the present view, and the pixel of its lower left corner."""
         figure = figure_of(solid_axes(self.axes))
         point = figure.dpi / 72
+        # drawn with _FINER times as many pixels along each side, then averaged
         finer = _FINER * magnification
         corners = self._project(self.corners)
         lines = [self._project(line.ends) for line in self.lines]
@@ -139,7 +140,7 @@ class ShadedSurface(Artist):
         return flat.reshape(points.shape)
 
     def _shaded(self) -> np.ndarray:
-        """Colours (n, 3, 3) darkened where the triangle turns from the light."""
+        """Return the colours (n, 3, 3) darkened where the triangle turns from the light."""
         normals = normals_of(self.corners)
         axes = solid_axes(self.axes)
         towards = viewer(axes.elev, axes.azim)
@@ -166,6 +167,7 @@ def raster_triangles(corners, colors, ink, width, image, depth):
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
         if abs(area) < 1e-12:
             continue
+        # lengths of the sides opposite each corner
         l0 = ((x2 - x1) ** 2 + (y2 - y1) ** 2) ** 0.5
         l1 = ((x0 - x2) ** 2 + (y0 - y2) ** 2) ** 0.5
         l2 = ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5
@@ -177,6 +179,7 @@ def raster_triangles(corners, colors, ink, width, image, depth):
             y = i + 0.5
             for j in range(first_column, last_column + 1):
                 x = j + 0.5
+                # barycentric coordinates of the middle of the pixel
                 w0 = ((x1 - x) * (y2 - y) - (x2 - x) * (y1 - y)) / area
                 w1 = ((x2 - x) * (y0 - y) - (x0 - x) * (y2 - y)) / area
                 w2 = 1.0 - w0 - w1
@@ -186,6 +189,7 @@ def raster_triangles(corners, colors, ink, width, image, depth):
                 if z >= depth[i, j]:
                     continue
                 depth[i, j] = z
+                # the distance from side k is w_k times the height over it, |area| / l_k
                 near = min(w0 * abs(area) / l0, w1 * abs(area) / l1, w2 * abs(area) / l2)
                 edge = near < 0.5 * width
                 for k in range(3):
@@ -200,8 +204,8 @@ def raster_triangles(corners, colors, ink, width, image, depth):
 
 @kernel
 def raster_segments(ends, ink, width, bias, image, depth):
-    """Draw the visible parts of segments (n, 2, 3); what lies nearer by at most ``bias`` does not
-    hide them."""
+    """Draw the visible parts of segments (n, 2, 3) as discs of ``width`` pixels, two for each pixel
+    of length; what lies nearer by at most ``bias`` does not hide them."""
     rows, columns = depth.shape
     reach = int(0.5 * width + 1.0)
     for s in range(len(ends)):

@@ -374,7 +374,8 @@ class _Runs:
         self._numbers = itertools.count()
         self._points = points
         self._open = True
-        self._out: dict[str, _Run] = {}
+        self._out: dict[str, _Run] = {}  # runs that were sent, by their names
+        # names of runs that ended, and their outcomes
         self._back: queue.SimpleQueue[tuple[str, Finished | BaseException]] = queue.SimpleQueue()
         self._large: set[str] = set()  # workers that held too much memory
         self._seen = time.monotonic()  # when there was a worker
@@ -404,6 +405,7 @@ class _Runs:
                 self._client.unsubscribe_topic(self._name)
 
     def _send(self) -> None:
+        """Send a run to each worker that has none, as long as there are points."""
         slots = self._slots()
         while len(self._out) < slots:
             point = next(self._points, _END)

@@ -286,6 +286,8 @@ class Store:
         parts: dict[str, str] | None,
         contents: Sequence[dict[str, Packed]],
     ) -> None:
+        """Store runs in place of older ones with the same parameters, with their packed results
+        (``contents``, one for each or none at all), and end the claims on them."""
         keys = [(study, canonical(record.parameters)) for record in records]
         rows = [json.dumps({name: getattr(record, name) for name in _FIELDS}) for record in records]
         kept_rows = [

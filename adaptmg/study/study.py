@@ -357,6 +357,7 @@ class Study:
         try:
             with _shown(watch, progress) as show:
                 for number, batch in enumerate(runs):
+                    # results of a wrong form among the first ones end the study
                     for refused in (outcome for outcome in batch if outcome.refused and not number):
                         raise ValueError(
                             f"the run function of study {self.name} cannot be used: "
@@ -417,7 +418,7 @@ class Study:
                         held.append(item)
                     elif self._store.one(self.name, key) == stored:
                         yield point
-                    else:
+                    else:  # computed by another one since the list was made
                         self._store.release(owner, key)
                 # a claim takes a write to the disk: several runs at a time where they are short
                 count = min(2 * count, 64) if time.perf_counter() - begin < _AHEAD_S else 1
@@ -497,7 +498,7 @@ def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
             f"{cost!r}{checks.suggestion(cost, named)}"
         )
 
-    def of(item: tuple[str, Stored]) -> float:
+    def cost_of(item: tuple[str, Stored]) -> float:
         point, record = item[1]
         if callable(cost):
             return checks.number("cost", cost(dict(point)))
@@ -511,7 +512,7 @@ def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
             float(value) if isinstance(value, int | float) and not math.isnan(value) else math.inf
         )
 
-    return dict(sorted(todo.items(), key=of, reverse=True))
+    return dict(sorted(todo.items(), key=cost_of, reverse=True))
 
 
 class Watch:

@@ -149,6 +149,7 @@ def cells(
 
 
 def _cell(value: object, spec: str | None) -> str:
+    """Return a value as text, numbers in a format; "-" for None and NaN."""
     if (
         value is None
         or type(value).__name__ == "NAType"
