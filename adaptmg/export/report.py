@@ -187,7 +187,7 @@ def picture_of(figure: Figure | Picture, caption: str) -> Picture:
 
 
 def _svg(figure: Figure) -> bytes:
-    """A figure as SVG, the same bytes in each run."""
+    """Return a figure as SVG, the same bytes in each run."""
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "adaptmg"}):
         figure.savefig(
@@ -220,7 +220,7 @@ def _paragraphs(text: str) -> list[str]:
 
 
 def _hash(script: str) -> str:
-    """The hash of a script by which the page's policy knows it."""
+    """Return the hash of a script by which the page's policy knows it."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
@@ -628,7 +628,7 @@ def _scale(ax: Axes, name: str, values: pd.Series) -> None:
 
 
 def _name(value: str) -> str:
-    """A value as a short name in the drawing."""
+    """Return a value as a short name in the drawing."""
     return plain(value if len(value) <= 24 else f"{value[:22]} …")
 
 

@@ -123,7 +123,7 @@ def _simplex_meets(points, corners, box, dim):
 
 @kernel
 def _box_distance(boxes, node, x, dim):
-    """Squared distance of ``x`` from the box of ``node``; infinite for an empty box."""
+    """Return the squared distance of ``x`` from the box of ``node``; infinite for an empty box."""
     total = 0.0
     for c in range(dim):
         outside = max(max(boxes[node, c] - x[c], x[c] - boxes[node, dim + c]), 0.0)
@@ -333,7 +333,7 @@ def morton_order(points: np.ndarray) -> np.ndarray:
 
 @inner_kernel
 def _dot_from(points, a, b, x, c):
-    """(x_b - x_a) . (x - x_c)."""
+    """Return (x_b - x_a) . (x - x_c)."""
     total = 0.0
     for m in range(3):
         total += (points[b, m] - points[a, m]) * (x[m] - points[c, m])

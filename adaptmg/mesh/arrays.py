@@ -681,7 +681,7 @@ def normalised(
 
 
 def _merged(index: np.ndarray, names: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
-    """The distinct names that are used, in their order, and the index into them."""
+    """Return the distinct names that are used, in their order, and the index into them."""
     used: list[int] = np.unique(index).tolist()
     distinct = tuple(dict.fromkeys(names[i] for i in used))
     new = np.array([distinct.index(name) if name in distinct else -1 for name in names])

@@ -370,7 +370,7 @@ def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArra
 
 @inner_kernel
 def _midpoint_of(nodes, a, b):
-    """The node that halves the edge (a, b), -1 if it is not halved."""
+    """Return the node that halves the edge (a, b), -1 if it is not halved."""
     low, high = (a, b) if a < b else (b, a)
     p = nodes[high, _HEAD]
     while p >= 0 and nodes[p, _LOW] != low:  # what follows in a list was entered before
@@ -422,6 +422,7 @@ def _write_children(cells, e, n, corners, p, orders, new_mark, old):
             k = orders[child, mark, j]
             cells[row, j] = p if k == 1 - child else old[k]
             cells[row, corners + j] = -1 if k == child else old[corners + k]
+        # marks (that of the new face in a table, of the cut ones 0), generation, origin
         marked = new_mark[child, mark] if plane and flagged else 0
         cells[row, 2 * corners] = marked + (_FLAG if plane and not flagged else 0)
         cells[row, 2 * corners + 1] = old[2 * corners + 1] + 1

@@ -154,7 +154,7 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
 
 
 def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
-    """The cells of which a part is flat, or lies the other way than the whole."""
+    """Return the cells of which a part is flat, or lies the other way than the whole."""
     sizes = signed_measures(points, cells)
     whole = np.bincount(owner, sizes, minlength=n)
     return np.unique(owner[sizes * np.sign(whole[owner]) <= checks.ALIKE * np.abs(whole[owner])])
@@ -163,7 +163,7 @@ def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: in
 def _pieces(
     n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequence[str] | None
 ) -> np.ndarray:
-    """The number of the piece of each element, in the order of their first elements."""
+    """Return the number of the piece of each element, in the order of their first elements."""
     label = np.zeros(n, dtype=np.int64)
     for k, name in enumerate(name for name in sets if bodies is None or name in bodies):
         label[sets[name]] = k + 1
@@ -206,7 +206,7 @@ def _names(
 
 
 def _some(names: Sequence[str]) -> str:
-    """Names for a note."""
+    """Return names for a note."""
     return ", ".join(names[:6]) + (f", ... ({len(names)})" if len(names) > 6 else "")
 
 
@@ -222,36 +222,11 @@ def _labelled(
     """Return the facets (m, dim) that have names, on the boundary and between bodies that are
     split; their labels (m,), from 1 on; names, notes, and notes of facets that no element has."""
     # facets that may have names; ``facets_of`` holds rows of these for each name
-    dim = table.facets.shape[1]
     rim = (table.counts == 1) | (split & (parts[table.first] != parts[table.second]))
     keys = table.keys[rim]
     facets = table.facets[rim]
-    facets_of: dict[str, np.ndarray] = {}
-    notes: list[str] = []
-    strange: list[str] = []
-    # sets of faces
-    for name, members in contents.sets.items():
-        faces = [
-            (kind, nodes[rows])
-            for (kind, nodes), rows in ((contents.cells[k], rows) for k, rows in members)
-            if dimension(kind) == dim - 1 and len(rows)
-        ]
-        if faces:
-            set_facets = np.concatenate([simplices(kind, nodes)[0] for kind, nodes in faces])
-            own_keys = facet_keys(set_facets, n)
-            facets_of[name] = np.flatnonzero(np.isin(keys, own_keys))
-            lost = np.count_nonzero(~np.isin(own_keys, table.keys))
-            if lost:
-                strange.append(
-                    f"{name!r}: {lost} of {len(set_facets)} facets are facets of no element, and are dropped"
-                )
-            inner = np.count_nonzero(~np.isin(own_keys, keys)) - lost
-            if inner:
-                notes.append(
-                    f"{name!r}: {inner} of {len(set_facets)} facets lie inside and are dropped; "
-                    "split_bodies=True makes boundaries of those between bodies"
-                )
-    # sets of nodes: of facets that have all their nodes in the set
+    facets_of, notes, strange = _of_face_sets(n, table, keys, contents)
+    # a set of nodes names the facets that have all their nodes in it
     first = contents.surfaces.union(facets_of)
     between = _between(contents) if contents.node_sets else []
     at_rim = np.zeros(n, dtype=bool)
@@ -297,6 +272,39 @@ def _labelled(
     return facets[label > 0], label[label > 0], names, notes, strange
 
 
+def _of_face_sets(
+    n: int, table: FacetTable, keys: np.ndarray, contents: Contents
+) -> tuple[dict[str, np.ndarray], list[str], list[str]]:
+    """Return for each set of faces which facets, of those with some ``keys``, it names; notes, and
+    notes of facets that no element has."""
+    dim = table.facets.shape[1]
+    facets_of: dict[str, np.ndarray] = {}
+    notes: list[str] = []
+    strange: list[str] = []
+    for name, members in contents.sets.items():
+        faces = [
+            (kind, nodes[rows])
+            for (kind, nodes), rows in ((contents.cells[k], rows) for k, rows in members)
+            if dimension(kind) == dim - 1 and len(rows)
+        ]
+        if faces:
+            set_facets = np.concatenate([simplices(kind, nodes)[0] for kind, nodes in faces])
+            set_keys = facet_keys(set_facets, n)
+            facets_of[name] = np.flatnonzero(np.isin(keys, set_keys))
+            lost = np.count_nonzero(~np.isin(set_keys, table.keys))
+            if lost:
+                strange.append(
+                    f"{name!r}: {lost} of {len(set_facets)} facets are facets of no element, and are dropped"
+                )
+            inner = np.count_nonzero(~np.isin(set_keys, keys)) - lost
+            if inner:
+                notes.append(
+                    f"{name!r}: {inner} of {len(set_facets)} facets lie inside and are dropped; "
+                    "split_bodies=True makes boundaries of those between bodies"
+                )
+    return facets_of, notes, strange
+
+
 def _is_volume(
     inside: np.ndarray, elements: np.ndarray, at_rim: np.ndarray, parts: np.ndarray
 ) -> bool:
@@ -314,7 +322,7 @@ def _is_volume(
 
 
 def _between(contents: Contents) -> list[np.ndarray]:
-    """Rows of a middle node and the corners that it lies between, by the number of these."""
+    """Return rows of a middle node and the corners that it lies between, by the number of these."""
     rows: dict[int, list[np.ndarray]] = {}
     for kind, cells in contents.cells:
         for k, ends in enumerate(middles(kind), cells.shape[1] - len(middles(kind))):
@@ -331,7 +339,8 @@ def _completed(
     bodies: list[str],
     parts: np.ndarray | None = None,
 ) -> tuple[MeshArrays, np.ndarray]:
-    """The checked mesh, with the first name for facets that have none, and midpoints of these."""
+    """Return the checked mesh, with the first name for facets that have none, and midpoints of
+    these."""
     table = facet_table(elements, len(points))
     rest = table.facets[(table.counts == 1) & ~np.isin(table.keys, facet_keys(facets, len(points)))]
     mesh = check_stranger(

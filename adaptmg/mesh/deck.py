@@ -178,7 +178,7 @@ class _Deck:
             raise _InLine(f"{place}line {block.line}: *{block.keyword}: {error}") from error
 
     def _members(self, kind: str, word: str) -> np.ndarray:
-        """The numbers that a word says: one, or those of a set."""
+        """Return the numbers that a word says: one, or those of a set."""
         name = word.strip('"').upper()
         if word.isdigit():
             return _counted(np.array([int(word)]))
@@ -288,8 +288,8 @@ class _Deck:
         return self.spelling.get(name, name)
 
     def _groups(self) -> dict[str, np.ndarray]:
-        """The elements of each set; of Gmsh's entities only those that have elements in no physical
-        group."""
+        """Return the elements of each set; of Gmsh's entities only those that have elements in no
+        physical group."""
         groups = {name: np.concatenate(parts) for name, parts in self.sets["ELSET"].items()}
         entities = {entity for *_, entity in self.elements if entity} if self.of_gmsh else set()
         physical = [members for name, members in groups.items() if name not in entities]
@@ -380,19 +380,19 @@ def read_deck(path: Path) -> Contents:
 
 
 def _number(word: str) -> float:
-    """A number as Fortran writes it; 0 where it is left out."""
+    """Return a number as Fortran writes it; 0 where it is left out."""
     return float(word.upper().replace("D", "E") or 0)
 
 
 def _counted(numbers: np.ndarray) -> np.ndarray:
-    """Numbers of nodes or elements as integers."""
+    """Return numbers of nodes or elements as integers."""
     if not ((numbers >= 0) & (numbers < _MOST_NUMBER) & (numbers == np.floor(numbers))).all():
         raise ValueError(f"nodes and elements are numbered from 1 to {_MOST_NUMBER - 1}")
     return numbers.astype(np.int64)
 
 
 def _kind(name: str) -> str | None:
-    """The kind of cell of an element type."""
+    """Return the kind of cell of an element type."""
     for pattern, kinds in _TYPES:
         if match := pattern.match(name):
             return kinds.get(int(match[1]))

@@ -84,7 +84,7 @@ def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
 
 
 def _swept(outline: Outline) -> Iterator[tuple[str, Revolved]]:
-    """The edges of an outline, swept along z."""
+    """Yield the edges of an outline, swept along z."""
     for i, name in enumerate(outline.boundaries):
         edge = outline.edges[i]
         if isinstance(edge, Arc):

@@ -195,7 +195,7 @@ def improve_triangles(
 
 
 def _corners_at(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compressed rows of the corners at each node, by their places in ``elements``."""
+    """Return compressed rows of the corners at each node, by their places in ``elements``."""
     size = elements.size
     rows = sparse.csc_array(
         (np.ones(size, dtype=bool), elements.ravel(), np.arange(size + 1)), shape=(n_nodes, size)

@@ -109,7 +109,8 @@ _DIGITS = 14
 
 
 def _raised(size: float, largest: float) -> float:
-    """A size times the smallest power of two that Netgen can take next to the largest one."""
+    """Return a size times the smallest power of two that Netgen can take next to the largest
+    one."""
     return size * 2 ** max(0, math.ceil(math.log2(largest / _NETGEN_RATIO / size)))
 
 
@@ -514,8 +515,8 @@ def _unit_mesh(
 
 
 def _round_nodes(shape: Shape, size: float) -> float:
-    """The number of nodes that cylinders and spheres ask for where their radius over _CURVATURE is
-    below a size; half of the whole surfaces."""
+    """Return the number of nodes that cylinders and spheres ask for where their radius over
+    _CURVATURE is below a size; half of the whole surfaces."""
     nodes = 0.0
     for area, samples in zip(shape.areas, shape.samples, strict=True):
         for surface in (candidates([samples]) or [[]])[0][:1]:
@@ -526,7 +527,7 @@ def _round_nodes(shape: Shape, size: float) -> float:
 
 
 def _sound(shape: Shape, tables: Sequence) -> MeshArrays:
-    """The mesh of some tables, opened along cracks; NetgenFails if it is not sound."""
+    """Return the mesh of some tables, opened along cracks; NetgenFails if it is not sound."""
     try:
         if shape.cracks:
             label = {name: k for k, name in enumerate(tables[4])}
@@ -587,7 +588,7 @@ def _refined(
     domain: Domain,
     possible: list[list[Revolved]],
 ) -> MeshArrays:
-    """The draft at unit size, refined to the sizes."""
+    """Return the draft at unit size, refined to the sizes."""
     surfaces = surfaces_of(possible, draft)
 
     def field(unit: MeshArrays) -> np.ndarray:
@@ -598,8 +599,8 @@ def _refined(
 
 
 def _flat_ones(mesh: MeshArrays) -> np.ndarray:
-    """The mask of the elements that are far from equilateral; none where many are, as in thin
-    plates."""
+    """Return the mask of the elements that are far from equilateral; none where many are, as in
+    thin plates."""
     flat = mean_ratios(mesh) < _POOR
     return flat & (flat.mean() < _POOR_SHARE)
 
@@ -650,7 +651,7 @@ def _bisected(
 
 
 def _placed(unit: MeshArrays, shape: Shape) -> MeshArrays:
-    """The mesh in m."""
+    """Return the mesh in m."""
     return trusted(replace(unit, points=shape.lower + shape.scale * unit.points), unit.sound)
 
 

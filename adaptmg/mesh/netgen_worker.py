@@ -298,7 +298,8 @@ def build_shape(domain: SolidDomain | Box, origin: np.ndarray, scale: float) -> 
 
 
 def _step(path: str) -> tuple[OCCGeometry, Sequence[Solid]]:
-    """The geometry of a STEP file and its solids, read once as long as it does not change."""
+    """Return the geometry of a STEP file and its solids, read once as long as it does not
+    change."""
     key = (path, os.stat(path).st_mtime_ns)
     if _Held.file != key:
         geometry = OCCGeometry(path)
@@ -382,7 +383,7 @@ def _parts_of(text: str) -> tuple[dict[str, str], dict[str, list[tuple[str, str]
 
 
 def _decoded(string: str) -> str:
-    """A string of a STEP file (ISO 10303-21, 6.4.3), with letters beyond ASCII."""
+    """Return a string of a STEP file (ISO 10303-21, 6.4.3), with letters beyond ASCII."""
     wide = re.sub(
         r"\\X([24])\\((?:[0-9A-F]{4})*)\\X0\\",
         lambda found: bytes.fromhex(found[2]).decode(f"utf-{8 * int(found[1])}-be", "replace"),
@@ -460,8 +461,8 @@ def _hold(solid: Solid) -> ShapeTables:
 
 
 def _samples(face: Face) -> np.ndarray:
-    """Points and normals (2, n, 6) on two patches of the surface of a face, one on either side of
-    an apex."""
+    """Return points and normals (2, n, 6) on two patches of the surface of a face, one on either
+    side of an apex."""
     found = np.array(
         [
             [[_place(x) for x in face.surf.D1(u, sign * v)] for u in _ACROSS for v in _ALONG]

@@ -91,7 +91,7 @@ def onto_domain(domain: Domain | None, mesh: MeshArrays, n_old: int) -> MeshArra
 
 
 def _new_nodes(mesh: MeshArrays, name: str, n_old: int) -> tuple[np.ndarray, np.ndarray]:
-    """New nodes of a boundary, and the mean unit normal of its facets around each."""
+    """Return new nodes of a boundary, and the mean unit normal of its facets around each."""
     facets = mesh.boundary_facets(name)
     facets = facets[(facets >= n_old).any(axis=1)]
     nodes, number = np.unique(facets, return_inverse=True)

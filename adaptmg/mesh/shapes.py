@@ -289,7 +289,7 @@ def around_centres(kind: str, nodes: np.ndarray, first: int) -> tuple[np.ndarray
 
 
 def _apex(kind: str, part: np.ndarray, points: np.ndarray | None) -> np.ndarray:
-    """The node of each cell that its pyramids meet in."""
+    """Return the node of each cell that its pyramids meet in."""
     if KINDS[kind] == ("tetra", 10) and points is not None:
         return _shorter(part, points, ((0, 5), (1, 3), (2, 4)))
     return part.argmin(axis=1)
@@ -298,7 +298,7 @@ def _apex(kind: str, part: np.ndarray, points: np.ndarray | None) -> np.ndarray:
 def _shorter(
     part: np.ndarray, points: np.ndarray, pairs: tuple[tuple[int, int], ...]
 ) -> np.ndarray:
-    """The first end of the shortest of some diagonals of each cell."""
+    """Return the first end of the shortest of some diagonals of each cell."""
     lengths = [np.square(points[part[:, a]] - points[part[:, b]]).sum(axis=1) for a, b in pairs]
     return np.array([a for a, _ in pairs])[np.argmin(lengths, axis=0)]
 

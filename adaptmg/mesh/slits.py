@@ -143,6 +143,7 @@ def _cut_middles(
     elements on both sides in dim parts; a facet stays closed if one before it shares its element."""
     table = facet_table(elements, len(points))
     row = table.find(facet_keys(faces[closed], len(points)))
+    # the two elements at each facet; each element may be cut once
     cells = np.stack([table.first[row], table.second[row]], axis=1)
     cuttable = (
         np.isin(np.arange(cells.size), np.unique(cells, return_index=True)[1])

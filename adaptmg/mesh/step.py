@@ -117,7 +117,7 @@ def _chosen(
 
 
 def _distinct(names: list[str]) -> list[str]:
-    """Names with "_2", "_3", ... added to those that come again."""
+    """Return names with "_2", "_3", ... added to those that come again."""
     result: list[str] = []
     for name in names:
         candidates = [name] + [f"{name}_{k}" for k in range(2, len(names) + 1)]
@@ -178,7 +178,7 @@ class _Face:
 
     @cached_property
     def box(self) -> np.ndarray:
-        """Corners (2, 3) of the bounding box of the triangles."""
+        """Return the lowest and the highest corner (2, 3) of the bounding box of the triangles."""
         return np.array([self.triangles.min(axis=(0, 1)), self.triangles.max(axis=(0, 1))])
 
     @property

@@ -87,7 +87,7 @@ def lattices(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -> 
 def _parts(
     domain: Domain, divisions: Divisions | Mapping[str, Divisions]
 ) -> dict[str, tuple[Rectangle | Box, tuple[int, ...]]]:
-    """Each body, called "" where it is alone, and its cells along each axis."""
+    """Return each body, called "" where it is alone, and its cells along each axis."""
     if isinstance(domain, Assembly):
         apart = per_body("divisions", divisions, domain.bodies)
         return {body: _parts(part, apart[body])[""] for body, part in domain.parts.items()}
@@ -256,7 +256,7 @@ def _divisions(divisions: int | Sequence[int], dim: int) -> tuple[int, ...]:
 
 
 def _simplices(counts: tuple[int, ...]) -> np.ndarray:
-    """The two triangles or six tetrahedra of the cell whose lowest node is 0, positively
+    """Return the two triangles or six tetrahedra of the cell whose lowest node is 0, positively
     oriented."""
     return _corners(len(counts)) @ _strides(counts)
 

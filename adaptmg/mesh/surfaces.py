@@ -144,7 +144,7 @@ class Curved(Surface):
         return np.where(plane[self.nearest], -1, self.nearest)
 
     def _by_surface(self, facets: np.ndarray) -> Iterator[tuple[Revolved, np.ndarray]]:
-        """Each exact surface behind some facets, and the mask of these."""
+        """Yield each exact surface behind some facets, and the mask of these."""
         number = self.behind[facets]
         for k in np.unique(number[number >= 0]).tolist():
             yield self.exact[k], number == k
@@ -227,8 +227,8 @@ def _plane(_points: np.ndarray, normals: np.ndarray) -> Revolved:
 
 
 def _round(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre and signed radius of the circle or sphere with the normals: points = centre + radius *
-    normals."""
+    """Return the centre and signed radius of the circle or sphere with the normals: points = centre +
+    radius * normals."""
     spread = normals - normals.mean(axis=0)
     radius = float(
         (spread * (points - points.mean(axis=0))).sum() / max(np.square(spread).sum(), 1e-300)

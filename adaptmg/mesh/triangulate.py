@@ -126,6 +126,7 @@ def _laid(
         for right, left in domain.twins.items():
             laid[right] = np.roll(laid[left][::-1], 1, axis=0)
         places = np.concatenate(laid)
+        # the first node of each edge is its vertex; after its last one follows the next vertex
         counts = np.array([len(nodes) for nodes in laid])
         first = np.cumsum(counts) - counts
         places[first] = domain.vertices
@@ -149,6 +150,7 @@ def _laid(
             return places[origin], facets[is_open], labels[is_open], elements, across
         if found.all():
             return places, facets, labels, elements, across
+        # halve the facets that are missing, and begin again
         for i, (begin, n) in enumerate(zip(first, counts, strict=True)):
             t = fractions[i]
             fractions[i] = np.sort(
@@ -158,8 +160,8 @@ def _laid(
 
 
 def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The places without those that come again, as on the faces of cracks, in their order, and
-    facets between them."""
+    """Return the places without those that come again, as on the faces of cracks, in their order,
+    and facets between them."""
     first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)[1:]
     rank = np.argsort(np.argsort(first))
     return places[np.sort(first)], rank[number.reshape(-1)[facets]]
@@ -190,7 +192,7 @@ def _thin_parts(
 def _beside_thin_parts(
     field: Callable[[np.ndarray], np.ndarray], feet: np.ndarray, sizes: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """The field, lowered around places to the sizes there."""
+    """Return the field, lowered around some places to given sizes there."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     tree = cKDTree(feet)
@@ -205,8 +207,8 @@ def _beside_thin_parts(
 def _beside_short_edges(
     domain: Outline, field: Callable[[np.ndarray], np.ndarray]
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """The field, lowered around edges that are much shorter than it: triangles at both their ends
-    would be flat."""
+    """Return the field, lowered around edges that are much shorter than it: triangles at both their
+    ends would be flat."""
     sizes = field(np.concatenate([edge.at(np.array([0.5])) for edge in domain.edges]))
     short = [
         (edge, length)
@@ -278,6 +280,7 @@ def _filled(
 ) -> tuple[np.ndarray, ...]:
     """Put nodes into the triangles of a boundary until none is too large for the field. Returns all
     nodes, the triangles and their neighbours."""
+    # of n nodes the first n_read have sizes of the field, others interpolated ones; tables are longer
     points = places
     n = len(places)
     n_elements = len(elements)
@@ -311,6 +314,7 @@ def _filled(
             inside = field(points[corners].mean(axis=1))
             cells = float(np.sum(signed_measures(points, corners) / inside**2))
             refuse_too_many(NODES_PER_CELL[2] * cells, domain)
+        # fill up to four times as many nodes, in batches that Ctrl-C can end
         n_read = n
         for most in range(n_read + BATCH, room + BATCH, BATCH):
             most = min(most, room)
@@ -324,7 +328,7 @@ def _filled(
 
 
 def _longer(table: np.ndarray, rows: int) -> np.ndarray:
-    """The table with room; what is not used takes no memory yet."""
+    """Return a table with more rows, which take no memory until they are used."""
     result = np.zeros((rows, *table.shape[1:]), table.dtype)
     result[: len(table)] = table
     return result
@@ -333,7 +337,8 @@ def _longer(table: np.ndarray, rows: int) -> np.ndarray:
 def _mesh(
     domain: Outline, points: np.ndarray, elements: np.ndarray, facets: np.ndarray, edge: np.ndarray
 ) -> MeshArrays:
-    """The mesh, with what has been checked of its boundary."""
+    """Return a mesh as arrays; Untriangulated if a triangle is turned over, or their area is not
+    that inside the boundary."""
     mesh = MeshArrays(
         points, elements, facets, edge, tuple(map(str, range(len(domain.boundaries))))
     )

@@ -529,8 +529,8 @@ def _checked(results: Sequence[Result], factors: ArrayLike) -> tuple[list[Result
 
 
 def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray:
-    """The numbers of the steps to draw: evenly spread, but with those of the largest factor and
-    pressure."""
+    """Return the numbers of the steps to draw: evenly spread, but with those of the largest factor
+    and pressure."""
     shown = np.linspace(0, len(results) - 1, min(steps, len(results))).round().astype(int)
     for values in (factors, [result.contact.pressure.max(initial=0.0) for result in results]):
         if len(shown) > 2 and (peak := np.argmax(values)) not in shown:

@@ -271,8 +271,8 @@ def _name_edges(mesh: MeshArrays, ax: Axes) -> None:
 
 
 def _spread(mesh: MeshArrays, boundary: str, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points (count, dim), m, at equal parts of a boundary, in 3D in the middle of facets; and
-    outward unit normals."""
+    """Return points (count, dim), m, at equal parts of a boundary, in 3D in the middle of facets;
+    and outward unit normals."""
     surface = mesh.surface(boundary)
     ends = np.cumsum(surface.measures)
     # in 3D multiples of the golden ratio, which keep clear of the rows of a lattice
@@ -510,7 +510,7 @@ def support_text(support: loads.AnySupport, dim: int, axes: str = "xyz") -> str:
 
 
 def _surface_text(load: SurfaceLoad, traction: np.ndarray) -> str:
-    """The size of a load with tractions (n, dim), Pa: 'p = 2 MPa', '|t| up to 3 kPa'."""
+    """Return the size of a load with tractions (n, dim), Pa: 'p = 2 MPa', '|t| up to 3 kPa'."""
     sizes = np.linalg.norm(traction, axis=1)
     largest = float(sizes.max())
     pressure = isinstance(load, loads.Pressure)

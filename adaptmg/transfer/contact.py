@@ -162,29 +162,29 @@ def between_levels(
     relative = relative_prolongation(nodal, coupling, coarse_problem.coupling)
     # the second form: slave rows over coarse slave nodes only; ``surface`` replaces rows one boundary
     # after the other
-    above = coarse_problem.contact
+    coarse_contact = coarse_problem.contact
     surface = relative
     # coarse nodes that pass values to fine contact nodes without a master: contact nodes, whose
     # bounds limit them, and held ones
-    passes = np.array(coarse_problem.fixed.reshape(-1, coarse.dim).all(axis=1))
-    passes[above.nodes] = True
+    may_pass = np.array(coarse_problem.fixed.reshape(-1, coarse.dim).all(axis=1))
+    may_pass[coarse_contact.nodes] = True
     # contact nodes that take over weights of tied nodes
-    takes = np.diff(contact.taken_over.indptr) > 0
+    takes_over = np.diff(contact.taken_over.indptr) > 0
     for k, (nodes, rows) in enumerate(slave_rows):
-        known = above.nodes[above.boundary == k]
-        if contact.masters[k] or takes[contact.boundary == k].any():
+        coarse_slaves = coarse_contact.nodes[coarse_contact.boundary == k]
+        if contact.masters[k] or takes_over[contact.boundary == k].any():
             surface = with_contact_rows(
-                surface, nodes, _among(known, rows, fine.points[nodes], coarse.points)
+                surface, nodes, _among(coarse_slaves, rows, fine.points[nodes], coarse.points)
             )
-        elif contact_rows and not passes[rows.indices].all():
-            data = np.where(passes[rows.indices], rows.data, 0.0)
+        elif contact_rows and not may_pass[rows.indices].all():
+            data = np.where(may_pass[rows.indices], rows.data, 0.0)
             rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
             surface = with_contact_rows(surface, nodes, rows)
     return LevelTransfer(relative, None if surface is nodal else surface)
 
 
 def _crack_faces(mesh: MeshArrays, contact: ContactNodes) -> list[tuple[str, str]]:
-    """Each face of a crack, and the other one: pairs, or called left and right, that share
+    """Return each face of a crack, and the other one: pairs, or called left and right, that share
     nodes."""
     pairs = [
         *zip(contact.names, contact.masters, strict=True),
@@ -211,6 +211,7 @@ def _on_side(
     near = np.flatnonzero(
         abs(nodal) @ np.isin(np.arange(coarse.n_nodes), coarse.boundary_nodes(other))
     )
+    # between the faces: outside of the coarse one (normals point out), inside of the fine one
     between = np.ones(len(near), dtype=bool)
     for mesh, sign in ((coarse, 1), (fine, -1)):
         surface = mesh.surface(face)
@@ -219,7 +220,7 @@ def _on_side(
         between &= (
             sign * np.einsum("nd,nd->n", fine.points[near] - foot, surface.normals[facet]) > 0
         )
-        # a node ahead of a tip is on neither side
+        # a node ahead of a tip, whose foot is a node of both faces, is on neither side
         between &= (weights * np.isin(surface.facets[facet], mesh.boundary_nodes(other))).sum(
             axis=1
         ) < 1

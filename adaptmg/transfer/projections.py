@@ -46,7 +46,7 @@ class _Projection(ABC):
 
     @abstractmethod
     def _rows(self, integrals: MixedMass) -> sparse.csr_array:
-        """The prolongation from the integrals of both meshes."""
+        """Return the prolongation from the integrals of both meshes."""
 
 
 @dataclass(frozen=True, kw_only=True)
