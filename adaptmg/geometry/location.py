@@ -164,7 +164,7 @@ def _holder(x, y, z, start, maps, boxes, dim, stack):
             for s in range(first, last):
                 if _inside(maps, s, x, y, z, dim):
                     return s, node
-        # all below ``top`` was seen: its sibling is next, then both are below their parent
+        # all below ``top`` was seen: its sibling comes next, and then all below their parent was
         if depth == 0 and top > 0:
             stack[0] = top + 1 if top % 2 == 1 else top - 1
             top = (top - 1) // 2

@@ -251,11 +251,11 @@ def _cells(domain: Box, field: SizeField) -> MeshArrays:
     shares = np.indices([_READINGS] * 3).reshape(3, -1).T / (_READINGS - 1)
     sizes = field(domain.lower + shares * sides)
     least = float(sizes.min())
-    # halving its edges leads from the size of the cells to the least one
+    # near the largest size, and the least one times a power of two: halved edges come to the least
     halvings = round(math.log2(sizes.max() / least))
     size = least * 2**halvings
     refuse_too_many(guessed_nodes(3, float(np.prod(sides)), size), domain)
-    # a cell holds twelve tetrahedra, equilateral ones of this size where its side is
+    # twelve equilateral tetrahedra of this size have the volume of the cell that they are cut from
     side = size * (12 * EQUILATERAL) ** (1 / 3)
     # a side may be a quarter of a cell longer than its cells
     counts = np.ceil(np.maximum(1, sides / side - 1 / 4)).astype(int)

@@ -316,8 +316,9 @@ class SolidSizes:
     def field(
         self, points: np.ndarray, mesh: MeshArrays, faces: Sequence[str], floor: float = 0.0
     ) -> np.ndarray:
-        """Return the edge lengths (n,) at points (n, 3); some faces of the mesh are the
-        boundaries."""
+        """Return the edge lengths (n,) at points (n, 3): ``size``, less by the function, and less
+        near some faces of the mesh. With ``floor`` the sizes are those that Netgen can take: none by
+        the function is below it, and near faces they are raised."""
         from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
         result = np.full(len(points), self.size)
