@@ -32,6 +32,7 @@ from adaptmg.evolution.load_steps import without_nested_start
 from adaptmg.evolution.path_loop import PathLoop
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
+from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
 from adaptmg.solver.outcome import checked_outcome, result_of
@@ -175,7 +176,7 @@ class _Newton:
             self.examiner = Examiner(tangent)
             solution = self.at.displacement
             if number and tolerance <= self.rtol:
-                checked = self.examiner(solution, self.rtol).checked
+                checked = cast("Certificate", self.examiner(solution, self.rtol).checked)
                 error = checked.energy_error
                 if error <= max(self.rtol, checked.energy_rounding):
                     status = Status.CONVERGED

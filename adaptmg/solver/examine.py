@@ -16,7 +16,7 @@ reactions :math:`A u - b` of the supports."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -252,7 +252,7 @@ class Examined:
     contact: ContactResult
     ties: TieForces | None
     residual: float  # natural, relative to the forces that act
-    checked: Certificate | Any  # Any: None only where the examiner is asked for none
+    checked: Certificate | None  # None: the examiner is asked for none
 
 
 class Examiner:
