@@ -66,6 +66,11 @@ def test_a_squeezed_block_has_the_stress_of_a_point(kind):
         plastic = result.plastic_strain
         np.testing.assert_allclose(plastic[:, axis, axis], (expected[axis] + SIZE) / 5e9, rtol=1e-6)
     np.testing.assert_allclose(stress[:, axis], expected[axis], rtol=1e-6)
+    # Hooke's law: the energy of the elastic strains
+    principal = expected[:3]
+    density = ((1 + NU) * principal @ principal - NU * principal.sum() ** 2) / (2 * E)
+    volume = {"plane": 0.5, "axisymmetric": 0.5 * np.pi, "solid": 0.4}[kind]
+    assert result.energy == pytest.approx(density * volume, rel=1e-6)
     np.testing.assert_allclose(result.contact.pressure, -expected[axis], rtol=1e-6)
     across = stress[:, 0] / SIZE
     np.testing.assert_allclose(across, 0.0, atol=1e-6)
