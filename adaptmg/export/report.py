@@ -535,8 +535,9 @@ def numbers(column: pd.Series) -> pd.Series | None:
 
 
 def axes_of_study(table: pd.DataFrame, parameters: Sequence[str]) -> Axis | None:
-    """Return the axis, the numeric parameter with most values; None if none varies. A parameter
-    that is different in every run (a seed) is chosen only where all are."""
+    """Return the parameters of a drawing: along the axis the numeric one with most values, for the
+    lines the one with most of the others that have few; None if none varies. A parameter that is
+    different in every run (a seed) is chosen only where all are."""
     counts = {name: _keys(table[name]).nunique() for name in parameters}
     varied = [name for name in parameters if counts[name] > 1]
     if not varied:

@@ -87,6 +87,7 @@ def mesh_of(
     facets, label, named, overlaps, strange = _labelled(
         len(points), elements, table, parts, contents, boundaries, split_bodies
     )
+    # labels count from 1; 0 will be the facets called ``unnamed``
     for name in (*names, *(named[k - 1] for k in np.unique(label))):
         checks.boundary_name("the name of a boundary or body", name)
     if split_bodies:
@@ -227,7 +228,7 @@ def _labelled(
     facets = table.facets[rim]
     facets_of, notes, strange = _of_face_sets(n, table, keys, contents)
     # a set of nodes names the facets that have all their nodes in it
-    first = contents.surfaces.union(facets_of)
+    surface_names = contents.surfaces.union(facets_of)
     between = _between(contents) if contents.node_sets else []
     at_rim = np.zeros(n, dtype=bool)
     at_rim[facets] = True
@@ -243,17 +244,18 @@ def _labelled(
             )
         else:
             facets_of.setdefault(name, np.flatnonzero(inside[facets].all(axis=1)))
-    # a facet goes to the first name that has it: sets of faces come first, small sets before large
+    # names in the order of their claims: surfaces before sets of nodes, small ones before large ones
     order = (
         list(boundaries)
         if boundaries is not None
-        else sorted(facets_of, key=lambda name: (name not in first, len(facets_of[name])))
+        else sorted(facets_of, key=lambda name: (name not in surface_names, len(facets_of[name])))
     )
     if unknown := [name for name in order if name not in facets_of]:
         raise ValueError(
             f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds "
             f"{_some(list(facets_of))}"
         )
+    # each name gets those of its facets that none before it has
     names = list(facets_of)
     label = np.zeros(len(keys), dtype=np.int64)
     for name in order:

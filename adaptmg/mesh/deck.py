@@ -304,6 +304,7 @@ class _Deck:
         # a node that comes again is moved
         numbers, last = np.unique(np.concatenate(self.numbers)[::-1], return_index=True)
         points = np.concatenate(self.points)[::-1][last]
+        # kind, numbers, and nodes as rows of the points, of the elements of each type
         blocks = [
             (kind, elements, rows_of(nodes, numbers)[:, _ORDER.get(kind, slice(None))])
             for name, elements, nodes, _ in self.elements

@@ -320,8 +320,8 @@ def sized_by(
     mesher: str = "own",
     foreseen: bool = True,
 ) -> MeshArrays:
-    """Return what :func:`sized` does; of a field whose number of nodes is ``foreseen`` no coarse
-    mesh is made first: .94 of the time of a loop by Remesh to 3800 nodes."""
+    """Mesh a domain as :func:`sized` does. If the number of nodes is ``foreseen``, no coarse mesh is
+    made first to estimate it: .94 of the time of a loop by Remesh to 3800 nodes."""
     shape = _meshed(domain)
     if isinstance(shape, Assembly):
         fields = per_body("size_function", size_function, shape.bodies)

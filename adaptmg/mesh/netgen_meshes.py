@@ -481,24 +481,10 @@ def _unit_mesh(
             unit = _solid_draft(
                 worker, shape, coarse, faces, domain, nodes / factor**3 + on_round, rounds
             )
-            try:
-                if factor > 1 and (angle := least_angle(unit.points, unit.elements)) < FLAT:
-                    raise Misplaced(f"it has angles of {angle:.1f} degrees")
-                unit = (
-                    _bisected(worker, unit, shape, sizes, faces, domain)
-                    if surfaces is None
-                    else _refined(unit, shape, sizes, faces, domain, surfaces)
-                )
-            except Misplaced as error:
-                _LOG.info(
-                    "a draft of %r with sizes times %g is not refined: %s", domain, factor, error
-                )
-                why = error
-                if factor > 1:
-                    continue
+            if surfaces is None:
                 unit = _bisected(worker, unit, shape, sizes, faces, domain)
-            if surfaces is not None:
-                unit = _relieved(unit, surfaces)
+            else:
+                unit = _on_surfaces(worker, unit, factor, shape, sizes, faces, domain, surfaces)
             check_volume(unit, shape.volume)
             mesh = _placed(check_mesh(unit), shape)
             check_sizes(mesh, lambda x, mesh=mesh: sizes.field(x, mesh, faces))
@@ -506,13 +492,38 @@ def _unit_mesh(
                 return unit
             if best is None or mean_ratios(unit).min() > mean_ratios(best).min():
                 best = unit
-        except (NetgenFails, Unfit) as error:
+        except (NetgenFails, Unfit, Misplaced) as error:
             why = error
             if not worker.alive:
                 break
     if best is None:
         raise netgen_error(domain, why) from why
     return best
+
+
+def _on_surfaces(
+    worker: Netgen,
+    draft: MeshArrays,
+    factor: float,
+    shape: Shape,
+    sizes: SolidSizes,
+    faces: Sequence[str],
+    domain: Domain,
+    surfaces: list[list[Revolved]],
+) -> MeshArrays:
+    """Return a draft at unit size, whose sizes are ``factor`` times those wanted, refined to these on
+    the surfaces of its faces, without flat elements. If that fails, Misplaced for a coarse draft;
+    one with factor 1 is bisected by Netgen."""
+    try:
+        if factor > 1 and (angle := least_angle(draft.points, draft.elements)) < FLAT:
+            raise Misplaced(f"it has angles of {angle:.1f} degrees")
+        unit = _refined(draft, shape, sizes, faces, domain, surfaces)
+    except Misplaced as error:
+        _LOG.info("a draft of %r with sizes times %g is not refined: %s", domain, factor, error)
+        if factor > 1:
+            raise
+        unit = _bisected(worker, draft, shape, sizes, faces, domain)
+    return _relieved(unit, surfaces)
 
 
 def _round_nodes(shape: Shape, size: float) -> float:

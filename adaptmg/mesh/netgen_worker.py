@@ -624,8 +624,8 @@ MeshioTables = tuple[np.ndarray, list, dict, dict]
 
 def read_meshio(path: str) -> MeshioTables:
     """Return points, cells (kind, nodes), sets of cells (block, rows) and sets of nodes of a file
-    that meshio reads. Of Gmsh it reads of groups without names that share a curve the first, and of
-    a name for groups of two dimensions the last."""
+    that meshio reads. In files of Gmsh, meshio takes only the first of the groups without names that
+    share a curve, and only the last of the groups of different dimensions that share a name."""
     import meshio
 
     # its readers know these kinds, and make meshes of them fail: its table of dimensions lacks them

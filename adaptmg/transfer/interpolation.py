@@ -182,17 +182,20 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
     column = 0
     weights = np.empty((fine.n_nodes, fine.dim + 1))
     columns = np.empty(weights.shape, dtype=np.int32)
-    for below, above in zip(coarse.lattices, fine.lattices, strict=True):
-        strides = np.cumprod([1, *(m + 1 for m in below)], dtype=np.int32)
-        end = node + math.prod(n + 1 for n in above)
+    # bodies one after the other: fine nodes from ``node`` to ``end``, coarse ones from ``column`` to
+    # ``last``; (m, ...) coarse and (n, ...) fine cells along the axes
+    for coarse_cells, fine_cells in zip(coarse.lattices, fine.lattices, strict=True):
+        strides = np.cumprod([1, *(m + 1 for m in coarse_cells)], dtype=np.int32)
+        end = node + math.prod(n + 1 for n in fine_cells)
         last = column + int(strides[-1])
         if (coarse.points[[column, last - 1]] != fine.points[[node, end - 1]]).any():
             return None
+        # of each fine node, as arrays over the lattice (..., y, x): the first corner of its coarse
+        # cell, its share along each axis, and the step to the next coarse node along this
         corner = np.int32(column)
         shares = []
         steps = list(strides[:-1])
-        for k, (m, n) in enumerate(zip(below, above, strict=True)):
-            # of nodes along an axis the coarse cell, and how far in it they lie
+        for k, (m, n) in enumerate(zip(coarse_cells, fine_cells, strict=True)):
             cell, rest = np.divmod(np.arange(n + 1) * m, n)
             corner = (strides[k] * cell.astype(np.int32)).reshape(-1, *[1] * k) + corner
             shares.append((rest / n).reshape(-1, *[1] * k))
@@ -219,7 +222,8 @@ def between_lattices(coarse: MeshArrays, fine: MeshArrays) -> sparse.csr_array |
 def _rows(
     columns: np.ndarray, weights: np.ndarray, stored: np.ndarray, n_columns: int
 ) -> sparse.csr_array:
-    """Sparse rows of those of a fixed number of weights each that are stored."""
+    """Return the sparse matrix (n, n_columns) of weights (n, k) in some columns (n, k), those that
+    are ``stored`` (n, k) of them."""
     entries = np.flatnonzero(stored)
     indptr = np.append(0, np.cumsum(stored)[stored.shape[1] - 1 :: stored.shape[1]]).astype(
         np.int32

@@ -207,10 +207,11 @@ def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
 
 
 def _chebyshev(mass: sparse.csr_array, rhs: Rows, dim: int, tolerance: float, drop: float) -> Rows:
-    """Solve M X = B to ``tolerance`` relative in the norm of M; sparse iterates lose entries below
-    ``drop``."""
-    # D^-1 M has its eigenvalues between these two on any mesh (D: the diagonal)
+    """Solve M X = B to ``tolerance`` relative in the norm of M by Chebyshev's iteration (Saad,
+    Iterative Methods for Sparse Linear Systems, 2003, algorithm 12.1) for D^-1 M, D the diagonal;
+    sparse iterates lose entries below ``drop``."""
     inverse = sparse.diags_array(1.0 / mass.diagonal()).tocsr()
+    # on any mesh the eigenvalues of D^-1 M lie between these two
     low = 0.5
     high = (dim + 2) / 2
     middle = (high + low) / 2
@@ -425,6 +426,8 @@ def clip_elements(
         full = False
         for at in range(overlapping(boxes, box, coarse_points, coarse, stack, candidates)):
             s = candidates[at]
+            # faces of the fine element, then of the coarse one; the second call leaves in mu the
+            # coarse coordinates of the fine corners
             if _apart(coarse_points, coarse[s], fine_maps, e, mu) or _apart(
                 points, elements[e], maps, s, mu
             ):
