@@ -199,6 +199,7 @@ def vtk_series(
     if target.suffix != ".pvd":
         raise ValueError(f"path must end in .pvd, got {os.fspath(path)!r}")
     old = read_bytes(target).decode("utf-8", "replace") if target.exists() else ""
+    # files of the steps: ``names`` will be written, ``listed`` are those of an older series
     steps = [f"{target.stem}_{k:04d}.vtu" for k in range(max(len(results), old.count("<DataSet")))]
     names = steps[: len(results)]
     listed = [name for name in steps if f" file={quoteattr(printable(name))}/" in old]

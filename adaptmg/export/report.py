@@ -464,6 +464,7 @@ def study_report(
     status = column_names["status"]
     error = column_names["error"]
     done = table[table[status] == "done"] if status in table else table
+    # draw numeric results that vary, unless the caller names others
     varied = [
         name
         for name in done

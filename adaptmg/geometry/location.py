@@ -40,6 +40,7 @@ class SimplexLocator:
         )
         self.dim = points.shape[1]
         self.n_nodes = len(points)
+        # the tree and the maps have the elements in the order of the tree
         self.tree = BoxTree(points, elements[self.chosen])
         self.maps = affine_maps(self.tree.points, self.tree.simplices)
         if not np.isfinite(self.maps.sum()) and (bad := ~np.isfinite(self.maps).all(axis=1)).any():

@@ -36,7 +36,7 @@ _VIEW = np.array([[0.87, -0.25], [-0.5, -0.43], [0.0, -0.87]])
 
 def _frozen(name: str, array: ArrayLike, dtype: type) -> np.ndarray:
     """Return the array of a field of MeshArrays as a read-only copy, or itself if it is one
-    already; TypeError for floats where numbers count, ValueError beyond 32 bits."""
+    already; TypeError for floats in place of integers, ValueError for integers beyond 32 bits."""
     if (
         type(array) is np.ndarray
         and array.dtype == dtype

@@ -278,6 +278,7 @@ def _rows(mesh: MeshArrays) -> np.ndarray:
     cells = mesh.elements
     sides = _sides(mesh)
     if mesh.refinement is None:
+        # corners in an even order that begins with the longest edge
         turn = _TURNS[corners][_longest(mesh.points, cells)]
         cells = np.take_along_axis(cells, turn, axis=1)
         sides = np.take_along_axis(sides, turn, axis=1)

@@ -39,7 +39,7 @@ def read_mdpa(path: Path) -> Contents:
         keyword = " ".join(names[-1][:1])
         what = keyword.removeprefix("SubModelPart")
         part = "_".join(name[1] for name in names if name[:1] == ["SubModelPart"] and name[1:])
-        if keyword == "Nodes":
+        if keyword == "Nodes":  # of the model; "SubModelPartNodes" are those of a part
             table = np.array(rows, dtype=np.float64)
             if table.shape[1] != 4:
                 raise ValueError(f"a node has a number and x, y, z, got {' '.join(rows[0])!r}")

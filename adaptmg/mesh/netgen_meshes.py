@@ -472,6 +472,7 @@ def _unit_mesh(
     why: Exception = NetgenFails("it was not asked")
     best: MeshArrays | None = None
     for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
+        # a mesh of Netgen, brought to the sizes, and checked
         try:
             coarse = sizes.drafts(factor, slower)
             # meshes made before, whose sizes the last one follows: one where sizes vary, and another

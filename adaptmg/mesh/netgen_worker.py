@@ -665,7 +665,7 @@ def read_meshio(path: str) -> MeshioTables:
         sets = {name: numbered.get(name, []) + sets.get(name, []) for name in numbered | sets}
     points = np.zeros((len(raw.points), 3))
     points[:, : raw.points.shape[1]] = raw.points
-    # as Exodus calls it
+    # Exodus calls tetrahedra tetra4
     kinds = [block.type.replace("tetra4", "tetra") for block in raw.cells]
     cells = [(kind, np.asarray(block.data)) for kind, block in zip(kinds, raw.cells, strict=True)]
     if of_gmsh:

@@ -363,6 +363,7 @@ def draw_bodies(
     visible = shown[behind]
     facets = mesh.facets[visible]
     behind = behind[visible]
+    # facets with marks, at each corner a number of a colour of ``inks``
     codes = np.full(facets.shape, -1) if marks is None else marks.codes[visible]
     marked = codes[:, 0] >= 0
     inks = to_rgba_array([] if marks is None else marks.colors)

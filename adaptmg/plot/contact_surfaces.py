@@ -115,6 +115,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
         max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m"
     )
     share, stress_unit = style.stresses()
+    # what friction can take at each node; ``largest`` pressure of all boundaries
     bound = share * c.limit / c.weights
     largest = share * float(c.pressure.max())
     friction = bound[nodes].any()
@@ -485,6 +486,7 @@ def load_history(
     if not rows and not names:
         raise ValueError("nothing to draw: give quantities, or steps > 0")
     shown = _shown(results, factors, steps) if names else ()
+    # above rows of curves, below for each boundary rows of pictures of single steps
     columns = style.columns_of(max(len(shown), 1), _COLUMNS, 2.4)
     curve_columns = style.columns_of(max(len(rows), 1), 3, 3.2)
     curve_rows = -(-len(rows) // curve_columns)

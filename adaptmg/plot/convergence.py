@@ -251,6 +251,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     rows = {3: 2, 2: 4, 1: 6}[columns]
     engine = ConstrainedLayoutEngine(compress=True, w_pad=0.1)
     figure = style.new_figure((3.5 * columns, (3.0 if columns == 2 else 3.6) * rows), engine)
+    # three meshes
     for k, number in enumerate(sorted({0, len(steps) // 2, len(steps) - 1})):
         title = f"step {number}: {steps[number].nodes} nodes"
         ax = _panel(figure, (rows, columns, k + 1), dim, title)
@@ -264,7 +265,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
         ncols=3,
         fontsize="small",
     )
-    # at most four decades of the indicator in colour
+    # the indicator, at most four decades of it in colour
     parts = np.sqrt(last.estimate.squares)
     largest = float(parts.max()) or 1.0
     norm = LogNorm(
@@ -276,6 +277,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     bar = figure.colorbar(ScalarMappable(norm), ax=ax, shrink=0.8, label=label)
     if style.narrow(ax):
         bar.ax.yaxis.set_minor_formatter(NullFormatter())
+    # the estimate against nodes and seconds
     nodes = np.array([step.nodes for step in steps], dtype=float)
     relative = np.array([step.estimate.relative for step in steps])
     places = ((5, 6), (7, 8)) if columns == 2 else (5, 6)

@@ -371,9 +371,9 @@ class _Runs:
         self._order = pickle.dumps(order)
         self._limit_s = math.inf if limit_s is None else limit_s
         self._name = f"adaptmg-{uuid.uuid4().hex[:12]}"
-        self._numbers = itertools.count()
+        self._numbers = itertools.count()  # of runs, for their names
         self._points = points
-        self._open = True
+        self._open = True  # whether there may be more points
         self._out: dict[str, _Run] = {}  # runs that were sent, by their names
         # names of runs that ended, and their outcomes
         self._back: queue.SimpleQueue[tuple[str, Finished | BaseException]] = queue.SimpleQueue()
