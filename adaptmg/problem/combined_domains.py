@@ -87,14 +87,15 @@ class Combination(SolidDomain):
             raise ValueError(
                 f"a is {self.a.dim}D, b {self.b.dim}D: combine two solids or two plane domains"
             )
-        known = [
+        # a name in either part, or "a.name", "b.name" for that of one part
+        renamable = [
             key
             for part in "ab"
             for name in getattr(self, part).boundaries
             for key in (name, f"{part}.{name}")
         ]
         for old, new in self.rename.items():
-            checks.choice("the keys of rename", old, dict.fromkeys(known))
+            checks.choice("the keys of rename", old, dict.fromkeys(renamable))
             checks.boundary_name(f"rename[{old!r}]", new)
         if self.dim == 2:
             _ = self.outline
@@ -195,6 +196,9 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     met = [[meetings(e, f, tol) for f in b.edges] for e in a.edges]
     of_a = _pieces(a, [list(chain(*row)) for row in met], points, tol)
     of_b = _pieces(b, [list(chain(*column)) for column in zip(*met, strict=True)], points, tol)
+    # Of a stays what lies in b (Common) or outside b (Cut, Fuse); of b what lies in a (Common, and
+    # Cut, where it is reversed) or outside a (Fuse). A piece of both stays once if both bodies lie
+    # on the same side of it; for a Cut, if they lie on opposite sides.
     pieces = []
     for piece in of_a:
         twins = [
@@ -223,9 +227,11 @@ def _pieces(
     points: list[np.ndarray],
     tol: float,
 ) -> list[_Piece]:
-    """The edges of an outline cut at points, which are numbered in ``points``."""
+    """Return the edges of an outline, cut at given points; ``points`` collects the ends of all
+    pieces, which refer to them by number."""
 
     def number(p: np.ndarray) -> int:
+        """Return the number of a point, a new one if none in ``points`` is near."""
         for k, other in enumerate(points):
             if np.abs(p - other).max() <= 4 * tol:
                 return k
@@ -250,7 +256,8 @@ def _pieces(
 
 
 def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outline:
-    """The outline that pieces make, its outer edge first."""
+    """Join pieces to closed loops and return their outline, its outer loop first; ValueError unless
+    they bound one body."""
     leaving: dict[int, _Piece] = {}
     for piece in pieces:
         if piece.start in leaving:
@@ -274,12 +281,12 @@ def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outli
         )
     loops.insert(0, loops.pop(outer[0]))
     starts = np.cumsum([0, *map(len, loops)])
-    every = list(chain(*loops))
+    ordered = list(chain(*loops))
     return Outline(
-        vertices=tuple(tuple(points[piece.start].tolist()) for piece in every),
-        boundaries=tuple(piece.name for piece in every),
+        vertices=tuple(tuple(points[piece.start].tolist()) for piece in ordered),
+        boundaries=tuple(piece.name for piece in ordered),
         holes=tuple(starts[1:-1].tolist()),
-        arcs={k: piece.centre for k, piece in enumerate(every) if piece.centre is not None},
+        arcs={k: piece.centre for k, piece in enumerate(ordered) if piece.centre is not None},
     )
 
 
@@ -348,7 +355,7 @@ class Cracked(SolidDomain):
                 )
             if body.dim == 3:
                 _check_plane(name, path)
-            paths[name] = tuple(map(tuple, (path + 0.0).tolist()))
+            paths[name] = tuple(map(tuple, (path + 0.0).tolist()))  # + 0.0: no -0.0
         if not paths:
             raise ValueError("cracks is empty: name one crack at least")
         object.__setattr__(self, "cracks", paths)
@@ -392,6 +399,8 @@ class Cracked(SolidDomain):
         names = list(body.boundaries)
         holes = list(body.holes)
         twins = {}
+        # A crack of n edges is a loop of 2 n: along its left side and back along its right. Edges j
+        # and 2 n - 1 - j of the loop coincide.
         for name, path in paths.items():
             n = len(path) - 1
             first = len(vertices)
@@ -408,12 +417,13 @@ class Cracked(SolidDomain):
         )
 
     def _anchored(self) -> tuple[Outline, dict[str, Path]]:
-        """The outline with a vertex where cracks end on it, and the cracks with these ends, or
-        points of others; one of one edge gets a vertex in the middle, so that there is a node that
-        opens."""
+        """Return the outline with a vertex where a crack ends on it, and the cracks.
+
+        A crack that ends tolerance a vertex or tolerance a point of another crack ends exactly there. A crack
+        of a single edge gets a vertex in the middle: a node that can open."""
         body = self.domain.outline
         paths: dict[str, Path] = {}
-        near = checks.ALIKE * float((self.upper - self.lower).max())
+        tolerance = checks.ALIKE * float((self.upper - self.lower).max())
         for name, path in self.cracks.items():
             ends = []
             for end in (path[0], path[-1]):
@@ -427,8 +437,10 @@ class Cracked(SolidDomain):
                         for p in paths.get(other, points[1:-1])
                     ),
                 ]
-                away = np.linalg.norm(np.array(places) - end, axis=1)
-                ends.append(places[int(np.argmin(away))] if away.min() <= near else end)
+                distances = np.linalg.norm(np.array(places) - end, axis=1)
+                ends.append(
+                    places[int(np.argmin(distances))] if distances.min() <= tolerance else end
+                )
             middle = path[1:-1] or (tuple((0.5 * np.add(*ends)).tolist()),)
             paths[name] = (ends[0], *middle, ends[1])
         return body, paths
@@ -442,7 +454,7 @@ def normal_of(polygon: np.ndarray | Path) -> np.ndarray:
 
 
 def _check_plane(name: str, path: np.ndarray) -> None:
-    """ValueError unless a path is a plane polygon that does not cross itself."""
+    """Raise ValueError unless a path is a plane polygon that does not cross itself."""
     normal = normal_of(path)
     extent = float(np.ptp(path, axis=0).max())
     length = float(np.linalg.norm(normal))
@@ -453,6 +465,7 @@ def _check_plane(name: str, path: np.ndarray) -> None:
         raise ValueError(
             f"cracks[{name!r}] must be the corners of a plane polygon, got {checks.shown(path.tolist())}"
         )
+    # Polygon checks the path in coordinates of its plane
     first = (path[1] - path[0]) / np.linalg.norm(path[1] - path[0])
     axes = np.stack([first, np.cross(normal / length, first)])
     try:
@@ -462,8 +475,8 @@ def _check_plane(name: str, path: np.ndarray) -> None:
 
 
 def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
-    """ValueError unless cracks lie in the body, meet only at their points, and leave it in one
-    piece."""
+    """Raise ValueError unless cracks lie in the body, meet only at their points, and leave it in
+    one piece."""
     n = len(body.vertices)
     number: dict[tuple[float, ...], int] = {
         p: i for i, p in reversed(list(enumerate(body.vertices)))
@@ -471,7 +484,8 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
     starts = list(range(n))
     ends = body.following.tolist()
     names = list(body.boundaries)
-    # a loop of the boundary is one part; each edge of a crack joins two parts, or encloses a piece
+    # Union-find over vertices: a loop of the boundary is one part. An edge of a crack joins two
+    # parts; within one part it would close a loop and cut off a piece of the body.
     part = np.searchsorted(body.holes, np.arange(n), side="right").tolist()
     for name, path in paths.items():
         for p, q in pairwise(path):

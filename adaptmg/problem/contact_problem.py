@@ -86,6 +86,8 @@ def _several(*types: type) -> partial:
 def _materials(
     name: str, material: Material | Mapping[str, Material]
 ) -> Elastic | dict[str, Elastic]:
+    """Return a material, or that of each body, as Elastic; ValueError if bodies do not fit
+    together."""
     if not isinstance(material, Mapping) or not material:
         return elastic_material(name, material)
     material = {body: elastic_material(name, one) for body, one in material.items()}
@@ -287,6 +289,7 @@ class ContactProblem(checks.Checked):
                     f"the {type(contact.obstacle).__name__} in front of {contact.boundary!r} is "
                     f"{dim}D, the material {self.dim}D"
                 )
+            # in axisymmetry component 1 is along the axis
             for part in moving_parts(contact.obstacle) if self.axisymmetric else ():
                 if (
                     part.free != (1,)

@@ -108,7 +108,8 @@ def _check_axes(axes: np.ndarray) -> None:
 
 
 def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence[float]) -> tuple:
-    """The stiffness (6, 6) of an orthotropic material."""
+    """Return the stiffness (6, 6) of an orthotropic material in the order of
+    :class:`Anisotropy`; ``poisson`` and ``shear`` are of the pairs 12, 13, 23."""
     e, g = (
         tuple(
             checks.quantity(f"{name}[{i}]", value, positive=True)

@@ -90,8 +90,8 @@ class LoadPath:
         return self.factors.get(name, self.default)
 
     def resolved(self, problem: ContactProblem | None) -> dict[str, np.ndarray]:
-        """Return factors (n_steps,) of all that a problem has to scale; of a bare DiscreteProblem
-        (None) ``default``.
+        """Return the factors (n_steps,) of each load and motion of a problem, by its name; for a
+        bare DiscreteProblem (None) only ``default``.
 
         ValueError if the path names something that the problem does not load or move.
         """

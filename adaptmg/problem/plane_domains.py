@@ -434,18 +434,21 @@ _Outlined = TypeVar("_Outlined", bound=Domain)
 def with_vertex(
     domain: _Outlined, point: tuple[float, ...], arcs: bool = False
 ) -> _Outlined | Outline:
-    """Return a plane domain with a vertex at a point of a straight edge, or of any; itself if it
-    lies elsewhere."""
+    """Return a plane domain with a further vertex at a point of a straight edge (``arcs``: of any
+    edge). The domain is returned unchanged if the point lies on a vertex or on no such edge."""
     outline = domain.outline
-    near = checks.ALIKE * float((domain.upper - domain.lower).max())
-    away = [
+    tolerance = checks.ALIKE * float((domain.upper - domain.lower).max())
+    distances = [
         np.inf
         if i in outline.arcs and not arcs
         else outline.edges[i].distance(np.array([point]))[0]
         for i in range(len(outline.vertices))
     ]
-    i = int(np.argmin(away))
-    if away[i] > near or np.linalg.norm(np.array(outline.vertices) - point, axis=1).min() <= near:
+    i = int(np.argmin(distances))
+    if (
+        distances[i] > tolerance
+        or np.linalg.norm(np.array(outline.vertices) - point, axis=1).min() <= tolerance
+    ):
         return domain
     centres = {k + (k > i): centre for k, centre in outline.arcs.items()}
     if (arc := outline.arc(i)) is not None:

@@ -116,6 +116,7 @@ def meetings(e: Segment | Arc, f: Segment | Arc, tol: float) -> list[np.ndarray]
         u = e.end - e.start
         v = f.end - f.start
         w = f.start - e.start
+        # the lines meet at e.start + s u with s = (w x v) / (u x v)
         cross = u[0] * v[1] - u[1] * v[0]
         if abs(cross) > checks.ROUNDING * np.linalg.norm(u) * np.linalg.norm(v):
             points.append(e.start + u * ((w[0] * v[1] - w[1] * v[0]) / cross))
@@ -140,6 +141,8 @@ def on_both(
 
 
 def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
+    """Return the points where the circles of two arcs meet; their chord crosses the line from centre
+    to centre at the distance ``along``."""
     centre = np.array(e.center)
     apart = np.array(f.center) - np.array(e.center)
     distance = float(np.linalg.norm(apart))
@@ -211,7 +214,7 @@ def _meet(e: Segment | Arc, f: Segment | Arc, shared: list[np.ndarray], tiny: fl
 
 
 def _again(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[np.ndarray]:
-    """The other point where the lines or circles of two edges meet that meet at v."""
+    """Return the second point where the lines or circles of two edges meet, which meet at v."""
     if isinstance(e, Arc):
         arc = e
         other = f

@@ -151,8 +151,8 @@ class Plastic(checks.Checked):
         return np.append(np.diff(stresses) / np.diff(strains), last)
 
     def _yielded(self, accumulated: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The accumulated strain after a step and the slope of hardening there; ``size`` is
-        sqrt(3/2) |xi|."""
+        """Return the accumulated strain after a step and the slope of hardening there; ``size`` is
+        sqrt(3/2) |xi|. This solves the second formula of the module for alpha + Delta alpha."""
         strains, stresses = self._rows.T
         slopes = self._slopes()
         resisting = 3 * self.elastic.shear_modulus + self.kinematic
@@ -168,6 +168,7 @@ class Plastic(checks.Checked):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the stresses (n, k), Pa, their derivatives (n, k, k) and the new states of patches
         with strains (n, k); see :class:`~adaptmg.problem.plastic.Inelastic`."""
+        # in the formulas of the module: deviator s*, relative xi, direction n, grown Delta alpha
         k = strain.shape[1]
         shear = self.elastic.shear_modulus
         bulk = self.elastic.lame + 2 * shear / 3
@@ -193,21 +194,22 @@ class Plastic(checks.Checked):
         flow = np.sqrt(1.5) * grown
         stress = deviator - (2 * shear * flow)[:, None] * direction
         stress[:, :3] += bulk * volume[:, None]
-        kept = 1 - 2 * shear * flow / np.where(yields, norm, 1.0)
+        theta = 1 - 2 * shear * flow / np.where(yields, norm, 1.0)
         hardening = np.maximum((slope + self.kinematic) / (3 * shear), _SOFTEST)
-        turned = 1 / (1 + hardening) - (1 - kept)
-        turned = np.where(yields, turned, 0.0)
+        theta_bar = 1 / (1 + hardening) - (1 - theta)
+        theta_bar = np.where(yields, theta_bar, 0.0)
         projection = np.diag(share) - np.outer(normal, normal) / 3
         tangent = bulk * np.outer(normal, normal) + 2 * shear * (
-            kept[:, None, None] * projection
-            - turned[:, None, None] * direction[:, :, None] * direction[:, None, :]
+            theta[:, None, None] * projection
+            - theta_bar[:, None, None] * direction[:, :, None] * direction[:, None, :]
         )
         state = np.column_stack([plastic + flow[:, None] * often * direction, accumulated + grown])
         return stress, tangent, state
 
 
 def elastic_material(name: str, material: object) -> Elastic:
-    """Return a material as Elastic, an inelastic one as its elastic part that knows it."""
+    """Return a material as Elastic; of an inelastic one its elastic part, with the material as its
+    ``inelastic``."""
     if isinstance(material, Elastic):
         return material
     words = (

@@ -239,6 +239,7 @@ class Moving(_MovingPart):
             return whole.contact(points, normals)
         motion = self.motion(points)
         along = np.einsum("nd,nd->n", motion, normals)
+        # Undo the tangential part of the motion and look there; the normal part changes the gap.
         fixed = moving_parts(self)[-1].obstacle
         directions, gaps = fixed.contact(points - motion + along[:, None] * normals, normals)
         return directions, gaps + np.einsum("nd,nd->n", motion, directions)
@@ -422,9 +423,11 @@ def moving_parts(obstacle: Obstacle) -> list[Moving | Rigid]:
 def placed(
     obstacle: Obstacle, factors: Mapping[str, float], motions: Mapping[str, ArrayLike] | None
 ) -> Obstacle:
-    """Return an obstacle whose Moving parts have made ``factors`` of their motions (1 where not
-    named), and whose Rigid one has made that of ``motions`` (none where not named); without
-    ``motions`` it has the factor of its force."""
+    """Return an obstacle after a part of its motions.
+
+    Each Moving part has made the share of its motion that ``factors`` gives (1 if not named). A
+    Rigid part has made its motion of ``motions`` (none if not named); if ``motions`` is None, its
+    force is multiplied by its factor instead."""
     if isinstance(obstacle, Rigid):
         inner = replace(obstacle, obstacle=placed(obstacle.obstacle, factors, motions))
         if motions is None:

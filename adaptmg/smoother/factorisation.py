@@ -149,7 +149,9 @@ def graph_coordinates(graph: sparse.csr_array) -> np.ndarray:
 
 
 def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> None:
-    """Write to ``path`` digits in base 3 (before, behind, separator), most significant first."""
+    """Write to ``path`` (n,) of each node what the cuts made of it: a digit in base 3 for each depth
+    (0 before, 1 behind, 2 separator), the most significant first. Sorted by path the nodes are in
+    the order of elimination."""
     edges = sparse.coo_array(graph)
     row, column = edges.coords
     upper = row < column
@@ -177,8 +179,8 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
 
 
 def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find which nodes lie behind the median of their part along its longest extent, and which
-    parts are left whole."""
+    """Return two masks of nodes (n,): which lie behind the median of their part along its longest
+    extent, and which are in a part that is not cut."""
     _, index, size = np.unique(part, return_inverse=True, return_counts=True)
     first = np.r_[0, np.cumsum(size)[:-1]]
     extent, low, middle = (np.empty((len(size), coordinates.shape[1])) for _ in range(3))
@@ -367,7 +369,7 @@ def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> spa
 def _eliminate(
     matrix: sparse.csc_array, order: np.ndarray, contact: np.ndarray
 ) -> tuple[OrderedFactors, np.ndarray]:
-    """Factors, and L_cc U_cc in the order of ``contact``."""
+    """Return the factors of a matrix and L_cc U_cc (n_c, n_c) in the order of ``contact``."""
     try:
         factors = OrderedFactors.of(matrix, order)
     except RuntimeError as error:
@@ -391,7 +393,8 @@ def _eliminate(
 def _eliminate_dense(
     system: LocalSystem, contact: np.ndarray, shift: np.ndarray, lenient: bool
 ) -> tuple[DenseFactors, np.ndarray]:
-    """The same by dense factors with pivots, which find the rank of the interior."""
+    """Return what :func:`_eliminate` returns, by a dense Cholesky decomposition with pivots, which
+    find the rank of the interior matrix."""
     n = system.n_nodes
     dim = system.dim
     matrix = np.zeros((n, dim, n, dim))

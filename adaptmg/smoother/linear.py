@@ -123,6 +123,7 @@ class Direct:
         except RuntimeError as error:
             raise np.linalg.LinAlgError(_singular(matrix)) from error
         result = Factorised(matrix, factors)
+        # the solution of forces of the size of the diagonal: about 1, huge if the matrix is singular
         probe = np.random.default_rng(0).standard_normal(matrix.shape[0])
         growth = np.abs(factors.solve(matrix.diagonal() * probe)).max()
         if not growth < self.SINGULAR:

@@ -281,6 +281,8 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
 
 
 def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarray) -> NodalContact:
+    """Return the contact conditions of a problem in contact frames, for unknowns from which the
+    prescribed values are subtracted."""
     # the prescribed values
     lifted = to_frames(frames, problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes])
     limit, friction = problem.law.bounds(len(problem.contact))
@@ -359,8 +361,8 @@ def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) -> sparse.bsr_array:
-    """A copy with ``frames`` applied to the block rows and columns of ``nodes``; the others are not
-    touched."""
+    """Return a copy of a matrix, turned into contact frames: A_ij becomes F_i A_ij F_j', F the frame
+    of one of ``nodes`` and the identity elsewhere."""
     n = matrix.shape[0] // matrix.blocksize[0]
     frame_of = np.full(n, -1)
     frame_of[nodes] = np.arange(len(nodes))
