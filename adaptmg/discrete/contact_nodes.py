@@ -423,7 +423,7 @@ def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
 
 
 def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
-    """ValueError unless each block is the transpose of its counterpart, relative to the diagonals
+    """Raise ValueError unless each block is the transpose of its counterpart, relative to the diagonals
     of its two nodes. sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part
     is judged by its own stiffness."""
     difference = sparse.coo_array(matrix - matrix.T)

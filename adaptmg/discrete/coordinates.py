@@ -130,7 +130,7 @@ def relative_prolongation(
 
 
 def _series(step: sparse.csr_array) -> sparse.csr_array:
-    """step + step^2 + ... until it ends."""
+    """Return step + step^2 + ... until a power vanishes."""
     total = step
     power = step
     for _ in range(_MOST_LINKS):

@@ -223,7 +223,7 @@ def initial_strain_load(
 def _at_quadrature_points(
     mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric
+    """Return elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric
     points."""
     n = len(load.components)
     if n not in (mesh.dim, 3):

@@ -171,7 +171,7 @@ def isotropic(
 
 
 def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np.ndarray:
-    """Tensors (1 or n, k, k) of an anisotropic material at points."""
+    """Return tensors (1 or n, k, k) of an anisotropic material at points."""
     i, j = PAIRS.T
     k = 2 * material.dim
     axes = anisotropy.rotations(points)

@@ -208,7 +208,7 @@ def pair_interface(
 
 
 def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse.csr_array:
-    """The shares (n_nodes, n_nodes) in which the nearest nodes that carry multipliers (n_nodes,),
+    """Return the shares (n_nodes, n_nodes) in which the nearest nodes that carry multipliers (n_nodes,),
     columns, stand for each node of a surface: itself, or some of sum 1."""
     n = len(surface.points)
     corners = surface.facets.shape[1]

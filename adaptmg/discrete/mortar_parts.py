@@ -220,7 +220,7 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
 def _pieces(
     surfaces: Surfaces, backward: float, forward: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Slave edge, master edge and ends (n, 2) in s of the covered parts of all slave edges."""
+    """Return slave edge, master edge and ends (n, 2) in s of the covered parts of slave edges."""
     edge, facet = _edges_near(surfaces, backward, forward)
     ends = _in_front(surfaces, edge, facet)
     real = ends[:, 1] - ends[:, 0] > SHORTEST
@@ -312,7 +312,7 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
 def _opposite(
     surfaces: Surfaces, slave: np.ndarray, master: np.ndarray, s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Position 0 .. 1 on the master edge, and distance along the unit normal, at points s (n,
+    """Return position 0 .. 1 on the master edge, and distance along the unit normal, at points s (n,
     n_points)."""
     x = surfaces.points[slave]
     n = surfaces.normals[slave]
@@ -466,7 +466,7 @@ def _local(surfaces: Surfaces, frames: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _triangles_near(
     surfaces: Surfaces, frames: np.ndarray, backward: float, forward: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Master facets that may be opposite to a slave facet: where those of each begin, and their
+    """Return master facets that may be opposite to a slave facet: where those of each begin, and their
     numbers."""
     origins, local = _local(surfaces, frames)
     low = local.min(axis=1)

@@ -156,7 +156,7 @@ class Posed:
 
     @cached_property
     def bodies(self) -> Mapping[str, np.ndarray]:
-        """The nodes of each body by name."""
+        """Return the nodes of each body by name."""
         mesh = self.mesh
         if len(mesh.bodies) == 1:
             return {mesh.bodies[0]: np.arange(mesh.n_nodes)}
@@ -266,7 +266,7 @@ class Posed:
 
     @cached_property
     def rows(self) -> Rows:
-        """The rows of all nodes of which something is said; slave nodes that supports hold along a
+        """Return the rows of all nodes of which something is said; slave nodes that supports hold along a
         surface with friction carry no condition."""
         excluded = np.empty(0, dtype=np.int64)
         while True:  # each pass excludes further nodes

@@ -189,6 +189,7 @@ def adapt(
 
 
 def _check_obstacles(problem: ContactProblem, parts: LoopParts) -> None:
+    """Raise ValueError if the estimates do not account for obstacles, preloads or plastic bodies."""
     path = parts.load_path
     if problem.by_force:
         raise ValueError(
@@ -220,6 +221,7 @@ def _written(row: dict[str, float | str]) -> None:
 
 
 def _check(parts: LoopParts) -> None:
+    """Raise TypeError or ValueError unless each part of the loop offers its method."""
     checks.offers(
         "indicator",
         parts.indicator,
@@ -257,7 +259,7 @@ _SURELY = 1.5
 def _first_hierarchy(
     problem: ContactProblem, start: Start, transfer: Transfer | None, engine: Engine, limits: Limits
 ) -> Hierarchy:
-    """The hierarchy that the loop begins with; ValueError if it exceeds the limits."""
+    """Return the hierarchy that the loop begins with; ValueError if it exceeds the limits."""
     if isinstance(start, Hierarchy):
         first = _checked(problem, start, transfer)
     elif start is None or isinstance(start, Real):
@@ -275,6 +277,7 @@ def _first_hierarchy(
 
 
 def _checked(problem: ContactProblem, start: Hierarchy, transfer: Transfer | None) -> Hierarchy:
+    """Return a hierarchy given as start; ValueError unless it is of the problem and has meshes."""
     if start.problem is not problem:
         raise ValueError(
             f"start must be a hierarchy for the problem, got one for "
@@ -297,8 +300,8 @@ def _of_size(
     engine: Engine,
     limits: Limits,
 ) -> Hierarchy:
-    """With a mesh of an element size, m, or of the default one; refused before Netgen works for
-    minutes."""
+    """Return a hierarchy of one mesh with an element size in m, or the default one; ValueError, before
+    Netgen works for minutes, if the mesh would have far too many nodes."""
     from adaptmg.mesh.sizes import NODES_PER_CELL
 
     size = None if start is None else checks.positive("start", start)

@@ -297,7 +297,7 @@ def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
 
 
 def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
-    r"""A V-cycle for the adjoint matrix M, which is not symmetric where nodes slip with Coulomb
+    r"""Return a V-cycle for the adjoint matrix M, which is not symmetric where nodes slip with Coulomb
     friction. M is in local components with the dofs that cannot move decoupled, Z; with the frames
     F at contact nodes and the nodal prolongation P the first coarse matrix is :math:`(Z F P)^T M Z
     F P`; those below are Galerkin products with P."""
@@ -329,7 +329,7 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
 def _rotated(
     nodal: sparse.csr_array, contact: LinearisedContact, trial: np.ndarray
 ) -> sparse.csr_array:
-    """Z F P by dofs, columns sorted."""
+    """Return Z F P (see :func:`_cycle`) by dofs, with sorted columns."""
     n = contact.discrete.n_nodes
     dim = contact.discrete.dim
     frames = np.broadcast_to(np.eye(dim), (n, dim, dim)).copy()

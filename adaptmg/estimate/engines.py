@@ -193,8 +193,9 @@ class Bisect:
     def _within(
         self, mesh: MeshArrays, squares: np.ndarray, marked: np.ndarray, limit: float
     ) -> MeshArrays | None:
-        """Refined, with fewer elements marked until the nodes are within the limit; None if not
-        even one is."""
+        """Return the mesh refined at the first elements of the order of squares, at as many as the limit
+        of nodes allows; None if it allows not even one. The number is found by bracketing: ``fits``
+        is known to be within the limit, ``most`` beyond it."""
         order = np.flatnonzero(marked)
         order = order[np.argsort(-squares[order], kind="stable")]
         room = limit - mesh.n_nodes
@@ -376,7 +377,8 @@ class NodeCount:
         self.factor = mesh.n_nodes / self(nodal_sizes(mesh, simplex_sizes(mesh)))
 
     def __call__(self, sizes: np.ndarray) -> float:
-        """Nodes for the sizes (n_nodes,), m."""
+        """Return the number of nodes of a mesh with sizes (n_nodes,), m: the integral of 1 / size^dim
+        over the bodies, and of 1 / size^(dim - 1) over the boundary."""
         mesh = self.mesh
         # sizes at the middles between corner and centroid: integrated as linear functions nearly
         # exactly

@@ -457,8 +457,8 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _friction(state: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Limits (n,) of the friction and its tractions (n, dim), Cartesian, which obey the law for the
-    slip, Pa."""
+    """Return the limits (n,) of friction and its Cartesian tractions (n, dim), Pa, which obey the
+    law: at the limit against the slip, below it where a node sticks."""
     contact = state.result.contact
     fixed, _ = state.discrete.law.bounds(len(contact))
     limit = np.where(opens, fixed, contact.limit)
@@ -529,7 +529,7 @@ def volume_squares(
 
 
 def _divergence(stress: ElementStress, rule: np.ndarray) -> np.ndarray:
-    """Divergence (n_elements, n_points, 2) of an axisymmetric stress: (d_r sigma_rr + (sigma_rr -
+    """Return the divergence (n_elements, n_points, 2) of an axisymmetric stress: (d_r sigma_rr + (sigma_rr -
     sigma_tt) / r, d_z sigma_zz + sigma_rz / r), where stresses vary with the hoop strain u_r /
     r."""
     mesh = stress.mesh

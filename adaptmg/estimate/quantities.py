@@ -107,8 +107,8 @@ _NONE = -1
 def _halved(
     mesh: MeshArrays, values: np.ndarray, rule: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Values (n_nodes, ...) of a mesh that was bisected, from those of the first nodes, by a rule
-    for halved edges."""
+    """Return values (n_nodes, ...) on a bisected mesh: the given ones at its first nodes, and at each
+    new node ``rule`` of the two ends of the edge that it halves."""
     n = len(values)
     first, second = cast("Refinement", mesh.refinement).parents[n:].T
     result = np.concatenate([values, np.zeros((len(first), *values.shape[1:]), values.dtype)])
@@ -304,7 +304,7 @@ class MeanDisplacement:
 
 
 def _contact_mask(contact: ContactNodes, name: str) -> tuple[np.ndarray, float]:
-    """Mask of the contact nodes of a boundary, and the sign: -1 where it is the master of a
+    """Return the mask of the contact nodes of a boundary, and a sign: -1 where it is the master of a
     pair."""
     if name == "contact":
         return np.ones(len(contact), dtype=bool), 1.0
@@ -369,7 +369,7 @@ class ContactForce:
         ]
 
     def _direction(self, view: GoalView) -> np.ndarray:
-        """The directions d (n_dofs,)."""
+        """Return the vector d (n_dofs,) with which the quantity is d . (A u - b)."""
         contact = view.contact
         dim = view.mesh.dim
         on_boundary, sign = _contact_mask(view.touching, self.boundary)

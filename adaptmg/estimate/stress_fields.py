@@ -224,7 +224,7 @@ class Solved:
 
     @cached_property
     def norm(self) -> float:
-        """||u_h||_A, sqrt(N m): of displacements, prescribed ones included."""
+        """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
         unknowns, forces = self._moved
         inclined = self.discrete.inclined
         changed = inclined.strain_free(None, inclined.along(unknowns))
@@ -388,6 +388,8 @@ def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
 def _on_surface(
     mesh: MeshArrays, contact: ContactResult, name: str, axisymmetric: bool
 ) -> SurfaceTraction:
+    """Return the contact traction on a boundary: nodal forces over nodal masses; nodes without a
+    force of this boundary take the traction of another one, or of their neighbours."""
     surface = mesh.surface(name)
     nodes = surface.nodes
     mass = surface.lumped(axisymmetric)[surface.nodes]

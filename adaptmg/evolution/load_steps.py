@@ -314,7 +314,7 @@ class Controls:
             name = bolt.path_name
             if factors[name] == self.factors.get(name, 0.0):
                 continue
-            # of a bolt that is let go, the force that it had
+            # a bolt that is let go has a target of 0: its scale is the force that it had
             force = bolt.force * max(abs(factors[name]), abs(self.factors.get(name, 0.0)))
             material = cast("ContactProblem", self.problem).material
             strain = force / cut_stiffness(mesh, material, bolt)
@@ -634,6 +634,7 @@ class Search(Generic[Kept]):
                 # as accurate as the differences
                 trial = self.at(trial.values, trial, _EXACT * reach) if trial.loosened else trial
                 jacobian = self.differences(trial, reach)
+            # Newton's step in the directions that resist; then Broyden's update of the Jacobian
             left, stiffnesses, right = np.linalg.svd(jacobian)
             noise = _EXACT / _DIFFERENCE if fresh else 0.0
             resisted = stiffnesses > max(checks.SIX_DIGITS * stiffnesses[0], noise)

@@ -110,6 +110,8 @@ class PathLoop:
         return {name: float(values[k]) for name, values in self.factors.items()}
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
+        """Solve step k, with the motions of Rigid obstacles and preloads if there are any, and
+        return its result; the next step goes on from it."""
         factors = self._factors_at(k)
         parts = self.controls.unknowns(factors)
         motions = self.controls.motions

@@ -204,6 +204,8 @@ def _members(owner: np.ndarray, n: int) -> sparse.csr_array:
 
 
 def _check(before: _Side, result: Result, after: _Side) -> None:
+    """Raise ValueError unless a result is of the old side, and both have the same bodies and
+    states."""
     if not result.status.ok:
         raise ValueError(f"result must be a converged load step, got status {result.status.name}")
     mesh = before.posed.mesh

@@ -127,7 +127,8 @@ def correction_contact(
 def _transported(
     correction: Correction, coarse: LocalSystem, returned: object
 ) -> tuple[np.ndarray, ...]:
-    """The coarse contact data of a correction, types and shapes checked: it may be user-defined."""
+    """Return gap, slip and limit that a correction has transported, with types and shapes checked:
+    it may be user-defined."""
     n = len(coarse.nodes)
     name = f"correction: transport of {checks.shown(correction)}"
     if not isinstance(returned, (tuple, list)) or len(returned) != 3:
@@ -540,7 +541,7 @@ class MultigridCycle:
     def _complete(
         self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray
     ) -> None:
-        """Cycles until the estimated error meets the tolerance of the coarse solve."""
+        """Run cycles until the estimated error meets the tolerance of the coarse solve."""
         change = np.inf
         for _ in range(self.COMPLETE_LIMIT):
             before = unknowns.copy()

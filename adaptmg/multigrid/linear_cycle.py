@@ -81,7 +81,10 @@ class LinearLevel:
         )
 
     def presmooth(self, load: np.ndarray) -> float:
-        """Smooth from zero and leave the residual; returns the passes over the matrix."""
+        """Smooth from zero and leave the residual; returns the passes over the matrix.
+
+        The first sweep, from zero, needs L only. A backward sweep reads only U, as the forward one
+        before it leaves load - L u in ``rest``."""
         matrix = self.matrix
         u = self.solution
         rest = self.rest
@@ -217,7 +220,8 @@ class LinearCycle:
         return self._visits(number, load, self.cycle.shape)
 
     def _visits(self, number: int, load: np.ndarray, shape: str) -> np.ndarray:
-        """One visit of a level from the next finer one, or two (W; F: an F- and a V-cycle)."""
+        """Return the solution of a level after one visit from the next finer one (V) or two (W; F: an
+        F- and then a V-cycle)."""
         first, *second = VISITS[shape]
         solution = self._visit(number, load, first)
         if number > 0 and second:  # the coarsest level is solved
@@ -229,6 +233,8 @@ class LinearCycle:
         return solution
 
     def _visit(self, number: int, load: np.ndarray, shape: str, smooth: bool = True) -> np.ndarray:
+        """Return the solution of a level after one cycle from zero; ``smooth`` False leaves out the
+        sweeps before the coarse correction."""
         level = self.levels[number]
         recorder = self.recorder
         if number == 0:

@@ -232,7 +232,8 @@ def _alone(
     u,
     residual,
 ):
-    """Move a master without its followers, if all are open and stay so; whether it was done."""
+    """Move a master i by d and its followers j back by -w_j d, so that these stay where they are, if
+    all are open and stay so; return whether it was done."""
     dim = np.uint64(len(zero))
     size = dim * dim
     begin = np.uint64(follow_indptr[p])
@@ -389,8 +390,8 @@ class Interface:
         self.nonzeros = len(self.blocks) + len(self.diagonal)
 
     def _follow(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
-        """The followers of each node that can stay where they are; nodes that follow others have
-        none."""
+        """Set the followers of each node that can stay where they are, with their weights; nodes that
+        follow others have none."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         itself = np.diff(coupling.weights.indptr)[self.nodes] > 0
         following = ~np.repeat(itself, np.diff(by_master.indptr))
@@ -403,8 +404,8 @@ class Interface:
         self.follow_weights = (by_master.data[following, None] * free).reshape(-1)
 
     def _alone_blocks(self, place: np.ndarray) -> np.ndarray:
-        """Blocks D'AD (n, dim, dim) of the motion D of each node that leaves its followers where
-        they are."""
+        """Return the blocks D'AD (n, dim, dim), D the motion of a node that leaves its followers where
+        they are: 1 at the node, minus the weight at each follower."""
         n = len(self.nodes)
         dim = self.dim
         columns = place[self.indices]

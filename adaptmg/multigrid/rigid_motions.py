@@ -65,8 +65,8 @@ def _is_held_body(problem: DiscreteProblem, held: np.ndarray, fixed: np.ndarray)
 
 @remembered_of_structure
 def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (k, m) of the motions that supports leave free, and those (n_contact, dim, m) of
-    contact nodes."""
+    """Return the coefficients (k, m) of the m motions that supports leave free, among k rigid modes,
+    and these motions at the contact nodes (n_contact, dim, m)."""
     nodes = problem.contact.nodes
     fixed = problem.fixed.reshape(-1, problem.dim)
     # 0.1 ms for 263k nodes, by any(axis=1) 3
@@ -221,6 +221,7 @@ class _Descent:
         speed = np.linalg.norm(along, axis=1)
         small = checks.ALIKE * max(speed.max(), np.abs(across).max())
         closing = ~closed & (across > small) & np.isfinite(o.gap)
+        # the step ends where the first gap closes, or where the sum of friction and work is least
         stops = np.divide(
             o.gap - self.values[:, 0], across, out=np.full(len(across), np.inf), where=closing
         )
@@ -260,7 +261,8 @@ class _Descent:
     def _direction(
         self, bound: np.ndarray, slip: np.ndarray, tangents: np.ndarray, force: np.ndarray
     ) -> np.ndarray | None:
-        """The direction (j,) of a step, None at a minimum."""
+        """Return the direction (j,) of a step in the free motions, None at a minimum: that of Newton's
+        method for sum B |slip| - force, or the steepest descent where the Hessian is singular."""
         size = np.linalg.norm(slip, axis=1, keepdims=True)
         along = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0)
         gradient = np.einsum("n,nt,ntj->j", bound, along, tangents) - force

@@ -356,7 +356,7 @@ class TruncatedStep:
         self.cycle.recorder.visit(self.number, "smooth")
 
     def _projected_sweeps(self, state: TruncatedState) -> None:
-        """A backward and a forward sweep in one pass over the matrix."""
+        """Sweep backward and forward, in one pass over the matrix; leave f - A u in the residual."""
         matrix = self.matrix
         c = state.contact
         unknowns, pressures = self.parts(state)
@@ -401,7 +401,7 @@ class TruncatedStep:
         self.cycle.recorder.count(1.0, interface.nonzeros)
 
     def _recombined(self, state: TruncatedState, left: np.ndarray) -> Recombinable:
-        r"""The iterate and its restricted residual, recombined with the last ones: the weights of
+        r"""Return the iterate and its restricted residual, recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
         the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays,
         the residual is affine in u (3D: nearly). With recombined iterates alone, few are as good as
@@ -523,8 +523,8 @@ class CoarseContact:
         self.stiffness = np.abs(block.diagonal(axis1=1, axis2=2))
 
     def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:
-        """The levels that may serve, finest first: with B, the prolongation from there at contact
-        nodes, in their frames, and the nodes that reach these."""
+        """Yield the levels that may serve, finest first: the number, B, which is the prolongation from
+        there at contact nodes in their frames, and the coarse nodes that move these."""
         step = self.step
         dim = self.step.contact.dim
         n = len(step.contact.nodes)

@@ -349,7 +349,7 @@ class Truncation:
 
 @kernel
 def _at_contact(first, last, order, indptr, indices, contact_of):
-    """The blocks of a half in rows and columns of contact nodes."""
+    """Return the numbers of the blocks of a half in rows and columns of contact nodes."""
     found = np.empty(indptr[last] - indptr[first], dtype=np.int32)
     count = 0
     for place in range(first, last):

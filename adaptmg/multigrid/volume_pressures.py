@@ -109,7 +109,8 @@ _MOST = 100.0  # c
 
 @remembered_of_structure
 def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
-    """The problem with its whole matrix, and kappa of the groups as far as the matrix has it."""
+    """Return the problem with the matrix A + sum kappa b b' / area over the rows b of the volumes, and
+    kappa (n_groups,), bounded where a material is incompressible."""
     volumes = problem.volumes
     with np.errstate(divide="ignore"):
         kappa = np.minimum(1 / volumes.compliance, _MOST * volumes.modulus)

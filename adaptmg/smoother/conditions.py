@@ -200,8 +200,8 @@ def _set_springs(
 def _beside_held(
     contact: NodalContact, tau: np.ndarray, residual: np.ndarray, equations: Linearised
 ) -> Linearised:
-    r"""The equations, in place, of nodes that slip along a held tangent: there |tau| > 0, and the
-    second tangent has
+    r"""Set up the equations, in place, of nodes that slip along a held tangent: there |tau| > 0, and
+    the second tangent has
 
     .. math:: q_2 = (s + \mu p)\,\tau_2/|\tau|,\qquad \kappa = (s + \mu p)\,\tau_1^2/|\tau|^3 .
     """

@@ -226,7 +226,10 @@ class _Method:
         return Interior(self.state[:, : self.dim].copy(), forces, self.unknowns, slack, 0)
 
     def advance(self) -> bool:
-        """Take a step, or return False where there is none."""
+        """Take a step, or return False where there is none.
+
+        A predictor aims at products of 0; the corrector aims at the share of their mean that the
+        predictor would leave, to the third power (Mehrotra)."""
         self.blocks[:] = 0.0
         _eliminate(self.state, *self.nodes, self.blocks)
         solve = self._factors()
@@ -349,7 +352,7 @@ def _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
 
 @inner_kernel
 def _way(b, q_1, q_2, db, dq_1, dq_2):
-    """Longest step that keeps B >= |q|: the least positive root of a t^2 + 2 h t + c."""
+    """Return the longest step that keeps B >= |q|: the least positive root of a t^2 + 2 h t + c."""
     a = db * db - dq_1 * dq_1 - dq_2 * dq_2
     h = b * db - q_1 * dq_1 - q_2 * dq_2
     c = max(b * b - q_1 * q_1 - q_2 * q_2, 0.0)
@@ -364,8 +367,8 @@ def _way(b, q_1, q_2, db, dq_1, dq_2):
 
 @kernel
 def _measure(state, gap, reference, limit, friction, compliance):
-    """The sum of the products of all pairs, the largest error of a gap, and the largest
-    displacement."""
+    """Return the sum of the products p y and B v - q.t of all pairs (t the slip), the largest error
+    of a gap, and the largest displacement."""
     total = 0.0
     apart = 0.0
     size = 0.0
@@ -386,7 +389,8 @@ def _measure(state, gap, reference, limit, friction, compliance):
 
 @kernel
 def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
-    """The blocks that the eliminated (v, q_t) and p add at each node."""
+    """Write to ``blocks`` (n, 3, 3) what the eliminated p and (v, q_t) add at each node: the
+    derivatives of (p, q_t) with respect to (w, w_t)."""
     for i in range(len(state)):
         _, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
         t_1 = w_1 - reference[i, 0]
@@ -406,7 +410,8 @@ def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
 def _sides(
     state, gap, reference, limit, friction, compliance, before, target, weight, terms, sides
 ):
-    """Right-hand sides of the nodes, and what :func:`_complete` needs of them."""
+    """Write the right-hand sides of the nodes to ``sides`` (n, 3), and to ``terms`` (n, 4) those of
+    the eliminated equations, which :func:`_complete` reads: of p, and e, e_1, e_2 of the cone."""
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
         _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = _node(before, i)
@@ -447,7 +452,8 @@ def _sides(
 
 @kernel
 def _complete(state, gap, reference, limit, friction, compliance, terms, change):
-    """The change of the eliminated unknowns from that of w; returns how far it may go."""
+    """Complete ``change`` (n, 8), whose columns w, w_t are given, by the eliminated unknowns; return
+    the longest step with p, y >= 0, B >= |q| and v >= |t|."""
     longest = 1e30
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)

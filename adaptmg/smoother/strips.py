@@ -112,8 +112,8 @@ def _bounds(last: np.ndarray) -> list[int]:
 
 
 def _by_distance(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Nodes by their distance from one of them in the graph of a matrix, part by part where it
-    falls apart."""
+    """Return the nodes in the order of their distance from a first one in the graph of a matrix,
+    one connected part after the other."""
     n = len(indptr) - 1
     graph = sparse.csr_array((np.ones(len(indices), dtype=np.int8), indices, indptr), shape=(n, n))
     new = np.ones(n, dtype=bool)

@@ -558,7 +558,7 @@ class SparseSteps:
         self._prepared_for = key
 
     def _contact_rows(self, equations: Linearised, coupled: bool = True) -> sparse.bsr_array:
-        """The matrix with Coulomb coupling (if ``coupled``) and curvature in the rows of contact
+        """Return the matrix with Coulomb coupling (if ``coupled``) and curvature in the rows of contact
         nodes."""
         system = self.local.system
         data = self._matrix.data.copy()

@@ -92,7 +92,7 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
 def _joined(
     graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray
 ) -> np.ndarray:
-    """The labels after small remnants have joined the smallest neighbour of their group."""
+    """Return the labels after small remnants have joined the smallest neighbour of their group."""
     inside = label >= 0
     members = np.bincount(label[inside])
     of = np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
@@ -181,7 +181,7 @@ class Aggregates:
         self.width = int(np.max(rows - self.place[coarse.indices], initial=0)) + 1
 
     def _rigid(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        """Rigid motions (n, modes, dim): translations, and turns about the centre over the extent
+        """Return rigid motions (n, modes, dim): translations, and turns about the centre over the extent
         of an aggregate (root of the mean square)."""
         dim = points.shape[1]
         members = np.bincount(self.label, minlength=self.count)

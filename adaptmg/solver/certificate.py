@@ -364,7 +364,7 @@ class Evidence:
         )
 
     def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gap (n,) and slip (n, dim) against the obstacle, or the other body."""
+        """Return the gap (n,) and slip (n, dim) against the obstacle, or the other body."""
         problem = self.problem
         moved = self.u[self.nodes]
         if problem.coupling is not None:
@@ -511,7 +511,7 @@ class Evidence:
         return _over(error, self.energy), _over(rounding, self.energy)
 
     def _attainable(self, conditions: AtNodes, aggregates: Aggregates) -> float:
-        """The energy error that rounding of the residual leaves, measured: the largest of what
+        """Return the energy error that rounding of the residual leaves, measured: the largest of what
         residuals of its size, of random signs, bring about with the contact status held. Slender
         bodies answer to them with their condition."""
         matrix = self.problem.matrix
@@ -542,7 +542,7 @@ class Evidence:
         aggregates: Aggregates | None,
         negligible: float = 0.0,
     ) -> tuple[float, bool]:
-        """||u - u_h||_A with the contact status held, infinite where it leaves a loaded motion
+        """Return ||u - u_h||_A with the contact status held, infinite where it leaves a loaded motion
         free, and whether the corrected displacement contradicts this status."""
         contact = self.problem.contact
         matrix = self.problem.matrix
@@ -568,7 +568,7 @@ class Evidence:
     def _with_changed_status(
         self, conditions: AtNodes, held: float, aggregates: Aggregates
     ) -> float:
-        """The energy error where the contact status may change: of the change in the span of the
+        """Return the energy error where the contact status may change: of the change in the span of the
         aggregates, and what is missing after it with the status held; ``held``: what is missing
         without it."""
         problem = self.problem
@@ -607,7 +607,7 @@ class Evidence:
     def _frozen(
         self, conditions: AtNodes, unknowns: np.ndarray
     ) -> tuple[FrozenStatus, np.ndarray, np.ndarray, np.ndarray]:
-        """The status that the displacement is nearest to, the change that meets it, the lawful
+        """Return the status that the displacement is nearest to, the change that meets it, the lawful
         contact forces, and which nodes touch. At each node the cheaper is taken, in the measure of
         its stiffness: to move onto the obstacle (to zero slip), or to give the force up (to turn it
         against the slip)."""

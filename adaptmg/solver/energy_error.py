@@ -1,4 +1,4 @@
-r"""The energy error of a displacement, estimated from the raw matrix by a few steps of a Galerkin
+r"""Return the energy error of a displacement, estimated from the raw matrix by a few steps of a Galerkin
 method.
 
 With the contact status of the displacement held, u is first moved onto its constraints by a change
@@ -131,7 +131,7 @@ def _invert(zero, blocks, inverse):
 
 @kernel
 def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, rest):
-    """Gauss-Seidel from zero over places of ``order``, and the residual that it leaves in ``rest``,
+    """Sweep by Gauss-Seidel from zero over places of ``order``, and leave the residual in ``rest``,
     which comes as 0. Of the matrix the half that couples a node with those of lower ``rank`` is
     read. With prefetch and unsigned positions 4.6 ms for 263k nodes (7.7), 1.8 for 36k in 3D
     (4.9)."""
@@ -160,7 +160,7 @@ def _forward(first, last, order, zero, indptr, indices, data, rank, inverse, loa
 
 @kernel
 def _backward(first, last, order, zero, indptr, indices, data, rank, inverse, load, u, image):
-    """Gauss-Seidel from u, and the matrix times what it ends with in ``image``, which comes as 0,
+    """Sweep by Gauss-Seidel from u, and leave the matrix times the result in ``image``, which comes as 0,
     in one pass. Rows are read from their end: memory that is read in one direction comes in
     advance, in 3D in a third of the time."""
     dim = np.uint64(len(zero))
@@ -406,7 +406,7 @@ def _estimated(
 def _factorised(
     problem: DiscreteProblem, status: FrozenStatus, load: np.ndarray, rounding: float
 ) -> HeldCorrection:
-    """The correction by factors of the matrix of a status, with what makes it regular where motions
+    """Return the correction by factors of the matrix of a status, with what makes it regular where motions
     are free."""
     matrix = problem.matrix
     volumes = problem.volumes

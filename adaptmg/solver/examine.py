@@ -337,7 +337,7 @@ class Examiner:
         return examined
 
     def _contact_result(self, solved: np.ndarray, residual: np.ndarray) -> ContactResult:
-        """Contact quantities at a solution (n_dofs,). Where a support holds a tangential component,
+        """Return contact quantities at a solution (n_dofs,). Where a support holds a tangential component,
         the equations do not tell friction from the reaction of the support: there it is what the
         law says for the slip, and nothing if nothing slips."""
         discrete = self.discrete
@@ -397,7 +397,7 @@ class Examiner:
 def _elsewhere(
     discrete: DiscreteProblem, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes without a contact condition, what contact forces (n_contact, dim) exert on them, their
+    """Return nodes without a contact condition, what contact forces (n_contact, dim) exert on them, their
     boundaries, and whether they lie on these or on masters. Next to where a boundary ends forces act
     in part at the end; on the other body they exert -W' times them, or where both bodies are held
     all on its held nodes."""
