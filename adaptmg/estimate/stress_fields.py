@@ -360,6 +360,7 @@ def contact_tractions(
         values = np.divide(values, mass, out=np.zeros_like(values), where=mass > 0)
         # where several meet, and at slave nodes that are not tied, the traction is that of the
         # neighbours
+        # sides of ties come in pairs: slave (k even), master (k odd)
         one_sided = sides[surface.nodes] == 1
         _fill(
             surface,

@@ -250,8 +250,8 @@ class _Newton:
         )
 
     def solve(self, certified: bool) -> tuple[_NewtonState, Status, StopTest]:
-        """Iterate, on the finest level under the eyes of the run, in the end (if ``certified``) of
-        the certificate."""
+        """Iterate. On the finest level the run records the history; if ``certified``, the certificate
+        confirms the end."""
         stop = _NewtonTest(
             self.options.rtol,
             self.options.max_steps,
@@ -313,7 +313,8 @@ class _Newton:
         )
 
     def _interior(self, state: _NewtonState) -> _NewtonState:
-        """Go to what the interior point method finds, to the next of the tolerances."""
+        """Return the state at the solution that the interior point method finds for the next of the
+        tolerances."""
         if not len(self.local.contact.gap):
             return replace(state, gives_up=Status.STALLED)  # no contact to be inside of
         if not state.tolerances:
@@ -497,6 +498,8 @@ class SparseSteps:
         return np.where(system.fixed, 0.0, result.reshape(-1))
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Return the solve with A + B, ``blocks`` (n_contact, dim, dim) of B at contact nodes; None if
+        it is singular. The preconditioner has the symmetric part of B."""
         system = self.local.system
         matrix = self._matrix.copy()
         free = ~system.fixed.reshape(-1, system.dim)[system.nodes]

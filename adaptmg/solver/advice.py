@@ -133,7 +133,7 @@ def advise_on_problem(posed: Posed | None) -> None:
 def advise_on_chords(
     posed: Posed | None, discrete: DiscreteProblem, results: Sequence[Result]
 ) -> None:
-    """Warn of pairs whose curved surfaces are not known, where chords are as high as gaps or press."""
+    """Warn of pairs with unknown curved surfaces if chords are as high as gaps, or press."""
     if posed is None or discrete.coupling is None:
         return
     peaks = np.max([result.contact.pressure for result in results], axis=0, initial=0.0)
@@ -256,6 +256,7 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
 
 
 def _advise_on_strains(posed: Posed, result: Result) -> None:
+    """Warn if strains are large in a considerable share of the volume of a body."""
     problem = posed.problem
     mesh = posed.mesh
     materials = posed.materials

@@ -276,6 +276,7 @@ class Evidence:
         pressures: np.ndarray = NO_PRESSURES,
         residual: np.ndarray | None = None,
     ) -> None:
+        # the solution, its residual f - A u and its energy norm
         shape = (problem.n_nodes, problem.dim)
         self.u = displacement.reshape(shape)
         if problem.dim == 1:  # of two obstacles the nearest
@@ -297,6 +298,7 @@ class Evidence:
         diagonal = np.einsum("nii->ni", nodal_blocks(problem))
         self.fixed = problem.fixed.reshape(shape)
         self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
+        # contact: the claimed forces, gaps and slips, and the bound of friction
         self.normals = problem.contact.normals
         self.claimed = from_frames(
             contact.frames, np.column_stack([-contact.force_n, contact.force_t])
@@ -311,6 +313,7 @@ class Evidence:
         slip = np.linalg.norm(self.slip, axis=1)
         self.coefficient = problem.friction_at(self.pressure, slip)
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
+        # Forces that neither claimed contact nor ties explain; at free dofs they must vanish. Of these,
         # what holds ties is as large as it must be; its counterpart on masters is not a violation
         tying = np.where(problem.fixed & ~problem.held, -residual, 0.0)
         self.tying = tying
@@ -322,6 +325,7 @@ class Evidence:
         self.at_contact = self.unexplained[self.nodes]
         self.in_supports = self.unexplained[self.fixed]
         self.left = np.where(self.fixed, 0.0, self.unexplained)
+        # the scales of forces and displacements, and what rounding leaves
         self.internal = _norm(problem.load - residual)
         load = problem.physical_forces(problem.load)
         claimed = self.claimed

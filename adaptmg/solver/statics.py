@@ -60,8 +60,8 @@ def check_statics(problem: DiscreteProblem) -> None:
 
 @remembered_of_structure
 def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, bool]] | None:
-    """Nodes and free motions of the connected parts that have any, whether there are several parts;
-    None if unknown."""
+    """Return (nodes, free motions, whether there are several parts) of each connected part with free
+    motions; None if the rigid motions are unknown."""
     if problem.near_nullspace is None:
         return None
     graph = sparse.csr_array(

@@ -286,6 +286,8 @@ class StepStore:
 
     @classmethod
     def read(cls, folder: Path, name: str, kinds: Kinds) -> StepStore:
+        """Return the store in a folder from its head, the JSON file ``name``; ValueError if there is
+        none, or it is damaged or of another version."""
         try:
             content = read_bytes(folder / name, _MOST_BYTES)
         except (FileNotFoundError, NotADirectoryError) as error:

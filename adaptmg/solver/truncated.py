@@ -173,16 +173,17 @@ class TruncatedCycles:
         from_start = None
         if new.cycles == 1 and self.nested is not None:
             from_start = parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
-        # each cycle only where the displacement has to grow into prescribed values
+        # Sizes are measured every fourth cycle, but every cycle with prescribed displacements, into
+        # which the iterate has to grow.
         measured = new.cycles % 4 == 0 or self.sizes.prescribed
         shorten = self.coarse is not None and self.origin != "given" and new.cycles == 0
         if self._seeks_status(new) and self.coarse is not None:
-            problem = self.coarse()
-            if problem.number is None:
+            coarse_contact = self.coarse()
+            if coarse_contact.number is None:  # no level serves
                 self.coarse = None
             else:
                 smoothed = parts.smooth(new)
-                new = problem(smoothed)
+                new = coarse_contact(smoothed)
                 shorten = new is not smoothed
                 new = new.but(moves=new.moves + 1)
                 measured = True
