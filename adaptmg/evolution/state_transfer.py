@@ -40,7 +40,7 @@ from adaptmg.solver.outcome import result_of
 from adaptmg.solver.record import Outcome, Run
 from adaptmg.solver.result import Result
 from adaptmg.transfer.contact import surface_interpolation
-from adaptmg.transfer.interpolation import Interpolation
+from adaptmg.transfer.interpolation import Interpolation, locate_nodes
 from adaptmg.transfer.projections import overlaps
 
 
@@ -102,6 +102,11 @@ def transfer_state(old_grids: Hierarchy, result: Result, new_grids: Hierarchy) -
         nodal = Interpolation().build(old_mesh, mesh)
     except ValueError as error:
         raise ValueError(f"old_grids and new_grids, here coarse and fine: {error}") from error
+    try:
+        # a body that lacks a part of the old one has all its nodes inside
+        locate_nodes(mesh, old_mesh)
+    except ValueError as error:
+        raise ValueError(f"new_grids and old_grids, here coarse and fine: {error}") from error
     displacement = discrete.relative(nodal @ result.displacement).reshape(-1)
     pressures = discrete.volumes.means @ (
         nodal @ old_grids.finest.discrete.volumes.at_nodes(result.pressures)

@@ -271,6 +271,7 @@ def test_what_is_refused():
     )
     other = am.Hierarchy.from_meshes(pressed("plane", material=Memory), meshes[1:])
     far = replace(meshes[1], points=meshes[1].points + 1.0)
+    part = replace(meshes[1], points=meshes[1].points * 0.5)
     for arguments, words in (
         ((new, result, old), "finest mesh of old_grids"),
         ((old, result, elastic), "states as in old_grids"),
@@ -278,6 +279,7 @@ def test_what_is_refused():
         ((old, replace(result, status=am.Status.LIMIT), new), "converged"),
         ((old, result, am.Hierarchy.single(new.finest.discrete)), "new_grids must be"),
         ((old, result, am.Hierarchy.from_meshes(plain, [far])), "here coarse and fine"),
+        ((old, result, am.Hierarchy.from_meshes(plain, [part])), "same body"),
     ):
         with pytest.raises(ValueError, match=words):
             am.transfer_state(*arguments)
