@@ -119,7 +119,7 @@ def assembled(
 
 
 def _strain_free(posed: Posed, volumes: Volumes) -> dict[str, Any]:
-    """The parts of a problem that initial strains make besides loads."""
+    """Return the parts of a problem that initial strains make besides loads."""
     problem = posed.problem
     mesh = posed.mesh
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]

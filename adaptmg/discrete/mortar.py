@@ -446,7 +446,7 @@ def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def _without_rounding(coupling: sparse.csr_array) -> sparse.csr_array:
-    """A matrix without entries that are zero to rounding, its rows scaled to the sum 1."""
+    """Return a matrix without entries that are zero to rounding, its rows scaled to the sum 1."""
     row = np.repeat(np.arange(coupling.shape[0]), np.diff(coupling.indptr))
     size = np.abs(coupling.data)
     coupling.data[

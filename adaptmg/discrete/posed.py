@@ -254,7 +254,7 @@ class Posed:
 
     @cached_property
     def outward(self) -> Sequence[np.ndarray]:
-        """The normals (n, dim) at the nodes of each contact boundary."""
+        """Return the normals (n, dim) at the nodes of each contact boundary."""
         result = []
         for name in self.problem.contact_boundaries:
             surface = self.surfaces[name]
@@ -320,7 +320,7 @@ class Posed:
         return Rows(nodes, role, owner, normals, gaps, weights, taken, follows)
 
     def _touching(self, k: int, excluded: np.ndarray) -> MortarInterface:
-        """The nodes of contact boundary k that carry its condition, without ``excluded`` slave nodes."""
+        """Return the nodes of contact boundary k that carry its condition, without ``excluded`` slave nodes."""
         contact = self.problem.contact[k]
         if not isinstance(contact, ContactPair):
             return in_front_of(self, k)

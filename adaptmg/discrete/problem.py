@@ -451,7 +451,7 @@ def _check_row_sums(weights: sparse.csr_array) -> None:
 
 
 def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -> dict[str, Any]:
-    """The parts of a problem of several bodies, which have been checked, with their coupling."""
+    """Return the parts of a problem of several bodies, which have been checked, with their coupling."""
     nodes = parts["contact"].nodes
     held = held_slaves(nodes, weights, parts["fixed"], parts["law"], parts["inclined"])
     if len(held):

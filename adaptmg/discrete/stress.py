@@ -247,7 +247,7 @@ class StressData:
         return energy + np.pi * float(np.einsum("n,nq,q->", stiffness, radii * rise**2, weights))
 
     def _elastic(self, mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-        """Strain minus initial strain; of plane stress without the strain through the thickness."""
+        """Return the strain minus initial strain; of plane stress without the strain through the thickness."""
         if len(self.kind) != len(mesh.bodies) or len(self.initial_strain) not in (
             0,
             len(mesh.elements),
@@ -406,7 +406,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
 def _fits(
     patches: sparse.csr_array, places: np.ndarray, centroids: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fits a, B (n, dim + 1, n_values) around places (n, dim) and whether the patches (n,
+    """Return fits a, B (n, dim + 1, n_values) around places (n, dim) and whether the patches (n,
     n_elements) determine them; elsewhere a is the mean."""
     first = patches.indptr[:-1]
     rows = np.repeat(np.arange(len(places)), np.diff(patches.indptr))

@@ -232,7 +232,7 @@ def _nodal_forces(mesh: MeshArrays, stress: np.ndarray) -> np.ndarray:
 def _fitted_tractions(
     mesh: MeshArrays, tip: Tip, faces: list[str], forces: np.ndarray, outer: float
 ) -> np.ndarray:
-    """Tractions on the left face as coefficients (3, 2) of powers of r, half of the difference
+    """Return tractions on the left face as coefficients (3, 2) of powers of r, half of the difference
     between both faces."""
     places = []
     masses = []

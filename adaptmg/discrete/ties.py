@@ -125,7 +125,7 @@ def _periodic(
     taken: np.ndarray,
     fixed: np.ndarray,
 ) -> MortarInterface:
-    """Nodes of a side of a cell, each with its partner on the other one."""
+    """Return the nodes of a side of a cell, each with its partner on the other one."""
     points = mesh.points
     size = mesh.sides.max()
     middle = [

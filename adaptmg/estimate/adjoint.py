@@ -103,6 +103,7 @@ def linearised_contact(
     nodes = discrete.contact.nodes
     unknowns = discrete.relative(displacement).reshape(-1)
     residual = discrete.matrix @ unknowns - discrete.load
+    # in contact frames: what slip and gap are left, and the contact force
     held = held_tangents(discrete)
     moved = to_frames(frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
     slip = moved[:, 1:]
@@ -119,6 +120,8 @@ def linearised_contact(
     )
     sticks = (state == State.STICK) | open_at_rest
     slips = (state == State.SLIP) | (open_with_friction & ~open_at_rest)
+    # friction B s of a node that slips, s = -slip / |slip|: how it follows the pressure (direction)
+    # and turns with the slip (hessian)
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
     unit = _opposite(slip, length, force[:, 1:])
     direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
@@ -148,7 +151,7 @@ def linearised_contact(
 
 
 def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Directions (n, dim - 1) against the slip; where there is none, of the force."""
+    """Return directions (n, dim - 1) against the slip; where there is none, of the force."""
     size = np.linalg.norm(force, axis=1)
     along = np.divide(force, size[:, None], out=np.zeros_like(slip), where=size[:, None] > 0)
     return np.divide(-slip, length[:, None], out=along, where=length[:, None] > 0)

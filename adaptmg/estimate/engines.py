@@ -181,7 +181,7 @@ class Bisect:
     def _halved(
         self, mesh: MeshArrays, squares: np.ndarray, chosen: np.ndarray, limit: float
     ) -> MeshArrays:
-        """Refined, large squares twice unless that exceeds the limit."""
+        """Return the refined mesh; elements with large squares are halved twice unless that exceeds the limit."""
         fine = refined(mesh, chosen)
         enough = 2.0 ** (2 + mesh.dim) * _LEFT * max(squares.mean(), squares[chosen].min())
         again = chosen & (squares > enough)

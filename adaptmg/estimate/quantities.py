@@ -574,7 +574,7 @@ class Opening:
         return [Functional(name, float(weights @ contact.gap), "m", vector.reshape(-1))]
 
     def _at_point(self, view: GoalView, facets: np.ndarray) -> np.ndarray:
-        """Weights of the contact nodes (n_contact,) at the point."""
+        """Return the weights of the contact nodes (n_contact,) at the point."""
         mesh = view.mesh
         point = np.array(self.point)
         if len(point) != mesh.dim:

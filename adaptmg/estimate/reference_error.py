@@ -166,7 +166,7 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
 
 
 def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
-    """Forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's
+    """Return the forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's
     residual is cut, and ties do next to no work on displacements that obey them."""
     contact = result.contact
     forces = np.zeros_like(result.reaction)

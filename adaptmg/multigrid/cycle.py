@@ -266,7 +266,8 @@ def local_prolongation(
 
 
 def _tangential_part(rotation: np.ndarray) -> np.ndarray:
-    """Normal to normal exactly; tangents by the nearest rotation, the identity in 2D."""
+    """Return rotations between frames that map normal to normal exactly, and tangents by the nearest
+    rotation, the identity in 2D."""
     if rotation.shape[1] < 3:
         return np.broadcast_to(np.eye(rotation.shape[1]), rotation.shape)
     result = np.zeros_like(rotation)

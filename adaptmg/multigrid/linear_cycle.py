@@ -565,7 +565,7 @@ class _LevelSmoother:
 
 
 def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """The alpha (k,) that minimise |now + alpha changes|, ``changes`` (k, n), weighted with ``d``
+    """Return the alpha (k,) that minimise |now + alpha changes|, ``changes`` (k, n), weighted with ``d``
     (n,)."""
     weighted = changes * d
     products = weighted @ changes.T

@@ -237,6 +237,7 @@ class ContactProblem(checks.Checked):
             self.check_bodies(self.bodies)
 
     def _check_elements(self) -> None:
+        """Raise ValueError if the elements do not suit a material."""
         linear = self.elements == "linear"
         for material in (
             [self.material] if isinstance(self.material, Elastic) else self.material.values()
@@ -280,6 +281,7 @@ class ContactProblem(checks.Checked):
             )
 
     def _check_contact(self) -> None:
+        """Raise ValueError if an obstacle or a jump does not fit the dimension or the symmetry."""
         for contact in self.contact:
             if not isinstance(contact, Contact):
                 continue

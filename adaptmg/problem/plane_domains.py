@@ -252,6 +252,7 @@ class Outline(Domain):
         return hash((self.vertices, self.boundaries, tuple(self.arcs.items()), self.holes))
 
     def _check_arc(self, i: int) -> None:
+        """Raise ValueError unless edge i is an arc of less than 180 degrees around its centre."""
         a, b, c = (np.array(p) for p in (*self._ends(i), self.arcs[i]))
         first = np.linalg.norm(a - c)
         last = np.linalg.norm(b - c)

@@ -255,6 +255,7 @@ class Moving(_MovingPart):
         )
 
     def _turn(self) -> np.ndarray:
+        """Return the rotation (dim, dim)."""
         if not self.rotation.any():
             return np.eye(self.dim)
         if self.dim == 2:

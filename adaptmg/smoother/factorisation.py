@@ -351,7 +351,7 @@ def _eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
 
 
 def _shifted(system: LocalSystem, contact: np.ndarray, shift: np.ndarray) -> sparse.csc_array:
-    """M with every entry between two contact dofs stored, so that SuperLU keeps them at the end of
+    """Return M with every entry between two contact dofs stored, so that SuperLU keeps them at the end of
     its order."""
     n = len(contact)
     full = sparse.coo_array(

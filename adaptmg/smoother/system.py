@@ -316,7 +316,7 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
 def _friction_at(
     problem: DiscreteProblem, frames: np.ndarray, held: np.ndarray, in_unknowns: np.ndarray | None
 ) -> FrictionAt | None:
-    """The coefficients by forces and slips of the unknowns, to which that along held tangents
+    """Return the coefficients by forces and slips of the unknowns, to which that along held tangents
     (n_contact, dim - 1) is added, unless they have it."""
     if not hasattr(problem.law, "at_state"):  # a tenth of the time of isinstance of a protocol
         return None

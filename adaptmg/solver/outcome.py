@@ -66,7 +66,7 @@ def method_argument(
 
 
 def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
-    """The solver, or the default for these grids."""
+    """Return the solver, or the default for these grids."""
     if solver is not None:
         if hasattr(solver, "setup") and not hasattr(solver, "run"):
             return grids, Stepped(cast("Method", solver)), ""
@@ -88,7 +88,7 @@ def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy
 
 
 def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
-    """The default on several discretised levels. Those that are too close to each other have
+    """Return the default on several discretised levels. Those that are too close to each other have
     Galerkin matrices with as many entries as the finest one, down to the coarsest, whose factors
     then cost more than all the rest."""
     finest = grids.finest
@@ -281,7 +281,7 @@ def result_of(
 
 
 def _confirmed(outcome: Outcome, residual: float, checked: Certificate, stop: str) -> Status:
-    """The status of a solver, unless the natural residual or the certificate contradicts it. With
+    """Return the status of a solver, unless the natural residual or the certificate contradicts it. With
     the paper's test rtol is that of a change: the error is compared with the multiple that the
     residual has."""
     if not np.isfinite(residual):

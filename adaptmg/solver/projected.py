@@ -108,7 +108,7 @@ class ProjectedRun:
         return self.levels.nested(partial(self._coarsest, start), partial(self._cycled, start))
 
     def _coarsest(self, start: NestedStart) -> np.ndarray:
-        """The first solution of the coarsest level."""
+        """Return the first solution of the coarsest level."""
         multigrid = self.multigrid(0)
         local = self.problems[0]
         unknowns = np.zeros(local.system.n_dofs)
@@ -119,7 +119,7 @@ class ProjectedRun:
         return unknowns
 
     def _cycled(self, start: NestedStart, level: int, unknowns: np.ndarray) -> np.ndarray:
-        """The first solution of a level between the coarsest and the finest."""
+        """Return the first solution of a level between the coarsest and the finest."""
         multigrid = self.multigrid(level)
         local = self.problems[level]
         if start.cycles == "complete":

@@ -191,7 +191,7 @@ def solve(
 def _watched(
     callback: Callable[[dict[str, float]], None] | None, progress: bool
 ) -> Callable[[dict[str, float]], None] | None:
-    """A callback that also logs each row of the history, and writes it to standard error."""
+    """Return a callback that also logs each row of the history, and writes it to standard error."""
     if not progress and not _LOG.isEnabledFor(logging.DEBUG):
         return callback
 

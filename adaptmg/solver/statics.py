@@ -178,7 +178,7 @@ class _Body:
         )
 
     def _words(self, nodes: np.ndarray, field: np.ndarray) -> str:
-        """A motion (n, dim) of some nodes as text."""
+        """Return a motion (n, dim) of some nodes as text."""
         if self.problem.dim == 1:
             return "constant"
         motions, centre, size = _axis_motions(self.problem, nodes)
@@ -201,7 +201,7 @@ class _Body:
 
 
 def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Rigid motions (n_nodes * dim, k) of a part that vanish at its fixed dofs and cause no
+    """Return rigid motions (n_nodes * dim, k) of a part that vanish at its fixed dofs and cause no
     force."""
     dim = problem.dim
     dofs = (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
@@ -338,7 +338,7 @@ class _Forces:
 
 
 def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Forces:
-    """The forces that nodal Tresca limits (units of the load) and friction coefficients
+    """Return the forces that nodal Tresca limits (units of the load) and friction coefficients
     (n_contact,) admit."""
     problem = body.problem
     dim = problem.dim
@@ -366,7 +366,7 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
 
 
 def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """The plainest free motion (k,) to blame for unbalanced work: of opening or tipping, else of
+    """Return the plainest free motion (k,) to blame for unbalanced work: of opening or tipping, else of
     sliding."""
     plain = _plainest(body, forces, work, motion)
     if plain is not motion:
@@ -396,7 +396,7 @@ def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def _plain_motions(body: _Body) -> np.ndarray:
-    """Coefficients (n, k) of those plain motions, both ways, that are free: along and about the
+    """Return coefficients (n, k) of those plain motions, both ways, that are free: along and about the
     coordinate axes."""
     problem = body.problem
     columns = []
@@ -424,7 +424,7 @@ def _plain_of(body: _Body, free: np.ndarray) -> np.ndarray:
 def _axis_motions(
     problem: DiscreteProblem, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Motions (n * dim, m) of some nodes along, and where there are coordinates about, axes through
+    """Return motions (n * dim, m) of some nodes along, and where there are coordinates about, axes through
     their centre; this centre and the size over which turns are."""
     dim = problem.dim
     centre = np.zeros(problem.dim)

@@ -62,6 +62,8 @@ class _Writer:
         self.seen: dict[int, tuple[int, object]] = {}
 
     def plain(self, name: str, value: object) -> Any:
+        """Return a value as JSON: arrays go to the file under ``name`` and are referred to, objects
+        become the fields of their kind, and what was written before is referred to by its number."""
         kind = next((kind for kind in self.kinds if isinstance(value, kind)), None)
         if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and not value.ndim):
             value = value.item()
@@ -222,7 +224,7 @@ def damage(file: Path) -> Iterator[None]:
 
 
 def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
-    """The arrays of an archive by name; numbers only."""
+    """Return the arrays of an archive by name; only numbers are read."""
     with zipfile.ZipFile(file) as archive:
         listed = archive.infolist()
     size = os.fstat(file.fileno()).st_size

@@ -345,7 +345,7 @@ class TruncatedRun:
     def _prolonged(
         self, past: list[np.ndarray] | None, number: int, solutions: list[np.ndarray]
     ) -> list[np.ndarray]:
-        """The solutions with that with which a level begins."""
+        """Return the solutions with a further one: that with which the next level begins."""
         coarse = self.problems[number - 1]
         fine = self.problems[number]
         finer = self.cycle.levels[number]
@@ -460,7 +460,7 @@ class TruncatedRun:
     def _start_cycles(
         self, start: NestedStart, number: int, solutions: list[np.ndarray]
     ) -> list[np.ndarray]:
-        """The solutions with what the cycles of the nested start on a level make of its own."""
+        """Return the solutions with what the cycles of the nested start on a level make of its own."""
         parts = self.steps_on(number)
         problem = self.problems[number]
         *below, given = solutions
@@ -480,7 +480,7 @@ class TruncatedRun:
     def _few_cycles(
         self, parts: TruncatedStep, problem: DiscreteProblem, state: TruncatedState, enough: int
     ) -> TruncatedState | None:
-        """The state after enough cycles, or after more until its residual is trusted; None where
+        """Return the state after enough cycles, or after more until its residual is trusted; None where
         they diverge: the next level takes over no iterate with a large residual."""
         sizes = Sizes(problem)
         first = np.inf
