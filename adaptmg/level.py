@@ -271,10 +271,12 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
     )
 
 
+POSED = "a ContactProblem, or for uniform and from_meshes a ScalarProblem"
+
+
 def need_domain(problem: ContactProblem | ScalarProblem) -> None:
     """Raise ValueError unless the problem has a domain to mesh."""
-    words = "a ContactProblem, or for uniform and from_meshes a ScalarProblem"
-    checks.instance("problem", problem, (ContactProblem, ScalarProblem), words)
+    checks.instance("problem", problem, (ContactProblem, ScalarProblem), POSED)
     if problem.domain is None:
         raise ValueError(
             "problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes "
@@ -300,6 +302,7 @@ def meshed_domain(problem: ContactProblem) -> Domain:
                 )
         return domain
 
+    checks.instance("problem", problem, ContactProblem, POSED)
     need_domain(problem)
     if isinstance(problem.domain, Assembly):
         return replace(

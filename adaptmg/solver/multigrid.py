@@ -180,8 +180,9 @@ class Multigrid:
         >>> state.cycles
         3
         """
-        run = Run(unit=hierarchy.finest.discrete.matrix.nnz)
-        return Cycles(run, self.prepared(hierarchy, run).cycle_of_states())
+        discrete = hierarchy.finest.discrete
+        run = Run(unit=discrete.matrix.nnz)
+        return Cycles(run, self.prepared(hierarchy, run).cycle_of_states(), discrete.n_dofs)
 
     def prepared(
         self, hierarchy: Hierarchy, run: Run, keeps: bool = False

@@ -56,8 +56,15 @@ class Cycles:
 
     run: Run
     cycle: Callable[[State], State]  # of a start it only smooths
+    n_dofs: int
 
     def step(self, state: State) -> State:
+        checks.instance("state", state, State, "a State")
+        if len(state.unknowns) != self.n_dofs:
+            raise ValueError(
+                f"state.unknowns must be of the finest level, which has {self.n_dofs} dofs, got "
+                f"{len(state.unknowns)}"
+            )
         before = self.run.work_units
         smoothed = state.memory
         if smoothed is None or not np.array_equal(smoothed.unknowns, state.unknowns):

@@ -276,6 +276,7 @@ def held_at(value, **limits):
         (lambda: held_at(0.0, lower=0.1), "lower must leave.* 0.1 beyond it"),
         (lambda: held_at(0.0, upper=-0.1), "upper must leave.* 0.1 beyond it"),
         (lambda: am.Hierarchy.graded(am.ScalarProblem()), "from_meshes"),
+        (lambda: am.Hierarchy.graded(am.cases.obstacle_problem()), "from_meshes"),
         (lambda: am.cases.obstacle_problem(depth=0.3), "depth must be below 0.25"),
     ],
 )

@@ -111,6 +111,10 @@ def test_cycles_of_the_package_go_from_state_to_state(correction, bar, exact):
     np.testing.assert_allclose(
         changed.unknowns, first.unknowns, atol=1e-12 * np.abs(first.unknowns).max()
     )
+    with pytest.raises(ValueError, match="unknowns must be of the finest level"):
+        stepper.step(am.State(unknowns=np.zeros(3)))
+    with pytest.raises(TypeError, match="state must be a State"):
+        stepper.step(start.unknowns)
 
     class Driven:
         rtol = 1e-6
