@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any, Generic, cast
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg._text import html_table, in_html_lines, shortened
+from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.named_loads import load_steps
 from adaptmg.discrete.posed import Posed
@@ -312,6 +312,12 @@ class AdaptiveLoop:
                 reason = "" if remeshed else stopped
             if reason:
                 object.__setattr__(last, "outcome", reason)
+                if self.first.problem.contact and not last.result.displacement.any():
+                    warn_user(
+                        f"the displacement is zero on the last mesh, of {last.nodes} nodes, and so is the "
+                        "estimate: nothing acts there. An obstacle that lies between two nodes of a contact "
+                        "boundary is not seen: take a smaller start"
+                    )
                 _LOG.debug("the adaptive loop ends: %s", reason)
                 return
             if mesh is None:

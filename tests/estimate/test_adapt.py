@@ -2,6 +2,7 @@
 user-defined, neighbouring levels are neither too far apart nor too close."""
 
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -436,3 +437,30 @@ def test_a_carried_solution_keeps_its_contact_state(case):
     gap = discrete.contact.gaps - np.einsum("nd,nd->n", moved, discrete.contact.normals)
     closed = gap <= 1e-3 * np.abs(carried_up).max()
     assert np.mean(closed == (fine.contact.state != am.OPEN)) >= 0.85
+
+
+@pytest.mark.parametrize("remesh_every", [None, 1])
+def test_obstacle_between_two_nodes_is_warned_of(remesh_every):
+    """It presses with 5e6 N/m; on a mesh whose nodes it misses nothing happens."""
+    die = am.Moving(
+        am.GapFunction(lambda x: (x[:, 0] - 0.01) ** 2 / 0.06), displacement=(0, -6e-5), name="die"
+    )
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=0.03, height=0.02),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        contact=am.Contact("top", die),
+        law=am.Frictionless(),
+        supports=[am.Support("left", x=0), am.Support("bottom", y=0)],
+    )
+    options = {"tolerance": 0.05}
+    if remesh_every:
+        problem = replace(problem, material=am.Plastic(problem.material, yield_stress=2e8))
+        options = {
+            "load_path": am.LoadPath({"die": [0.5, 1.0]}),
+            "remesh_every": remesh_every,
+            "indicator": am.Recovery(),
+        }
+    start = am.mesh.structured(problem.domain, (2, 2))
+    with pytest.warns(UserWarning, match="take a smaller start"):
+        steps = list(am.adapt(problem, start, max_nodes=100, **options))
+    assert not steps[-1].result.displacement.any()
