@@ -32,7 +32,7 @@ from adaptmg.level import (
     touches_alike,
 )
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
-from adaptmg.problem import Assembly, Box, Contact, ContactProblem, Rectangle
+from adaptmg.problem import Assembly, Box, Common, Contact, ContactProblem, Cut, Rectangle
 
 if TYPE_CHECKING:
     from adaptmg.mesh.read import MeshLike
@@ -694,7 +694,12 @@ def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
             (problem.domain.lower, problem.domain.upper),
         )
     ]
-    if (np.abs(spans[0] - spans[1]) <= 0.25 * np.ptp(spans[1], axis=0).max()).all():
+    beyond = np.abs(spans[0] - spans[1])
+    if isinstance(problem.domain, Cut | Common):
+        # the ends of such a domain are bounds: the body may be a part, but not a thousandth of it
+        is_part = np.ptp(spans[0], axis=0).max() > 0.01 * np.ptp(spans[1], axis=0).max()
+        beyond = np.maximum((spans[0] - spans[1]) * [[-1.0], [1.0]], 0.0 if is_part else beyond)
+    if (beyond <= 0.25 * np.ptp(spans[1], axis=0).max()).all():
         return []
     shown = [
         " to ".join(str(tuple(map(float, corner.round(9)))) for corner in span) for span in spans

@@ -4,6 +4,7 @@ refused."""
 import gc
 import pickle
 import tracemalloc
+import warnings
 import weakref
 from dataclasses import replace
 from functools import cache
@@ -540,3 +541,22 @@ def test_a_forecast_is_right_to_the_factors_it_names(case):
     coarse = am.Hierarchy.graded(problem, sizes[:1]).forecast(finer=4)
     assert 0.6 < coarse.nodes / nodes < 1.6
     assert "nodes" in str(costs) and "MB" in str(costs)
+
+
+def test_body_of_which_half_is_cut_is_not_taken_for_one_in_mm():
+    half = am.Cut(
+        am.Circle((0.0, 0.0), 0.02), am.Rectangle(width=0.1, height=0.1, origin=(-0.05, 0))
+    )
+    problem = am.ContactProblem(
+        domain=half,
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        contact=am.Contact("circle", am.Plane((0, -0.02), (0, 1))),
+        law=am.Frictionless(),
+        loads=am.Pressure("bottom", 1e7),
+        supports=am.Support("bottom", x=0),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = am.Hierarchy.graded(problem, sizes=(0.01,)).finest.mesh
+    with pytest.warns(UserWarning, match="scale the mesh"):
+        am.Hierarchy.from_meshes(problem, [replace(mesh, points=1e-3 * mesh.points)])
