@@ -22,7 +22,8 @@ from matplotlib import pyplot as plt
 
 import adaptmg as am
 
-SOLVER = am.FullMultigrid(rtol=1e-5)
+RTOL = 1e-5
+SOLVER = am.FullMultigrid(rtol=RTOL)
 YOUNG, YIELD, RADIUS = 1e11, 2e8, 0.1  # of the block under the ball, Pa; of the ball, m
 #: yield stress of the cases, Pa
 STRENGTH = 3e8
@@ -42,7 +43,12 @@ def punch_grids(elements: str, size: float) -> am.Hierarchy:
     return am.Hierarchy.graded(problem, [*sizes, size], contact_ratio=8)
 
 
-def limit_load(grids: am.Hierarchy, name: str, steps: int, solver: object = SOLVER) -> dict:
+def limit_load(
+    grids: am.Hierarchy,
+    name: str,
+    steps: int,
+    solver: am.FullMultigrid | am.ActiveSet = SOLVER,
+) -> dict:
     """The force on what moves over the limit load."""
     path = am.LoadPath({name: np.arange(1, steps + 1) / steps})
     before = time.process_time()
@@ -76,9 +82,7 @@ def direct(size: float) -> dict:
     """Processor seconds of a path of the punch by multigrid and by factorisations, linear
     elements."""
     grids = punch_grids("linear", size)
-    rows = [
-        limit_load(grids, "punch", 4, solver) for solver in (SOLVER, am.ActiveSet(rtol=SOLVER.rtol))
-    ]
+    rows = [limit_load(grids, "punch", 4, solver) for solver in (SOLVER, am.ActiveSet(rtol=RTOL))]
     multigrid, factors = (row["seconds"] for row in rows)
     return {"nodes": rows[0]["nodes"], "multigrid": multigrid, "factors": factors}
 
@@ -184,6 +188,7 @@ def billet(out: Output) -> None:
     )
     rows = []
     for number, (step, ax) in enumerate(zip(steps, axes, strict=True)):
+        assert step.path is not None  # there is a load path
         found = mean_pressures(problem, list(step.path))
         restored, found = found[:-2], found[-2:]
         exact = whole[2 * number : 2 * number + 2]
