@@ -69,7 +69,7 @@ def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     and these motions at the contact nodes (n_contact, dim, m)."""
     nodes = problem.contact.nodes
     fixed = problem.fixed.reshape(-1, problem.dim)
-    # 0.1 ms for 263k nodes, by any(axis=1) 3
+    # 0.1 ms for 263k nodes, by any(axis=1) 3.3
     held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
     if (
         not len(nodes)

@@ -228,7 +228,7 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
     contact = results[0].contact
     if results[0].dim == 1:  # a membrane may well stay off its obstacle
         return
-    # einsum: 1 ms for 263k nodes, by norm(axis=1) 4.6
+    # einsum: 1.2 ms for 263k nodes, by norm(axis=1) 7.2
     moved = max(
         float(np.sqrt(np.einsum("nd,nd->n", u, u).max(initial=0.0)))
         for u in (result.displacement for result in results)

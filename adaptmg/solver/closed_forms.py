@@ -219,8 +219,8 @@ def _loads(
     count = int(body.max()) + 1
     load_forces = discrete.physical_forces(discrete.whole_load).reshape(-1, mesh.dim)
     loaded = np.flatnonzero(_any_component(load_forces))
-    missed = _resultants(points[loaded], load_forces[loaded], arm, body[loaded], count)
-    missed -= _resultants(places, forces, arm, body[nodes], count)
+    carried = _resultants(points[loaded], load_forces[loaded], arm, body[loaded], count)
+    missed = carried - _resultants(places, forces, arm, body[nodes], count)
     if problem.axisymmetric:
         missed = missed[:, 1]
     return (_condition("loads", missed, float(np.abs(forces).sum())),)
