@@ -240,7 +240,8 @@ def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
                 mass=2 / dynamics.step**2 * lumped_mass(posed_level, dynamics),
             ),
         )
-        levels.append(level.posing(discrete=discrete))
+        # the lumped mass is in no posed problem: of nested meshes its coarse matrices are not Galerkin ones
+        levels.append(level.posing(discrete=discrete, posed=None))
     return replace(grids, levels=tuple(levels))
 
 

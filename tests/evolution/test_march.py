@@ -290,3 +290,16 @@ def test_a_step_that_does_not_converge_says_which():
     assert "time step 0 of 10" in caught.value.__notes__[0]
     *_, last = am.march(grids, dynamics, few, throw=False)
     assert not last.status.ok and last.time < 0.1
+
+
+def test_steps_on_nested_meshes_take_galerkin_matrices():
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=1.0, height=1.0),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        contact=am.Contact("bottom", am.Plane((0, -1e-4), (0, 1))),
+        law=am.Frictionless(),
+    )
+    grids = am.Hierarchy.uniform(problem, [4, 8, 16, 32, 64])
+    dynamics = am.Dynamics(density=1e3, initial_velocity=(0.0, -10.0), step=1e-5, end=6e-5)
+    # 3 where the coarse matrices hold the lumped masses of the coarse meshes
+    assert max(result.cycles for result in am.march(grids, dynamics, rtol=1e-8)) == 2
