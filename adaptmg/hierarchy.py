@@ -214,8 +214,9 @@ class Hierarchy:
             size. Default: a quarter, an eighth and a sixteenth (3D: a third and a sixth) of the
             bodies' mean extent. Without ``contact_ratio`` the problem is then solved on the
             coarsest mesh, and where only a part of a boundary touches, all meshes are made finer
-            there, until at least 12 nodes (3D: 30) touch in each patch of the finest: about 0.05 s
-            a solve in the plane, 0.2 to 1 s in space, one solve to six.
+            there, until about 12 nodes (3D: 30) touch in each patch of the finest; where six solves
+            do not reach that, or one of them fails, the meshes stay as they were. Small patches in
+            space may take long: give ``sizes`` or ``contact_ratio`` to leave these solves out.
         contact_ratio : float or mapping, optional
             Size away from contact over size at contact (at ties where there is no contact), >= 1;
             of several bodies also body name -> ratio. Default 1; without ``sizes`` such that the
