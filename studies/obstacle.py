@@ -28,7 +28,11 @@ METHODS = {
     "active set, nested start": am.ActiveSet(condensed=False, nested_start=True, rtol=1e-8),
     "one grid, best omega": None,
 }
-LIMITS = {"active set, nested start": 256, "one grid, best omega": 128}  # unless --full
+LIMITS = {
+    "monotone, nested start": 256,
+    "active set, nested start": 256,
+    "one grid, best omega": 128,
+}  # unless --full
 SQUARE = am.Rectangle(width=1.0, height=1.0, origin=(-0.5, -0.5))
 CASES = {
     "floor": am.ScalarProblem(domain=SQUARE, load=-10.0, lower=-0.3),
