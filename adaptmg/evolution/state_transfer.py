@@ -124,7 +124,7 @@ def transfer_state(old_grids: Hierarchy, result: Result, new_grids: Hierarchy) -
         contact=_at_rest(carried.contact, _slips(old_mesh, result.contact, mesh, carried.contact)),
         reaction=np.zeros(mesh.points.shape),
         residual=np.nan,
-        solver_name=f"transfer_state from {old_mesh.n_nodes} nodes",
+        solver_name=f"transfer_state from {old_mesh.n_nodes} nodes, not in equilibrium",
         ties=None,
         springs={},
         motions=result.motions,
