@@ -102,19 +102,21 @@ def run(case: str, family: str, most: int, reference_nodes: int) -> dict:
     """Errors and costs of all meshes of a family up to ``most`` nodes, as JSON."""
     warm_up(3 if "3D" in case else 2)
     against = reference(case, reference_nodes)
-    # smaller meshes first: the first run of a case also loads kernels
-    for _ in solutions(case, family, most // 5):
-        pass
+    # the lesser of two runs: the first one also loads kernels of this case, and touches memory for
+    # the first time
+    before = [seconds for _, _, seconds in solutions(case, family, most)]
     rows = [
         {
             "nodes": grids.finest.n_nodes,
             "levels": len(grids),
             "cycles": result.cycles,
-            "cpu": seconds,
+            "cpu": min(seconds, first),
             "energy_error": energy_error(against, result).relative,
             "outcome": result.status.name,
         }
-        for grids, result, seconds in solutions(case, family, most)
+        for first, (grids, result, seconds) in zip(
+            before, solutions(case, family, most), strict=True
+        )
     ]
     return {"meshes": json.dumps(rows)}
 
