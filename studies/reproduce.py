@@ -41,7 +41,7 @@ STUDIES = {
     "dovetail": 14,
     "bolted_junction": 12,
     "hertz": 6,
-    "adaptive_vs_uniform": 50,
+    "adaptive_vs_uniform": 80,
     "estimators": 25,
     "transfers": 27,
     "amg": 20,
