@@ -121,8 +121,8 @@ def adapt(
         With a load path: take the estimate of its last load step and refine for it; or the largest
         relative estimate of all load steps, and refine where any of them needs it.
     remesh_every : int, optional
-        With a load path: go along it once, and change the mesh after so many load steps. Each mesh
-        begins with the state of the mesh before (:func:`adaptmg.transfer_state`), and its first load
+        With a load path: go along it once, and change the mesh after this number of load steps. Each
+        mesh begins with the state of the mesh before (:func:`adaptmg.transfer_state`), and its first load
         step repeats the load reached. The mesh stays where the estimate meets ``tolerance``, or where
         the engine makes no other one; Remesh keeps about ``max_nodes``. Steps end with the path.
     progress : callable or bool, optional

@@ -348,14 +348,14 @@ def solve_path(
     if depends is not None:
         checks.mapping("depends", depends, "names to what stands for them")
     loop = _loop(grids, path, solver)
-    begun = () if start is None else _check_start(loop, start)
+    start_state = () if start is None else _check_start(loop, start)
     parts: dict[str, object] = {"solver": solver}
     if grids.finest.discrete.inelastic:
         parts["material"] = grids.problem.material
     mark = (
         {}
         if store is None
-        else fingerprint(grids, loop.loads, loop.factors, len(path), parts, depends, begun)
+        else fingerprint(grids, loop.loads, loop.factors, len(path), parts, depends, start_state)
     )
     if store is not None and (obstacles := loop.controls.posed()):
         mark["obstacles and preloads"] = obstacles
@@ -394,7 +394,8 @@ def solve_path(
 
 
 def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
-    """Return what a path takes from a result, which must be on its finest mesh."""
+    """Return the displacement, the state and the accumulated slip with which a path begins; the result
+    must be on its finest mesh."""
     checks.instance("start", start, Result, "a Result")
     finest = loop.grids.finest
     mesh = finest.mesh
@@ -414,10 +415,10 @@ def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
         )
     plastic = None if start.stress_data is None else start.stress_data.plastic
     state = np.zeros((0, 0)) if plastic is None else plastic.state
-    wanted = loop.plastic.unloaded.shape if isinstance(loop, PlasticLoop) else (0, 0)
-    if state.shape != wanted:
+    shape = loop.plastic.unloaded.shape if isinstance(loop, PlasticLoop) else (0, 0)
+    if state.shape != shape:
         raise ValueError(
-            f"start must have states {wanted} of plastic bodies (patches, numbers), as the finest "
+            f"start must have states {shape} of plastic bodies (patches, numbers), as the finest "
             f"level has, got {state.shape}: take a result of the same materials and elements"
         )
     return start.displacement, state, start.contact.accumulated_slip

@@ -287,7 +287,7 @@ def _slips(
         rows = surface_interpolation(old_mesh, mesh, facets, new.node[at])
         slips = np.zeros((old_mesh.n_nodes, 2))
         slips[old.node[source], 0] = old.accumulated_slip[source]
-        # nodes of the boundary that another one has, or a support holds, have no slip
+        # nodes of the boundary that belong to another one, or that a support holds, have no slip
         slips[old.node[source], 1] = 1.0
         total, share = (rows @ slips).T
         result[at] = np.divide(total, share, out=np.zeros_like(total), where=share > 0)
