@@ -248,6 +248,8 @@ class Hierarchy:
         origin = (
             f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
         )
+        if by_default:
+            origin += ", finer where few nodes touch"
         gradings = gradings_of(sizes, grading)
 
         def mesh(level: int, finer: SizeField | None = None) -> MeshArrays:

@@ -2,6 +2,7 @@
 refused."""
 
 import gc
+import logging
 import pickle
 import tracemalloc
 import warnings
@@ -142,14 +143,18 @@ def test_twelve_nodes_touch_in_each_case_by_default(name):
     assert (contact.state != am.OPEN).sum() >= 12 or name == "leaning_strut"
 
 
-def test_sizes_that_are_given_are_left_alone():
+def test_sizes_that_are_given_are_left_alone(caplog):
     problem = roller(50e-3, 0.0, 1e5)
     plain = am.mesh.graded(problem.domain, 10e-3, "arc", 2)
     given = am.Hierarchy.graded(problem, (10e-3,), contact_ratio=2)
     np.testing.assert_array_equal(given.finest.mesh.points, plain.points)
     by_ratio = am.Hierarchy.graded(problem, contact_ratio=3)
     # without supports there is no contact to measure, as of bodies that only inertia holds
-    free = am.Hierarchy.graded(replace(problem, supports=()))
+    with caplog.at_level(logging.INFO, "adaptmg.estimate.contact_sizes"):
+        free = am.Hierarchy.graded(replace(problem, supports=()))
+    assert [record.getMessage().split(":")[0] for record in caplog.records] == [
+        "default sizes do not follow the contact"
+    ]
     for level, other in zip(by_ratio, free, strict=True):
         np.testing.assert_array_equal(level.mesh.points, other.mesh.points)
     # a block of which all nodes touch

@@ -5,6 +5,7 @@ finer around those with few nodes until all of them have enough."""
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Callable
 
@@ -17,6 +18,8 @@ from adaptmg.problem import ContactProblem
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.examine import FEW_NODES, Patch, touching_patches
 from adaptmg.solver.solve import solve
+
+_LOG = logging.getLogger(__name__)
 
 #: solves at most: of 14 rollers of 1 cm to 1 m under 1e2 to 2e6 N/m all get enough nodes, as with twice; with
 #: half 4
@@ -53,13 +56,15 @@ def finer_at_contact(
                 # nodes of a bolted sector
                 grids = Hierarchy.from_meshes(problem, [mesh])
                 contact = solve(grids, ActiveSet(), throw=False).contact
-        except (ValueError, RuntimeError):
-            break
+        except (ValueError, RuntimeError) as error:
+            _LOG.info("default sizes do not follow the contact: %s", error)
+            return first, None
         patches = touching_patches(contact, mesh)
         if all(len(patch.nodes) >= enough for patch in patches):
             return mesh, finer
         finer = _sizes_of(patches, mesh.points, enough, grading, finer)
         mesh = remesh(finer)
+    _LOG.info("default sizes do not follow the contact: %d solves find too few nodes", _ROUNDS)
     return first, None
 
 
