@@ -107,6 +107,24 @@ def test_integrals_of_the_state_and_constants_stay(kind, smoothed):
     assert strain.min() <= found.plastic_strain.min() <= found.plastic_strain.max() <= strain.max()
 
 
+def test_slips_next_to_a_held_node_are_those_of_the_contact():
+    """A node of the contact boundary that a support holds has no slip, and lessens none."""
+    clamped = replace(
+        pressed("plane"),
+        contact=am.Contact("top", am.Plane((0.0, 0.5), (0.0, -1.0))),
+        supports=am.Support("left", x=0.0, y=0.0),
+        loads=am.Pressure("bottom", 1e6),
+    )
+    old, new = (am.Hierarchy.from_meshes(clamped, [mesh]) for mesh in blocks("plane", [5, 8]))
+    result = am.solve_path(old, am.LoadPath({"bottom": [1.0]}), TIGHT)[-1]
+    held = len(old.finest.mesh.boundary_nodes("top")) - len(result.contact)
+    assert held == 1
+    slips = np.full(len(result.contact), 0.3)
+    result = replace(result, contact=replace(result.contact, accumulated_slip=slips))
+    moved = am.transfer_state(old, result, new).contact.accumulated_slip
+    np.testing.assert_allclose(moved, 0.3, rtol=1e-12)
+
+
 @pytest.mark.parametrize("elements", ["linear", "smoothed"])
 def test_a_path_on_the_same_mesh_goes_on_as_if_nothing_had_happened(elements, tmp_path):
     """Turned, with friction; also from a file, and from a store that was interrupted."""
