@@ -57,13 +57,16 @@ STEEP = am.Spring("top", normal=lambda x: 1e13 * (x[:, 0] > 0.013))
 
 
 @pytest.mark.parametrize(
+    "divisions", [(2, 4, 8), [(2, 2), (4, 6), (12, 18)], [(2, 4), (6, 4), (12, 8)]]
+)
+@pytest.mark.parametrize(
     "changes",
     [{}, {"material": WOOD}, {"supports": (*am.cases.greco_bar().supports, STEEP)}],
     ids=["constant moduli", "moduli that vary", "springs that vary"],
 )
-def test_levels_have_galerkin_matrices(changes):
+def test_levels_have_galerkin_matrices(changes, divisions):
     problem = replace(am.cases.greco_bar(), **changes)
-    grids = am.Hierarchy.uniform(problem, divisions=(2, 4, 8))
+    grids = am.Hierarchy.uniform(problem, divisions=divisions)
     levels = galerkin_levels(grids, nodal_prolongations(grids))
     matrix = grids.finest.matrix
     for k in (1, 0):
