@@ -551,7 +551,7 @@ class Patch:
     size: float
 
     def share_for(self, nodes: float, dim: int) -> float:
-        """Return by which factor edges must change for about so many nodes to touch there."""
+        """Return the factor by which edges must change for about this number of nodes to touch there."""
         # the patch ends somewhere beyond its last nodes; that of a single facet may be a point
         cells = max(len(self.nodes) - (1 if dim == 2 else 3), 0.5)
         return (cells / nodes) ** (1 / (dim - 1))
