@@ -23,7 +23,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened
-from adaptmg._units import in_units
+from adaptmg._units import converted, in_units
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.ties import TieForces, tie_forces
@@ -209,9 +209,10 @@ class ContactResult:
 
     def __repr__(self) -> str:
         states = ", ".join(f"{count} {state}" for state, count in self.counts().items())
+        factor, unit = converted("Pa")
         return shortened(
             f"ContactResult: {len(self)} nodes of {', '.join(self.pair_names)}: {states}; pressure up to "
-            f"{self.pressure.max(initial=0.0):.3g} Pa; table() lists them"
+            f"{factor * self.pressure.max(initial=0.0):.3g} {unit}; table() lists them"
         )
 
     def _repr_html_(self) -> str:

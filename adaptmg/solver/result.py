@@ -250,7 +250,11 @@ class Result(Quantities):
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
         """Read what :meth:`save` wrote; ValueError, which names the file, if it is something else
-        or damaged, or a later step of a load path, which :meth:`PathResult.load` reads."""
+        or damaged, or a load path or a later step of it, which :meth:`PathResult.load` reads."""
+        if checks.file_path("path", path).is_dir():
+            raise ValueError(
+                f"path must be a file, got the folder {os.fspath(path)}: PathResult.load reads load paths"
+            )
         stored = read(path, KINDS)
         step = stored.part_of.get("step")
         if step and stored.value.mesh is None:

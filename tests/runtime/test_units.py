@@ -50,6 +50,7 @@ def test_pictures_have_the_units_that_are_set(chosen):
     assert np.isclose(np.ptp(curve[:, 0]), np.ptp(RESULT.contact.x[:, 0]) / INCH)
     bar = am.plot.deformation(RESULT, stress=True).axes[1]
     assert "[psi]" in bar.get_ylabel()
+    assert f"pressure up to {RESULT.contact.pressure.max() / PSI:.3g} psi" in str(RESULT.contact)
 
 
 def test_units_change_no_shape_of_a_curve(chosen):

@@ -398,6 +398,8 @@ class TestStore:
             ValueError, match=r"is step 2 of a load path.*PathResult\.load\('.*a'\)\[2\]"
         ):
             am.Result.load(tmp_path / "a" / "step_0002.npz")
+        with pytest.raises(ValueError, match=r"got the folder .*PathResult\.load"):
+            am.Result.load(tmp_path / "a")
         with pytest.raises(ValueError, match="holds a load path already"):
             cycle.save(tmp_path / "a")
         (tmp_path / "b").mkdir()
