@@ -67,8 +67,9 @@ def natural_residual(local: LocalProblem, unknowns: np.ndarray, residual: np.nda
 def natural_at_nodes(
     contact: NodalContact, blocks: np.ndarray, values: np.ndarray, linear: np.ndarray
 ) -> np.ndarray:
-    """Return the natural residual (n_contact, dim), N, from diagonal blocks of contact nodes,
-    unknowns and b - A w."""
+    """Return the natural residual (n_contact, dim), N, of contact nodes from the diagonal blocks
+    (n_contact, dim, dim), the unknowns ``values`` and the residual b - A w, ``linear``, both
+    (n_contact, dim)."""
     result = np.array(linear).reshape(-1)
     dim = values.shape[1]
     _natural_residual(
@@ -87,7 +88,8 @@ def natural_at_nodes(
 
 @kernel
 def _natural_residual(zero, diagonal, gap, reference, limit, friction, compliance, w, result):
-    """Write D (prox_D(w + D^-1 r) - w) to ``result``, which comes as r = b - A w."""
+    """Overwrite r = b - A w in ``result`` by D (prox_D(w + D^-1 r) - w), node by node; all arrays
+    are flat."""
     dim = np.uint64(len(zero))
     for node in range(len(gap)):
         k = np.uint64(node)
@@ -115,9 +117,9 @@ def states(
     where the slip is zero and the bound s + mu p is positive, and SLIP elsewhere. A gap or slip up
     to ``small`` (m) counts as zero."""
     slip = np.linalg.norm(values[:, 1:] - contact.slip_reference, axis=1)
-    held = (slip <= small) & (contact.limit + contact.friction * normal_force > 0)
+    sticks = (slip <= small) & (contact.limit + contact.friction * normal_force > 0)
     closed = ~(contact.opening(values[:, 0]) > small)
-    return contact_states(contact_codes(closed, held), normal_force)
+    return contact_states(contact_codes(closed, sticks), normal_force)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,32 +160,33 @@ def linearise(
     stiffness: np.ndarray,
     factor: float,
 ) -> Linearised:
-    """Decide the status of every contact node and set up its equations."""
+    """Decide the status of every contact node at ``unknowns``, and set up its equations.
+
+    unknowns, residual (b - A w), stiffness (diagonal of A): (n_contact, dim); c_n and c_t are
+    ``factor`` times the stiffness."""
     if contact.lowest is not None:
         aim = unknowns + residual / (factor * stiffness)
-        return _clamped(contact, unknowns, residual, aim[:, 0])
+        return _clamped_equations(contact, unknowns, residual, aim[:, 0])
     contact, hardening = contact.tangent(unknowns, residual)
-    tangential = factor * stiffness[:, 1:].max(axis=1)
+    c_t = factor * stiffness[:, 1:].max(axis=1)
     with np.errstate(invalid="ignore"):
-        # with c / (1 + c e) for c, so that both signs stay those of the condition
+        # c_n / (1 + c_n e) in place of c_n: z_n has the sign that it has in front of a rigid surface
         penetration = unknowns[:, 0] - contact.gap - contact.compliances * residual[:, 0]
-        normal = factor * stiffness[:, 0]
-        augmented = residual[:, 0] + normal / (1 + normal * contact.compliances) * penetration
+        c_n = factor * stiffness[:, 0]
+        augmented = residual[:, 0] + c_n / (1 + c_n * contact.compliances) * penetration
     active = augmented > 0
     tau = unknowns[:, 1:] - contact.slip_reference
     bound = np.maximum(contact.limit + contact.friction * np.maximum(augmented, 0.0), 0.0)
-    trial = residual[:, 1:] + tangential[:, None] * tau
-    size = np.linalg.norm(trial, axis=1)
-    slip = ~((size <= bound) & (bound > 0))
+    trial = residual[:, 1:] + c_t[:, None] * tau
+    trial_size = np.linalg.norm(trial, axis=1)
+    slip = ~((trial_size <= bound) & (bound > 0))
     slip[contact.driven] = True
-    equations = _equations(
-        contact, unknowns, residual, active, slip, trial, size, bound, tangential
-    )
+    equations = _equations(contact, unknowns, residual, active, slip, trial, trial_size, bound, c_t)
     along = equations.direction[:, :, None] * equations.direction[:, None, :]
     equations.curvature[:] += (active * hardening)[:, None, None] * along
-    soft = np.flatnonzero(active & (contact.compliances * stiffness[:, 0] > STIFF))
-    _set_springs(contact, unknowns, soft, equations)
-    return _beside_held(contact, tau, residual, equations)
+    compliant = np.flatnonzero(active & (contact.compliances * stiffness[:, 0] > STIFF))
+    _set_springs(contact, unknowns, compliant, equations)
+    return _slip_along_held(contact, tau, residual, equations)
 
 
 def _set_springs(
@@ -197,11 +200,11 @@ def _set_springs(
     equations.force[nodes, 0] -= spring * (unknowns[nodes, 0] - contact.gap[nodes])
 
 
-def _beside_held(
+def _slip_along_held(
     contact: NodalContact, tau: np.ndarray, residual: np.ndarray, equations: Linearised
 ) -> Linearised:
-    r"""Set up the equations, in place, of nodes that slip along a held tangent: there |tau| > 0, and
-    the second tangent has
+    r"""Replace the equations, in place, of nodes that slip along a held first tangent, and return
+    them all. There |tau| > 0, and the second tangent has
 
     .. math:: q_2 = (s + \mu p)\,\tau_2/|\tau|,\qquad \kappa = (s + \mu p)\,\tau_1^2/|\tau|^3 .
     """
@@ -220,22 +223,22 @@ def _beside_held(
     return equations
 
 
-def _clamped(
+def _clamped_equations(
     contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray, aim: np.ndarray
 ) -> Linearised:
-    """Return the equations of nodes with one unknown. A node whose ``aim`` (n_contact,) lies beyond
-    an obstacle is active there."""
+    """Return the equations of nodes with one unknown. A node that would move beyond an obstacle,
+    to its ``aim`` (n_contact,), m, is active there."""
     n = len(aim)
-    none = np.empty((n, 0))
+    no_tangents = np.empty((n, 0))
     target = contact.clamped(aim)
     active = np.isfinite(target) & (target != aim)
     change = np.where(active, target - unknowns[:, 0], 0.0)
     return Linearised(
         active=active,
         slip=np.ones(n, dtype=bool),
-        direction=none,
+        direction=no_tangents,
         coupling=np.zeros(n),
-        curvature=none[:, :, None],
+        curvature=no_tangents[:, :, None],
         force=residual.copy(),
         prescribed=active[:, None],
         change=change[:, None],
@@ -244,10 +247,12 @@ def _clamped(
 
 
 def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) -> Linearised:
-    """Let every node that has an obstacle touch and, where the law has friction, stick."""
+    """Return the equations by which every node that has an obstacle touches and, where the law has
+    friction, sticks."""
     if contact.lowest is not None:
-        below = contact.gap - unknowns[:, 0] > unknowns[:, 0] - contact.lowest
-        return _clamped(contact, unknowns, residual, np.where(below, -np.inf, np.inf))
+        nearer_below = contact.gap - unknowns[:, 0] > unknowns[:, 0] - contact.lowest
+        aim = np.where(nearer_below, -np.inf, np.inf)
+        return _clamped_equations(contact, unknowns, residual, aim)
     active = np.isfinite(contact.gap)
     slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
     zero = np.zeros(len(active))
@@ -265,26 +270,26 @@ def _equations(
     active: np.ndarray,
     slip: np.ndarray,
     trial: np.ndarray,
-    size: np.ndarray,
+    trial_size: np.ndarray,
     bound: np.ndarray,
-    tangential: np.ndarray,
+    c_t: np.ndarray,
 ) -> Linearised:
     r"""Set up the equations of the module's docstring, for the slip force z_t (``trial``) of length
-    ``size``, the bound B and c_t (``tangential``): ``direction`` is z, ``across`` the projection
+    ``trial_size``, the bound B and c_t: ``direction`` is z, ``across`` the projection
     :math:`\Pi`, ``curvature`` :math:`\kappa\Pi`, ``coupling`` :math:`\mu`, ``force`` the right side.
     A slip force of length 0 has no direction: its node moves freely."""
-    moving = slip & (size > 0)
-    direction = np.where(moving[:, None], trial / np.where(moving, size, 1.0)[:, None], 0.0)
+    moving = slip & (trial_size > 0)
+    direction = np.where(moving[:, None], trial / np.where(moving, trial_size, 1.0)[:, None], 0.0)
     coupling = np.where(active & moving, contact.friction, 0.0)
     limit = np.where(moving, contact.limit, 0.0)
-    beyond = np.where(moving, size - bound, 1.0)
+    excess = np.where(moving, trial_size - bound, 1.0)
     across = np.eye(trial.shape[1]) - direction[:, :, None] * direction[:, None, :]
-    curvature = np.where(moving, tangential * bound / beyond, 0.0)[:, None, None] * across
+    curvature = np.where(moving, c_t * bound / excess, 0.0)[:, None, None] * across
     along = np.sum(direction * residual[:, 1:], axis=1)
+    stretch = np.where(moving, trial_size / excess, 1.0)[:, None]
     force = residual.copy()
-    force[:, 1:] = direction * (along - limit - coupling * residual[:, 0])[:, None] + np.where(
-        moving, size / beyond, 1.0
-    )[:, None] * np.einsum("nij,nj->ni", across, residual[:, 1:])
+    force[:, 1:] = direction * (along - limit - coupling * residual[:, 0])[:, None]
+    force[:, 1:] += stretch * np.einsum("nij,nj->ni", across, residual[:, 1:])
     prescribed = np.zeros(unknowns.shape, dtype=bool)
     prescribed[active, 0] = True
     prescribed[~slip, 1:] = True

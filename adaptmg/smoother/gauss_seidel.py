@@ -167,7 +167,8 @@ def _check(system: LocalSystem, contact: NodalContact, **vectors: np.ndarray) ->
 
 @inner_kernel(forceinline=True)
 def _contact_solve(i, contact, diagonal, gap, reference, limit, friction, compliance, w, omega, r):
-    """The new unknowns of a contact node from its residual."""
+    """Return the new unknowns of node i, number ``contact`` of the contact nodes, from its residual
+    ``r``."""
     dim = np.uint64(len(r))
     m = over(upper(diagonal, dim * dim * i, r), omega)
     return solve(
@@ -201,12 +202,12 @@ def _sweep(
     w,
     omega,
 ):
-    """Sweep over all nodes, changing ``w``: ``first, step`` are 0, 1 (forward) or n_nodes - 1, -1
-    (backward)."""
+    """Sweep over all nodes, changing ``w`` (n_dofs,): ``first, step`` are 0, 1 (forward) or
+    n_nodes - 1, -1 (backward). ``contact_of`` has the number of a contact node, -1 elsewhere."""
     dim = np.uint64(len(zero))
-    for k in range(len(contact_of)):
-        i = np.uint64(first + k * step)
-        at = dim * i
+    for visit in range(len(contact_of)):
+        i = np.uint64(first + visit * step)
+        at = dim * i  # its first dof; its blocks begin at dim * at
         r = minus_row(i, step, indptr, indices, data, w, read(load, at, zero))
         if contact_of[i] < 0:
             write(w, at, add(read(w, at, zero), scale(omega, times(inverse, dim * at, r))))

@@ -30,21 +30,20 @@ from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.system import NodalContact
 
-#: steps in a row that better nothing, after which a slack below the second number is at rounding
-#: _ROUNDING: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
-#: constants)
+#: steps in a row without a better iterate, after which a slack below SIX_DIGITS is at rounding: a hundredth and
+#: a hundred times of that slack change none of 119 solves, paths and loops (campaign constants)
 _IDLE = 4
-#: part of the way to the boundary that a step takes; below the second length a step aims nearer to the central path
-#: half of _WAY changes 29 of 119 solves, paths and loops; half and twice of _SHORT 1 and 3, of
-#: _CENTRED 2 and 1 (campaign constants)
-_WAY, _SHORT, _CENTRED = 0.995, 0.3, 0.3
+#: part of the longest admissible step that is taken; a step shorter than _SHORT is replaced by one that aims at the
+#: share _CENTRED of the mean product. Half of _FRACTION changes 29 of 119 solves, paths and loops; half and twice of
+#: _SHORT 1 and 3, of _CENTRED 2 and 1 (campaign constants)
+_FRACTION, _SHORT, _CENTRED = 0.995, 0.3, 0.3
 #: springs of the start, relative to the diagonal, one after the other: where after the number of steps below more
 #: than half of the forces that do not balance at the start is left, its displacements are too small, which keeps
 #: steps short (a band that slips round a drum). Steps of 12 such bands: 986 with the first springs alone, 335 with
 #: 1e-3 as the second ones, 243 with these; of 34 other solves 399. At 4 and 16 steps: 215 and 302; 403 and 399
 _SPRINGS = (1e-2, 1e-4, 1e-6)
 _FIRST_STEPS = 8
-#: the least energy and displacement that count, over those of the start: bodies that stick everywhere have none
+#: the least energy and displacement that count, over those of the start: bodies that stick everywhere have none;
 #: a hundredth changes 5 of 119 solves, paths and loops, a hundred times 5 (campaign constants)
 _LEAST = 1e-8
 
@@ -63,7 +62,7 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class Interior:
-    """The best iterate of a run."""
+    """An iterate of the method with its slack."""
 
     values: np.ndarray  # (n_contact, dim): w, m
     forces: np.ndarray  # (n_contact, dim): (p, q_t), N
@@ -81,34 +80,36 @@ def interior_point(
     offset: np.ndarray | float = 0.0,
     most: int = 60,
 ) -> Interior:
-    """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, in ``most`` steps or
-    fewer. ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible
+    """Solve S e + B'q = f, w = offset + B e, with the contact conditions on w, and return the best
+    iterate of at most ``most`` steps, which end where its slack is at most ``tolerance``.
+    ``load`` is f; ``stiffness`` (n_contact, dim), N/m, scales the start, which needs no admissible
     displacement."""
     if contact.lowest is not None:
-        return _between(unknowns, load, contact, stiffness, tolerance, offset, most)
+        return _two_obstacles(unknowns, load, contact, stiffness, tolerance, offset, most)
     springs = list(_SPRINGS)
     method = _Method(unknowns, load, contact, springs.pop(0) * stiffness, offset)
     best = method.iterate()
     steps = 0
-    since = 0
-    while (
-        steps < most
-        and best.slack > tolerance
-        and not (since >= _IDLE and best.slack < checks.SIX_DIGITS)
-    ):
+    idle_steps = 0
+    while steps < most and best.slack > tolerance:
+        if idle_steps >= _IDLE and best.slack < checks.SIX_DIGITS:
+            break
         if springs and method.steps == _FIRST_STEPS and method.unbalanced > 0.5:
             method = _Method(unknowns, load, contact, springs.pop(0) * stiffness, offset)
             method.iterate()
-            since = 0
+            idle_steps = 0
         if not method.advance():
             break
         present = method.iterate()
-        steps = steps + 1
-        best, since = (present, 0) if present.slack < best.slack else (best, since + 1)
+        steps += 1
+        idle_steps += 1
+        if present.slack < best.slack:
+            best = present
+            idle_steps = 0
     return replace(best, steps=steps)
 
 
-def _between(
+def _two_obstacles(
     unknowns: Span,
     load: np.ndarray,
     contact: NodalContact | Conditions,
@@ -125,11 +126,11 @@ def _between(
     twice = np.concatenate([stiffness, stiffness])
     shift = np.broadcast_to(offset, stiffness.shape)
     shifts = np.concatenate([shift, -shift])
-    both = interior_point(_TwoSided(unknowns), load, conditions, twice, tolerance, shifts, most)
+    both = interior_point(_TwoObstacles(unknowns), load, conditions, twice, tolerance, shifts, most)
     return replace(both, values=both.values[:n], forces=both.forces[:n] - both.forces[n:])
 
 
-class _TwoSided:
+class _TwoObstacles:
     """Unknowns whose nodes occur twice; see :class:`Span`."""
 
     def __init__(self, unknowns: Span) -> None:
@@ -151,7 +152,12 @@ class _TwoSided:
 
 class _Method:
     """The iterate of an interior point method, and its steps; ``springs`` (n_contact, dim), N/m, hold
-    the contact nodes at the start."""
+    the contact nodes at the start.
+
+    ``state`` (n_contact, 8) and its ``change`` have the columns of the module's docstring; ``blocks``
+    (n_contact, 3, 3) is what the eliminated unknowns add to S, ``terms`` (n_contact, 4) the right-hand
+    sides of their equations. ``pairs`` counts the products that tend to 0, whose sum is ``total``;
+    ``rest`` (m,) is the residual."""
 
     def __init__(
         self,
@@ -170,110 +176,111 @@ class _Method:
         self.span = unknowns
         friction = np.where(np.isfinite(contact.gap), contact.friction, 0.0)
         compliance = np.zeros(n) if contact.compliance is None else contact.compliance
-        self.nodes = contact.gap, np.zeros((n, 2)), contact.limit, friction, compliance
-        self.nodes[1][:, : dim - 1] = contact.slip_reference
-        self.pairs = max(
-            int(np.isfinite(contact.gap).sum() + ((contact.limit > 0) | (friction > 0)).sum()), 1
-        )
+        reference = np.zeros((n, 2))
+        reference[:, : dim - 1] = contact.slip_reference
+        #: the arrays of contact conditions that kernels read
+        self.nodes = contact.gap, reference, contact.limit, friction, compliance
+        rough = (contact.limit > 0) | (friction > 0)
+        self.pairs = max(int(np.isfinite(contact.gap).sum() + rough.sum()), 1)
         self.blocks = np.zeros((n, 3, 3))
         self.terms = np.zeros((n, 4))
         self.change = np.zeros((n, 8))
         self.blocks[:, range(dim), range(dim)] = springs
-        solve = self._factors()
+        solve = self._factorise()
         self.unknowns = np.zeros_like(load) if solve is None else solve(load)
         self.least = _LEAST * float(load @ self.unknowns)
         self.state = np.zeros((n, 8))
         self.state[:, :dim] = self.span.values(self.unknowns) + offset
         self.width = max(_LEAST * np.abs(self.state[:, :3]).max(initial=0.0), 1e-300)
-        self._lift(springs[:, 0])
+        self._start_pairs(springs[:, 0])
 
-    def _lift(self, spring: np.ndarray) -> None:
-        """Start from the pressures and gaps of springs, lifted to a mean size, and bounds of slips
-        above these."""
-        state, (gap, reference, limit, friction, _) = self.state, self.nodes
-        touches = np.isfinite(gap)
+    def _start_pairs(self, spring: np.ndarray) -> None:
+        """Set the pressures, gaps and bounds on slips of the first state: those of nodes on springs
+        (n_contact,), N/m, of at least the mean size, so that every product is positive."""
+        state = self.state
+        gap, reference, limit, friction, _ = self.nodes
+        has_obstacle = np.isfinite(gap)
         rough = (limit > 0) | (friction > 0)
-        # without loads an overlap at the start has to press
-        pressures = (spring * np.maximum(state[:, 0], state[:, 0] - gap))[touches]
-        gaps = (gap - state[:, 0])[touches]
+        # a spring presses by the displacement or, without loads, by the overlap at the start
+        pressures = (spring * np.maximum(state[:, 0], state[:, 0] - gap))[has_obstacle]
+        gaps = (gap - state[:, 0])[has_obstacle]
         slips = np.linalg.norm(state[rough, 1:3] - reference[rough], axis=1)
         mean_pressure, mean_gap, mean_slip = (
             np.abs(sizes).sum() / max(len(sizes), 1) for sizes in (pressures, gaps, slips)
         )
         state[:, 4:6] = 1.0
-        state[touches, 3], state[touches, 4] = (
-            np.maximum(pressures, mean_pressure),
-            np.maximum(gaps, mean_gap),
-        )
+        state[has_obstacle, 3] = np.maximum(pressures, mean_pressure)
+        state[has_obstacle, 4] = np.maximum(gaps, mean_gap)
         state[rough, 5] = 1.1 * slips + (mean_slip if mean_slip > 0 else max(mean_gap, 1e-300))
 
-    def _factors(self) -> Callable[[np.ndarray], np.ndarray] | None:
+    def _factorise(self) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Factor S with the blocks; see :meth:`Span.factors`."""
         return self.span.factors(np.ascontiguousarray(self.blocks[:, : self.dim, : self.dim]))
 
     def iterate(self) -> Interior:
-        """Return the present iterate, measured."""
+        """Return the present iterate with its slack."""
         product = self.span.product(self.unknowns)
         forces = self.state[:, [3, 6, 7][: self.dim]]
         self.rest = self.load - product - self.span.restricted(forces)
-        self.total, apart, width = _measure(self.state, *self.nodes)
+        self.total, gap_error, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
-        size = np.abs([self.load, product]).max(initial=0.0)
+        force_size = np.abs([self.load, product]).max(initial=0.0)
         slack = max(
             self.total / energy if energy > 0 else np.inf,
-            apart / max(self.width, width),
-            np.abs(self.rest).max(initial=0.0) / size if size > 0 else 0.0,
+            gap_error / max(self.width, width),
+            np.abs(self.rest).max(initial=0.0) / force_size if force_size > 0 else 0.0,
         )
         return Interior(self.state[:, : self.dim].copy(), forces, self.unknowns, slack, 0)
 
     def advance(self) -> bool:
         """Take a step, or return False where there is none.
 
-        A predictor aims at products of 0; the corrector aims at the share of their mean that the
-        predictor would leave, to the third power (Mehrotra)."""
+        The predictor aims at products of 0. The corrector aims at their mean times the cube of the
+        share that the predictor would leave (Mehrotra). If the corrector allows a short step only, a
+        direction without second-order terms replaces it where that allows a longer one."""
         self.blocks[:] = 0.0
         _eliminate(self.state, *self.nodes, self.blocks)
-        solve = self._factors()
+        solve = self._factorise()
         mean = self.total / self.pairs
         if solve is None or not self.total > 0:
             return False
         self.change[:] = 0.0
-        length = min(1.0, self._direct(solve, 0.0, 0.0)[1])
-        left = _measure(self.state + length * self.change, *self.nodes)[0]
-        aim = (
-            min(max(left / self.total, 0.0), 1.0) ** 3 if self.total > 0 else 0.0
-        )  # a product may round to zero
-        more, length = self._direct(solve, aim * mean, 1.0 if length >= 0.5 else length * length)
-        if _WAY * length < _SHORT:
-            corrected = more
-            shorter = length
-            direction = self.change.copy()
-            more, length = self._direct(solve, _CENTRED * mean, 0.0)
-            if length < shorter:
-                more = corrected
-                length = shorter
-                self.change = direction
-        length = min(1.0, _WAY * length)
+        length = min(1.0, self._direction(solve, 0.0, 0.0)[1])
+        predicted_total = _measure(self.state + length * self.change, *self.nodes)[0]
+        centring = min(max(predicted_total / self.total, 0.0), 1.0) ** 3
+        second_order = 1.0 if length >= 0.5 else length * length
+        step, length = self._direction(solve, centring * mean, second_order)
+        if _FRACTION * length < _SHORT:
+            corrected_step = step
+            corrected_length = length
+            corrected_change = self.change.copy()
+            step, length = self._direction(solve, _CENTRED * mean, 0.0)
+            if length < corrected_length:
+                step = corrected_step
+                length = corrected_length
+                self.change = corrected_change
+        length = min(1.0, _FRACTION * length)
         self.state = self.state + length * self.change
-        self.unknowns = self.unknowns + length * more
+        self.unknowns = self.unknowns + length * step
         self.unbalanced *= 1.0 - length
         self.steps += 1
         return bool(np.isfinite(self.unknowns).all())
 
-    def _direct(
+    def _direction(
         self, solve: Callable[[np.ndarray], np.ndarray], target: float, weight: float
     ) -> tuple[np.ndarray, float]:
-        """The change of the unknowns towards complementarity of ``target``, with second-order terms
-        of the last change times ``weight``; and how far it may go. The change of the state is left
-        in ``change``."""
+        """Return the change (m,) of the unknowns towards products of ``target``, with second-order
+        terms of the last change times ``weight``, and the longest step along it that keeps the state
+        positive. The change of the state is left in ``change``."""
         sides = np.zeros((len(self.state), 3))
-        _sides(self.state, *self.nodes, self.change, target, weight, self.terms, sides)
-        more = solve(self.rest + self.span.restricted(sides[:, : self.dim]))
-        self.change[:, : self.dim] = self.span.values(more)
-        return more, _complete(self.state, *self.nodes, self.terms, self.change)
+        _right_sides(self.state, *self.nodes, self.change, target, weight, self.terms, sides)
+        step = solve(self.rest + self.span.restricted(sides[:, : self.dim]))
+        self.change[:, : self.dim] = self.span.values(step)
+        return step, _complete_change(self.state, *self.nodes, self.terms, self.change)
 
 
 class Span(Protocol):
-    """The unknowns e of a matrix S, and what they mean at contact nodes."""
+    """The unknowns e (m,) of a matrix S, and the displacements B e of contact nodes that they make."""
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
         """Return S e."""
@@ -288,22 +295,22 @@ class Span(Protocol):
         ...
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        """Factor S + B'DB, D the blocks (n_contact, dim, dim) of the nodes; return None where that
-        is singular."""
+        """Return the solution of equations with S + B'DB as a function of right-hand sides (m,), D
+        the blocks (n_contact, dim, dim) of the nodes; None where the matrix is singular."""
 
 
 class ContactDofs:
-    """Unknowns that are dofs of contact nodes, with a dense matrix."""
+    """The free dofs of contact nodes as unknowns, with a dense matrix; see :class:`Span`."""
 
     def __init__(self, matrix: np.ndarray, free: np.ndarray) -> None:
         self.free = np.flatnonzero(free.reshape(-1))
         self.shape = free.shape
         self.matrix = np.ascontiguousarray(matrix[np.ix_(self.free, self.free)])
-        n, dim = free.shape
-        place = (np.cumsum(free) - 1).reshape(n, dim)
-        # of the blocks, and of the matrix
-        self._entries = np.flatnonzero(free[:, :, None] & free[:, None])
-        self._at = (len(self.free) * place[:, :, None] + place[:, None]).reshape(-1)[self._entries]
+        # flat positions of entries between free dofs, in the blocks of nodes and in the matrix
+        number = (np.cumsum(free) - 1).reshape(free.shape)
+        in_matrix = len(self.free) * number[:, :, None] + number[:, None]
+        self._in_blocks = np.flatnonzero(free[:, :, None] & free[:, None])
+        self._in_matrix = in_matrix.reshape(-1)[self._in_blocks]
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
         return self.matrix @ unknowns
@@ -318,19 +325,20 @@ class ContactDofs:
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
         matrix = self.matrix.copy()
-        matrix.reshape(-1)[self._at] += blocks.reshape(-1)[self._entries]
+        matrix.reshape(-1)[self._in_matrix] += blocks.reshape(-1)[self._in_blocks]
         return dense_factors(matrix)
 
 
 def dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Factor a matrix, which is overwritten; return None where it is singular."""
+    """Return the solution of equations with a matrix, which is overwritten, as a function of
+    right-hand sides; None where the matrix is singular."""
     lower, pivots, info = linalg.lapack.dgetrf(matrix.T, overwrite_a=True)
     return None if info else lambda rhs: linalg.lapack.dgetrs(lower, pivots, rhs, trans=1)[0]
 
 
 @inner_kernel
-def _node(state, i):
-    """The state of a node as a tuple."""
+def _node_state(state, i):
+    """Return the state of a node as a tuple (w_n, w_1, w_2, p, y, v, q_1, q_2)."""
     return (
         state[i, 0],
         state[i, 1],
@@ -344,24 +352,25 @@ def _node(state, i):
 
 
 @inner_kernel
-def _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
-    """(dv, dq) of B dv - tau.dq = e, q dv + v dq = (e_1, e_2)."""
+def _solve_cone(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2):
+    """Return (dv, dq_1, dq_2) with B dv - tau.dq = e and q dv + v dq = (e_1, e_2), tau = (t_1, t_2)."""
     dv = (e + (t_1 * e_1 + t_2 * e_2) / v) / (b + (t_1 * q_1 + t_2 * q_2) / v)
     return dv, (e_1 - q_1 * dv) / v, (e_2 - q_2 * dv) / v
 
 
 @inner_kernel
-def _way(b, q_1, q_2, db, dq_1, dq_2):
-    """Return the longest step that keeps B >= |q|: the least positive root of a t^2 + 2 h t + c."""
+def _longest_step(b, q_1, q_2, db, dq_1, dq_2):
+    """Return the longest step t with B + t dB >= |q + t dq|: at most where B + t dB = 0, and the
+    least positive root of (B + t dB)^2 - |q + t dq|^2 = a t^2 + 2 h t + c."""
     a = db * db - dq_1 * dq_1 - dq_2 * dq_2
     h = b * db - q_1 * dq_1 - q_2 * dq_2
     c = max(b * b - q_1 * q_1 - q_2 * q_2, 0.0)
     step = -b / db if db < 0 else np.inf
-    inside = h * h - a * c
-    if h < 0 and inside >= 0:
-        step = min(step, c / (np.sqrt(inside) - h))
+    discriminant = h * h - a * c
+    if h < 0 and discriminant >= 0:
+        step = min(step, c / (np.sqrt(discriminant) - h))
     elif a < 0:
-        step = min(step, (h + np.sqrt(inside)) / -a)
+        step = min(step, (h + np.sqrt(discriminant)) / -a)
     return step
 
 
@@ -370,29 +379,29 @@ def _measure(state, gap, reference, limit, friction, compliance):
     """Return the sum of the products p y and B v - q.t of all pairs (t the slip), the largest error
     of a gap, and the largest displacement."""
     total = 0.0
-    apart = 0.0
+    gap_error = 0.0
     size = 0.0
     for i in range(len(state)):
-        w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
+        w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
         size = max(size, abs(w), abs(w_1), abs(w_2))
         if np.isfinite(gap[i]):
             total += p * y
-            apart = max(apart, abs(gap[i] - w + compliance[i] * p - y))
+            gap_error = max(gap_error, abs(gap[i] - w + compliance[i] * p - y))
         if limit[i] > 0 or friction[i] > 0:
             total += (
                 (limit[i] + friction[i] * p) * v
                 - q_1 * (w_1 - reference[i, 0])
                 - q_2 * (w_2 - reference[i, 1])
             )
-    return total, apart, size
+    return total, gap_error, size
 
 
 @kernel
 def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
-    """Write to ``blocks`` (n, 3, 3) what the eliminated p and (v, q_t) add at each node: the
-    derivatives of (p, q_t) with respect to (w, w_t)."""
+    """Write to ``blocks`` (n, 3, 3), zero before, what the eliminated p and (v, q_t) add at each
+    node: the derivatives of (p, q_1, q_2) with respect to (w, w_1, w_2)."""
     for i in range(len(state)):
-        _, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
+        _, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
         t_1 = w_1 - reference[i, 0]
         t_2 = w_2 - reference[i, 1]
         mu = friction[i]
@@ -400,29 +409,35 @@ def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
         if np.isfinite(gap[i]):
             blocks[i, 0, 0] = p / (y + compliance[i] * p)
         if limit[i] > 0 or mu > 0:
+            # columns of w_1 and w_2, then that of w, on which q depends by p
             for j, e, e_1, e_2 in ((1, q_1, b, 0.0), (2, q_2, 0.0, b)):
-                _, blocks[i, 1, j], blocks[i, 2, j] = _cones(b, v, q_1, q_2, t_1, t_2, e, e_1, e_2)
-            _, k_1, k_2 = _cones(b, v, q_1, q_2, t_1, t_2, -v * mu, t_1 * mu, t_2 * mu)
-            blocks[i, 1, 0], blocks[i, 2, 0] = k_1 * blocks[i, 0, 0], k_2 * blocks[i, 0, 0]
+                _, blocks[i, 1, j], blocks[i, 2, j] = _solve_cone(
+                    b, v, q_1, q_2, t_1, t_2, e, e_1, e_2
+                )
+            _, k_1, k_2 = _solve_cone(b, v, q_1, q_2, t_1, t_2, -v * mu, t_1 * mu, t_2 * mu)
+            blocks[i, 1, 0] = k_1 * blocks[i, 0, 0]
+            blocks[i, 2, 0] = k_2 * blocks[i, 0, 0]
 
 
 @kernel
-def _sides(
+def _right_sides(
     state, gap, reference, limit, friction, compliance, before, target, weight, terms, sides
 ):
     """Write the right-hand sides of the nodes to ``sides`` (n, 3), and to ``terms`` (n, 4) those of
-    the eliminated equations, which :func:`_complete` reads: of p, and e, e_1, e_2 of the cone."""
+    the eliminated equations, which :func:`_complete_change` reads: of p, and e, e_1, e_2 of
+    :func:`_solve_cone`. Products tend to ``target``; those of the changes ``before`` (n, 8) of the
+    predictor count times ``weight``."""
     for i in range(len(state)):
-        w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
-        _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = _node(before, i)
+        w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
+        _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = _node_state(before, i)
         t_1 = w_1 - reference[i, 0]
         t_2 = w_2 - reference[i, 1]
         mu = friction[i]
         b = limit[i] + mu * p
         shift = 0.0
         if np.isfinite(gap[i]):
-            missing = gap[i] - w + compliance[i] * p - y
-            shift = (target - p * y - weight * dp * dy - p * missing) / (y + compliance[i] * p)
+            gap_error = gap[i] - w + compliance[i] * p - y
+            shift = (target - p * y - weight * dp * dy - p * gap_error) / (y + compliance[i] * p)
         sides[i, 0] = terms[i, 0] = -shift
         if limit[i] > 0 or mu > 0:
             e = (
@@ -435,7 +450,7 @@ def _sides(
             terms[i, 1] = e
             terms[i, 2] = e_1
             terms[i, 3] = e_2
-            _, k_1, k_2 = _cones(
+            _, k_1, k_2 = _solve_cone(
                 b,
                 v,
                 q_1,
@@ -451,12 +466,12 @@ def _sides(
 
 
 @kernel
-def _complete(state, gap, reference, limit, friction, compliance, terms, change):
-    """Complete ``change`` (n, 8), whose columns w, w_t are given, by the eliminated unknowns; return
-    the longest step with p, y >= 0, B >= |q| and v >= |t|."""
+def _complete_change(state, gap, reference, limit, friction, compliance, terms, change):
+    """Complete ``change`` (n, 8), whose columns of w are given, by the eliminated unknowns; return
+    the longest step that keeps p, y >= 0, B >= |q_t| and v >= |tau|."""
     longest = 1e30
     for i in range(len(state)):
-        w, w_1, w_2, p, y, v, q_1, q_2 = _node(state, i)
+        w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
         t_1 = w_1 - reference[i, 0]
         t_2 = w_2 - reference[i, 1]
         mu = friction[i]
@@ -476,7 +491,7 @@ def _complete(state, gap, reference, limit, friction, compliance, terms, change)
             if dy < 0:
                 longest = min(longest, -y / dy)
         if limit[i] > 0 or mu > 0:
-            dv, dq_1, dq_2 = _cones(
+            dv, dq_1, dq_2 = _solve_cone(
                 b,
                 v,
                 q_1,
@@ -491,6 +506,8 @@ def _complete(state, gap, reference, limit, friction, compliance, terms, change)
             change[i, 6] = dq_1
             change[i, 7] = dq_2
             longest = min(
-                longest, _way(b, q_1, q_2, mu * dp, dq_1, dq_2), _way(v, t_1, t_2, dv, d_1, d_2)
+                longest,
+                _longest_step(b, q_1, q_2, mu * dp, dq_1, dq_2),
+                _longest_step(v, t_1, t_2, dv, d_1, d_2),
             )
     return longest

@@ -43,7 +43,8 @@ class LinearSolution:
 def solution_of(
     linear: LinearSolver, prepared: Prepared, rhs: np.ndarray, rtol: float
 ) -> LinearSolution:
-    """Return what a linear solver, perhaps user-defined, returns for a right-hand side, checked."""
+    """Solve with a matrix that a linear solver has prepared; TypeError unless the solution of a
+    user-defined solver has the right form."""
     name = f"linear: what {checks.shown(linear)}"
     checks.offers(f"{name} prepares", prepared, "solve", "an object that offers solve(rhs, rtol)")
     solution = prepared.solve(rhs, rtol=rtol)
@@ -132,6 +133,7 @@ class Direct:
 
 
 def _singular(matrix: sparse.bsr_array) -> str:
+    """Return the error message for a singular matrix."""
     return (
         f"the matrix ({matrix.shape[0]} rows) is singular: a motion is left free by the supports and the contact "
         "nodes that hold; add a support, or start from a state in which more nodes touch"
@@ -154,6 +156,7 @@ class Factorised:
 
 
 def _relative(residual: np.ndarray, rhs: np.ndarray) -> float:
+    """Return the Euclidean norm of a residual over that of the right-hand side, if that is not 0."""
     size = float(np.linalg.norm(rhs))
     return float(np.linalg.norm(residual)) / size if size > 0 else float(np.linalg.norm(residual))
 
@@ -220,15 +223,18 @@ class Preconditioned:
 
     @cached_property
     def cycle_passes(self) -> float:
-        """Passes over the finest matrix that a V-cycle costs; see the module for the formula."""
+        """Return the passes over the finest matrix that a V-cycle costs; see the module's formula."""
         *levels, coarsest = self.hierarchy.levels
         # four passes of two symmetric sweeps, and a residual
         entries = sum(5 * level.A.nnz + 2 * level.P.nnz for level in levels)
         return (entries + coarsest.A.shape[0] ** 2) / self.hierarchy.levels[0].A.nnz
 
     def solve(self, rhs: np.ndarray, rtol: float = 1e-10) -> LinearSolution:
-        """Iterate until the error in the norm of the preconditioner is small, too; see
-        :class:`Prepared`."""
+        """Solve; see :class:`Prepared`.
+
+        A small residual may hide a smooth error: on a slender body nearly all of it. So the method
+        goes on with smaller tolerances until the error in the norm of the preconditioner is small,
+        too."""
         from pyamg import krylov
 
         shape = self.matrix.shape
@@ -249,42 +255,45 @@ class Preconditioned:
         inverse = LinearOperator(shape, matvec=precondition, dtype=np.float64)
         unknowns = None
         iterations = 0
-        tol = rtol
-        size = _energy(rhs, precondition(rhs))
+        tolerance = rtol
+        solution_energy = _energy(rhs, precondition(rhs))
         while True:
             norms: list[float] = []
-            left = self.options.MAX_ITERATIONS - iterations
+            iterations_left = self.options.MAX_ITERATIONS - iterations
             if self.symmetric:
                 unknowns, _ = krylov.cg(
-                    operator, rhs, x0=unknowns, tol=tol, maxiter=left, M=inverse, residuals=norms
+                    operator,
+                    rhs,
+                    x0=unknowns,
+                    tol=tolerance,
+                    maxiter=iterations_left,
+                    M=inverse,
+                    residuals=norms,
                 )
             else:
-                restart = min(self.options.RESTART, left, shape[0])
+                restart = min(self.options.RESTART, iterations_left, shape[0])
                 unknowns, _ = krylov.fgmres(
                     operator,
                     rhs,
                     x0=unknowns,
-                    tol=tol,
+                    tol=tolerance,
                     M=inverse,
                     restart=restart,
-                    maxiter=-(-left // restart),
+                    maxiter=-(-iterations_left // restart),
                     residuals=norms,
                 )
             iterations += max(len(norms) - 1, 0)
             residual = rhs - product(unknowns)
             error = _energy(residual, precondition(residual))
-            # a residual hides what is smooth: on a slender body nearly all of the error
-            if (
-                not error > rtol * size
-                or not len(norms) > 1
-                or iterations >= self.options.MAX_ITERATIONS
-            ):
+            accurate = not error > rtol * solution_energy
+            idle = not len(norms) > 1
+            if accurate or idle or iterations >= self.options.MAX_ITERATIONS:
                 break
-            tol *= max(0.5 * rtol * size / error, 1e-2)
+            tolerance *= max(0.5 * rtol * solution_energy / error, 1e-2)
         relative = _relative(residual, rhs)
         return LinearSolution(unknowns, iterations, passes, relative, relative <= 1.1 * rtol)
 
 
 def _energy(residual: np.ndarray, preconditioned: np.ndarray) -> float:
-    """The energy norm of the error, as the preconditioner estimates it; sqrt(N m)."""
+    """Return the energy norm of the error, as the preconditioner estimates it; sqrt(N m)."""
     return float(np.sqrt(max(float(np.einsum("i,i->", residual, preconditioned)), 0.0)))

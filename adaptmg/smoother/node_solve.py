@@ -62,8 +62,10 @@ MAX_STEPS = 200
 
 @in_loop
 def solve(m, c, gap, reference, limit, friction, compliance):
-    """Solve the problem of one node with one to three unknowns: block (upper triangle), force and
-    reference as tuples, so is w."""
+    """Solve the problem of one node with dim = 1, 2 or 3 unknowns and return w.
+
+    m: the upper triangle of M, row by row; c, w: tuples of dim components; reference: the dim - 1
+    displacements of zero slip (dim = 1: the lowest value)."""
     if len(c) == 1:
         return (min(max(c[0] / m[0], reference[0]), gap),)
     if len(c) == 2:
@@ -91,8 +93,8 @@ def solve(m, c, gap, reference, limit, friction, compliance):
 
 @in_loop
 def natural_at(d, r, w, gap, reference, limit, compliance):
-    """Return the natural residual D (prox_D(w + D^-1 r) - w) of one node, its bound held at
-    ``limit``."""
+    """Return the natural residual D (prox_D(w + D^-1 r) - w) of one node, with the constant bound
+    ``limit`` on friction; d is the upper triangle of D."""
     moved = solve(d, plus_symmetric(r, d, w), gap, reference, limit, 0.0, compliance)
     change = subtract(moved, w)
     return plus_symmetric(nothing(w), d, change)
@@ -120,7 +122,9 @@ def solve_2d(
     friction: float,
     compliance: float = 0.0,
 ) -> tuple[float, float]:
-    """Solve the problem of one node in 2D."""
+    """Solve the problem of one node in 2D and return (w_n, w_t): try open, then stick, then
+    slip."""
+    # from here on the tangential unknown is the slip
     c_n -= m_nt * reference
     c_t -= m_tt * reference
     ratio = m_nt / m_nn
@@ -128,21 +132,22 @@ def solve_2d(
     w_n = c_n / m_nn - ratio * slip
     if w_n <= gap:
         return w_n, reference + slip
-    # a compliant surface gives way by compliance * p: a smaller pressure, a softer tangent
+    # closed: w_n is eliminated; a compliant surface makes the pressure smaller and the tangent softer
     p_stick = c_n - m_nn * gap
     share = 1.0 / (1.0 + compliance * m_nn)
     c_t -= m_nt * (gap + compliance * share * p_stick)
     m_tt -= m_nt * compliance * share * m_nt
     p_stick *= share
     m_nt *= share
-    size = abs(c_t)
-    if size <= limit + friction * max(p_stick, 0.0):
+    force = abs(c_t)
+    if force <= limit + friction * max(p_stick, 0.0):
         return gap + compliance * p_stick, reference
     sign = math.copysign(1.0, c_t)
     slope = m_tt - sign * friction * m_nt
-    slip = sign * (size - limit) / m_tt
+    # without pressure, unless the slip with pressure leaves one
+    slip = sign * (force - limit) / m_tt
     if slope > 0.0:
-        with_pressure = sign * (size - limit - friction * p_stick) / slope
+        with_pressure = sign * (force - limit - friction * p_stick) / slope
         if p_stick - m_nt * with_pressure > 0.0:
             slip = with_pressure
     return gap + compliance * (p_stick - m_nt * slip), reference + slip
@@ -176,14 +181,15 @@ def solve_3d(
     friction: float,
     compliance: float = 0.0,
 ) -> tuple[float, float, float]:
-    """Solve the problem of one node in 3D; see :func:`solve_2d`."""
+    """Solve the problem of one node in 3D and return (w_n, w_1, w_2)."""
     if m_11 < 0.0:
+        # a support holds the first tangent, along which the node slips by -reference_1
         if reference_1 == 0.0:
             w_n, w_2 = solve_2d(
                 m_nn, m_n2, m_22, c_n, c_2, gap, reference_2, limit, friction, compliance
             )
         else:
-            w_n, w_2 = _solve_beside(
+            w_n, w_2 = _solve_held(
                 m_nn,
                 m_n2,
                 m_22,
@@ -237,36 +243,37 @@ def solve_3d(
 
 
 @kernel(fastmath=False)
-def _solve_beside(
+def _solve_held(
     m_nn: float,
     m_nt: float,
     m_tt: float,
     c_n: float,
     c_t: float,
     gap: float,
-    held: float,
+    held_slip: float,
     reference: float,
     limit: float,
     friction: float,
     compliance: float,
 ) -> tuple[float, float]:
-    """:func:`solve_2d` for a node that slips by ``held`` along a further tangent."""
+    """Solve as :func:`solve_2d` for a node that slips by ``held_slip`` along its other tangent,
+    which a support holds."""
     c_n -= m_nt * reference
     c_t -= m_tt * reference
     ratio = m_nt / m_nn
-    slip = _slip_beside(m_tt - ratio * m_nt, c_t - ratio * c_n, 0.0, 0.0, held, limit, 0.0)
+    slip = _slip_held(m_tt - ratio * m_nt, c_t - ratio * c_n, 0.0, 0.0, held_slip, limit, 0.0)
     w_n = c_n / m_nn - ratio * slip
     if not w_n <= gap:
         p_stick = c_n - m_nn * gap
         share = 1.0 / (1.0 + compliance * m_nn)
         soft = compliance * share
         w_n = gap + soft * p_stick
-        slip = _slip_beside(
+        slip = _slip_held(
             m_tt - m_nt * soft * m_nt,
             c_t - m_nt * w_n,
             share * m_nt,
             share * p_stick,
-            held,
+            held_slip,
             limit,
             friction,
         )
@@ -275,34 +282,38 @@ def _solve_beside(
 
 
 @kernel(fastmath=False)
-def _slip_beside(
-    b: float, c: float, a: float, p_stick: float, held: float, limit: float, friction: float
+def _slip_held(
+    b: float, c: float, a: float, p_stick: float, held_slip: float, limit: float, friction: float
 ) -> float:
-    """The root of c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held^2 + x^2): it
-    lies from 0 to c / b. Newton's method inside a bracket."""
+    """Return the slip x along the free tangent, the root of
+
+    c - b x - (limit + friction max(0, p_stick - a x)) x / sqrt(held_slip^2 + x^2)
+
+    between 0 and c / b, by Newton's method inside a bracket."""
     low = min(0.0, c / b)
     high = max(0.0, c / b)
     slip = 0.0
     for _ in range(MAX_STEPS):
-        size = math.hypot(held, slip)
+        slip_size = math.hypot(held_slip, slip)
         p = p_stick - a * slip
         bound = limit + friction * max(p, 0.0)
-        value = c - b * slip - bound * slip / size
-        if abs(value) <= EPSILON * (abs(c) + b * abs(slip)):
+        excess = c - b * slip - bound * slip / slip_size
+        if abs(excess) <= EPSILON * (abs(c) + b * abs(slip)):
             break
-        if value > 0.0:
+        if excess > 0.0:
             low = slip
         else:
             high = slip
-        slope = b + bound * (held / size) ** 2 / size
+        # minus the derivative of the excess
+        slope = b + bound * (held_slip / slip_size) ** 2 / slip_size
         if p > 0.0:
-            slope -= friction * a * slip / size
-        following = slip + value / slope if slope > 0.0 else low
-        if not low < following < high:
-            following = 0.5 * (low + high)
-        if following == slip or high - low <= EPSILON * max(abs(low), abs(high)):
+            slope -= friction * a * slip / slip_size
+        next_slip = slip + excess / slope if slope > 0.0 else low
+        if not low < next_slip < high:
+            next_slip = 0.5 * (low + high)
+        if next_slip == slip or high - low <= EPSILON * max(abs(low), abs(high)):
             break
-        slip = following
+        slip = next_slip
     return slip
 
 
@@ -319,18 +330,19 @@ def slip_3d(
     limit: float,
     friction: float,
 ) -> tuple[float, float]:
-    r"""Return the slip of a node in 3D with :math:`p = \max(0, p_0 - a\cdot\tau)`."""
+    r"""Return the slip :math:`\tau` of a node in 3D: :math:`q_t = c - B\tau` is the friction within the
+    bound :math:`s + \mu p`, :math:`p = \max(0, p_0 - a\cdot\tau)`."""
     if math.hypot(c_1, c_2) <= limit + friction * max(p_stick, 0.0):
         return 0.0, 0.0
-    # Jacobi rotation to the eigenbasis of B; none where b_12 = 0, so that a fixed, decoupled
-    # tangent stays at zero
+    # Jacobi's rotation to the eigenbasis of B (tangent: of its angle); none where b_12 = 0, so that a
+    # fixed, decoupled tangent stays at zero
     tangent = 0.0
     if b_12 != 0.0:
         cotangent = (b_22 - b_11) / (2.0 * b_12)
         tangent = math.copysign(1.0 / (abs(cotangent) + math.hypot(cotangent, 1.0)), cotangent)
     cosine = 1.0 / math.hypot(tangent, 1.0)
     sine = tangent * cosine
-    slip_1, slip_2 = _slip_in_eigenbasis(
+    turned_1, turned_2 = _slip_in_eigenbasis(
         b_11 - tangent * b_12,
         b_22 + tangent * b_12,
         cosine * c_1 - sine * c_2,
@@ -341,7 +353,7 @@ def slip_3d(
         limit,
         friction,
     )
-    return cosine * slip_1 + sine * slip_2, cosine * slip_2 - sine * slip_1
+    return cosine * turned_1 + sine * turned_2, cosine * turned_2 - sine * turned_1
 
 
 @inner_kernel(fastmath=False)
@@ -356,11 +368,19 @@ def _slip_in_eigenbasis(
     limit: float,
     friction: float,
 ) -> tuple[float, float]:
-    """:func:`slip_3d` of a node that slips, B = diag(b_1, b_2): safeguarded Newton for theta."""
-    free_1 = c_1 / b_1
-    free_2 = c_2 / b_2
-    if limit + friction * max(p_stick - a_1 * free_1 - a_2 * free_2, 0.0) == 0.0:
-        return free_1, free_2
+    r"""Return what :func:`slip_3d` returns of a node that slips, where B = diag(b_1, b_2).
+
+    Newton's method inside a bracket finds :math:`\theta = |\tau| / |q_t|`, at which the force
+    :math:`|q_t|`, :math:`q_t = (I + \theta B)^{-1} c`, is the bound. In terms of the excess of the force
+    over the bound its step is
+
+    .. math:: -f / f' = \frac{|q_t| - \beta}{\beta' - \beta\,|q_t|' / |q_t|},\qquad
+       f = \beta / |q_t| - 1,\quad \beta = s + \mu p,\quad p = p_0 - \theta\, a\cdot q_t ."""
+    frictionless_1 = c_1 / b_1
+    frictionless_2 = c_2 / b_2
+    pressure = p_stick - a_1 * frictionless_1 - a_2 * frictionless_2
+    if limit + friction * max(pressure, 0.0) == 0.0:
+        return frictionless_1, frictionless_2
     theta = 0.0
     low = 0.0
     high = math.inf
@@ -376,14 +396,14 @@ def _slip_in_eigenbasis(
         p = p_stick - theta * coupling
         bound = limit + friction * max(p, 0.0)
         excess = force - bound
-        if abs(excess) <= EPSILON * (
-            force + limit + friction * (abs(p_stick) + theta * abs(coupling))
-        ):
+        terms = force + limit + friction * (abs(p_stick) + theta * abs(coupling))
+        if abs(excess) <= EPSILON * terms:
             break
         if excess > 0.0:
             low = theta
         else:
             high = theta
+        # derivatives with respect to theta
         dq_1 = -b_1 * scale_1 * q_1
         dq_2 = -b_2 * scale_2 * q_2
         d_force = (q_1 * dq_1 + q_2 * dq_2) / force
@@ -391,21 +411,21 @@ def _slip_in_eigenbasis(
         if p > 0.0:
             d_bound = -friction * (coupling + theta * (a_1 * dq_1 + a_2 * dq_2))
         slope = d_bound - bound * d_force / force
-        following = math.inf
+        next_theta = math.inf
         if slope > 0.0:
-            following = theta + excess / slope
-        if not low < following < high:
-            following = _inside(low, high, max(b_1, b_2))
-        if following == theta or high - low <= EPSILON * low:
+            next_theta = theta + excess / slope
+        if not low < next_theta < high:
+            next_theta = _inside(low, high, max(b_1, b_2))
+        if next_theta == theta or high - low <= EPSILON * low:
             break
-        theta = following
+        theta = next_theta
     return theta * q_1, theta * q_2
 
 
 @inner_kernel(fastmath=False)
 def _inside(low: float, high: float, stiffness: float) -> float:
-    """A point between two bounds whose orders of magnitude may differ; ``high`` may be +inf,
-    ``low`` zero."""
+    """Return a value of theta between two bounds whose orders of magnitude may differ; ``high`` may
+    be +inf, ``low`` zero. The largest eigenvalue of B, ``stiffness``, sets the scale."""
     if high == math.inf:
         return max(8.0 * low, 1.0 / stiffness)
     if low == 0.0:

@@ -37,6 +37,8 @@ def product(matrix: sparse.bsr_array, vector: np.ndarray) -> np.ndarray:
 
 @kernel
 def _multiply(first, last, zero, indptr, indices, data, v, result):
+    """Write the rows of nodes first, ..., last - 1 of A v to ``result``; ``data`` are blocks, row by
+    row."""
     dim = np.uint64(len(zero))
     for i in range(np.uint64(first), np.uint64(last)):
         for a in range(dim):
@@ -58,9 +60,9 @@ class Strips:
     @classmethod
     def of(cls, indptr: np.ndarray, indices: np.ndarray, block: int, stored: bool = True) -> Strips:
         """Return the strips of a matrix with a symmetric pattern, sorted columns, and ``block``
-        entries a block. Where numbers have little to do with places, strips go by distance in the
-        graph: sweeps then jump in memory, by a third slower even if rows are ``stored`` in their
-        order, so that one thread does without."""
+        entries a block. Where the numbers of neighbours differ much, strips go by distance in the
+        graph, which only several threads do: sweeps then jump in memory, a third slower even if
+        rows are ``stored`` in their order."""
         n = len(indptr) - 1
         numbering = np.arange(n, dtype=np.int32)
         if block * len(indices) < threads.LARGE:
@@ -98,16 +100,16 @@ class Strips:
 
 
 def _bounds(last: np.ndarray) -> list[int]:
-    """Return where strips begin and end: ``last`` (n,) is the place of the last neighbour of a node
-    at each place."""
+    """Return the places at which strips begin, and n: ``last`` (n,) is the place of the last
+    neighbour of a node at each place."""
     n = len(last)
-    reach = np.append(
-        0, np.maximum.accumulate(last) + 1
-    )  # the places before this one are not coupled beyond it
+    # nodes at places below k are coupled with places below reach[k] only
+    reach = np.append(0, np.maximum.accumulate(last) + 1)
+    shortest = -(-n // (2 * threads.PARTS))
     bounds = [0]
     while bounds[-1] < n:
         two_layers = int(reach[reach[bounds[-1]]])
-        bounds.append(min(max(two_layers, bounds[-1] + -(-n // (2 * threads.PARTS))), n))
+        bounds.append(min(max(two_layers, bounds[-1] + shortest), n))
     return bounds
 
 
@@ -116,9 +118,11 @@ def _by_distance(indptr: np.ndarray, indices: np.ndarray) -> np.ndarray:
     one connected part after the other."""
     n = len(indptr) - 1
     graph = sparse.csr_array((np.ones(len(indices), dtype=np.int8), indices, indptr), shape=(n, n))
-    new = np.ones(n, dtype=bool)
-    layers = []
-    while new.any():
-        layers.append(breadth_first_order(graph, int(np.argmax(new)), return_predecessors=False))
-        new[layers[-1]] = False
-    return np.concatenate(layers).astype(np.int32)
+    unvisited = np.ones(n, dtype=bool)
+    parts = []
+    while unvisited.any():
+        first = int(np.argmax(unvisited))
+        part = breadth_first_order(graph, first, return_predecessors=False)
+        parts.append(part)
+        unvisited[part] = False
+    return np.concatenate(parts).astype(np.int32)
