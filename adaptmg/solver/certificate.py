@@ -107,8 +107,8 @@ class Certificate:
         )
 
     def contradictions(self, rtol: float, energy_factor: float = ENERGY_FACTOR) -> tuple[str, ...]:
-        """Return the names of what a displacement that has converged to ``rtol`` would not violate
-        so much."""
+        """Return the names of the conditions that are violated by more than a displacement accurate
+        to ``rtol`` violates them."""
 
         def beyond(value: float, allowed: float, rounding: float) -> bool:
             return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))
@@ -162,7 +162,7 @@ def certify(
     volumes also their ``pressures``, Pa. An energy error far below ``rtol`` is estimated by two
     steps. ``residual``: b - A w, if it was computed. ``posed`` makes the
     lines that follow from mesh and posed problem (:mod:`adaptmg.solver.closed_forms`)."""
-    # what has run away overflows: its lines read inf or nan, and contradict
+    # a diverged displacement overflows: its lines are inf or nan, which contradict every tolerance
     with np.errstate(over="ignore", invalid="ignore"):
         evidence = Evidence(
             problem, np.asarray(displacement, dtype=np.float64), contact, pressures, residual
@@ -276,9 +276,9 @@ class Evidence:
         pressures: np.ndarray = NO_PRESSURES,
         residual: np.ndarray | None = None,
     ) -> None:
-        # the solution, its residual f - A u and its energy norm
-        shape = (problem.n_nodes, problem.dim)
-        self.u = displacement.reshape(shape)
+        """Measure a displacement (n_nodes, dim), m; ``residual`` (n_dofs,): f - A w, N, if it is
+        known."""
+        self.u = displacement.reshape(problem.n_nodes, problem.dim)
         if problem.dim == 1:  # of two obstacles the nearest
             moved = self.u[problem.contact.nodes]
             problem = problem.posing(contact=problem.contact.facing(moved))
@@ -286,53 +286,68 @@ class Evidence:
         self.contact = contact
         self.pressures = pressures
         self.nodes = problem.contact.nodes
+        self.normals = problem.contact.normals
+        self.fixed = problem.fixed.reshape(self.u.shape)
         self.unknowns = problem.relative(self.u)
         load = problem.load - problem.volumes.forces(pressures)
-        residual = (
-            load - problem.matrix @ self.unknowns.reshape(-1) if residual is None else residual
-        )
+        if residual is None:
+            residual = load - problem.matrix @ self.unknowns.reshape(-1)
+        self.residual = residual
         energy = _sum(self.unknowns, load - residual) + problem.volumes.energy(pressures)
         self.energy = float(
             np.sqrt(problem.stress_energy(self.unknowns.reshape(-1), max(energy, 0.0)))
         )
-        diagonal = np.einsum("nii->ni", nodal_blocks(problem))
-        self.fixed = problem.fixed.reshape(shape)
-        self.stiffness = diagonal[problem.contact.nodes].max(axis=1)
-        # contact: the claimed forces, gaps and slips, and the bound of friction
-        self.normals = problem.contact.normals
+        self._measure_contact()
+        self._subtract_claims()
+        self._set_scales()
+
+    def _measure_contact(self) -> None:
+        """Compute the claimed forces, the gaps, the slips and the bounds of friction."""
+        contact = self.contact
+        problem = self.problem
         self.claimed = from_frames(
             contact.frames, np.column_stack([-contact.force_n, contact.force_t])
         )
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
         self.gap, self.slip = self._kinematics()
-        # of the surface, which gives way
+        # the surface gives way under the pressure
         self.compliance = problem.contact.compliance
         self.gap += self.compliance * np.maximum(self.pressure, 0.0)
         self.limit, _ = problem.law.bounds(len(self.nodes))
         slip = np.linalg.norm(self.slip, axis=1)
         self.coefficient = problem.friction_at(self.pressure, slip)
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
-        # Forces that neither claimed contact nor ties explain; at free dofs they must vanish. Of these,
-        # what holds ties is as large as it must be; its counterpart on masters is not a violation
-        tying = np.where(problem.fixed & ~problem.held, -residual, 0.0)
-        self.tying = tying
-        self.residual = residual
-        borne = -residual - tying
-        self.unexplained = problem.physical_forces(borne).reshape(shape)
+
+    def _subtract_claims(self) -> None:
+        """Compute the forces (n_nodes, dim) that neither loads nor ties nor claimed contact forces
+        explain: at free dofs they must vanish, at the others supports carry them."""
+        problem = self.problem
+        # a tie holds with whatever force it needs; its counterpart on the master is no violation
+        self.tying = np.where(problem.fixed & ~problem.held, -self.residual, 0.0)
+        borne = -self.residual - self.tying
+        self.unexplained = problem.physical_forces(borne).reshape(self.u.shape)
         self.unexplained[self.nodes] -= self.claimed
-        np.subtract.at(self.unexplained, contact.master_node, contact.master_force)
+        np.subtract.at(self.unexplained, self.contact.master_node, self.contact.master_force)
         self.at_contact = self.unexplained[self.nodes]
         self.in_supports = self.unexplained[self.fixed]
         self.left = np.where(self.fixed, 0.0, self.unexplained)
-        # the scales of forces and displacements, and what rounding leaves
-        self.internal = _norm(problem.load - residual)
-        load = problem.physical_forces(problem.load)
-        claimed = self.claimed
-        # ties too: in a periodic cell no other forces act, and these are no rounding
-        present = (load, self.in_supports, claimed, tying)
-        self.force = max(map(_norm, present))
-        self.total = float(max(np.abs(forces).sum() for forces in present))
+
+    def _set_scales(self) -> None:
+        """Compute the scales of forces and displacements, and what rounding leaves."""
+        problem = self.problem
+        diagonal = np.einsum("nii->ni", nodal_blocks(problem))
+        self.stiffness = diagonal[self.nodes].max(axis=1)
+        self.internal = _norm(problem.load - self.residual)
+        # with ties: in a periodic cell no other forces act, and these are not rounding
+        acting = (
+            problem.physical_forces(problem.load),
+            self.in_supports,
+            self.claimed,
+            self.tying,
+        )
+        self.force = max(map(_norm, acting))
+        self.total = float(max(np.abs(forces).sum() for forces in acting))
         self.length = float(np.abs(self.u).max())
         # a row sums terms of the size of its diagonal times its displacement
         terms = np.abs(diagonal * self.u)
@@ -359,7 +374,8 @@ class Evidence:
         )
         if not self.idle:
             return lines
-        # forces that are rounding are no scale: what they leave is reported in N alone
+        # where all forces are rounding they are no scale: ratios count as zero, and so do forces of
+        # the size of rounding
         return tuple(
             replace(line, relative=0.0)
             if not line.unit or (line.unit != "m" and line.largest <= self.rounding)
@@ -373,8 +389,9 @@ class Evidence:
         moved = self.u[self.nodes]
         if problem.coupling is not None:
             moved = moved - problem.coupling.weights[self.nodes] @ self.u
-            for at, weights, c in problem.held_together():
-                moved[at, c] = self.u[self.nodes[at], c] - weights @ self.u[:, c]
+            for slaves, weights, component in problem.held_together():
+                of_component = self.u[:, component]
+                moved[slaves, component] = of_component[self.nodes[slaves]] - weights @ of_component
         moved = problem.inclined.free_part(self.nodes, moved)
         u_n = np.einsum("nd,nd->n", moved, self.normals)
         along = moved - problem.contact.slip_reference
@@ -586,35 +603,39 @@ class Evidence:
             return held
         change, exerted = solution
         images = matrix @ change
-        size = np.sqrt(max(_sum(change, images), 0.0))
+        change_size = np.sqrt(max(_sum(change, images), 0.0))
         nodal = change.reshape(self.u.shape)
         moved = nodal[contact.nodes]
         normals = contact.normals
-        along = _along(moved, normals)
+        approach = _along(moved, normals)
         pressure = -_along(exerted, normals)
         yielding = self.compliance * (
             np.maximum(pressure, 0.0) - np.maximum(conditions.pressure, 0.0)
         )
-        there = AtNodes(
-            conditions.gap - along + yielding,
-            conditions.slip + moved - along[:, None] * normals,
+        changed_conditions = AtNodes(
+            conditions.gap - approach + yielding,
+            conditions.slip + moved - approach[:, None] * normals,
             pressure,
             exerted + pressure[:, None] * normals,
         )
         forces = (images - residual).reshape(self.u.shape)
         forces[contact.nodes] -= exerted
-        after, _ = self._held(there, self.unknowns + nodal, forces, aggregates)
-        changed = float(np.hypot(size, after))
+        missing_after, _ = self._held(changed_conditions, self.unknowns + nodal, forces, aggregates)
+        changed = float(np.hypot(change_size, missing_after))
         # where much more is missing after the change, the aggregates have not found the status
-        return changed if after <= _FOUND * size else min(changed, max(held, size))
+        return (
+            changed
+            if missing_after <= _FOUND * change_size
+            else min(changed, max(held, change_size))
+        )
 
     def _frozen(
         self, conditions: AtNodes, unknowns: np.ndarray
     ) -> tuple[FrozenStatus, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the status that the displacement is nearest to, the change that meets it, the lawful
-        contact forces, and which nodes touch. At each node the cheaper is taken, in the measure of
-        its stiffness: to move onto the obstacle (to zero slip), or to give the force up (to turn it
-        against the slip)."""
+        """Return the status that the displacement is nearest to, the change (n_nodes, dim) that
+        meets it, the lawful contact forces (n_contact, dim), and which contact nodes touch. A node
+        touches if moving it onto the obstacle costs less, in the measure of its stiffness, than
+        giving up its pressure."""
         contact = self.problem.contact
         dim = self.problem.dim
         nodes = contact.nodes
@@ -622,58 +643,81 @@ class Evidence:
         free = (~self.fixed[nodes]).astype(float)
         d = self.stiffness
         gap = conditions.gap
-        pressure = conditions.pressure
-        slip = conditions.slip
-        friction = conditions.friction * free
-        closed = d * gap**2 < np.maximum(pressure, 0.0) ** 2 / d + d * np.minimum(gap, 0.0) ** 2
+        pressing = np.maximum(conditions.pressure, 0.0)
+        closed = d * gap**2 < pressing**2 / d + d * np.minimum(gap, 0.0) ** 2
         closed |= gap < 0
-        soft = closed & (self.compliance * d > _STIFF)
-        spring = np.divide(1.0, self.compliance, out=np.zeros_like(gap), where=soft)
-        size = np.linalg.norm(slip, axis=1)
-        limit = self.limit + np.where(closed, self.coefficient * np.maximum(pressure, 0.0), 0.0)
-        against = -_directions(slip)
-        excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
-        turned = limit[:, None] * against * free
-        stays = (limit > 0) & (
-            d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d
-        )
-        # from no slip at all the node moves as the force drags it
-        beyond = stays & (excess > 0)
-        against[beyond] = _directions(friction)[beyond]
-        lawful = np.where((stays & ~beyond)[:, None], friction, limit[:, None] * against * free)
+        on_spring = closed & (self.compliance * d > _STIFF)
+        on_rigid = closed & ~on_spring
+        spring = np.divide(1.0, self.compliance, out=np.zeros_like(gap), where=on_spring)
+        limit = self.limit + np.where(closed, self.coefficient * pressing, 0.0)
+        friction = self._nearest_friction(conditions.slip, conditions.friction * free, limit, free)
         change = np.zeros_like(unknowns)
-        change[nodes] = (
-            np.where(closed & ~soft, gap, 0.0)[:, None] * normals - stays[:, None] * slip * free
-        )
+        normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
+        change[nodes] = normal_change - friction.without_slip[:, None] * conditions.slip * free
         change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
-        slides = ~stays | beyond
+        # what the status leaves free: tangents where the node slides, normals where nothing rigid is
         along = normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
         fixed_elsewhere = np.setdiff1d(self.fixed.nonzero()[0], nodes)
-        projection = slides[:, None, None] * tangents + ~(closed & ~soft)[:, None, None] * along
+        projection = friction.slides[:, None, None] * tangents + ~on_rigid[:, None, None] * along
         projection = np.concatenate(
             [
                 projection * free[:, :, None] * free[:, None],
                 ~self.fixed[fixed_elsewhere][:, :, None] * np.eye(dim),
             ]
         )
-        turning = np.divide(limit, size, out=np.zeros_like(size), where=~stays & (size > 0))
+        # in 3D friction turns with the slip; it grows with the pressure
+        against = friction.direction
         across = (tangents - against[:, :, None] * against[:, None]) * (dim == 3)
         dragged = (
-            (self.coefficient * (slides & closed))[:, None, None]
+            (self.coefficient * (friction.slides & closed))[:, None, None]
             * against[:, :, None]
             * normals[:, None]
         )
         # a spring presses in proportion to its penetration, which the gap of the surface misses
-        pressed = -(np.where(closed, pressure, 0.0) - spring * gap)[:, None] * normals
+        pressed = -(np.where(closed, conditions.pressure, 0.0) - spring * gap)[:, None] * normals
         status = FrozenStatus(
             np.append(nodes, fixed_elsewhere),
             projection,
             nodes,
-            turning[:, None, None] * across + spring[:, None, None] * along,
+            friction.turning[:, None, None] * across + spring[:, None, None] * along,
             dragged,
         )
-        return status, change, pressed + lawful, closed
+        return status, change, pressed + friction.lawful, closed
+
+    def _nearest_friction(
+        self, slip: np.ndarray, friction: np.ndarray, limit: np.ndarray, free: np.ndarray
+    ) -> _NearestFriction:
+        """Return the lawful friction nearest to that of contact nodes, all arrays (n_contact, dim)
+        but ``limit`` (n_contact,), N. A node loses its slip if moving it back costs less, in the
+        measure of its stiffness, than turning its friction against the slip."""
+        d = self.stiffness
+        size = np.linalg.norm(slip, axis=1)
+        direction = -_directions(slip)
+        excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
+        turned = limit[:, None] * direction * free
+        without_slip = (limit > 0) & (
+            d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d
+        )
+        # from no slip at all the node moves as the force drags it
+        starts_to_slide = without_slip & (excess > 0)
+        direction[starts_to_slide] = _directions(friction)[starts_to_slide]
+        sticks = without_slip & ~starts_to_slide
+        lawful = np.where(sticks[:, None], friction, limit[:, None] * direction * free)
+        turns = ~without_slip & (size > 0)
+        turning = np.divide(limit, size, out=np.zeros_like(size), where=turns)
+        return _NearestFriction(without_slip, ~sticks, direction, lawful, turning)
+
+
+@dataclass(frozen=True, eq=False)
+class _NearestFriction:
+    """The lawful friction that is nearest to a claimed one."""
+
+    without_slip: np.ndarray  # (n_contact,) bool: the slip is taken back to zero
+    slides: np.ndarray  # (n_contact,) bool: the node may slip further
+    direction: np.ndarray  # (n_contact, dim): unit vectors of the friction of nodes that slide
+    lawful: np.ndarray  # (n_contact, dim), N
+    turning: np.ndarray  # (n_contact,): its stiffness as it turns with the slip, N/m
 
 
 def _image(matrix: sparse.bsr_array, change: np.ndarray) -> np.ndarray:
