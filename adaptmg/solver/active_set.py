@@ -100,6 +100,8 @@ class ActiveSet:
         checks.integer("max_steps", self.max_steps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+        """Solve on the finest level, with ``nested_start`` first on the levels below it, from a
+        start (n_unknowns,) or as ``start`` of the method says."""
         if len(hierarchy.finest.discrete.volumes):
             return self._augmented(hierarchy, run, start)
         first = len(hierarchy) - 1
@@ -113,9 +115,10 @@ class ActiveSet:
                 start = level.prolongation @ start.reshape(-1, level.discrete.dim)
                 run.visit(number, "start")
             if self.condensed:
-                size = 24.0 * (level.discrete.dim * len(level.discrete.contact)) ** 2
-                words = "the dense matrix of the contact nodes (condensed=False does without)"
-                checks.fits("condensed", size, words)
+                # the matrix, its change by a step and its factors, of 8 bytes an entry each
+                entries = (level.discrete.dim * len(level.discrete.contact)) ** 2
+                content = "the dense matrix of the contact nodes (condensed=False does without)"
+                checks.fits("condensed", 24.0 * entries, content)
             with run.phase("factorise" if self.condensed else "setup"):
                 condensed = condense_problem(level.discrete) if self.condensed else None
                 local = local_system(level.discrete) if condensed is None else condensed.full
@@ -133,46 +136,46 @@ class ActiveSet:
                 "above .4; use FullMultigrid"
             )
         problem = hierarchy.finest.discrete
-        number = len(hierarchy) - 1
+        finest = len(hierarchy) - 1
         pressures = np.zeros(len(problem.volumes))
         if start is not None:
             start, pressures = problem.parts(start)
         cycles = 0
-        past: list[tuple[np.ndarray, np.ndarray]] = []
+        past_pressures: list[tuple[np.ndarray, np.ndarray]] = []
         with run.phase("setup"):
-            first = local_system(Augmented(problem, pressures).problem)
+            local_of_start = local_system(Augmented(problem, pressures).problem)
         with run.phase("factorise"):
-            condensed = condense(first) if self.condensed else None
+            condensed = condense(local_of_start) if self.condensed else None
         for solve in range(Augmented.MOST):
             augmented = Augmented(problem, pressures)
-            local = local_system(augmented.problem, first.system)
+            local = local_system(augmented.problem, local_of_start.system)
             factors = None if condensed is None else replace(condensed, full=local)
-            # a given start fits another load
-            done = solve > 0 and augmented.missed(cast("np.ndarray", start)) <= self.rtol
-            last = augmented.exact or done or solve == Augmented.MOST - 1
+            # before the first solve the start may be a given one, which was solved for another load
+            volumes_met = solve > 0 and augmented.missed(cast("np.ndarray", start)) <= self.rtol
+            is_last = augmented.exact or volumes_met or solve == Augmented.MOST - 1
             options = replace(self, max_steps=self.max_steps - cycles)
             newton = _Newton(
                 options,
                 local,
                 run,
-                number,
+                finest,
                 start,
                 factors,
                 finest=True,
                 whole=augmented.whole,
             )
             run.first_cycle += cycles
-            state, status, stop = newton.solve(certified=last)
+            state, status, stop = newton.solve(certified=is_last)
             run.first_cycle = run.first_cycle - cycles
             cycles = cycles + state.cycles
             start = local.to_cartesian(state.unknowns)
             pressures = augmented.pressures(start)
-            if last:
+            if is_last:
                 break
             if cycles >= self.max_steps:
                 status = Status.LIMIT
                 break
-            pressures = augmented.accelerated(pressures, past)
+            pressures = augmented.accelerated(pressures, past_pressures)
         solution = np.append(cast("np.ndarray", start), pressures)  # of the last solve
         return Outcome(solution, status, cycles, self.rtol, stop.error_estimate, stop.rate)
 
@@ -182,13 +185,15 @@ class _NewtonTest(StopTest):
     excuses none."""
 
     def judge(self, state: Measured) -> None:
+        """Take the last step, not an estimate from a rate, as the error of a state."""
         super().judge(state)
         if self.met and self.error_estimate == 0.0:
             return  # nothing strains
         self.error_estimate = np.inf
-        if self.changes:
-            change = self.change if self.size > 0 else (0.0 if self.changes[-1] == 0 else np.inf)
-            self.error_estimate = self._caution * change
+        if self.changes and self.size > 0:
+            self.error_estimate = self._caution * self.change
+        elif self.changes and self.changes[-1] == 0:
+            self.error_estimate = 0.0
         self.met = self._small_enough()
 
 
@@ -201,10 +206,11 @@ class _NewtonState:
     reduced: np.ndarray | Any = None  # (n_dofs,): what linear steps make of it
     equations: Linearised | Any = None  # None: at a start
     cycles: int = 0
-    seen: frozenset[bytes] = frozenset()  # states of the steps since an interior point
-    last: bytes = b""
-    since: int = 0  # steps since then
-    tolerances: tuple[float, ...] = ()  # of interior points that are left
+    # contact statuses since the last interior point or the start: all of them, and the last one
+    past_keys: frozenset[bytes] = frozenset()
+    last_key: bytes = b""
+    steps_since_interior: int = 0
+    tolerances: tuple[float, ...] = ()  # of the interior points that may still follow
     gives_up: Status | None = None
 
 
@@ -235,6 +241,8 @@ class _Newton:
         finest: bool = False,
         whole: Callable[[np.ndarray], np.ndarray] = np.asarray,
     ) -> None:
+        """Prepare steps from ``start`` (n_dofs,), Cartesian; ``whole`` makes a solution
+        (n_unknowns,) of the posed problem from a displacement (n_dofs,)."""
         self.options = options
         self.local = local
         self.run = run
@@ -242,8 +250,8 @@ class _Newton:
         self.finest = finest
         self.start = start
         self._norms = Measure(local, run if finest else None)
-        self._whole = whole  # makes a solution of the problem that was posed from a displacement
-        self.equations_of: SparseSteps | CondensedSteps = (
+        self._whole = whole
+        self.linear_steps: SparseSteps | CondensedSteps = (
             SparseSteps(local, options.linear, run)
             if condensed is None
             else CondensedSteps(condensed, run)
@@ -264,12 +272,12 @@ class _Newton:
         if self.start is not None:
             unknowns = self.local.to_local(self.start)
         state = _NewtonState(unknowns=unknowns, tolerances=self.TOLERANCES)
-        inside = self.start is None and self.options.start == "interior"
-        if inside and len(self.local.contact.gap):
+        begins_inside = self.start is None and self.options.start == "interior"
+        if begins_inside and len(self.local.contact.gap):
             state = self._interior(state)
         hold = self.start is None and self.options.start == "held"
-        run = self.run if self.finest else None
         state = self._decided(state, hold)
+        run = self.run if self.finest else None
         return *iterate(self.step, self.measure, state, stop, run), stop
 
     def _shortfall(self, state: _NewtonState, rtol: float) -> float:
@@ -289,13 +297,14 @@ class _Newton:
         )
 
     def step(self, state: _NewtonState) -> _NewtonState:
-        """Take a step; where a status comes back, or a motion is free, a start from inside
-        instead."""
+        """Return the state after a Newton step, or where a status comes back or the equations are
+        singular the state at an interior point."""
         key = state.equations.key
         change = None
-        if not (key in state.seen and key != state.last) and state.since < self.LONG:
+        status_returns = key in state.past_keys and key != state.last_key
+        if not status_returns and state.steps_since_interior < self.LONG:
             try:
-                change = self.equations_of.solve(state.equations, state.reduced)
+                change = self.linear_steps.solve(state.equations, state.reduced)
             except np.linalg.LinAlgError as error:
                 _LOG.info("step %d: %s", state.cycles, error)
         if change is None:
@@ -306,9 +315,9 @@ class _Newton:
                 state,
                 unknowns=state.unknowns + change,
                 cycles=state.cycles + 1,
-                seen=state.seen | {key},
-                last=key,
-                since=state.since + 1,
+                past_keys=state.past_keys | {key},
+                last_key=key,
+                steps_since_interior=state.steps_since_interior + 1,
             )
         )
 
@@ -321,9 +330,9 @@ class _Newton:
             return replace(state, gives_up=Status.CYCLING)
         tolerance, *left = state.tolerances
         interior = interior_point(
-            *self.equations_of.inside(),
+            *self.linear_steps.interior_problem(),
             self.local.contact,
-            self.equations_of.stiffness,
+            self.linear_steps.stiffness,
             tolerance,
             most=min(self.MOST, self.options.max_steps - state.cycles),
         )
@@ -335,7 +344,7 @@ class _Newton:
         )
         self.run.visit(self.level, "solve", interior.steps)
         return _NewtonState(
-            unknowns=self.equations_of.outside(interior),
+            unknowns=self.linear_steps.from_interior(interior),
             cycles=state.cycles + interior.steps,
             tolerances=tuple(left),
         )
@@ -348,13 +357,13 @@ class _Newton:
         contact = self.local.contact
         self.run.count(1.0, system.nonzeros)
         residual = self.local.residual(state.unknowns)
-        forces, reduced = self.equations_of.contact_residual(residual)
+        forces, reduced = self.linear_steps.contact_residual(residual)
         at_contact = state.unknowns.reshape(-1, system.dim)[system.nodes]
         contact.follow(at_contact, forces)
         equations = (
             hold_all(contact, at_contact, forces)
             if hold
-            else linearise(contact, at_contact, forces, self.equations_of.stiffness, self.FACTOR)
+            else linearise(contact, at_contact, forces, self.linear_steps.stiffness, self.FACTOR)
         )
         return replace(state, residual=residual, reduced=reduced, equations=equations)
 
@@ -379,7 +388,7 @@ class CondensedSteps:
             particular, force = self.condensed.reduce(residual)
         return force.reshape(-1, self.local.system.dim), particular
 
-    def inside(self) -> tuple[Span, np.ndarray]:
+    def interior_problem(self) -> tuple[Span, np.ndarray]:
         """Return the unknowns of the interior point method, and their load."""
         free = ~self.local.system.fixed[self.condensed.contact]
         with self.run.phase("solve"):
@@ -388,7 +397,7 @@ class CondensedSteps:
                 self.condensed.reduced[1][free],
             )
 
-    def outside(self, interior: Interior) -> np.ndarray:
+    def from_interior(self, interior: Interior) -> np.ndarray:
         """Return the unknowns (n_dofs,) for what the interior point method found."""
         with self.run.phase("solve"):
             return self.condensed.recover(interior.values.reshape(-1))
@@ -400,6 +409,7 @@ class CondensedSteps:
             n, dim = equations.force.shape
             matrix = self.condensed.matrix.copy().reshape(n, dim, n, dim)
             node = np.arange(n)
+            # friction follows the pressure: tangential rows take a part of the normal row
             pull = equations.coupling[:, None] * equations.direction
             for k in range(1, dim):
                 matrix[:, k] -= pull[:, k - 1, None, None] * matrix[:, 0]
@@ -414,11 +424,12 @@ class CondensedSteps:
             return self.condensed.complete(particular, change)
 
     def _dense(self, matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+        """Return the solution (n,) of dense equations; LinAlgError if they are singular."""
         if not len(rhs):
             return rhs
-        norm = np.abs(matrix).sum(axis=0).max()
-        factors, pivots, info = linalg.lapack.dgetrf(matrix)
-        rcond = linalg.lapack.dgecon(factors, norm)[0] if info == 0 else 0.0
+        norm_1 = np.abs(matrix).sum(axis=0).max()
+        factors, pivots, failed = linalg.lapack.dgetrf(matrix)
+        rcond = linalg.lapack.dgecon(factors, norm_1)[0] if not failed else 0.0
         if not rcond > checks.ROUNDING:
             raise np.linalg.LinAlgError(
                 f"the condensed equations are singular: reciprocal condition {rcond:.1e}"
@@ -439,9 +450,9 @@ class SparseSteps:
         self.linear = linear
         self.run = run
         self._matrix = local.system.matrix
-        self._contact = local.system.contact_of[
+        self._contact_of_row = local.system.contact_of[
             np.repeat(np.arange(local.system.n_nodes), np.diff(self._matrix.indptr))
-        ]  # of each block's row, or -1
+        ]  # (n_blocks,): number of the contact node in whose row a block lies, or -1
         self._prepared: Prepared | None = None
         self._prepared_for: bytes | None = None
 
@@ -453,21 +464,21 @@ class SparseSteps:
     def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return residual.reshape(-1, self.local.system.dim)[self.local.system.nodes], residual
 
-    def inside(self) -> tuple[Span, np.ndarray]:
+    def interior_problem(self) -> tuple[Span, np.ndarray]:
         return self, self.local.load
 
-    def outside(self, interior: Interior) -> np.ndarray:
+    def from_interior(self, interior: Interior) -> np.ndarray:
         return interior.unknowns
 
     def solve(self, equations: Linearised, residual: np.ndarray) -> np.ndarray:
         system = self.local.system
-        released = np.zeros((system.n_nodes, system.dim), dtype=bool)
-        released[system.nodes] = equations.prescribed
+        prescribed = np.zeros((system.n_nodes, system.dim), dtype=bool)
+        prescribed[system.nodes] = equations.prescribed
         change = np.zeros((system.n_nodes, system.dim))
         change[system.nodes] = equations.change
         rhs = residual.reshape(-1, system.dim).copy()
         rhs[system.nodes] = equations.force
-        released = released.reshape(-1)
+        prescribed = prescribed.reshape(-1)
         rhs = rhs.reshape(-1)
         change = change.reshape(-1)
         with self.run.phase("setup"):
@@ -475,8 +486,8 @@ class SparseSteps:
             if change.any():
                 rhs -= matrix @ change
                 self.run.count(1.0, system.nonzeros)
-            rhs[released] = 0.0
-        self._prepare(equations, matrix, released)
+            rhs[prescribed] = 0.0
+        self._prepare(equations, matrix, prescribed)
         with self.run.phase("solve"):
             prepared = cast("Prepared", self._prepared)
             solution = self._solution(prepared, rhs, self.RTOL)
@@ -538,24 +549,26 @@ class SparseSteps:
         return solution
 
     def _prepare(
-        self, equations: Linearised, matrix: sparse.bsr_array, released: np.ndarray
+        self, equations: Linearised, matrix: sparse.bsr_array, prescribed: np.ndarray
     ) -> None:
+        """Set up the linear solver for the matrix of some equations, unless it has the matrix
+        already."""
         key = equations.key
         if equations.same_matrix and key == self._prepared_for:
             return
         with self.run.phase("factorise" if isinstance(self.linear, Direct) else "setup"):
-            eliminated = without_fixed(matrix, released, copy=False)
-            basis = None
+            eliminated = without_fixed(matrix, prescribed, copy=False)
+            uncoupled = None
             if not equations.symmetric:
-                basis = without_fixed(
-                    self._contact_rows(equations, coupled=False), released, copy=False
+                uncoupled = without_fixed(
+                    self._contact_rows(equations, coupled=False), prescribed, copy=False
                 )
-            modes = local_near_nullspace(self.local, released)
+            modes = local_near_nullspace(self.local, prescribed)
             self._prepared = self.linear.setup(
                 eliminated,
                 modes,
                 symmetric=equations.symmetric,
-                preconditioner=basis,
+                preconditioner=uncoupled,
                 previous=self._prepared,
             )
         self._prepared_for = key
@@ -565,28 +578,31 @@ class SparseSteps:
         nodes."""
         system = self.local.system
         data = self._matrix.data.copy()
-        rows = np.flatnonzero(self._contact >= 0)
-        diagonal = rows[system.nodes[self._contact[rows]] == self._matrix.indices[rows]]
-        node = self._contact[diagonal]
+        # numbers of the blocks in rows of contact nodes
+        blocks = np.flatnonzero(self._contact_of_row >= 0)
+        diagonal_blocks = blocks[
+            system.nodes[self._contact_of_row[blocks]] == self._matrix.indices[blocks]
+        ]
+        node = self._contact_of_row[diagonal_blocks]
         if coupled and not equations.symmetric:
-            pull = (equations.coupling[:, None] * equations.direction)[self._contact[rows]]
-            data[rows, 1:] -= pull[:, :, None] * data[rows, :1]
-        data[diagonal, 1:, 1:] += equations.curvature[node]
-        data[diagonal, 0, 0] += equations.spring[node]
+            pull = (equations.coupling[:, None] * equations.direction)[self._contact_of_row[blocks]]
+            data[blocks, 1:] -= pull[:, :, None] * data[blocks, :1]
+        data[diagonal_blocks, 1:, 1:] += equations.curvature[node]
+        data[diagonal_blocks, 0, 0] += equations.spring[node]
         return sparse.bsr_array(
             (data, self._matrix.indices, self._matrix.indptr), shape=self._matrix.shape
         )
 
 
-def local_near_nullspace(local: LocalProblem, released: np.ndarray | None = None) -> np.ndarray:
-    """Return rigid-body modes (n_dofs, k) in local components, zero at fixed dofs; without
-    ``near_nullspace`` translations."""
+def local_near_nullspace(local: LocalProblem, prescribed: np.ndarray | None = None) -> np.ndarray:
+    """Return rigid-body modes (n_dofs, k) in local components, zero at dofs that are
+    fixed or ``prescribed`` (n_dofs,) bool; without ``near_nullspace`` translations."""
     problem = local.discrete
     modes = problem.near_nullspace
     if modes is None:
         modes = np.tile(np.eye(problem.dim), (problem.n_nodes, 1))
     modes = np.column_stack([rotate(mode, local.frames, local.system.nodes) for mode in modes.T])
-    modes[local.system.fixed if released is None else local.system.fixed | released] = 0.0
+    modes[local.system.fixed if prescribed is None else local.system.fixed | prescribed] = 0.0
     return modes
 
 

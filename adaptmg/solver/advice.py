@@ -144,29 +144,39 @@ def advise_on_chords(
             continue
         nodes = contact.nodes[pressed]
         facing = discrete.coupling.weights[nodes]
-        touching = np.zeros(discrete.n_nodes, dtype=bool)
-        touching[nodes] = touching[facing.indices] = True
+        near_pressed = np.zeros(discrete.n_nodes, dtype=bool)
+        near_pressed[nodes] = near_pressed[facing.indices] = True
         heights, lengths = np.concatenate(
-            [chord_heights(side)[:, touching[side.facets].all(axis=1)] for side in posed.sides[k]],
+            [
+                chord_heights(side)[:, near_pressed[side.facets].all(axis=1)]
+                for side in posed.sides[k]
+            ],
             axis=1,
         )
-        round_ones = (FLAT * lengths < 4 * heights) & (4 * heights < CORNER * lengths)
-        if not round_ones.any() or np.median(facing.max(axis=1).toarray()) > PARTNER:
+        is_arc = (FLAT * lengths < 4 * heights) & (4 * heights < CORNER * lengths)
+        if not is_arc.any() or np.median(facing.max(axis=1).toarray()) > PARTNER:
             continue
-        highest = int(np.argmax(heights * round_ones))
+        highest = int(np.argmax(heights * is_arc))
         height = heights[highest]
         length = lengths[highest]
-        gap = np.average(np.abs(contact.gaps[pressed]), weights=contact.weights[pressed])
-        series = 1 / (1 / posed.young(pair.slave) + 1 / posed.young(pair.master))
-        excess = PRESSED * series * height / length / max(EXCESS * peaks[pressed].max(), 1e-300)
-        if height > CHORDS * gap or excess > 1:
-            size = length * min(np.sqrt(CHORDS * gap / height), 1 / excess)
+        mean_gap = np.average(np.abs(contact.gaps[pressed]), weights=contact.weights[pressed])
+        modulus_in_series = 1 / (1 / posed.young(pair.slave) + 1 / posed.young(pair.master))
+        # what chords press, over what they may
+        excess = (
+            PRESSED
+            * modulus_in_series
+            * height
+            / length
+            / max(EXCESS * peaks[pressed].max(), 1e-300)
+        )
+        if height > CHORDS * mean_gap or excess > 1:
+            size_needed = length * min(np.sqrt(CHORDS * mean_gap / height), 1 / excess)
             advise(
                 "chords",
                 f"contact pair ({pair.slave!r}, {pair.master!r}): the surfaces are curved, and known only by "
-                f"chords that lie up to {height:.3g} m behind them; the gap is {gap:.3g} m. Where nodes "
+                f"chords that lie up to {height:.3g} m behind them; the gap is {mean_gap:.3g} m. Where nodes "
                 "do not match, chords press like gaps, and peaks of pressure are too large. Give the problem "
-                f"its domain, which knows its arcs, or take elements of at most {size:.2g} m along both sides",
+                f"its domain, which knows its arcs, or take elements of at most {size_needed:.2g} m along both sides",
             )
 
 
@@ -225,17 +235,19 @@ def advise_on_motion(posed: Posed, result: Result) -> None:
 
 
 def _advise_on_contact(results: Sequence[Result]) -> None:
+    """Warn of contact boundaries without a condition, and of bodies that stay far apart in all
+    results."""
     contact = results[0].contact
     if results[0].dim == 1:  # a membrane may well stay off its obstacle
         return
     # einsum: 1.2 ms for 263k nodes, by norm(axis=1) 7.2
-    moved = max(
+    largest_motion = max(
         float(np.sqrt(np.einsum("nd,nd->n", u, u).max(initial=0.0)))
         for u in (result.displacement for result in results)
     )
     for k, name in enumerate(contact.names):
-        at = contact.boundary == k
-        if not at.any():
+        on_boundary = contact.boundary == k
+        if not on_boundary.any():
             advise(
                 "silent",
                 f"contact {name!r} has no condition: all its nodes belong to supports, ties or contact "
@@ -243,14 +255,16 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
                 "it first",
             )
             continue
-        least = min(float(result.contact.gap[at].min(initial=np.inf)) for result in results)
-        if moved > 0.0 and least > FAR * moved:
-            other = contact.masters[k]
+        least_gap = min(
+            float(result.contact.gap[on_boundary].min(initial=np.inf)) for result in results
+        )
+        if largest_motion > 0.0 and least_gap > FAR * largest_motion:
+            master = contact.masters[k]
             advise(
                 "apart",
-                f"contact {name!r} stays at least {least:.3g} m from "
-                f"{repr(other) if other else 'its obstacle'}, and no point moves "
-                f"by more than {moved:.3g} m: they cannot meet. Check the positions and normals of both "
+                f"contact {name!r} stays at least {least_gap:.3g} m from "
+                f"{repr(master) if master else 'its obstacle'}, and no point moves "
+                f"by more than {largest_motion:.3g} m: they cannot meet. Check the positions and normals of both "
                 "(m), and the loads that press them together",
             )
 
@@ -260,57 +274,62 @@ def _advise_on_strains(posed: Posed, result: Result) -> None:
     problem = posed.problem
     mesh = posed.mesh
     materials = posed.materials
-    volume = mesh.volumes
+    volumes = mesh.volumes
     if problem.axisymmetric:
-        volume = volume * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
-    bodies = np.bincount(mesh.element_body, volume, len(mesh.bodies))
+        volumes = volumes * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
+    body_volumes = np.bincount(mesh.element_body, volumes, len(mesh.bodies))
     # the energy u'Au is at least that of these strains in that volume: rarely do they have to be
     # computed
     energy = (
         STRAIN**2
         * SHARE
         * min(
-            elastic.least_stiffness * body for elastic, body in zip(materials, bodies, strict=True)
+            elastic.least_stiffness * body
+            for elastic, body in zip(materials, body_volumes, strict=True)
         )
     )
     stressed = not any(isinstance(load, InitialStrain) for load in problem.loads)
     if stressed and result.checked is not None and result.checked.energy_norm**2 < energy:
         return
-    size = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
+    strain_sizes = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
     if problem.axisymmetric:
-        size = np.maximum(size, np.abs(hoop_strain(mesh, result.displacement)))
-    share = np.bincount(mesh.element_body, volume * (size > STRAIN), len(bodies)) / bodies
-    body = int(np.argmax(share))
-    if share[body] > SHARE:
-        largest = size[mesh.element_body == body].max()
+        strain_sizes = np.maximum(strain_sizes, np.abs(hoop_strain(mesh, result.displacement)))
+    large_share = (
+        np.bincount(mesh.element_body, volumes * (strain_sizes > STRAIN), len(body_volumes))
+        / body_volumes
+    )
+    body = int(np.argmax(large_share))
+    if large_share[body] > SHARE:
+        largest = strain_sizes[mesh.element_body == body].max()
         advise(
             "strain",
-            f"strains exceed {100 * STRAIN:g} % in {100 * share[body]:.2g} % of body "
+            f"strains exceed {100 * STRAIN:g} % in {100 * large_share[body]:.2g} % of body "
             f"{mesh.bodies[body]!r} (largest {largest:.3g}), but the theory is one of small strains: check young "
             f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less",
         )
 
 
 def _advise_on_slips(posed: Posed, result: Result) -> None:
+    """Warn of slips beyond an element and beyond a share of the contact boundary."""
     mesh = posed.mesh
     contact = result.contact
     for k, contact_part in enumerate(posed.problem.contact):
         if isinstance(contact_part, Contact) and isinstance(contact_part.obstacle, Plane):
             continue  # it is the same everywhere
-        at = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
+        touching = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
         facets = posed.surfaces[contact_part.boundary].facets
         corners = mesh.points[facets]
-        element = np.zeros(mesh.n_nodes)
+        element_size = np.zeros(mesh.n_nodes)
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        np.maximum.at(element, facets, edges[:, None])
-        extent = np.linalg.norm(np.ptp(corners.reshape(-1, mesh.dim), axis=0))
-        slip = np.linalg.norm(contact.u_t[at], axis=1)
-        most = np.maximum(element[contact.node[at]], SLID * extent)
-        if (slip > most).any():
-            i = int(np.argmax(slip - most))
+        np.maximum.at(element_size, facets, edges[:, None])
+        boundary_extent = np.linalg.norm(np.ptp(corners.reshape(-1, mesh.dim), axis=0))
+        slip = np.linalg.norm(contact.u_t[touching], axis=1)
+        most_slip = np.maximum(element_size[contact.node[touching]], SLID * boundary_extent)
+        if (slip > most_slip).any():
+            i = int(np.argmax(slip - most_slip))
             advise(
                 "slip",
-                f"contact {contact_part.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most[i]:.3g} "
+                f"contact {contact_part.boundary!r} slips by {slip[i]:.3g} m, more than an element ({most_slip[i]:.3g} "
                 "m), but the theory is one of small slips: each point stays opposite to where it was. Move or load "
                 "the bodies less, or pose the problem in the position to which they slid",
             )

@@ -245,8 +245,8 @@ class FreeBodies:
     arm: float  # that moments are divided by, m
     body: np.ndarray  # (n_nodes,) int
     springs: list[Blocks]
-    #: for each contact boundary, then each tie, the body of the master, -1 without one, and the way
-    #: (dim,) from places on the slave to those on the master, m, where it is known
+    #: for each contact boundary, then each tie, the body of the master, -1 without one, and the
+    #: vector (dim,) from places on the slave to those on the master, m, where it is known
     masters: list[tuple[int, np.ndarray | None]]
     compared: np.ndarray  # (n_bodies, k) bool
     near: Elements | None  # linear elements at nodes that supports, ties or contact hold
@@ -256,23 +256,26 @@ class FreeBodies:
     def of(cls, problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> FreeBodies:
         """Return those of a discretised problem."""
         contact = discrete.contact
-        sides = [
+        slaves_and_masters = [
             *zip(contact.names, contact.masters, strict=True),
             *((slave, master) for slave, master, *_ in discrete.ties),
         ]
         body = np.zeros(mesh.n_nodes, dtype=np.int64)
         for number, piece in enumerate(nodes_of_pieces(mesh)):
             body[piece] = number
-        for _, master in sides:
+        # pieces that one master joins are one body: what it transmits is not known piece by piece
+        for _, master in slaves_and_masters:
             if master:
                 touched = np.unique(body[mesh.boundary_nodes(master)])
                 body[np.isin(body, touched)] = touched[0]
-        count = int(body.max()) + 1
-        compared = np.ones((count, mesh.dim * (mesh.dim + 1) // 2), dtype=bool)
+        n_bodies = int(body.max()) + 1
+        compared = np.ones((n_bodies, mesh.dim * (mesh.dim + 1) // 2), dtype=bool)
         if problem.axisymmetric:
-            compared[:] = np.arange(3) == 1
+            compared[:] = np.arange(3) == 1  # the axial force alone
         masters = []
-        for posed, (slave, master) in zip((*problem.contact, *problem.ties), sides, strict=True):
+        for posed, (slave, master) in zip(
+            (*problem.contact, *problem.ties), slaves_and_masters, strict=True
+        ):
             number = int(body[mesh.boundary_nodes(master)[0]]) if master else -1
             shift = _shift(posed, mesh, slave, master) if master else None
             masters.append((number, shift))
@@ -301,26 +304,26 @@ class FreeBodies:
     def __call__(self, evidence: Evidence) -> tuple[Condition, ...]:
         """Return 'stiffness', 'loads', 'measures', 'bodies' and 'stresses' of a displacement, as far
         as they cover the problem."""
-        stretched = np.zeros(self.points.shape)
+        stress_forces = np.zeros(self.points.shape)
         for cells, blocks in self.springs:
-            np.add.at(stretched, cells, _spring_forces(cells, blocks, evidence.u))
-        missed = self._missed(evidence, stretched)
+            np.add.at(stress_forces, cells, _spring_forces(cells, blocks, evidence.u))
+        missed = self._missed(evidence, stress_forces)
         scale = np.inf if evidence.idle else evidence.total
         rounding = evidence.rounding * np.sqrt(len(self.points))
         lines = [*self.known, _condition("bodies", missed, scale, rounding, limit=0.0)]
         if self.near is not None:
             discrete = evidence.problem
-            np.add.at(stretched, self.near.cells, self.near.forces(evidence.u))
-            found = discrete.physical_forces(discrete.load - evidence.residual)
+            np.add.at(stress_forces, self.near.cells, self.near.forces(evidence.u))
+            matrix_forces = discrete.physical_forces(discrete.load - evidence.residual)
             nodes = self.near.nodes
-            missed = stretched[nodes] - found.reshape(stretched.shape)[nodes]
-            if not self.compared[:, 0].any():  # the hoop stress varies within elements
+            missed = stress_forces[nodes] - matrix_forces.reshape(stress_forces.shape)[nodes]
+            if not self.compared[:, 0].any():  # axisymmetry: the hoop stress varies within elements
                 missed = missed[:, 1]
             scale = np.inf if evidence.idle else evidence.force
             lines.append(_condition("stresses", missed, scale, evidence.rounding))
         return tuple(lines)
 
-    def _missed(self, evidence: Evidence, stretched: np.ndarray) -> np.ndarray:
+    def _missed(self, evidence: Evidence, stress_forces: np.ndarray) -> np.ndarray:
         """Return the forces and moments (n_bodies, k) that do not balance, N."""
         discrete = evidence.problem
         contact = discrete.contact
@@ -328,6 +331,7 @@ class FreeBodies:
         held = np.where(discrete.held.reshape(shape), evidence.unexplained, 0.0)
         inclined = discrete.inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
         held = held + inclined.reshape(shape)
+        # the forces on the slaves, of each contact boundary, then of each tie
         exerted = [np.zeros(shape) for _ in self.masters]
         ties = exerted[len(contact.names) :]
         for k, forces in enumerate(exerted[: len(contact.names)]):
@@ -340,8 +344,9 @@ class FreeBodies:
             forces[nodes] = tying
             rows = sparse.csr_array(cast("Coupling", discrete.coupling).weights[nodes])
             forces[slave_nodes] -= rows[:, slave_nodes].T @ tying
-        acting = discrete.physical_forces(discrete.whole_load).reshape(shape) + held - stretched
+        acting = discrete.physical_forces(discrete.whole_load).reshape(shape) + held - stress_forces
         total = self._resultants(sum(exerted, acting), self.body)
+        # the master takes the opposite forces at the same places
         for forces, (master, shift) in zip(exerted, self.masters, strict=True):
             if master >= 0:
                 total -= self._resultants(forces, np.full(len(self.body), master), shift)
@@ -371,8 +376,8 @@ def _free_bodies(discrete: DiscreteProblem, posed: Posed) -> FreeBodies:
 
 
 def _shift(posed: object, mesh: MeshArrays, slave: str, master: str) -> np.ndarray | None:
-    """Return the way from one plane surface to the other, of periodic sides between their
-    middles; None where nodes of either meet off the normal."""
+    """Return the vector (dim,), m, from a plane slave surface to its master, of periodic sides
+    between their middles; None where nodes of either meet off the normal."""
     slave_points, master_points = (
         mesh.points[mesh.boundary_nodes(name)] for name in (slave, master)
     )
@@ -440,7 +445,7 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
 def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Condition:
     """Return by how much boundary masses of contact nodes differ from those of their facets."""
     contact = discrete.contact
-    missed = np.zeros(len(contact))
+    deviation = np.zeros(len(contact))
     for k, (name, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
         on_boundary = contact.boundary == k
         nodes = contact.nodes[on_boundary]
@@ -450,12 +455,16 @@ def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProbl
             radii = mesh.points[surface.facets, 0]
             shares *= 2 * np.pi * (radii + radii.sum(axis=1, keepdims=True)) / 3
         mass = np.bincount(surface.facets.ravel(), shares.ravel(), mesh.n_nodes)
-        less = 1 - contact.weights[on_boundary] / mass[nodes]
-        missed[on_boundary] = np.abs(less)
+        lacking = 1 - contact.weights[on_boundary] / mass[nodes]
+        deviation[on_boundary] = np.abs(lacking)
         if master:
-            # what has no partner opposite lacks at all corners of its facet
-            whole = np.isin(np.arange(mesh.n_nodes), nodes[np.abs(less) <= ALLOWED])
-            lacking = surface.facets[~whole[surface.facets].any(axis=1)]
-            missed[on_boundary] *= (less < 0) | (less > _SLIVER) & ~np.isin(nodes, lacking)
-    largest = float(missed.max(initial=0.0))
-    return Condition("measures", largest, float(np.linalg.norm(missed)), "", largest, 0.0, ALLOWED)
+            # a facet without a partner opposite lacks mass at all of its corners: there less is right
+            full_nodes = np.isin(np.arange(mesh.n_nodes), nodes[np.abs(lacking) <= ALLOWED])
+            without_partner = surface.facets[~full_nodes[surface.facets].any(axis=1)]
+            deviation[on_boundary] *= (lacking < 0) | (lacking > _SLIVER) & ~np.isin(
+                nodes, without_partner
+            )
+    largest = float(deviation.max(initial=0.0))
+    return Condition(
+        "measures", largest, float(np.linalg.norm(deviation)), "", largest, 0.0, ALLOWED
+    )

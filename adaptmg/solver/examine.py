@@ -288,6 +288,8 @@ class Examiner:
         return self._at_contact(self.discrete.from_prescribed(solved))
 
     def _residual(self, solution: np.ndarray, residual: np.ndarray) -> float:
+        """Return the relative natural residual of a solution (n_unknowns,) whose residual b - A w
+        (n_dofs,), N, is known."""
         discrete = self.discrete
         solved, pressures = discrete.parts(solution)
         free = np.where(discrete.fixed, 0.0, residual)
@@ -302,6 +304,7 @@ class Examiner:
         missed = discrete.volumes.scale * discrete.volumes.missed(solved, pressures)
         size = float(np.hypot(euclidean_norm(free), euclidean_norm(missed)))
         if self.sizes.prescribed:
+            # a row sums terms of the size of its diagonal times its displacement
             floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(exerted, floor, unknowns):
                 return 0.0
@@ -345,7 +348,7 @@ class Examiner:
         frames = self.frames
         held = self.held
         contact = self.discrete.contact
-        small = 1e-12 * np.abs(solved).max(initial=0.0)
+        negligible_slip = 1e-12 * np.abs(solved).max(initial=0.0)
         force = self._at_contact(residual)
         u = to_frames(frames, discrete.at_contact(solved.reshape(discrete.n_nodes, discrete.dim)))
         if discrete.dim == 1:  # the nearest obstacle is reported
@@ -358,16 +361,18 @@ class Examiner:
         self.contact.follow(self._values(solved), force)
         force_t = np.where(held, 0.0, -force[:, 1:])
         limit = self.contact.limit + self.contact.friction * force_n
-        state = states(self.contact, self._values(solved), force_n, small)
-        size = np.linalg.norm(slip, axis=1)
-        slides = held.any(axis=1) & (size > small)
-        direction = np.divide(slip, size[:, None], out=np.zeros_like(slip), where=slides[:, None])
+        state = states(self.contact, self._values(solved), force_n, negligible_slip)
+        slip_size = np.linalg.norm(slip, axis=1)
+        slides_held = held.any(axis=1) & (slip_size > negligible_slip)
+        direction = np.divide(
+            slip, slip_size[:, None], out=np.zeros_like(slip), where=slides_held[:, None]
+        )
         force_t[held] = (-limit[:, None] * direction)[held]
-        state[slides & (state == STICK)] = SLIP
+        state[slides_held & (state == STICK)] = SLIP
         x = discrete.coordinates
         # conditions of nodes that take over a part of others are sums; means are reported
         share = contact.measures / contact.weights
-        node, exerted, boundary, itself = _elsewhere(
+        other_nodes, other_forces, other_boundary, on_slave = _elsewhere(
             discrete, from_frames(frames, np.column_stack([-force_n, force_t]))
         )
         return ContactResult(
@@ -386,60 +391,71 @@ class Examiner:
             boundary=contact.boundary,
             names=contact.names,
             masters=contact.masters,
-            master_node=node,
-            master_force=exerted,
-            master_boundary=boundary,
-            master_is_slave=itself,
+            master_node=other_nodes,
+            master_force=other_forces,
+            master_boundary=other_boundary,
+            master_is_slave=on_slave,
             measures=contact.measures,
-            accumulated_slip=contact.accumulated_slip + size / share * (state != OPEN),
+            accumulated_slip=contact.accumulated_slip + slip_size / share * (state != OPEN),
         )
 
 
 def _elsewhere(
     discrete: DiscreteProblem, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return nodes without a contact condition, what contact forces (n_contact, dim) exert on them, their
-    boundaries, and whether they lie on these or on masters. Next to where a boundary ends forces act
-    in part at the end; on the other body they exert -W' times them, or where both bodies are held
-    all on its held nodes."""
+    """Return other nodes (m,) on which contact forces (n_contact, dim) act, the forces (m, dim) on
+    them, their contact boundaries (m,), and whether they lie on these (m,) or on the masters.
+
+    On nodes of a contact boundary without a condition acts what their neighbours take over. On a
+    master act -W' times the contact forces, and where supports hold slave and master in a component
+    these act on held nodes of the master alone."""
     contact = discrete.contact
     dim = discrete.dim
-    parts = [
+    pieces = [
         (np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, np.int64), np.empty(0, bool))
     ]
     if discrete.coupling is None:
-        return parts[0]
-    taken = contact.taken_over
+        return pieces[0]
+    taken_over = contact.taken_over
     weights = discrete.coupling.weights[contact.nodes]
-    if taken.shape[1]:
-        weights = sparse.csr_array(weights + taken)
+    if taken_over.shape[1]:
+        weights = sparse.csr_array(weights + taken_over)
         weights.data[np.abs(weights.data) < checks.ROUNDING] = 0.0
         weights.eliminate_zeros()
-    facing = []
-    for at, instead, _ in discrete.held_together():
-        place = np.arange(len(contact))
-        place[at] = len(contact) + np.arange(len(at))
-        instead = sparse.diags_array(1 + taken[at].sum(axis=1)) @ instead
-        facing.append(sparse.csr_array(sparse.vstack([weights, instead], format="csr")[place]))
+    weights_by_component = []
+    for contacts, held_weights, _ in discrete.held_together():
+        row_of_contact = np.arange(len(contact))
+        row_of_contact[contacts] = len(contact) + np.arange(len(contacts))
+        held_weights = sparse.diags_array(1 + taken_over[contacts].sum(axis=1)) @ held_weights
+        weights_by_component.append(
+            sparse.csr_array(sparse.vstack([weights, held_weights], format="csr")[row_of_contact])
+        )
     for k in np.unique(contact.boundary):
         rows_of_boundary = np.flatnonzero(contact.boundary == k)
-        for itself, rows in ((True, [-taken] * dim), (False, facing)):
-            rows = [of_component[rows_of_boundary] for of_component in rows]
+        for on_slave, weights_of_boundary in (
+            (True, [-taken_over] * dim),
+            (False, weights_by_component),
+        ):
+            weights_of_boundary = [
+                of_component[rows_of_boundary] for of_component in weights_of_boundary
+            ]
             node = np.unique(
-                np.concatenate([weights_of_component.indices for weights_of_component in rows])
+                np.concatenate(
+                    [weights_of_component.indices for weights_of_component in weights_of_boundary]
+                )
             ).astype(np.int64)
             exerted = [
                 -(weights_of_component.T @ force)[node]
                 for weights_of_component, force in zip(
-                    rows, forces[rows_of_boundary].T, strict=True
+                    weights_of_boundary, forces[rows_of_boundary].T, strict=True
                 )
             ]
-            number = len(node)
-            parts.append(
-                (node, np.column_stack(exerted), np.full(number, k), np.full(number, itself))
+            count = len(node)
+            pieces.append(
+                (node, np.column_stack(exerted), np.full(count, k), np.full(count, on_slave))
             )
-    node, exerted, boundary, itself = map(np.concatenate, zip(*parts, strict=True))
-    return node, exerted, boundary, itself
+    node, exerted, boundary, on_slave = map(np.concatenate, zip(*pieces, strict=True))
+    return node, exerted, boundary, on_slave
 
 
 #: a natural residual below this share of the terms it sums is rounding
@@ -475,6 +491,8 @@ class Sizes:
     IDLE = 1e3
 
     def __init__(self, problem: DiscreteProblem, frames: np.ndarray | None = None) -> None:
+        """Prepare the norms of a problem; its unknowns are in contact ``frames`` (n_contact, dim,
+        dim), if they are given, else Cartesian."""
         self.load = euclidean_norm(problem.load)
         self.prescribed = bool(problem.fixed_values.any())
         self._problem = problem
@@ -586,13 +604,13 @@ def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
     scalar problems, whose obstacles lie behind all nodes."""
     if contact.frames.shape[1] == 1:
         return []
-    few = FEW_NODES[mesh.dim]
+    nodes_needed = FEW_NODES[mesh.dim]
     smallest: dict[str, Patch] = {}
     for patch in touching_patches(contact, mesh):
-        if len(patch.nodes) < min(few, len(smallest.get(patch.name, patch).nodes) + 1):
+        if len(patch.nodes) < min(nodes_needed, len(smallest.get(patch.name, patch).nodes) + 1):
             smallest[patch.name] = patch
     return [
-        f"contact {name!r}: {len(patch.nodes)} nodes touch in a patch, and peaks of pressure need {few}; "
-        f"take elements of at most {patch.size * patch.share_for(few, mesh.dim):.2g} m there"
+        f"contact {name!r}: {len(patch.nodes)} nodes touch in a patch, and peaks of pressure need {nodes_needed}; "
+        f"take elements of at most {patch.size * patch.share_for(nodes_needed, mesh.dim):.2g} m there"
         for name, patch in smallest.items()
     ]

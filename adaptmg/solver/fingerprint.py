@@ -192,6 +192,7 @@ class _Parts:
     """Parts of all that is reached from a function or from values."""
 
     def __init__(self, depends: Mapping[str, object], main: Mapping[str, object]) -> None:
+        """Begin with the values that ``depends`` names; ``main`` has the globals of the script."""
         self._depends = depends
         # a script has one name, whether it is run, imported, or sent to a worker
         script = main.get("__file__") if main.get("__name__") in _MAIN else None
@@ -271,6 +272,7 @@ class _Parts:
         return hashlib.sha256(_pickled(value, self, files)).hexdigest()[:16]
 
     def _function(self, name: str, function: FunctionType) -> None:
+        """Add the parts of a function: its instructions, its defaults, and all that it reads."""
         code = function.__code__
         namespace = function.__globals__
         values: dict[str, tuple[str, object]] = {}
@@ -333,9 +335,12 @@ class _Pickler(pickle.Pickler):
 
     found: _Parts
     files: bool  # whether paths stand for files
-    held: dict[int, tuple[int, object]]  # instances by id, kept alive
+    instances: dict[
+        int, tuple[int, object]
+    ]  # by id: their number, and themselves to keep them alive
 
     def persistent_id(self, value: typing.Any) -> object:
+        """Return what stands for an object where two are compared; None: its pickle."""
         kind = type(value)
         found = self.found
         if kind in _BASES[:3] or kind in (str, int, float, bool, type(None), bytes):
@@ -375,26 +380,28 @@ class _Pickler(pickle.Pickler):
         )
         if not found.is_own(module, kind) and not (caches and kind.__reduce__ is object.__reduce__):
             return None
-        if id(value) in self.held:
-            return "again", self.held[id(value)][0]
-        self.held[id(value)] = len(self.held), value
-        return _held(value, found)
+        if id(value) in self.instances:
+            return "again", self.instances[id(value)][0]
+        self.instances[id(value)] = len(self.instances), value
+        return _contents(value, found)
 
 
-def _held(value: typing.Any, found: _Parts) -> tuple[object, ...]:
+def _contents(value: typing.Any, found: _Parts) -> tuple[object, ...]:
     """Return all that an instance holds, whatever its pickle leaves out; cached properties follow
     from the rest."""
     kind = type(value)
-    names = {name: part for owner in reversed(kind.__mro__) for name, part in vars(owner).items()}
-    held = {
+    class_attributes = {
+        name: part for owner in reversed(kind.__mro__) for name, part in vars(owner).items()
+    }
+    attributes = {
         name: getattr(value, name)
-        for name, part in names.items()
+        for name, part in class_attributes.items()
         if type(part) is MemberDescriptorType and hasattr(value, name)
     }
-    held |= {
+    attributes |= {
         name: item
         for name, item in getattr(value, "__dict__", {}).items()
-        if type(names.get(name)) is not cached_property
+        if type(class_attributes.get(name)) is not cached_property
     }
     reduce = next(
         (
@@ -405,11 +412,13 @@ def _held(value: typing.Any, found: _Parts) -> tuple[object, ...]:
         None,
     )
     if reduce is not None:  # of a class below that is not the user's, such as arrays
-        return kind, held, reduce(value)
-    return kind, held, next((base(value) for base in _BASES if isinstance(value, base)), None)
+        return kind, attributes, reduce(value)
+    return kind, attributes, next((base(value) for base in _BASES if isinstance(value, base)), None)
 
 
 def _pickled(value: object, found: _Parts, files: bool = False) -> bytes:
+    """Return the bytes by which a value is compared; ``files``: of paths the content of the
+    file."""
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, 5)
     # without references to what was pickled before, which depend on whether equal strings are one
@@ -417,7 +426,7 @@ def _pickled(value: object, found: _Parts, files: bool = False) -> bytes:
     pickler.fast = True
     pickler.found = found
     pickler.files = files
-    pickler.held = {}
+    pickler.instances = {}
     pickler.dump(value)
     return buffer.getvalue()
 

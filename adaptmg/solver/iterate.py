@@ -156,10 +156,10 @@ class StopTest:
     RESIDUAL_FACTOR = 10.0
     #: largest relative residual that rounding excuses
     ROUNDING_LIMIT = checks.ALIKE
-    #: of the terms that a residual sums, the share that it keeps however often it is refined; iterates there, with
-    #: forces that balance to the last number, after which no further one is better
-    KEPT = 2 * np.finfo(float).eps
-    REFINED = 4
+    #: level of rounding of a residual, relative to the terms that it sums, and iterates at that level
+    #: after which no further one is better
+    ROUNDING_LEVEL = 2 * np.finfo(float).eps
+    ROUNDING_ITERATES = 4
     #: relative residual up to which that is said: springs a millionth as stiff as their body leave
     #: 4.8e-6 at rounding (test_soft_springs_hold_or_are_named_with_the_least_stiffness)
     BALANCED = 1e-5
@@ -175,22 +175,24 @@ class StopTest:
         shortfall: Callable[[Any, float], float] | None = None,
         stalled: Status | None = Status.STALLED,
     ) -> None:
+        """Begin a test for a tolerance and a ``limit`` on cycles; without ``shortfall`` no
+        certificate is asked."""
         self.rtol = rtol
         self.state: Any = None  # the one that is judged
         self.limit = limit
-        self._ask = shortfall
-        self._stalled = stalled
+        self._ask_certificate = shortfall
+        self._stalled_status = stalled
         self._caution = 1.0
-        self._asked = -1
-        self._rounding = False
+        self._cycle_asked = -1
+        self._at_rounding = False
         self.cycles = 0
         self.changes: list[float] = []
         self.size = 0.0
         self.residual = np.inf
         self.error_estimate = np.inf
         self.met = False
-        self._last = np.nan
-        self._kept = 0
+        self._last_residual = np.nan
+        self._iterates_at_rounding = 0
 
     def take(self, measured: Measured, run: Run | None = None) -> Status | None:
         """Judge a state and record it; how the iteration ends, None if it goes on."""
@@ -206,47 +208,50 @@ class StopTest:
         self.size = state.size
         if state.change is not None:
             self.changes.append(state.change)
-        residual = (
-            0.0 if state.idle and state.residual <= ROUNDING * state.floor else state.residual
+        residual = state.residual
+        if state.idle and residual <= ROUNDING * state.floor:
+            residual = 0.0
+        # before an interference meets forces the residual is all there is
+        self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)
+        self._last_residual = residual
+        self._at_rounding = self.at_rounding(state.floor)
+        balanced = residual <= self.ROUNDING_LEVEL * state.floor and self.residual <= self.BALANCED
+        self._iterates_at_rounding = self._iterates_at_rounding + 1 if balanced else 0
+        self.error_estimate = (
+            self.residual if self._at_rounding else self._caution * self._estimate()
         )
-        self.residual = (
-            0.0 if residual == 0 else residual / (state.forces or residual)
-        )  # interference: no forces yet
-        self._last = residual
-        self._rounding = self.at_rounding(state.floor)
-        balanced = residual <= self.KEPT * state.floor and self.residual <= self.BALANCED
-        self._kept = self._kept + 1 if balanced else 0
-        self.error_estimate = self.residual if self._rounding else self._caution * self._estimate()
-        self.met = self._rounding or self._small_enough()
+        self.met = self._at_rounding or self._small_enough()
 
     def verdict(self) -> Status | None:
         """Return how the iteration ends; None if it goes on."""
-        if self.met and (self._rounding or not self.refused()):
+        if self.met and (self._at_rounding or not self.refused()):
             return Status.CONVERGED
         if self.diverged:
             return Status.DIVERGED
-        if self._kept >= self.REFINED:
+        if self._iterates_at_rounding >= self.ROUNDING_ITERATES:
             self.error_estimate = np.nan  # the certificate has one
             return Status.ROUNDING
-        if self._stalled is not None and self.stalled:
-            return self._stalled
+        if self._stalled_status is not None and self.stalled:
+            return self._stalled_status
         return Status.LIMIT if self.cycles >= self.limit else None
 
     def at_rounding(self, floor: float) -> bool:
         """Return whether the last residual is as small as arithmetic allows, ``floor`` being the
         norm of D u, N. A large residual at the level of rounding is that of unknowns that have run
         away."""
-        return bool(self._last <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT)
+        return bool(
+            self._last_residual <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
+        )
 
     @property
     def residual_met(self) -> bool:
-        return self.residual <= self.RESIDUAL_FACTOR * self.rtol or self._kept > 0
+        return self.residual <= self.RESIDUAL_FACTOR * self.rtol or self._iterates_at_rounding > 0
 
     def refused(self) -> bool:
         """Ask the certificate; return whether it contradicts the tolerance. What it finds the
         estimate to be too small by counts from then on."""
         ratio = self.shortfall()
-        self._asked = self.cycles
+        self._cycle_asked = self.cycles
         if ratio is None:
             return False
         if ratio > 0.0 and self.error_estimate > 0.0:
@@ -256,13 +261,15 @@ class StopTest:
     def shortfall(self) -> float | None:
         """Return by how many times the certificate finds the last iterate short of rtol; None if it
         is not asked."""
-        return None if self._ask is None else self._ask(self.state, self.rtol)
+        return (
+            None if self._ask_certificate is None else self._ask_certificate(self.state, self.rtol)
+        )
 
     def certified(self) -> bool:
         """Return whether the certificate, if it was not asked, finds the last iterate good enough,
         whatever the estimate says: near rounding no rate shows that any more, and after a refusal
         it is cautious."""
-        if self.cycles == self._asked or not self.residual_met or self.shortfall() != 0.0:
+        if self.cycles == self._cycle_asked or not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
         return True
@@ -292,6 +299,8 @@ class StopTest:
         return max(self._mean_ratio(1), self._mean_ratio(3)) if len(self.changes) > 1 else np.nan
 
     def _mean_ratio(self, window: int) -> float:
+        """Return the geometric mean of the last ratios of changes, at most ``window`` of them; NaN
+        before the second change."""
         window = min(window, len(self.changes) - 1)
         if window < 1:
             return np.nan
@@ -318,7 +327,7 @@ class StopTest:
         return self.error_estimate <= self.rtol and self.residual_met
 
     def _estimate(self) -> float:
-        """The error that remains, relative."""
+        """Return the error that remains, relative."""
         rate = self.safe_rate
         if not rate < 1:
             return np.inf
@@ -349,6 +358,8 @@ class ChangeTest(StopTest):
         self._measure = measure
 
     def take(self, measured: Measured, run: Run | None = None) -> Status | None:
+        """Judge a state by the change alone, and measure the last one whole; return how the
+        iteration ends, None if it goes on."""
         self.cycles = measured.cycles
         self.relative_change = measured.relative_change
         if not self.relative_change < np.inf:
@@ -391,32 +402,35 @@ class Measure:
         self.reference = reference
         blocks = local.system.diagonal.reshape(-1, local.system.dim, local.system.dim)
         self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._last_iterate: tuple[np.ndarray, np.ndarray] | None = None
 
     def __call__(
         self,
         cycles: int,
         unknowns: np.ndarray,
-        r: np.ndarray,
+        residual: np.ndarray,
         **columns: float,
     ) -> Measured:
-        """The norms of an iterate, which must not change any more, and its residual r = b - A w
-        (n_dofs,)."""
+        """Return the norms of an iterate (n_dofs,), which must not change any more, with its
+        residual b - A w (n_dofs,)."""
         system = self.local.system
         sizes = self.sizes
-        at_contact = (vector.reshape(-1, system.dim)[system.nodes] for vector in (unknowns, r))
-        self.local.contact.follow(*at_contact)
-        natural = euclidean_norm(natural_residual(self.local, unknowns, r))
-        contact = euclidean_norm(r.reshape(-1, system.dim)[system.nodes].reshape(-1))
-        forces = sizes.forces(unknowns, contact)
-        size = sizes.norm(unknowns, float(np.einsum("i,i->", unknowns, self.local.load - r)))
-        change = (
-            None if self._last is None else energy_norm(unknowns - self._last[0], self._last[1] - r)
+        at_contact = (
+            vector.reshape(-1, system.dim)[system.nodes] for vector in (unknowns, residual)
         )
-        self._last = unknowns, r
+        self.local.contact.follow(*at_contact)
+        natural = euclidean_norm(natural_residual(self.local, unknowns, residual))
+        contact_forces = euclidean_norm(residual.reshape(-1, system.dim)[system.nodes].reshape(-1))
+        forces = sizes.forces(unknowns, contact_forces)
+        size = sizes.norm(unknowns, float(np.einsum("i,i->", unknowns, self.local.load - residual)))
+        change = None
+        if self._last_iterate is not None:
+            unknowns_before, residual_before = self._last_iterate
+            change = energy_norm(unknowns - unknowns_before, residual_before - residual)
+        self._last_iterate = unknowns, residual
         floor = euclidean_norm(self._diagonal * unknowns)
         idle = natural <= ROUNDING * floor and sizes.nothing_strains(
-            contact, ROUNDING * floor, unknowns
+            contact_forces, ROUNDING * floor, unknowns
         )
         if self.reference is not None:
             columns["true_error"] = true_error(

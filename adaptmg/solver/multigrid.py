@@ -105,6 +105,8 @@ class Multigrid:
     __repr__ = brief
 
     def __post_init__(self) -> None:
+        """Check the options; of the projected method those that are given, and else its
+        defaults."""
         truncated = isinstance(self.correction, Truncated)
         if not truncated:
             checks.offers(
@@ -150,7 +152,7 @@ class Multigrid:
 
     @property
     def _named(self) -> dict[str, Any]:
-        """The options of the projected method that the user gives."""
+        """Return the options of the projected method that the user gives."""
         return {name: value for name in PROJECTED if (value := getattr(self, name)) is not None}
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
@@ -267,7 +269,7 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
 
 
 def _fewer_levels(hierarchy: Hierarchy) -> Hierarchy:
-    """The hierarchy without every second level, from the next to the finest on, if it is made of
+    """Return the hierarchy without every second level, from the next to the finest on, if it is made of
     meshes."""
     with suppress(ValueError):
         for level in range(len(hierarchy) - 2, 0, -2):

@@ -93,11 +93,11 @@ def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
     then cost more than all the rest."""
     finest = grids.finest
     nodes = [level.n_nodes for level in grids.levels]
-    wide = WIDE[grids.finest.discrete.dim]
+    least_ratio = WIDE[grids.finest.discrete.dim]
     if finest.discrete.dim * nodes[0] <= LARGE_COARSEST:
         return grids, FullMultigrid(), ""
     if (
-        nodes[-1] < wide * nodes[0]
+        nodes[-1] < least_ratio * nodes[0]
         and finest.discrete.dim * len(finest.discrete.contact) <= LARGE_COARSEST
     ):
         return (
@@ -108,21 +108,21 @@ def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
                 "active set method"
             ),
         )
-    last = 0
-    out = []
+    last_taken = 0
+    too_close = []
     for level in range(1, len(grids) - 1):
-        if wide * nodes[last] <= nodes[level] <= nodes[-1] / wide:
-            last = level
+        if least_ratio * nodes[last_taken] <= nodes[level] <= nodes[-1] / least_ratio:
+            last_taken = level
         else:
-            out.append(level)
-    for level in reversed(out if grids.problem is not None else ()):
+            too_close.append(level)
+    for level in reversed(too_close if grids.problem is not None else ()):
         grids = grids.without(level)
-    left_out = ", ".join(str(nodes[level]) for level in out)
+    sizes_left_out = ", ".join(str(nodes[level]) for level in too_close)
     return (
         grids,
         FullMultigrid(),
         (
-            f"without the meshes of {left_out} nodes, too close to others"
+            f"without the meshes of {sizes_left_out} nodes, too close to others"
             if len(grids) < len(nodes)
             else ""
         ),

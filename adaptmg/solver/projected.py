@@ -53,6 +53,7 @@ class ProjectedRun:
     initial: list[InitialContact] = field(default_factory=list, init=False)
 
     def __post_init__(self) -> None:
+        """Refuse problems that the correction cannot take, and prepare the levels."""
         self.hierarchy.need_discretised(f"the correction {type(self.correction).__name__}")
         self.hierarchy.finest.discrete.need_no_volumes(
             f"the correction {type(self.correction).__name__}"
@@ -152,7 +153,7 @@ class ProjectedRun:
         return self.levels.outcome(state, status, stop, self.rtol)
 
     def _cycles(self, multigrid: MultigridCycle, level: int, run: Run | None = None) -> Smoothing:
-        """Cycles, measured after the first smoothing, where the cycle has its residual."""
+        """Return cycles on a level, measured after the first smoothing, where the cycle has its residual."""
         local = self.problems[level]
 
         def smooth(unknowns: np.ndarray, cycles: int) -> int:
@@ -214,49 +215,48 @@ class SingleGrid:
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+        """Sweep on the finest level, or on its Schur complement, until the test ends it."""
         hierarchy.finest.discrete.need_no_volumes("SingleGrid")
         if self.stop == "change":
             hierarchy.finest.discrete.need_given_friction(
                 'SingleGrid(stop="change")', 'stop="error"'
             )
         with run.phase("setup"):
-            local = local_system(hierarchy.finest.discrete)
-        problem = local
+            full = local_system(hierarchy.finest.discrete)
+        swept = full
         sizes = None
         restrict = np.asarray
         recover = np.asarray
         if self.condensed:
             with run.phase("factorise"):
-                condensed = condense(local)
+                condensed = condense(full)
                 if not condensed.by_nodes:
                     raise ValueError(
                         "condensed=True needs more contact nodes: with all but one fixed, a body that "
                         "only contact holds can still move; use condensed=False"
                     )
-                problem = condensed.problem
+                swept = condensed.problem
                 sizes = _CondensedSizes(condensed)
                 restrict = condensed.restrict
                 recover = condensed.recover
-        unknowns = restrict(
-            np.zeros(local.system.n_dofs) if start is None else local.to_local(start)
-        )
-        project(problem, unknowns)
-        # the Schur complement measures the energy of the error of the recovered solution
-        reference = None if run.reference is None else restrict(local.to_local(run.reference))
+        unknowns = restrict(np.zeros(full.system.n_dofs) if start is None else full.to_local(start))
+        project(swept, unknowns)
+        # the Schur complement gives the energy of the error of the recovered solution, too
+        reference = None if run.reference is None else restrict(full.to_local(run.reference))
         smoother = ProjectedGaussSeidel(omega=self.omega)
 
         def smooth(unknowns: np.ndarray, done: int) -> int:
-            batch = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
-            times = min(batch, self.max_sweeps - done) if self.stop == "error" else 1
-            passes = smoother.smooth(problem.system, problem.contact, problem.load, unknowns, times)
-            run.count(passes, problem.system.nonzeros)
-            return times
+            sweeps_to_check = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
+            sweeps = min(sweeps_to_check, self.max_sweeps - done) if self.stop == "error" else 1
+            passes = smoother.smooth(swept.system, swept.contact, swept.load, unknowns, sweeps)
+            run.count(passes, swept.system.nonzeros)
+            return sweeps
 
         def residual(unknowns: np.ndarray) -> np.ndarray:
-            run.count(1.0, problem.system.nonzeros)
-            return problem.residual(unknowns)
+            run.count(1.0, swept.system.nonzeros)
+            return swept.residual(unknowns)
 
-        norms = Measure(problem, run=run, reference=reference, sizes=sizes)
+        norms = Measure(swept, run=run, reference=reference, sizes=sizes)
         with run.phase("sweeps"):
             # batches that reach no new smallest change are cycling
             state, status, stop = Smoothing(norms, smooth, residual).solve(
@@ -265,14 +265,12 @@ class SingleGrid:
                 self.rtol,
                 self.max_sweeps,
                 run,
-                lambda state, rtol: run.shortfall(
-                    local.to_cartesian(recover(state.unknowns)), rtol
-                ),
+                lambda state, rtol: run.shortfall(full.to_cartesian(recover(state.unknowns)), rtol),
                 stalled=Status.CYCLING,
             )
         run.visit(len(hierarchy) - 1, "smooth", state.cycles)
         with run.phase("factorise" if self.condensed else "sweeps"):
-            solved = local.to_cartesian(recover(state.unknowns)).reshape(-1)
+            solved = full.to_cartesian(recover(state.unknowns)).reshape(-1)
         return Outcome(
             solved,
             status,

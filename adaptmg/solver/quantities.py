@@ -60,6 +60,8 @@ class Quantities:
         )
 
     def _located(self, points: ArrayLike) -> Location:
+        """Return the elements of points (n, dim) or of one point (dim,), m, and the weights of
+        their corners; ValueError outside the mesh."""
         from adaptmg.transfer import PointLocator
 
         mesh = need_mesh(self)
@@ -356,6 +358,8 @@ class Quantities:
         return self._support_forces(boundary)
 
     def _contact_forces(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return nodes (n,) and contact forces (n, dim), N, on a contact boundary or a master, with
+        those of ties there."""
         contact = self.contact
         is_slave = np.array([boundary in ("contact", name) for name in contact.names])
         is_master = np.array([boundary == name != "" for name in contact.masters])
@@ -374,6 +378,7 @@ class Quantities:
         return np.concatenate(nodes), np.concatenate(forces)
 
     def _support_forces(self, boundary: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return nodes (n,) of a boundary and the reactions (n, dim), N, of the supports on it."""
         nodes = need_mesh(self).boundary_nodes(boundary)
         forces = self.reaction.copy()
         forces[self.contact.node] -= self.contact.force
@@ -386,22 +391,23 @@ class Quantities:
         """Return the part (n, dim, dim) of the reactions at some nodes that the support on a
         boundary carries: of several supports that hold one direction the measures at the node
         decide."""
-        total = np.zeros((len(nodes), self.dim, self.dim))
-        carried = np.zeros_like(total)
+        held_by_all = np.zeros((len(nodes), self.dim, self.dim))
+        held_here = np.zeros_like(held_by_all)
         for name, directions in self.supports.items():
             surface = need_mesh(self).surface(name)
-            span = np.array(directions).T @ np.array(directions)
+            directions_held = np.array(directions).T @ np.array(directions)
             measures = np.bincount(
                 surface.facets.ravel(),
                 np.repeat(surface.measures, self.dim),
                 minlength=len(self.reaction),
             )
-            held = measures[nodes, None, None] * span
-            total += held
+            held = measures[nodes, None, None] * directions_held
+            held_by_all += held
             if name == boundary:
-                carried = held
-        inverse = np.linalg.pinv(total, rcond=1e-10, hermitian=True)
-        return carried @ inverse + np.eye(self.dim) - total @ inverse
+                held_here = held
+        inverse = np.linalg.pinv(held_by_all, rcond=1e-10, hermitian=True)
+        # directions that no support holds count whole: there the reaction is zero but for rounding
+        return held_here @ inverse + np.eye(self.dim) - held_by_all @ inverse
 
 
 def _columns(name: str, unit: str, axes: str, values: np.ndarray) -> Mapping[str, float]:

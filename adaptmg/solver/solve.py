@@ -196,6 +196,7 @@ def _watched(
         return callback
 
     def take(row: dict[str, float]) -> None:
+        """Write a row of the history as a line, and pass it on."""
         errors = [
             f"{name.removesuffix('_estimate')} {row[name]:.1e}"
             for name in ("error_estimate", "residual")

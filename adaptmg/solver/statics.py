@@ -163,6 +163,7 @@ class _Body:
         ]
 
     def describe(self, coefficients: np.ndarray) -> str:
+        """Return a free motion, given by its coefficients (k,), as text."""
         problem = self.problem
         relative = np.zeros((problem.n_nodes, problem.dim))
         relative[self.nodes] = (self.motions @ coefficients).reshape(len(self.nodes), -1)
@@ -183,21 +184,23 @@ class _Body:
             return "constant"
         motions, centre, size = _axis_motions(self.problem, nodes)
         twist = np.linalg.lstsq(motions, field.reshape(-1), rcond=None)[0]
-        most = 1e-6 * np.abs(field).max()
+        negligible = 1e-6 * np.abs(field).max()
         dim = self.problem.dim
-        if np.abs(motions @ twist - field.reshape(-1)).max() > most:
+        if np.abs(motions @ twist - field.reshape(-1)).max() > negligible:
             return "motion (a combination of near_nullspace)"
-        shift = twist[:dim]
-        turn = twist[dim:] / size
-        if size * np.abs(turn).max(initial=0.0) <= most:
-            return f"translation along {_axis(shift)}"
+        translation = twist[:dim]
+        rotation = twist[dim:] / size
+        if size * np.abs(rotation).max(initial=0.0) <= negligible:
+            return f"translation along {_axis(translation)}"
         if dim == 2:
-            return (
-                f"rotation about {_vector(centre + np.array([-shift[1], shift[0]]) / turn, size)}"
-            )
-        pole = centre + np.cross(turn, shift) / (turn @ turn)
-        kind = "screw motion" if abs(shift @ turn) > most * np.linalg.norm(turn) else "rotation"
-        return f"{kind} about the axis along {_axis(turn)} through {_vector(pole, size)}"
+            return f"rotation about {_vector(centre + np.array([-translation[1], translation[0]]) / rotation, size)}"
+        pole = centre + np.cross(rotation, translation) / (rotation @ rotation)
+        kind = (
+            "screw motion"
+            if abs(translation @ rotation) > negligible * np.linalg.norm(rotation)
+            else "rotation"
+        )
+        return f"{kind} about the axis along {_axis(rotation)} through {_vector(pole, size)}"
 
 
 def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -209,30 +212,30 @@ def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray
     forces = stiff[dofs] / np.abs(problem.matrix.data).max()
     # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram
     # matrix
-    values, vectors = np.linalg.eigh(modes.T @ modes)
-    independent = values > 1e-12 * values[-1]
+    gram_values, gram_vectors = np.linalg.eigh(modes.T @ modes)
+    independent = gram_values > 1e-12 * gram_values[-1]
     if not independent.any():
         return modes[:, :0]
-    basis = vectors[:, independent] * np.sqrt(len(nodes) / values[independent])
+    basis = gram_vectors[:, independent] * np.sqrt(len(nodes) / gram_values[independent])
     modes = modes @ basis
     forces = forces @ basis
     strained = np.linalg.norm(forces, axis=1) > _SOFTEST
     # springs far softer than the body hold it too
     scale = np.abs(forces).max(initial=0.0) if strained.any() else 1.0
-    return (
-        modes
-        @ _null_combinations(np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])).T
-    )
+    held = np.vstack([modes[problem.fixed[dofs]], forces[strained] / scale])
+    return modes @ _null_combinations(held).T
 
 
 def _null_combinations(rows: np.ndarray) -> np.ndarray:
-    """Orthonormal rows (n_null, k) of coefficients for which ``rows`` (n, k) vanish."""
+    """Return orthonormal rows (n_null, k) of coefficients for which ``rows`` (n, k) vanish."""
     # the triangular factor has at most k rows and the same singular values
     _, singular, combinations = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
     return combinations[np.count_nonzero(singular > checks.SIX_DIGITS) :]
 
 
 def _check_body(body: _Body) -> None:
+    """Raise ValueError where contact cannot balance the load on a free motion, where the solution
+    is not unique, or where nothing presses a body that contact does not enclose."""
     problem = body.problem
     dofs = (problem.dim * body.nodes[:, None] + np.arange(problem.dim)).reshape(-1)
     load = problem.load[dofs]
@@ -274,13 +277,15 @@ def advise_on_free_motions(problem: DiscreteProblem, contact: ContactResult) -> 
     for nodes, motions, several in _free_parts(problem) or ():
         body = _Body(problem, nodes, motions, several)
         k = motions.shape[1]
-        at = np.searchsorted(nodes, contact.node)
+        place_in_body = np.searchsorted(nodes, contact.node)
         touches = contact.closed & np.isin(contact.node, nodes)
-        moved = motions.reshape(len(nodes), problem.dim, k)[at[touches]]
-        local = np.einsum("nij,njk->nik", contact.frames[touches], moved)
+        moved = motions.reshape(len(nodes), problem.dim, k)[place_in_body[touches]]
+        local_motions = np.einsum("nij,njk->nik", contact.frames[touches], moved)
         sticks = contact.state[touches] == STICK
         free = _null_combinations(
-            np.concatenate([np.zeros((1, k)), local[:, 0], local[sticks, 1:].reshape(-1, k)])
+            np.concatenate(
+                [np.zeros((1, k)), local_motions[:, 0], local_motions[sticks, 1:].reshape(-1, k)]
+            )
         )
         if len(free):
             advise(
@@ -343,26 +348,27 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     problem = body.problem
     dim = problem.dim
     contact = problem.contact
-    position = np.searchsorted(body.nodes, contact.nodes)
-    on_body = position < len(body.nodes)
-    on_body[on_body] = body.nodes[position[on_body]] == contact.nodes[on_body]
+    place_in_body = np.searchsorted(body.nodes, contact.nodes)
+    on_body = place_in_body < len(body.nodes)
+    on_body[on_body] = body.nodes[place_in_body[on_body]] == contact.nodes[on_body]
     frames = frames_of(contact, problem.fixed.reshape(-1, dim))[on_body]
-    at_contact = body.motions.reshape(len(body.nodes), dim, -1)[position[on_body]]
-    local = np.einsum("nij,njk->nik", frames, at_contact)
-    normal = local[:, 0]
-    tangential = local[:, 1:]
+    at_contact = body.motions.reshape(len(body.nodes), dim, -1)[place_in_body[on_body]]
+    local_motions = np.einsum("nij,njk->nik", frames, at_contact)
+    normal = local_motions[:, 0]
+    tangential = local_motions[:, 1:]
     limit = np.minimum(limit[on_body], 1 / checks.SIX_DIGITS)
     friction = friction[on_body]
-    rubbing = friction > 0
-    limited = limit > 0
+    rubs = friction > 0
+    is_limited = limit > 0
     corners, directions, half_length = _friction_polygon(dim)
-    edges = friction[rubbing, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubbing])
+    # edges of the cones: the pressure of a node with friction towards one of the corners
+    edges = friction[rubs, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubs])
     k = body.motions.shape[1]
-    front = ~rubbing & np.isfinite(contact.gaps[on_body])
+    in_front = ~rubs & np.isfinite(contact.gaps[on_body])
     behind = normal[np.isfinite(contact.opposite_gaps[on_body])] if dim == 1 else normal[:0]
-    edges = np.concatenate([-normal[front], behind, (edges - normal[rubbing, None]).reshape(-1, k)])
-    segments = np.einsum("st,ntk->nsk", directions, tangential[limited]).reshape(-1, k)
-    return _Forces(edges.T, segments.T, np.repeat(limit[limited] * half_length, len(directions)))
+    edges = np.concatenate([-normal[in_front], behind, (edges - normal[rubs, None]).reshape(-1, k)])
+    segments = np.einsum("st,ntk->nsk", directions, tangential[is_limited]).reshape(-1, k)
+    return _Forces(edges.T, segments.T, np.repeat(limit[is_limited] * half_length, len(directions)))
 
 
 def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
@@ -385,14 +391,20 @@ def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray)
 
 
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Corners (n, dim - 1) of the polygon about the unit disc; directions and half length of the
+    """Return corners (n, dim - 1) of the polygon about the unit disc; directions and half length of the
     segments it sums."""
     if dim < 3:
         return np.array([[1.0], [-1.0]])[:, : dim - 1], np.array([[1.0]])[:, : dim - 1], 1.0
-    angle = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
-    half = 0.5 * np.pi / _SEGMENTS
-    corners = np.column_stack([np.cos(angle + half), np.sin(angle + half)]) / np.cos(half)
-    return corners, np.column_stack([np.cos(angle), np.sin(angle)])[:_SEGMENTS], float(np.tan(half))
+    angles = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
+    half_angle = 0.5 * np.pi / _SEGMENTS
+    corners = np.column_stack([np.cos(angles + half_angle), np.sin(angles + half_angle)]) / np.cos(
+        half_angle
+    )
+    return (
+        corners,
+        np.column_stack([np.cos(angles), np.sin(angles)])[:_SEGMENTS],
+        float(np.tan(half_angle)),
+    )
 
 
 def _plain_motions(body: _Body) -> np.ndarray:
@@ -412,7 +424,7 @@ def _plain_motions(body: _Body) -> np.ndarray:
 
 
 def _plain_of(body: _Body, free: np.ndarray) -> np.ndarray:
-    """A plain motion (k,) among free ones, orthonormal rows (n, k), else the first of them."""
+    """Return a plain motion (k,) among free ones, orthonormal rows (n, k), else the first of them."""
     plain = [
         c
         for c in _plain_motions(body)
@@ -443,12 +455,12 @@ def _axis_motions(
 
 
 def _plainest(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """A plain motion that the forces let go, if there is one; else ``motion`` (k,)."""
+    """Return a plain motion that the forces let go, if there is one; else ``motion`` (k,)."""
     return next((c for c in _plain_motions(body) if forces.let_go(c, work)), motion)
 
 
 def _axis(direction: np.ndarray) -> str:
-    """The name of a coordinate axis, or a unit vector."""
+    """Return the name of a coordinate axis, or a unit vector."""
     unit = direction / np.linalg.norm(direction)
     i = int(np.argmax(np.abs(unit)))
     if abs(unit[i]) > 1 - 1e-9:
@@ -457,7 +469,7 @@ def _axis(direction: np.ndarray) -> str:
 
 
 def _vector(values: np.ndarray, size: float) -> str:
-    """Rounded coordinates; what is zero to rounding is printed as 0."""
+    """Return rounded coordinates as text; what is zero to rounding is printed as 0."""
     return "(" + ", ".join(f"{0.0 if abs(v) < 1e-6 * size else v:.4g}" for v in values) + ")"
 
 
@@ -472,20 +484,20 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     dim = problem.dim
     n = len(problem.contact)
     condensed = condense_problem(problem, lenient=True)
-    values, vectors = np.linalg.eigh(condensed.matrix)
-    if not condensed.regular or not values[0] > 1e-10 * values[-1]:
+    eigenvalues, eigenvectors = np.linalg.eigh(condensed.matrix)
+    if not condensed.regular or not eigenvalues[0] > 1e-10 * eigenvalues[-1]:
         return np.full(n, np.nan)
-    compliance = (vectors / values) @ vectors.T
+    compliance = (eigenvectors / eigenvalues) @ eigenvectors.T
     blocks = compliance.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n), :]
     free = ~condensed.full.system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
-    result = np.full(n, np.inf)
-    result[free] = _critical(np.linalg.inv(blocks[free]))
-    result.flags.writeable = False
-    return result
+    critical = np.full(n, np.inf)
+    critical[free] = _critical(np.linalg.inv(blocks[free]))
+    critical.flags.writeable = False
+    return critical
 
 
 def _critical(stiffness: np.ndarray) -> np.ndarray:
-    """The critical coefficients (n,) of nodes with these stiffnesses (n, dim, dim) in their
+    """Return the critical coefficients (n,) of nodes with these stiffnesses (n, dim, dim) in their
     frames."""
     tangential = stiffness[:, 1:, 1:].copy()
     tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
@@ -516,13 +528,13 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
         examined = finest
         critical = _critical(contact_blocks(examined))
     friction = examined.law.bounds(len(examined.contact))[1]
-    beyond = friction >= critical
-    if beyond.any():
-        i = int(np.argmax(np.where(beyond, friction - critical, -np.inf)))
+    exceeds = friction >= critical
+    if exceeds.any():
+        i = int(np.argmax(np.where(exceeds, friction - critical, -np.inf)))
         advise(
             "friction",
             f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
-            f"may open, slip or stick under the same load ({np.count_nonzero(beyond)} contact nodes): the solution "
+            f"may open, slip or stick under the same load ({np.count_nonzero(exceeds)} contact nodes): the solution "
             "may not be unique; compare am.solve(..., start=...) from several starts",
             RuntimeWarning,
         )

@@ -59,6 +59,8 @@ class Cycles:
     n_dofs: int
 
     def step(self, state: State) -> State:
+        """Return the state after a cycle; unknowns that the method has not left itself are smoothed
+        first."""
         checks.instance("state", state, State, "a State")
         if len(state.unknowns) != self.n_dofs:
             raise ValueError(
@@ -84,6 +86,7 @@ class Stepped:
     """The solver of a user-defined method."""
 
     def __init__(self, method: Method) -> None:
+        """Take a method, and check the options that it may have."""
         self.method = checks.offers("solver", method, "setup", "an object with setup() or run()")
         self.rtol = checks.tolerance("rtol of solver", getattr(method, "rtol", 1e-8))
         cycles = getattr(method, "max_cycles", 100)
@@ -97,6 +100,8 @@ class Stepped:
         return repr(self.method) if named else f"{type(self.method).__name__}()"
 
     def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+        """Take steps on the finest level, by default from a nested start, until the test ends
+        it."""
         hierarchy.finest.discrete.need_no_volumes("a user-defined method")
         hierarchy.finest.discrete.need_given_friction(
             "a user-defined method", "am.FullMultigrid() or am.ActiveSet()"
@@ -148,6 +153,7 @@ class Stepped:
         system = levels.problem(number).system
 
         def step(state: State) -> State:
+            """Return the next state, checked, and count its work."""
             new = stepper.step(replace(state, passes=0.0))
             checks.instance("solver: what step returns", new, State, "an am.State")
             for name in ("unknowns", "residual"):

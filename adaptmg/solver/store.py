@@ -102,6 +102,7 @@ class _Writer:
         return written
 
     def _array(self, name: str, array: np.ndarray) -> str:
+        """Put an array among those of the file; return its name there."""
         if array.dtype.kind not in "biuf":
             raise TypeError(
                 f"{name} must be an array of numbers to be saved, got an array of {array.dtype}"
@@ -125,6 +126,7 @@ class _Reader:
         self.seen = []
 
     def value(self, plain: Any) -> Any:
+        """Return the value that the writer made plain."""
         if isinstance(plain, list):
             return [self.value(part) for part in plain]
         if not isinstance(plain, dict):
@@ -201,7 +203,7 @@ def read(path: str | os.PathLike[str], kinds: Kinds, *, more: bool = False) -> S
 
 
 def _hash(text: Mapping[str, object], arrays: Mapping[str, np.ndarray] | None = None) -> str:
-    """The hash of a text and of arrays, with their kinds and shapes."""
+    """Return the hash of a text and of arrays, with their kinds and shapes."""
     content = hashlib.sha256(json.dumps(text, sort_keys=True).encode())
     for name, array in sorted((arrays or {}).items()):
         content.update(f"{name} {array.dtype.kind}{array.dtype.itemsize} {array.shape}".encode())
@@ -339,6 +341,7 @@ class StepStore:
         yield from map(self._read, numbers)
 
     def _read(self, number: int) -> Stored:
+        """Return a step; ValueError if it is damaged, or not the step of this number and head."""
         file = self._step_file(number)
         try:
             step = read(file, self.kinds, more=True)
@@ -424,6 +427,7 @@ def fingerprint(
 
 
 def _sums(values: np.ndarray) -> list[float]:
+    """Return the length of an array, its norm, and its product with a fixed wave."""
     flat = np.asarray(values, dtype=np.float64).reshape(-1)
     # not through BLAS, whose sums depend on the number of threads
     return [
@@ -443,6 +447,7 @@ def differences(stored: Mapping[str, object], requested: Mapping[str, object]) -
 
 
 def _same(a: object, b: object) -> bool:
+    """Return whether two values of JSON are alike, numbers to a relative 1e-8."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(_same(a[name], b[name]) for name in a)
     if isinstance(a, list) and isinstance(b, list):

@@ -67,18 +67,22 @@ class TruncatedTest(StopTest):
     def __init__(
         self, cycles: TruncatedCycles | Any, rtol: float | str, limit: float, run: Run | None = None
     ) -> None:
+        """Begin a test of cycles; with a ``run`` its certificate is asked."""
         ask = None if run is None else run.shortfall
         super().__init__(0.0 if isinstance(rtol, str) else rtol, limit, ask)
         self.cycles_of = cycles  # Any: nothing is asked of it before the first state
         self.residuals: list[float] = []
-        self._first = np.nan
+        self._first_residual = np.nan
 
     def judge(self, measured: Measured) -> None:
+        """Estimate the error of a state, and note its residual."""
         if measured.from_start is not None:
             self.take_discretisation_error(measured.from_start)
         super().judge(measured)
         self.residuals.append(self.residual)
-        self._first = self._last if len(self.residuals) == 1 else self._first
+        self._first_residual = (
+            self._last_residual if len(self.residuals) == 1 else self._first_residual
+        )
 
     def take_discretisation_error(self, change: float) -> None:
         r"""Set rtol from the A-norm of what the first cycle changed in the nested start. By
@@ -115,13 +119,15 @@ class TruncatedTest(StopTest):
     def shortfall(self) -> float | None:
         """Return the shortfall, see :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate
         can be better."""
-        if self._ask is None:
+        if self._ask_certificate is None:
             return None
         if self.rests():
             return 0.0
         # mostly this iterate is the last
         self.state = self.cycles_of.set_aside(self.state)
-        return self._ask(self.cycles_of.problem.with_prescribed(self.state.iterate), self.rtol)
+        return self._ask_certificate(
+            self.cycles_of.problem.with_prescribed(self.state.iterate), self.rtol
+        )
 
     def _estimate(self) -> float:
         rate = self.safe_rate
@@ -130,13 +136,13 @@ class TruncatedTest(StopTest):
         return self._remaining(rate)
 
     def _remaining(self, rate: float) -> float:
-        """The error that remains, relative, if corrections fall by ``rate``."""
+        """Return the error that remains, relative, if corrections fall by ``rate``."""
         return self.SAFETY * self.changes[-1] * rate / self.size
 
     def _ran_away(self) -> bool:
         """Return whether the absolute norm has grown: reactions, to which it is related elsewhere,
         grow with it."""
-        return self._last > 1e6 * max(self._first, 1e-300)
+        return self._last_residual > 1e6 * max(self._first_residual, 1e-300)
 
 
 class TruncatedCycles:
@@ -261,6 +267,7 @@ class TruncatedRun:
         max_cycles: int,
         keeps: bool = False,
     ) -> None:
+        """Set up the levels and the linear cycle; ``keeps``: steps on them serve several loads."""
         self.parts = parts
         self.hierarchy = hierarchy
         self.run = run
@@ -348,26 +355,26 @@ class TruncatedRun:
         """Return the solutions with a further one: that with which the next level begins."""
         coarse = self.problems[number - 1]
         fine = self.problems[number]
-        finer = self.cycle.levels[number]
+        fine_level = self.cycle.levels[number]
         change, pressures = coarse.parts(solutions[-1])
         displacement = np.zeros(fine.n_dofs)
-        share = self._extrapolation(number - 1)
+        extrapolated_share = self._extrapolation(number - 1)
         if past is not None:
             displacement = past[number].copy()
             change = change - past[number - 1]
-        elif share > 0:
-            before = np.zeros(coarse.n_dofs)
-            below, _ = self.problems[number - 2].parts(solutions[-2])
-            self.cycle.levels[number - 1].prolong(below, before)
-            change = change + share * (change - before)
-        finer.prolong(change, displacement)
-        pressures = prolonged_pressures(coarse, fine, finer.prolongation, pressures)
+        elif extrapolated_share > 0:
+            prolonged_before = np.zeros(coarse.n_dofs)
+            coarser_solution, _ = self.problems[number - 2].parts(solutions[-2])
+            self.cycle.levels[number - 1].prolong(coarser_solution, prolonged_before)
+            change = change + extrapolated_share * (change - prolonged_before)
+        fine_level.prolong(change, displacement)
+        pressures = prolonged_pressures(coarse, fine, fine_level.prolongation, pressures)
         # admissible at fixed dofs
         start = fine.from_prescribed(np.append(displacement, pressures))
         return [*solutions, fine.with_prescribed(start)]
 
     def _extrapolation(self, number: int) -> float:
-        """Richardson's share of the last change of the solution that the next level will add:
+        """Return Richardson's share of the last change of the solution that the next level will add:
         discretisation errors fall like 1/n on uniform plane grids of n nodes. 0 elsewhere."""
         levels = self.hierarchy.levels[number - 1 : number + 2] if number > 0 else ()
         meshes = [level.mesh for level in levels]
@@ -478,21 +485,25 @@ class TruncatedRun:
         return [*below, problem.with_prescribed(state.iterate)]
 
     def _few_cycles(
-        self, parts: TruncatedStep, problem: DiscreteProblem, state: TruncatedState, enough: int
+        self,
+        parts: TruncatedStep,
+        problem: DiscreteProblem,
+        state: TruncatedState,
+        least_cycles: int,
     ) -> TruncatedState | None:
         """Return the state after enough cycles, or after more until its residual is trusted; None where
         they diverge: the next level takes over no iterate with a large residual."""
         sizes = Sizes(problem)
-        first = np.inf
-        for cycle in range(max(enough, self.START_CYCLES)):
+        least_residual = np.inf
+        for cycle in range(max(least_cycles, self.START_CYCLES)):
             state = parts.linearise(
                 parts.smooth(parts.correct(state)),
                 trusted=lambda u: self.TRUSTED * sizes.forces(u, 0.0),
             )
             trusted = self.TRUSTED * sizes.forces(parts.displacement(state), state.reactions)
-            first = min(first, state.natural)
-            if state.natural > self.RUNAWAY * first and state.natural > trusted:
+            least_residual = min(least_residual, state.natural)
+            if state.natural > self.RUNAWAY * least_residual and state.natural > trusted:
                 return None
-            if cycle + 1 >= enough and state.natural <= trusted:
+            if cycle + 1 >= least_cycles and state.natural <= trusted:
                 break
         return parts.correct(state)
