@@ -40,24 +40,23 @@ _ENTRIES = {1: 7, 2: 15, 3: 45}
 
 
 def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
-    """Return whether the work for factors is at most that of linear elements with these numbers of
-    dofs."""
+    """Return whether factors of the matrix take at most the work of ``most[dim]`` dofs of linear
+    elements."""
     n = problem.n_dofs
-    # every second entry that the rows of volumes bring to the formed matrix is one of the other
-    # rows, too
+    # half of the entries that the rows of volumes would add to the matrix are there already
     added = 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
     entries = problem.matrix.nnz + added
     return bool(max(entries / _ENTRIES[problem.dim], n) <= most[problem.dim])
 
 
 def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
-    """Return the dofs of nodes in turn, ``size`` each."""
+    """Return the dofs (size * n,) of nodes (n,), node by node; a node has ``size`` dofs."""
     return (size * nodes.astype(np.int64)[:, None] + np.arange(size)).reshape(-1)
 
 
 @dataclass(frozen=True, eq=False)
 class OrderedFactors:
-    """Factors by SuperLU."""
+    """The factors of a matrix by SuperLU."""
 
     lu: SuperLU  # of the permuted matrix
     order: np.ndarray  # (n_dofs,) int: elimination order
@@ -70,8 +69,9 @@ class OrderedFactors:
         order: np.ndarray,
         threshold: float = 0.0,
     ) -> OrderedFactors:
-        """Factorise, with pivots off the diagonal, which destroy the order, only where it is below
-        a threshold."""
+        """Return the factors of a matrix with the elimination ``order`` (n_dofs,). A pivot off the
+        diagonal, which destroys the order, is taken only where the diagonal entry is smaller than
+        ``threshold`` times the largest of its column."""
         permuted = matrix[order][:, order].tocsc()
         lu = splu(
             permuted,
@@ -120,7 +120,8 @@ def node_graph(matrix: sparse.bsr_array) -> sparse.csr_array:
 def nested_dissection(
     graph: sparse.csr_array, coordinates: np.ndarray | None = None, last: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the order of elimination."""
+    """Return the order of elimination (n_nodes,) of the nodes of a graph with ``coordinates``
+    (n_nodes, k), by default distances in the graph; the nodes ``last`` come last."""
     if coordinates is None:
         coordinates = graph_coordinates(graph)
     path = np.zeros(graph.shape[0], dtype=np.int64)
@@ -131,27 +132,30 @@ def nested_dissection(
 
 
 def graph_coordinates(graph: sparse.csr_array) -> np.ndarray:
-    """Return the distances in the graph (n, k) from nodes far from each other, each connected part
-    shifted apart."""
+    """Return the distances in the graph (n, k) from nodes far from each other, in which
+    connected parts are apart."""
     n_parts, part = connected_components(graph, directed=False)
-    # any node of each part, then the farthest from it, the farthest from that, ...; the first is
-    # far from nothing
+    # landmarks, one in each part: the first one is any node, each further one is farthest from those
+    # before it; the first, which may lie anywhere, gives no coordinate
     landmarks = np.unique(part, return_index=True)[1]
     distances = [dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True)]
     for _ in range(_LANDMARKS):
-        order = np.lexsort((np.min(distances[1:] or distances, axis=0), part))
-        landmarks = order[np.r_[np.flatnonzero(np.diff(part[order])), len(order) - 1]]
+        nearest = np.min(distances[1:] or distances, axis=0)
+        order = np.lexsort((nearest, part))
+        ends_of_parts = np.append(np.flatnonzero(np.diff(part[order])), len(order) - 1)
+        landmarks = order[ends_of_parts]
         distances.append(
             dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True)
         )
     result = np.column_stack(distances[1:])
-    return result + (result.max(initial=0.0) + 1) * part[:, None] if n_parts > 1 else result
+    shift = result.max(initial=0.0) + 1
+    return result + shift * part[:, None] if n_parts > 1 else result
 
 
 def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> None:
-    """Write to ``path`` (n,) of each node what the cuts made of it: a digit in base 3 for each depth
-    (0 before, 1 behind, 2 separator), the most significant first. Sorted by path the nodes are in
-    the order of elimination."""
+    """Write to ``path`` (n,), at nodes where it is 0, how the cuts divide the nodes: a digit in base 3
+    for each depth, the most significant first, is 0 before the cut, 1 behind it and 2 on the
+    separator. Sorted by path the nodes are in the order of elimination."""
     edges = sparse.coo_array(graph)
     row, column = edges.coords
     upper = row < column
@@ -181,6 +185,7 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
 def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two masks of nodes (n,): which lie behind the median of their part along its longest
     extent, and which are in a part that is not cut."""
+    # of each part: extent, lowest and median coordinate along each axis
     _, index, size = np.unique(part, return_inverse=True, return_counts=True)
     first = np.r_[0, np.cumsum(size)[:-1]]
     extent, low, middle = (np.empty((len(size), coordinates.shape[1])) for _ in range(3))
@@ -190,12 +195,12 @@ def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.n
         middle[:, k] = ordered[first + size // 2]
         extent[:, k] = ordered[first + size - 1] - low[:, k]
     axis = np.argmax(extent, axis=1)
-    at = np.arange(len(size)), axis
+    longest = np.arange(len(size)), axis
     x = np.take_along_axis(coordinates, axis[index][:, None], axis=1)[:, 0]
     # many equal values, as distances have, may put the median on the lowest: cut above it then
-    above = (middle[at] == low[at])[index]
-    behind = np.where(above, x > middle[at][index], x >= middle[at][index])
-    is_leaf = ((size <= _LEAF) | (extent[at] == 0))[index]
+    above = (middle[longest] == low[longest])[index]
+    behind = np.where(above, x > middle[longest][index], x >= middle[longest][index])
+    is_leaf = ((size <= _LEAF) | (extent[longest] == 0))[index]
     return behind & ~is_leaf, is_leaf
 
 
@@ -222,7 +227,8 @@ class Eliminated:
     shift: np.ndarray  # (n,): diagonal of Sigma at these dofs
 
     def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        r"""Eliminate the interior from a residual; one solve."""
+        r"""Return the interior solution (n_dofs,) of M w = r with r_c = 0, and the residual (n,) of the
+        condensed problem, for a residual r (n_dofs,); one solve."""
         rhs = residual.copy()
         rhs[self.contact] = 0.0
         particular = self.factors.solve(rhs)
@@ -238,7 +244,7 @@ class Eliminated:
         return result
 
     def _stiffness(self, unknowns: np.ndarray) -> np.ndarray:
-        """(S + Sigma) w_c: the right-hand side of M that makes w_c."""
+        """Return (S + Sigma) w_c, the right-hand side of M at c that leads to w_c."""
         return self.matrix @ unknowns + self.shift * unknowns
 
 
@@ -267,12 +273,12 @@ class Condensed(Eliminated):
 
     @cached_property
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
-        """The load, reduced."""
+        """Return what :meth:`reduce` makes of the load."""
         return self.reduce(self.full.load)
 
     @cached_property
     def problem(self) -> LocalProblem:
-        """The condensed problem."""
+        """Return the condensed problem."""
         full = self.full
         n = len(self.full.system.nodes)
         dim = self.full.system.dim
@@ -345,7 +351,8 @@ def condense_problem(problem: DiscreteProblem, lenient: bool = False) -> Condens
 
 @remembered_of_structure
 def _eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
-    """The system, and all of its condensation that does not hold the problem."""
+    """Return the system of a problem, and what its elimination shares with problems of other
+    loads."""
     system = local_system(problem).system
     return system, eliminate(system, problem.coordinates, lenient=True)
 
@@ -374,14 +381,16 @@ def _eliminate(
         factors = OrderedFactors.of(matrix, order)
     except RuntimeError as error:
         raise _Singular from error
-    # SuperLU postorders the elimination tree: row and column k of the permuted matrix became
-    # place[k]
+    # SuperLU postorders the elimination tree: column k of the permuted matrix became place[k], and so
+    # did row k unless a pivot was exchanged
     lu = factors.lu
     place = lu.perm_c
-    rows = lu.perm_r
+    row_place = lu.perm_r
     upper = lu.U
     pivots = upper.diagonal()[place]
-    if not (np.array_equal(place, rows) and (pivots > checks.ROUNDING * factors.diagonal).all()):
+    if not (
+        np.array_equal(place, row_place) and (pivots > checks.ROUNDING * factors.diagonal).all()
+    ):
         raise _Singular
     inverse = np.empty_like(order)
     inverse[order] = np.arange(len(order))
@@ -402,21 +411,22 @@ def _eliminate_dense(
         system.data.reshape(-1, dim, dim)
     )
     matrix = matrix.reshape(n * dim, n * dim)
-    inside = np.flatnonzero(np.repeat(system.contact_of < 0, dim))
-    size = np.sqrt(matrix.diagonal()[inside])
+    interior = np.flatnonzero(np.repeat(system.contact_of < 0, dim))
+    size = np.sqrt(matrix.diagonal()[interior])
     lower = np.empty((0, 0))
     pivots = np.empty(0, dtype=np.int64)
     rank = 0
-    if len(inside):
-        scaled = matrix[np.ix_(inside, inside)] / (size[:, None] * size)
+    if len(interior):
+        scaled = matrix[np.ix_(interior, interior)] / (size[:, None] * size)
         lower, pivots, rank, _ = linalg.lapack.dpstrf(scaled, tol=checks.ROUNDING, lower=1)
-    if rank < len(inside) and not lenient:
+    if rank < len(interior) and not lenient:
         raise _Singular
-    used = pivots[:rank] - 1
-    lower = np.tril(lower[:rank, :rank]) * size[used, None]
-    order = np.append(inside[used], contact)
+    # LAPACK counts from 1
+    independent = pivots[:rank] - 1
+    lower = np.tril(lower[:rank, :rank]) * size[independent, None]
+    order = np.append(interior[independent], contact)
     coupling = linalg.solve_triangular(
-        lower, matrix[np.ix_(inside[used], contact)], lower=True, check_finite=False
+        lower, matrix[np.ix_(interior[independent], contact)], lower=True, check_finite=False
     )
     schur = matrix[np.ix_(contact, contact)] + np.diag(shift) - coupling.T @ coupling
     whole = np.block(

@@ -71,8 +71,8 @@ class NodalContact:
 
     @property
     def reference(self) -> np.ndarray:
-        """The flat array that kernels read next to the gap: displacements of zero slip, of scalar
-        problems the lowest values."""
+        """Return the flat array that kernels read next to the gap: displacements of zero slip, of
+        scalar problems the lowest values."""
         return self.slip_reference.reshape(-1) if self.lowest is None else self.lowest
 
     def opening(self, normal: np.ndarray) -> np.ndarray:
@@ -86,8 +86,8 @@ class NodalContact:
         return below if self.lowest is None else np.maximum(below, self.lowest)
 
     def follow(self, values: np.ndarray, residual: np.ndarray) -> None:
-        """Take the coefficients of the law, in place, at unknowns of the contact nodes and b - A w
-        there, both (n_contact, dim)."""
+        """Set the friction, in place, of a law that depends on the state: at ``values`` of the
+        contact nodes and the residual b - A w there, both (n_contact, dim)."""
         if self.friction_at is not None:
             slip = np.linalg.norm(values[:, 1:] - self.slip_reference, axis=1)
             self.friction[:] = self.friction_at(residual[:, 0], slip)
@@ -96,7 +96,8 @@ class NodalContact:
         self, values: np.ndarray, residual: np.ndarray
     ) -> tuple[NodalContact, np.ndarray | float]:
         """Return the conditions whose bound s + mu p is the tangent of ``B = mu(p, |slip|) p`` at
-        such unknowns, by differences, and ``dB / d|slip|`` (n_contact,), N/m."""
+        ``values``, and ``dB / d|slip|`` (n_contact,), N/m, both by differences; see
+        :meth:`follow`."""
         if self.friction_at is None:
             return self, 0.0
         force = np.maximum(residual[:, 0], 0.0)
@@ -117,8 +118,8 @@ class NodalContact:
 def friction_bound(
     friction_at: FrictionAt, force: np.ndarray, slip: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the bound B = mu(p, s) p (n_contact,), N, and its derivatives by p >= 0 and s, by
-    differences."""
+    """Return the bound B = mu(p, s) p (n_contact,), N, and its derivatives dB/dp and dB/ds by
+    differences, at the forces p >= 0, N, and slips s, m."""
     friction = friction_at(force, slip)
     pressed = (1 + _DIFFERENCE) * force
     rise = friction_at(pressed, slip) * pressed - friction * force
@@ -208,7 +209,7 @@ def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
 
 @dataclass(eq=False)
 class LocalProblem:
-    """A DiscreteProblem in local components: what the nonlinear solvers iterate on."""
+    """A DiscreteProblem in local components, on which the nonlinear solvers iterate."""
 
     system: LocalSystem
     load: np.ndarray  # (n_dofs,): local components, prescribed values lifted, zero at fixed dofs, N
@@ -271,6 +272,7 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     contact, frames = local_contact(problem)
     cartesian = nodal_blocks(problem)[problem.contact.nodes]
     blocks = np.einsum("nij,njk,nlk->nil", frames, cartesian, frames)
+    # rows and columns of held tangents are those of the identity
     free = np.ones((len(blocks), problem.dim))
     free[:, 1:] = ~held_tangents(problem)
     blocks *= free[:, :, None] * free[:, None, :] + np.einsum(
@@ -283,47 +285,51 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
 def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarray) -> NodalContact:
     """Return the contact conditions of a problem in contact frames, for unknowns from which the
     prescribed values are subtracted."""
-    # the prescribed values
-    lifted = to_frames(frames, problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes])
+    prescribed = to_frames(
+        frames, problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes]
+    )
     limit, friction = problem.law.bounds(len(problem.contact))
-    reference = to_frames(frames, problem.contact.slip_reference)[:, 1:] - lifted[:, 1:]
+    reference = to_frames(frames, problem.contact.slip_reference)[:, 1:] - prescribed[:, 1:]
     held = fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]
     reference[held] = 0.0
-    normal_held = None
+    first_held = None
     if problem.dim == 3 and (held[:, 0] & ~held[:, 1]).any():
-        normal_held = held[:, 0] & ~held[:, 1]
+        # the unknown along such a tangent is 0, and its reference minus the prescribed slip
+        first_held = held[:, 0] & ~held[:, 1]
         u = to_frames(frames, problem.at_contact(problem.fixed_values))
         slip = u[:, 1] - np.einsum("nj,nj->n", frames[:, 1], problem.contact.slip_reference)
-        reference[normal_held, 0] = -slip[normal_held]
+        reference[first_held, 0] = -slip[first_held]
     gap = problem.contact.gaps
     lowest = None
     if problem.dim == 1:
-        along = problem.contact.normals[:, 0] > 0
-        lowest = -np.where(along, problem.contact.opposite_gaps, gap)
-        gap = np.where(along, gap, problem.contact.opposite_gaps)
+        # the unknown counts along the axis: where the normal points against it, gaps are below
+        above = problem.contact.normals[:, 0] > 0
+        lowest = -np.where(above, problem.contact.opposite_gaps, gap)
+        gap = np.where(above, gap, problem.contact.opposite_gaps)
     return NodalContact(
-        gap=gap - lifted[:, 0],
+        gap=gap - prescribed[:, 0],
         slip_reference=np.ascontiguousarray(reference),
         limit=np.array(limit, dtype=np.float64),
         friction=np.array(friction, dtype=np.float64),
-        held=normal_held,
+        held=first_held,
         lowest=lowest,
-        friction_at=_friction_at(problem, frames, held, normal_held),
+        friction_at=_friction_at(problem, frames, held, first_held),
         compliance=problem.contact.compliance,
     )
 
 
 def _friction_at(
-    problem: DiscreteProblem, frames: np.ndarray, held: np.ndarray, in_unknowns: np.ndarray | None
+    problem: DiscreteProblem, frames: np.ndarray, held: np.ndarray, first_held: np.ndarray | None
 ) -> FrictionAt | None:
-    """Return the coefficients by forces and slips of the unknowns, to which that along held tangents
-    (n_contact, dim - 1) is added, unless they have it."""
+    """Return the coefficients of friction as a function of forces and slips of the unknowns; None for
+    laws that do not depend on these. The function adds the prescribed slip along ``held`` tangents
+    (n_contact, dim - 1), except at nodes ``first_held``, whose unknowns contain it."""
     if not hasattr(problem.law, "at_state"):  # a tenth of the time of isinstance of a protocol
         return None
     moved = problem.at_contact(problem.fixed_values) - problem.contact.slip_reference
     carried = np.linalg.norm(np.where(held, to_frames(frames, moved)[:, 1:], 0.0), axis=1)
-    if in_unknowns is not None:
-        carried[in_unknowns] = 0.0
+    if first_held is not None:
+        carried[first_held] = 0.0
     return lambda force, slip: problem.friction_at(force, np.hypot(slip, carried))
 
 
@@ -346,17 +352,18 @@ def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     frames = frames_of(problem.contact, fixed)
     if dim == 1:
         frames = np.abs(frames)
-    at_contact = fixed[problem.contact.nodes]
+    fixed_axes = fixed[problem.contact.nodes]
     # tangent j is fixed if all of it lies in fixed Cartesian components
-    share = np.einsum("nij,nj->ni", frames**2, at_contact.astype(float))
-    local = share > 1 - 1e-10
-    if (local.sum(axis=1) != at_contact.sum(axis=1)).any():
-        i = int(np.argmax(local.sum(axis=1) != at_contact.sum(axis=1)))
+    fixed_share = np.einsum("nij,nj->ni", frames**2, fixed_axes.astype(float))
+    fixed_tangents = fixed_share > 1 - 1e-10
+    oblique = fixed_tangents.sum(axis=1) != fixed_axes.sum(axis=1)
+    if oblique.any():
+        i = int(np.argmax(oblique))
         raise ValueError(
             f"fixed: the fixed components at contact node {i} (node {problem.contact.nodes[i]}) are not "
             "tangential; take the node out of the contact boundary or free the component"
         )
-    fixed[problem.contact.nodes] = local
+    fixed[problem.contact.nodes] = fixed_tangents
     return frames, fixed.reshape(-1)
 
 
@@ -394,8 +401,8 @@ TANGENTIAL = 6
 def contact_codes(
     closed: np.ndarray, held: np.ndarray, backwards: np.ndarray | bool = False
 ) -> np.ndarray:
-    """Return codes (n,) int8 of nodes: closed or not, and held or else slip; ``backwards`` counts
-    where they slip."""
+    """Return codes (n,) int8 of nodes: closed or open, and held or slipping, ``backwards`` or in the
+    direction of the tangent."""
     return (np.where(held, HELD, np.where(backwards, BACKWARDS, SLIPS)) + CLOSED * closed).astype(
         np.int8
     )
