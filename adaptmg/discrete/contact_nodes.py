@@ -95,70 +95,62 @@ class ContactNodes:
         opposite_gaps: ArrayLike | None = None,
         compliance: ArrayLike | None = None,
     ) -> None:
-        numbers = checks.array("nodes", nodes, (None,), integer=True)
+        """Check the arrays, and keep read-only copies of them."""
+        nodes = checks.array("nodes", nodes, (None,), integer=True)
         checks.flag("allow_interference", allow_interference)
-        slaves = checks.strings("names", names)
-        n = len(numbers)
-        if len(np.unique(numbers)) < n or numbers.min(initial=0) < 0:
+        names = checks.strings("names", names)
+        n = len(nodes)
+        if len(np.unique(nodes)) < n or nodes.min(initial=0) < 0:
             raise ValueError("nodes must be distinct and >= 0")
-        directions = _unit_normals(normals, n)
-        scalar = directions.shape[1] == 1
-        opposite = _uniform(np.inf, n)
-        if opposite_gaps is not None:
-            opposite = _limits("opposite_gaps", opposite_gaps, (n,))
-        if not scalar and np.isfinite(opposite).any():
+        normals = _unit_normals(normals, n)
+        scalar = normals.shape[1] == 1
+        gaps, opposite_gaps = _checked_gaps(gaps, opposite_gaps, n, scalar)
+        if not allow_interference and gaps.min(initial=0.0) < 0:
+            i = int(np.argmin(gaps))
             raise ValueError(
-                "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "
-                "nodes of each face have gaps to the one that they face"
-            )
-        distances = (
-            _limits("gaps", gaps, (n,)) if scalar else bounded("gaps", gaps, (n,), checks.VAST)
-        )
-        _check_room(distances, opposite)
-        if not allow_interference and distances.min(initial=0.0) < 0:
-            i = int(np.argmin(distances))
-            raise ValueError(
-                f"gaps must be >= 0, got {distances[i]:.6g} at contact node {i}; "
+                f"gaps must be >= 0, got {gaps[i]:.6g} at contact node {i}; "
                 "for an interference fit say allow_interference=True"
             )
-        masses = _uniform(1.0, n) if weights is None else bounded("weights", weights, (n,))
-        if not masses.min(initial=1.0) >= SMALLEST:
+        weights = _uniform(1.0, n) if weights is None else bounded("weights", weights, (n,))
+        if not weights.min(initial=1.0) >= SMALLEST:
             raise ValueError(
-                f"weights must be > 0, and at least {SMALLEST:g}, got {masses.min():.6g}"
+                f"weights must be > 0, and at least {SMALLEST:g}, got {weights.min():.6g}"
             )
-        reference = _uniform(0.0, directions.shape)
-        if slip_reference is not None:
-            reference = bounded("slip_reference", slip_reference, directions.shape, checks.VAST)
-        slid = _nonnegative("accumulated_slip", accumulated_slip, n)
-        soft = _nonnegative("compliance", compliance, n)
-        if scalar and soft.any():
+        if slip_reference is None:
+            slip_reference = _uniform(0.0, normals.shape)
+        else:
+            slip_reference = bounded("slip_reference", slip_reference, normals.shape, checks.VAST)
+        accumulated_slip = _nonnegative("accumulated_slip", accumulated_slip, n)
+        compliance = _nonnegative("compliance", compliance, n)
+        if scalar and compliance.any():
             raise ValueError("compliance must be 0 in scalar problems")
-        places = np.zeros(n, dtype=np.int64) if boundary is None else boundary
-        places = checks.array("boundary", places, (n,), integer=True)
-        if not ((places >= 0) & (places < len(slaves))).all():
-            raise ValueError(f"boundary must index names ({len(slaves)} given), got {places}")
-        faced = ("",) * len(slaves) if masters is None else _checked_masters(masters)
-        if len(faced) != len(slaves):
-            raise ValueError(f"masters must go with names ({len(slaves)}), got {len(faced)}")
-        taken = checks.no_entries((n, 0))
+        if boundary is None:
+            boundary = np.zeros(n, dtype=np.int64)
+        boundary = checks.array("boundary", boundary, (n,), integer=True)
+        if not ((boundary >= 0) & (boundary < len(names))).all():
+            raise ValueError(f"boundary must index names ({len(names)} given), got {boundary}")
+        masters = ("",) * len(names) if masters is None else _checked_masters(masters)
+        if len(masters) != len(names):
+            raise ValueError(f"masters must go with names ({len(names)}), got {len(masters)}")
+        shares = checks.no_entries((n, 0))
         if taken_over is not None:
-            taken = sparse.csr_array(checks.sparse_matrix("taken_over", taken_over, (n, None)))
-            if not taken.data.min(initial=0.0) >= 0:
-                raise ValueError(f"taken_over must be >= 0, got {taken.data.min():.6g}")
+            shares = sparse.csr_array(checks.sparse_matrix("taken_over", taken_over, (n, None)))
+            if not shares.data.min(initial=0.0) >= 0:
+                raise ValueError(f"taken_over must be >= 0, got {shares.data.min():.6g}")
         self.__dict__.update(
-            nodes=numbers,
-            normals=directions,
-            gaps=distances,
-            weights=masses,
-            slip_reference=reference,
-            accumulated_slip=slid,
+            nodes=nodes,
+            normals=normals,
+            gaps=gaps,
+            weights=weights,
+            slip_reference=slip_reference,
+            accumulated_slip=accumulated_slip,
             allow_interference=bool(allow_interference),
-            boundary=places,
-            names=slaves,
-            masters=faced,
-            taken_over=taken,
-            opposite_gaps=opposite,
-            compliance=soft,
+            boundary=boundary,
+            names=names,
+            masters=masters,
+            taken_over=shares,
+            opposite_gaps=opposite_gaps,
+            compliance=compliance,
         )
 
     __repr__ = brief
@@ -187,20 +179,20 @@ class ContactNodes:
         """Return the number of unknowns of a node: the space dimension, of scalar problems 1."""
         return self.normals.shape[1]
 
-    def facing(self, moved: np.ndarray) -> ContactNodes:
+    def facing(self, displacement: np.ndarray) -> ContactNodes:
         """Return the nodes of a scalar problem with the normals and gaps of the obstacles that are
         nearest at displacements (n_contact, dim), and without the opposite ones."""
         if self.dim > 1:
             return self
-        u_n = np.einsum("nd,nd->n", moved, self.normals)
-        turned = self.gaps - u_n > self.opposite_gaps + u_n
-        result = copy.copy(self)
-        result.__dict__.update(
-            normals=np.where(turned[:, None], -self.normals, self.normals),
-            gaps=np.where(turned, self.opposite_gaps, self.gaps),
+        u_n = np.einsum("nd,nd->n", displacement, self.normals)
+        opposite_is_nearer = self.gaps - u_n > self.opposite_gaps + u_n
+        facing_nearest = copy.copy(self)
+        facing_nearest.__dict__.update(
+            normals=np.where(opposite_is_nearer[:, None], -self.normals, self.normals),
+            gaps=np.where(opposite_is_nearer, self.opposite_gaps, self.gaps),
             opposite_gaps=np.full(len(self), np.inf),
         )
-        return result
+        return facing_nearest
 
     @property
     def measures(self) -> np.ndarray:
@@ -256,8 +248,25 @@ def _limits(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     return limits
 
 
+def _checked_gaps(
+    gaps: ArrayLike, opposite_gaps: ArrayLike | None, n: int, scalar: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the gaps (n,) and the opposite gaps (n,) of contact nodes, read-only."""
+    opposite = _uniform(np.inf, n)
+    if opposite_gaps is not None:
+        opposite = _limits("opposite_gaps", opposite_gaps, (n,))
+    if not scalar and np.isfinite(opposite).any():
+        raise ValueError(
+            "opposite_gaps are for scalar problems (dim 1): of a body between two obstacles the "
+            "nodes of each face have gaps to the one that they face"
+        )
+    gaps = _limits("gaps", gaps, (n,)) if scalar else bounded("gaps", gaps, (n,), checks.VAST)
+    _check_room(gaps, opposite)
+    return gaps, opposite
+
+
 def _check_room(gaps: np.ndarray, opposite: np.ndarray) -> None:
-    """ValueError unless each node has an obstacle, and room between two."""
+    """Raise ValueError unless each node has an obstacle, and room between two."""
     bad = ~(gaps + opposite > 0) | np.isinf(np.minimum(gaps, opposite))
     if bad.any():
         i = int(np.argmax(bad))
@@ -308,33 +317,36 @@ class Bounds:
             raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
         gaps = []  # against the axes, and along them
         for name, limit, sign in (("lower", lower, -1.0), ("upper", upper, 1.0)):
-            given = np.full(shape, limit) if np.ndim(limit) == 0 else limit
-            values = sign * _limits(f"bounds.{name}", given, shape).reshape(-1)
+            values_given = np.full(shape, limit) if np.ndim(limit) == 0 else limit
+            values = sign * _limits(f"bounds.{name}", values_given, shape).reshape(-1)
             if (values == -np.inf).any():
                 raise ValueError(
                     f"bounds.{name} must be {'<' if sign < 0 else '>'} {-sign * np.inf}, got {-sign * np.inf}"
                 )
             gaps.append(np.where(fixed, np.inf, values))
         dim = shape[1] if len(shape) == 2 else 1
-        sides = np.stack(gaps, axis=1).reshape(-1, dim, 2)
-        count = np.isfinite(sides).sum(axis=(1, 2))
-        nodes = np.flatnonzero(count)
-        node, component, side = np.nonzero(np.isfinite(sides))
+        gaps_by_side = np.stack(gaps, axis=1).reshape(-1, dim, 2)
+        n_limits = np.isfinite(gaps_by_side).sum(axis=(1, 2))
+        nodes = np.flatnonzero(n_limits)
+        node, component, side = np.nonzero(np.isfinite(gaps_by_side))
         normals = np.ones((len(nodes), dim))
-        parts: dict[str, Any] = {"gaps": sides[nodes, 0, 1], "opposite_gaps": sides[nodes, 0, 0]}
+        limits: dict[str, Any] = {
+            "gaps": gaps_by_side[nodes, 0, 1],
+            "opposite_gaps": gaps_by_side[nodes, 0, 0],
+        }
         if dim > 1:
-            if (count > 1).any():
+            if (n_limits > 1).any():
                 raise ValueError(
-                    f"bounds: node {np.argmax(count > 1)} has several finite limits, a node of a body "
+                    f"bounds: node {np.argmax(n_limits > 1)} has several finite limits, a node of a body "
                     "can have one: give the nodes of each face of the body the limit that it meets"
                 )
             normals = np.eye(dim)[component] * (2.0 * side - 1.0)[:, None]
-            parts = {"gaps": sides[node, component, side]}
+            limits = {"gaps": gaps_by_side[node, component, side]}
         weights = self.weights
         if weights is not None:
-            weights = bounded("bounds.weights", weights, (len(sides),))[nodes]
+            weights = bounded("bounds.weights", weights, (len(gaps_by_side),))[nodes]
         return ContactNodes(
-            nodes=nodes, normals=normals, weights=weights, allow_interference=True, **parts
+            nodes=nodes, normals=normals, weights=weights, allow_interference=True, **limits
         )
 
 

@@ -53,6 +53,7 @@ class Coupling:
     _series: sparse.csr_array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        """Compute the products with W that the changes of coordinates take."""
         weights = self.weights
         n = self.weights.shape[0]
         dim = len(self.fixed) // n
@@ -78,7 +79,7 @@ class Coupling:
 
     @property
     def dim(self) -> int:
-        """Components a node."""
+        """Return the number of components of a node."""
         return len(self.fixed) // self.weights.shape[0]
 
     def physical(self, relative: np.ndarray) -> np.ndarray:
@@ -152,6 +153,12 @@ def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
     return result
 
 
+def friction_acts(law: Law, n: int) -> np.ndarray:
+    """Return at which of n contact nodes (n,) a law lets friction act, in some state at least."""
+    limit, _ = law.bounds(n)
+    return (np.asarray(limit) > 0) | sampled_friction(law, n).any(axis=0)
+
+
 def held_slaves(
     nodes: np.ndarray,
     weights: sparse.csr_array,
@@ -162,16 +169,16 @@ def held_slaves(
     """Return the numbers of the contact nodes that a support holds along the surface, not so what
     they face, where friction acts: their slip is not an unknown."""
     fixed = fixed.reshape(weights.shape[0], -1)
-    limit, _ = law.bounds(len(nodes))
-    friction = sampled_friction(law, len(nodes)).max(axis=0)
     rows = sparse.csr_array(weights[nodes])
     facing = facing_part(rows)
-    acts = ((np.asarray(limit) > 0) | (np.asarray(friction) > 0)) & (facing.sum(axis=1) > 0)
+    rubs = friction_acts(law, len(nodes)) & (facing.sum(axis=1) > 0)
     held = (fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)).any(axis=1)
-    either = np.any(fixed, axis=1)
-    either[inclined.nodes] = True
-    held |= np.isin(nodes, inclined.nodes) & (facing @ either.astype(float) <= checks.SIX_DIGITS)
-    return np.flatnonzero(acts & held)
+    held_anyhow = np.any(fixed, axis=1)
+    held_anyhow[inclined.nodes] = True
+    held |= np.isin(nodes, inclined.nodes) & (
+        facing @ held_anyhow.astype(float) <= checks.SIX_DIGITS
+    )
+    return np.flatnonzero(rubs & held)
 
 
 class Unknowns:
@@ -190,7 +197,7 @@ class Unknowns:
 
     @property
     def held(self) -> np.ndarray:
-        """The dofs (n_dofs,) bool that supports prescribe: the fixed ones but the relative
+        """Return the dofs (n_dofs,) bool that supports prescribe: the fixed ones but the relative
         displacements of ties."""
         return self.fixed if self.coupling is None else self.coupling.fixed
 
@@ -201,7 +208,7 @@ class Unknowns:
 
     @property
     def dim(self) -> int:
-        """Space dimension."""
+        """Return the space dimension."""
         return self.contact.dim
 
     def physical(self, unknowns: np.ndarray) -> np.ndarray:
@@ -271,12 +278,16 @@ class Unknowns:
         prescribed = self.fixed.reshape(-1, self.dim)[nodes]
         if self.coupling is not None and prescribed.any():
             # such components are no relative coordinates
-            moved = self.physical(nodal)
+            displacement = self.physical(nodal)
             result = np.where(
-                prescribed, moved[nodes] - self.coupling.weights[nodes] @ moved, result
+                prescribed,
+                displacement[nodes] - self.coupling.weights[nodes] @ displacement,
+                result,
             )
-            for at, weights, c in self.held_together():
-                result[at, c] = moved[nodes[at], c] - weights @ moved[:, c]
+            for slaves, weights, component in self.held_together():
+                result[slaves, component] = (
+                    displacement[nodes[slaves], component] - weights @ displacement[:, component]
+                )
         return self.inclined.free_part(nodes, result)
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
@@ -287,40 +298,41 @@ class Unknowns:
         n_nodes) of the fixed master nodes, scaled to row sums 1, and the component."""
         if self.coupling is None:
             return []
-        rows = self.coupling.weights[self.contact.nodes]
+        facing_rows = self.coupling.weights[self.contact.nodes]
         fixed = self.held.reshape(-1, self.dim)
         result = []
-        for c in range(self.dim):
-            held = np.flatnonzero(fixed[self.contact.nodes, c])
+        for component in range(self.dim):
+            held = np.flatnonzero(fixed[self.contact.nodes, component])
             weights = sparse.csr_array(
-                facing_part(rows[held]) @ sparse.diags_array(fixed[:, c].astype(float))
+                facing_part(facing_rows[held])
+                @ sparse.diags_array(fixed[:, component].astype(float))
             )
-            total = np.asarray(weights.sum(axis=1)).ravel()
-            carried = total > checks.SIX_DIGITS
-            scale = sparse.diags_array(1 / total[carried], format="csr")
-            result.append((held[carried], sparse.csr_array(scale @ weights[carried]), c))
+            weight_sums = np.asarray(weights.sum(axis=1)).ravel()
+            carried = weight_sums > checks.SIX_DIGITS
+            scale = sparse.diags_array(1 / weight_sums[carried], format="csr")
+            result.append((held[carried], sparse.csr_array(scale @ weights[carried]), component))
         return result
 
 
 def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
     """Return orthonormal frames at contact nodes."""
-    n = contact.normals
-    frames = np.empty((len(n), contact.dim, contact.dim))
-    frames[:, 0] = n
+    normals = contact.normals
+    frames = np.empty((len(normals), contact.dim, contact.dim))
+    frames[:, 0] = normals
     if contact.dim == 1:
         return frames
     if contact.dim == 2:
-        frames[:, 1, 0] = -n[:, 1]
-        frames[:, 1, 1] = n[:, 0]
+        frames[:, 1, 0] = -normals[:, 1]
+        frames[:, 1, 1] = normals[:, 0]
         return frames
     # the Cartesian axis nearest the tangent plane, projected into it; a fixed axis lies in the
     # plane and goes first
-    key = np.abs(n) - 2.0 * fixed[contact.nodes]
-    axis = np.eye(3)[np.argmin(key, axis=1)]
-    t1 = axis - np.sum(axis * n, axis=1)[:, None] * n
+    preference = np.abs(normals) - 2.0 * fixed[contact.nodes]
+    axis = np.eye(3)[np.argmin(preference, axis=1)]
+    t1 = axis - np.sum(axis * normals, axis=1)[:, None] * normals
     t1 /= np.linalg.norm(t1, axis=1)[:, None]
     frames[:, 1] = t1
-    frames[:, 2] = np.cross(n, t1)
+    frames[:, 2] = np.cross(normals, t1)
     return frames
 
 

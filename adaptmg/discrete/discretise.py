@@ -23,6 +23,7 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
+from adaptmg.discrete.coordinates import friction_acts
 from adaptmg.discrete.elasticity import rigid_motions
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.obstacles import check_held
@@ -32,7 +33,6 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
-from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import InitialStrain
 
 
@@ -152,12 +152,8 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     check_bounds(law, len(contact))
     if old.coupling is not None:
         # which slave nodes carry multipliers depends on where friction acts
-        carrying, before = (
-            (acting.bounds(len(contact))[0] > 0)
-            | sampled_friction(acting, len(contact)).any(axis=0)
-            for acting in (law, old.law)
-        )
-        if not np.array_equal(carrying, before):
+        n = len(contact)
+        if not np.array_equal(friction_acts(law, n), friction_acts(old.law, n)):
             return assembled(posed)
     parts = {"law": law, "name": f"{problem.name}, {mesh.n_nodes} nodes"}
     if changed:

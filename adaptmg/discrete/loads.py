@@ -133,13 +133,15 @@ def check_loads(mesh: MeshArrays, loads: Sequence[Load]) -> None:
         surface = mesh.surface(load.boundary)
         corners = mesh.points[surface.facets]
         _, points, _ = integration(mesh.points, surface.facets, surface.measures, False)
-        between = np.random.default_rng(0).dirichlet(np.ones(mesh.dim), _BETWEEN)
-        more = np.einsum("sk,fkd->fsd", between, corners)
-        seen, present = (load_density(load, at, surface.normals).any() for at in (points, more))
-        if present and not seen:
-            size = np.ptp(corners, axis=1).max()
+        barycentric = np.random.default_rng(0).dirichlet(np.ones(mesh.dim), _BETWEEN)
+        between_points = np.einsum("sk,fkd->fsd", barycentric, corners)
+        acts_where_integrated, acts_anywhere = (
+            load_density(load, at, surface.normals).any() for at in (points, between_points)
+        )
+        if acts_anywhere and not acts_where_integrated:
+            edge = np.ptp(corners, axis=1).max()
             raise ValueError(
-                f"the {type(load).__name__} on {load.boundary!r} acts on less than an edge ({size:.3g} m) "
+                f"the {type(load).__name__} on {load.boundary!r} acts on less than an edge ({edge:.3g} m) "
                 "and integrates to 0: take a finer mesh there, or make that part a boundary of its own"
             )
 
@@ -223,8 +225,8 @@ def initial_strain_load(
 def _at_quadrature_points(
     mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return elements (n,), strain (n, n_quadrature, 3), quadrature weights (n, n_quadrature), barycentric
-    points."""
+    """Return the elements (n,) of an initial strain, the strain (n, n_quadrature, 3) there, the
+    quadrature weights (n, n_quadrature), and the barycentric points (n_quadrature, dim + 1)."""
     n = len(load.components)
     if n not in (mesh.dim, 3):
         raise ValueError(
@@ -298,14 +300,14 @@ def supported_stiffness(
         matrix = sparse.bsr_array(matrix + formed_volumes(mesh, materials)).sorted_indices()
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
-        rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))
-        keys = pair_keys(rows, matrix.indices, mesh.n_nodes)
+        block_rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))
+        keys = pair_keys(block_rows, matrix.indices, mesh.n_nodes)
     for spring in springs:
         cells, blocks = spring_elements(mesh, spring, is_axisymmetric(material))
-        wanted = pair_keys(cells[:, :, None], cells[:, None, :], mesh.n_nodes)
+        spring_keys = pair_keys(cells[:, :, None], cells[:, None, :], mesh.n_nodes)
         np.add.at(
             matrix.data,
-            np.searchsorted(keys, wanted.ravel()),
+            np.searchsorted(keys, spring_keys.ravel()),
             blocks.reshape(-1, mesh.dim, mesh.dim),
         )
     return matrix
@@ -337,9 +339,9 @@ def spring_resultants(
 
 def moment(arms: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Return the sum of the moments of forces (n, dim) with arms (n, dim): 2D (1,), 3D (3,)."""
-    every = (
+    moments = (
         np.cross(arms, forces)
         if arms.shape[1] == 3
         else arms[:, :1] * forces[:, 1:] - arms[:, 1:] * forces[:, :1]
     )
-    return every.sum(axis=0)
+    return moments.sum(axis=0)

@@ -164,6 +164,7 @@ def isotropic(
     k = 2 * mesh.dim
     table = shear[:, None, None] * np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])[:k, :k]
     table[:, :3, :3] += lame[:, None, None]
+    # of a sheet the row zz makes the strain through the thickness, not a stress
     table[thin, 2] = 0.0
     table[thin, :, 2] = 0.0
     table[thin, 2, :2] = -(lame / (2 * shear))[thin, None]
@@ -175,11 +176,12 @@ def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np
     i, j = PAIRS.T
     k = 2 * material.dim
     axes = anisotropy.rotations(points)
+    # T of the module: products of components of the axes, in the order of PAIRS
     turn = axes[:, i][:, :, i] * axes[:, j][:, :, j] + axes[:, i][:, :, j] * axes[:, j][:, :, i]
     turn[:, :3] *= 0.5
     result = turn.swapaxes(1, 2) @ np.array(anisotropy.stiffness)[np.ix_(_VOIGT, _VOIGT)] @ turn
     result = (0.5 * (result + result.swapaxes(1, 2)))[:, :k, :k]
-    if isinstance(material, PlaneStress):
+    if isinstance(material, PlaneStress):  # without the stress through the thickness
         through = -result[:, 2] / result[:, 2, 2, None]
         result += result[:, 2, :, None] * through[:, None]
         result[:, :, 2] = 0.0

@@ -161,11 +161,11 @@ def pair_interface(
     axisymmetric = posed.problem.axisymmetric
     slave, master = sides
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
-        nothing = sparse.csr_array((0, mesh.n_nodes))
+        no_rows = sparse.csr_array((0, mesh.n_nodes))
         return MortarInterface(
-            slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), nothing, np.empty(0)
+            slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), no_rows, np.empty(0)
         )
-    what = f"contact pair {pair.slave!r} on {pair.master!r}"
+    named_pair = f"contact pair {pair.slave!r} on {pair.master!r}"
     try:
         normals = slave_normals(slave, posed)
         surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
@@ -177,29 +177,29 @@ def pair_interface(
         if 0 < len(hanging) < len(interface) and pair.coupling == "mortar":
             interface = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
-        raise ValueError(f"{what}: {error}") from error
+        raise ValueError(f"{named_pair}: {error}") from error
     gaps = interface.gaps.copy()
     if pair.gap is not None:
-        gaps = checks.field(f"gap of {what}", pair.gap, mesh.points[interface.nodes])
+        gaps = checks.field(f"gap of {named_pair}", pair.gap, mesh.points[interface.nodes])
         # rows may contain slave nodes without a multiplier: their gaps count with the same weights
-        silent = np.setdiff1d(slave.nodes, interface.nodes)
-        if len(silent):
-            gaps = gaps - cast("sparse.csr_array", interface.coupling)[:, silent] @ checks.field(
-                f"gap of {what}", pair.gap, mesh.points[silent]
-            )
+        without_multiplier = np.setdiff1d(slave.nodes, interface.nodes)
+        if len(without_multiplier):
+            gaps = gaps - cast("sparse.csr_array", interface.coupling)[
+                :, without_multiplier
+            ] @ checks.field(f"gap of {named_pair}", pair.gap, mesh.points[without_multiplier])
     if not pair.allow_interference:
-        known = isinstance(slave, Curved)
-        tolerance = np.full(len(gaps), (checks.ALIKE if known else checks.ROUNDING) * surfaces.size)
+        exact = isinstance(slave, Curved)
+        tolerance = np.full(len(gaps), (checks.ALIKE if exact else checks.ROUNDING) * surfaces.size)
         if pair.gap is None:
             tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
             # the surfaces themselves must overlap, and not only a mean of their distance with
             # weights of both signs
             tolerance[interface.closest >= -tolerance] = np.inf
-        wrong = np.flatnonzero(gaps < -tolerance)
-        if len(wrong):
-            deepest = wrong[np.argmin(gaps[wrong])]
+        overlapping = np.flatnonzero(gaps < -tolerance)
+        if len(overlapping):
+            deepest = overlapping[np.argmin(gaps[overlapping])]
             raise ValueError(
-                f"{what}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
+                f"{named_pair}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
                 f"{tuple(mesh.points[interface.nodes[deepest]].tolist())}: move one of them apart, or "
                 "say allow_interference=True for an interference fit"
             )
@@ -213,19 +213,19 @@ def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse
     n = len(surface.points)
     corners = surface.facets.shape[1]
     integrals = np.repeat(surface.shape_integrals(axisymmetric), corners, axis=1)
-    near = _assembled(integrals, surface.facets, surface.facets, n)
-    share = sparse.diags_array(carries.astype(float), format="csr")
-    reached = carries.copy()
+    mass = _assembled(integrals, surface.facets, surface.facets, n)
+    shares = sparse.diags_array(carries.astype(float), format="csr")
+    is_reached = carries.copy()
     while True:  # each pass reaches further nodes, or is the last
-        onwards = near @ reached
-        new = (onwards > 0) & ~reached
-        if not new.any():
+        reached_mass = mass @ is_reached
+        newly_reached = (reached_mass > 0) & ~is_reached
+        if not newly_reached.any():
             break
-        scale = np.divide(1.0, onwards, out=np.zeros(n), where=new)
-        rows = sparse.diags_array(scale) @ near @ sparse.diags_array(reached.astype(float))
-        share = sparse.csr_array(share + rows @ share)
-        reached |= new
-    return share
+        scale = np.divide(1.0, reached_mass, out=np.zeros(n), where=newly_reached)
+        new_shares = sparse.diags_array(scale) @ mass @ sparse.diags_array(is_reached.astype(float))
+        shares = sparse.csr_array(shares + new_shares @ shares)
+        is_reached |= newly_reached
+    return shares
 
 
 def taken_over(
@@ -244,13 +244,14 @@ def taken_over(
 
 
 def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
+    """Return the interface of two surfaces, coupled as the pair asks: by nodes or by mortar."""
     if pair.coupling == "nodes":
         return node_to_node(surfaces)
     return mortar(surfaces, pair.reach)
 
 
 def _edge_lengths(surface: Surface) -> np.ndarray:
-    """Lengths (n, dim) of the edges of facets; in 2D each twice."""
+    """Return the lengths (n, dim) of the edges of facets; in 2D each twice."""
     corners = surface.points[surface.facets]
     return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
 
@@ -266,7 +267,7 @@ def chord_heights(surface: Surface) -> np.ndarray:
 
 
 def _facet_heights(surface: Surface) -> np.ndarray:
-    """At nodes (n_nodes,) of a surface the largest height of a facet there; zero elsewhere."""
+    """Return the largest height of a facet at each node (n_nodes,) of a surface; zero elsewhere."""
     result = np.zeros(len(surface.points))
     np.maximum.at(result, surface.facets, chord_heights(surface)[0][:, None])
     return result
@@ -279,26 +280,30 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     nodes = surfaces.slave_side.nodes
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
-    facing = surfaces.master_side.nodes
-    partner = facing[cKDTree(points[facing]).query(points[nodes])[1]]
-    apart = points[partner] - points[nodes]
+    master_nodes = surfaces.master_side.nodes
+    partner = master_nodes[cKDTree(points[master_nodes]).query(points[nodes])[1]]
+    to_partner = points[partner] - points[nodes]
     normal = normals[nodes]
-    gaps = np.einsum("nd,nd->n", apart, normal)
-    offset = np.linalg.norm(apart - gaps[:, None] * normal, axis=1)
-    faces = _with_partners(surfaces, nodes, partner, offset)
+    gaps = np.einsum("nd,nd->n", to_partner, normal)
+    offset = np.linalg.norm(to_partner - gaps[:, None] * normal, axis=1)
+    has_partner = _with_partners(surfaces, nodes, partner, offset)
     n = len(points)
     carries = surfaces.carries
-    matched = np.isin(np.arange(n), nodes[faces])
+    matched = np.isin(np.arange(n), nodes[has_partner])
     weights = surfaces.slave_side.lumped(surfaces.axisymmetric)
-    taken = taken_over(surfaces.slave_side, carries, surfaces.axisymmetric, matched)
-    taken = sparse.diags_array(1 / np.where(weights > 0, weights, 1.0)) @ taken
+    taken_by_neighbours = taken_over(surfaces.slave_side, carries, surfaces.axisymmetric, matched)
+    taken_by_neighbours = (
+        sparse.diags_array(1 / np.where(weights > 0, weights, 1.0)) @ taken_by_neighbours
+    )
     distances = np.bincount(nodes, gaps, minlength=n)
-    apart = sparse.csr_array((np.ones(len(nodes)), (nodes, partner)), shape=(n, n))
-    coupling = sparse.csr_array(apart + taken @ (apart - sparse.eye_array(n, format="csr")))
-    carrying = carries[nodes]
-    nodes = nodes[carrying]
-    normal = normal[carrying]
-    gaps = gaps[carrying]
+    partners = sparse.csr_array((np.ones(len(nodes)), (nodes, partner)), shape=(n, n))
+    coupling = sparse.csr_array(
+        partners + taken_by_neighbours @ (partners - sparse.eye_array(n, format="csr"))
+    )
+    carries_multiplier = carries[nodes]
+    nodes = nodes[carries_multiplier]
+    normal = normal[carries_multiplier]
+    gaps = gaps[carries_multiplier]
     weights = weights[nodes]
     if not weights.min() > 0:
         raise ValueError(
@@ -309,10 +314,10 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
         nodes=nodes,
         normals=normal,
         weights=weights,
-        gaps=gaps + (taken @ distances)[nodes],
+        gaps=gaps + (taken_by_neighbours @ distances)[nodes],
         coupling=_without_rounding(sparse.csr_array(coupling[nodes])),
         closest=gaps,
-        taken_over=sparse.csr_array(taken)[nodes],
+        taken_over=sparse.csr_array(taken_by_neighbours)[nodes],
     )
 
 
@@ -360,9 +365,9 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
                 "the surfaces face each other only where slave nodes are excluded, or on a sliver of each "
                 "facet; take the other surface as slave"
             )
-        within = "" if reach is None else f" within a reach of {reach:.6g} m"
+        within_reach = "" if reach is None else f" within a reach of {reach:.6g} m"
         raise ValueError(
-            f"{NEVER_FACING}{within}: no ray along a normal of the slave surface meets the outer side of "
+            f"{NEVER_FACING}{within_reach}: no ray along a normal of the slave surface meets the outer side of "
             "the master surface. Check their positions and the orientation of their facets, or give a "
             "larger reach"
         )
@@ -379,14 +384,16 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     )
     share = share + np.eye(carries.shape[1]) * (carries | without_multiplier[:, None])[:, :, None]
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
-    # the matrix of slave nodes is ``diagonal`` at nodes with a multiplier, ``taken`` at others
+    # the matrix of slave nodes is ``diagonal`` at nodes with a multiplier, ``taken_over_rows`` at others
     mass_without_multiplier = share * np.where(carries, 0.0, shape_mass)[:, None, :]
     slave = surfaces.slave[parts.slave]
     products = np.einsum("piq,pqk->pik", tests, parts.shapes)
     facing = _assembled(products, slave, surfaces.master[parts.master], n_nodes)
-    taken = None
+    taken_over_rows = None
     if mass_without_multiplier.any():
-        taken = _assembled(mass_without_multiplier, surfaces.slave, surfaces.slave, n_nodes)
+        taken_over_rows = _assembled(
+            mass_without_multiplier, surfaces.slave, surfaces.slave, n_nodes
+        )
     diagonal = np.bincount(
         surfaces.slave.ravel(), np.where(carries, shape_mass, 0.0).ravel(), minlength=n_nodes
     )
@@ -395,19 +402,19 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     )
     least = checks.ROUNDING * surfaces.slave_side.lumped(surfaces.axisymmetric)
     nodes = np.flatnonzero(diagonal > least)
-    if taken is not None and without_multiplier[parts.slave].any():
+    if taken_over_rows is not None and without_multiplier[parts.slave].any():
         node_share = _shares(surfaces.slave_side, diagonal > least, surfaces.axisymmetric).T
         facing = sparse.csr_array(node_share @ facing)
-        taken = sparse.csr_array(node_share @ taken)
+        taken_over_rows = sparse.csr_array(node_share @ taken_over_rows)
         gaps = node_share @ gaps
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
-    scale = sparse.diags_array(1 / diagonal[nodes], format="csr")
-    coupling = scale @ facing[nodes]
-    if taken is not None:
-        taken = sparse.csr_array(scale @ taken[nodes])
-        taken.eliminate_zeros()
-        coupling = coupling - taken
+    over_diagonal = sparse.diags_array(1 / diagonal[nodes], format="csr")
+    coupling = over_diagonal @ facing[nodes]
+    if taken_over_rows is not None:
+        taken_over_rows = sparse.csr_array(over_diagonal @ taken_over_rows[nodes])
+        taken_over_rows.eliminate_zeros()
+        coupling = coupling - taken_over_rows
     return MortarInterface(
         nodes=nodes,
         normals=surfaces.normals[nodes],
@@ -415,33 +422,36 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         gaps=gaps[nodes] / diagonal[nodes],
         coupling=_without_rounding(sparse.csr_array(coupling)),
         closest=closest[nodes],
-        taken_over=taken,
+        taken_over=taken_over_rows,
     )
 
 
 def _assembled(
     values: np.ndarray, rows: np.ndarray, columns: np.ndarray, n_nodes: int
 ) -> sparse.csr_array:
-    """The matrix (n_nodes, n_nodes) to which facets, with nodes (n, k) each, give blocks (n, k, k)."""
+    """Return the matrix (n_nodes, n_nodes) to which facets, with nodes (n, k) each, give blocks (n, k, k)."""
     k = rows.shape[1]
     ends = np.repeat(rows, k, axis=1).ravel(), np.tile(columns, (1, k)).ravel()
     return sparse.csr_array((values.ravel(), ends), shape=(n_nodes, n_nodes))
 
 
 def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measures (n_slave,) of what is covered of slave facets, shape functions (n_slave, dim) at the
-    centroids of that, and dual functions (n, n_points, dim)."""
-    measure, centroid, off, covariance = parts.means()
+    """Return the measures (n_slave,) of the covered parts of slave facets, shape functions (n_slave,
+    dim) at their centroids, and dual functions (n, n_points, dim) at the points of the parts."""
+    measure, centroid, from_centroid, covariance = parts.means()
     corners = np.swapaxes(parts.corners - centroid[:, None], 1, 2)
     n, k = corners.shape[::2]
     # as many right sides as matrices: numpy 1 takes fewer for vectors
-    right = np.broadcast_to(np.eye(k)[:, :1], (n, k, 1))
-    shape = np.linalg.solve(np.concatenate([np.ones((n, 1, k)), corners], axis=1), right)[..., 0]
-    towards = np.linalg.solve(covariance, corners)
+    first_unit = np.broadcast_to(np.eye(k)[:, :1], (n, k, 1))
+    shape = np.linalg.solve(np.concatenate([np.ones((n, 1, k)), corners], axis=1), first_unit)[
+        ..., 0
+    ]
+    weighted_corners = np.linalg.solve(covariance, corners)
     return (
         measure,
         shape,
-        shape[parts.slave, None] * (1 + np.einsum("pqa,paj->pqj", off, towards[parts.slave])),
+        shape[parts.slave, None]
+        * (1 + np.einsum("pqa,paj->pqj", from_centroid, weighted_corners[parts.slave])),
     )
 
 

@@ -93,21 +93,21 @@ class LoadSteps:
     def fixed_values(self, factors: Mapping[str, float]) -> np.ndarray:
         """Return the prescribed displacement (n_dofs,) of a step, zero at free dofs, m."""
         result = np.zeros(self.n_dofs)
-        owner = np.full(self.n_dofs, -1)
+        support_of_dof = np.full(self.n_dofs, -1)
         for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
             scaled = factors.get(name, 1.0) * values
-            apart = np.abs(result[dofs] - scaled) > 1e-12 * np.abs(scaled)
-            clash = (owner[dofs] >= 0) & apart
+            differs = np.abs(result[dofs] - scaled) > 1e-12 * np.abs(scaled)
+            clash = (support_of_dof[dofs] >= 0) & differs
             if clash.any():
                 dof = int(dofs[np.argmax(clash)])
-                other = list(self.prescribed)[owner[dof]]
+                other = list(self.prescribed)[support_of_dof[dof]]
                 raise ValueError(
                     f"the factors of {other!r} and {name!r} prescribe different displacements, "
                     f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
                     "give both the same factors"
                 )
             result[dofs] = scaled
-            owner[dofs] = k
+            support_of_dof[dofs] = k
         return result
 
 

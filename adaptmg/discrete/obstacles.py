@@ -77,25 +77,29 @@ def check_held(
     """Raise ValueError if supports hold nodes in a load step inside an obstacle, in its place of
     this step."""
     points = posed.mesh.points
-    moved = discrete.fixed_values.reshape(points.shape).copy()
-    moved[discrete.inclined.nodes] += discrete.inclined.prescribed(factors or {})
+    prescribed = discrete.fixed_values.reshape(points.shape).copy()
+    prescribed[discrete.inclined.nodes] += discrete.inclined.prescribed(factors or {})
     for k, contact in enumerate(posed.problem.contact):
         if contact.allow_interference or isinstance(contact, ContactPair):
             continue
-        obstacle = (places or {}).get(k, _first(contact))
-        if not moved.any() and not isinstance(obstacle, Moving):
+        obstacle = (places or {}).get(k, _obstacle_of(contact))
+        if not prescribed.any() and not isinstance(obstacle, Moving):
             continue
         nodes = posed.surfaces[contact.boundary].nodes
         normals, gaps = facing_obstacle(obstacle, contact.boundary, points[nodes], posed.outward[k])
         free = posed.free_part(nodes, normals)
-        along = np.einsum("nd,nd->n", normals, moved[nodes])
-        # where a part of the normal is held a motion along it, either way, would change the gap
-        over = np.where(_held_in_part(free, normals), np.abs(along), along - gaps)
-        over[(free == normals).all(axis=1)] = 0.0
-        i = int(np.argmax(over))
-        if over[i] > checks.ROUNDING * (np.abs([along[i], gaps[i]]).max() + posed.mesh.sides.max()):
+        normal_motion = np.einsum("nd,nd->n", normals, prescribed[nodes])
+        # a part of the normal that is held must not move at all: either way the gap would change
+        depth_inside = np.where(
+            _held_in_part(free, normals), np.abs(normal_motion), normal_motion - gaps
+        )
+        depth_inside[(free == normals).all(axis=1)] = 0.0
+        i = int(np.argmax(depth_inside))
+        if depth_inside[i] > checks.ROUNDING * (
+            np.abs([normal_motion[i], gaps[i]]).max() + posed.mesh.sides.max()
+        ):
             raise ValueError(
-                f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {over[i]:.6g} "
+                f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {depth_inside[i]:.6g} "
                 "m inside its obstacle: move the support less, or the obstacle"
             )
 
@@ -103,7 +107,8 @@ def check_held(
 def facing_obstacle(
     obstacle: Obstacle, boundary: str, points: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what an obstacle, perhaps user-defined, says of points of a boundary, checked."""
+    """Return the normals (n, dim) and gaps (n,) of an obstacle, perhaps user-defined, at points of a
+    boundary, checked."""
     answer = obstacle.contact(points, normals)
     name = f"the obstacle in front of {boundary!r}"
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
@@ -155,12 +160,12 @@ def free_normals(posed: Posed, k: int, normals: np.ndarray) -> np.ndarray:
 def may_overlap(contact: Contact | ContactPair) -> bool:
     """Return whether initial gaps may be negative."""
     return contact.allow_interference or (
-        isinstance(contact, Contact) and isinstance(_first(contact), Moving)
+        isinstance(contact, Contact) and isinstance(_obstacle_of(contact), Moving)
     )
 
 
-def _first(contact: Contact) -> Obstacle:
-    """The obstacle in the place of a discretisation: moved as prescribed, not yet pressed."""
+def _obstacle_of(contact: Contact) -> Obstacle:
+    """Return the obstacle in the place of a discretisation: moved as prescribed, not yet pressed."""
     return contact.obstacle.obstacle if isinstance(contact.obstacle, Rigid) else contact.obstacle
 
 
@@ -169,16 +174,18 @@ def with_motions(
 ) -> np.ndarray:
     """Return the slip reference (n_contact, dim) of contact nodes: how obstacles move."""
     points = posed.mesh.points
-    reference = np.zeros((len(nodes), posed.mesh.dim))
+    slip_reference = np.zeros((len(nodes), posed.mesh.dim))
     for k, contact in enumerate(posed.problem.contact):
-        obstacle = None if isinstance(contact, ContactPair) else _first(contact)
+        obstacle = None if isinstance(contact, ContactPair) else _obstacle_of(contact)
         if isinstance(obstacle, Moving):
             rows = boundary == k
-            reference[rows] += obstacle.motion(points[nodes[rows]])
+            slip_reference[rows] += obstacle.motion(points[nodes[rows]])
             if taken is not None:
                 neighbours = np.unique(taken[rows].indices)
-                reference[rows] += taken[rows][:, neighbours] @ obstacle.motion(points[neighbours])
-    return reference
+                slip_reference[rows] += taken[rows][:, neighbours] @ obstacle.motion(
+                    points[neighbours]
+                )
+    return slip_reference
 
 
 def moved(
@@ -200,20 +207,22 @@ def moved(
         boundary = posed.problem.contact[k].boundary
         nodes = posed.surfaces[boundary].nodes
         points = posed.mesh.points[nodes]
-        direct, gap = facing_obstacle(obstacle, boundary, points, posed.outward[k])
-        at = np.searchsorted(nodes, contact.nodes[rows])
+        facing_normals, facing_gaps = facing_obstacle(obstacle, boundary, points, posed.outward[k])
+        place = np.searchsorted(nodes, contact.nodes[rows])
         taken = contact.taken_over[rows]
         taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(rows), len(nodes)))
-        free = posed.free_part(contact.nodes[rows], direct[at])
-        normals[rows], gaps[rows] = along_free(free, direct[at], gap[at] + taken @ gap)
+        free_directions = posed.free_part(contact.nodes[rows], facing_normals[place])
+        normals[rows], gaps[rows] = along_free(
+            free_directions, facing_normals[place], facing_gaps[place] + taken @ facing_gaps
+        )
         motion = obstacle.motion(points) - before[k].motion(points)
-        reference[rows] += motion[at] + taken @ motion
-    turned = np.abs(normals - contact.normals).max(initial=0.0) > checks.ROUNDING
+        reference[rows] += motion[place] + taken @ motion
+    are_turned = np.abs(normals - contact.normals).max(initial=0.0) > checks.ROUNDING
     new = replace(
         contact,
-        normals=normals if turned else contact.normals,
+        normals=normals if are_turned else contact.normals,
         gaps=gaps,
         slip_reference=reference,
         allow_interference=True,
     )
-    return discrete.restructured(contact=new) if turned else discrete.posing(contact=new)
+    return discrete.restructured(contact=new) if are_turned else discrete.posing(contact=new)

@@ -81,9 +81,9 @@ class InelasticBodies:
         body = mesh.element_body[patches.element]
         inelastic = inelastic_bodies(posed.materials)
         numbers = np.flatnonzero(inelastic[body])
-        whole = moduli(mesh, posed.materials)
+        whole_tensors = moduli(mesh, posed.materials)
         tensors = moduli(mesh, posed.materials, elements)
-        row = tensors.rows[patches.element][numbers]
+        tensor_of_patch = tensors.rows[patches.element][numbers]
         members = tuple(
             (posed.materials[k].inelastic, np.flatnonzero(body[numbers] == k))
             for k in np.flatnonzero(inelastic)
@@ -96,8 +96,8 @@ class InelasticBodies:
             len(patches.measures),
             _strain_matrix(patches, numbers, mesh.points.size, 2 * mesh.dim),
             patches.measures[numbers],
-            tensors.table[row],
-            (whole.table - tensors.table)[row, 0, 1],
+            tensors.table[tensor_of_patch],
+            (whole_tensors.table - tensors.table)[tensor_of_patch, 0, 1],
             volume_groups(mesh, posed.materials, inelastic=True)
             if smoothed
             else Volumes.none(mesh.n_nodes, mesh.dim),
@@ -178,12 +178,12 @@ class InelasticBodies:
         physical = problem.physical(at.displacement)
         k = self.elastic.shape[1]
         strain = (self.strains @ physical.reshape(-1)).reshape(-1, k)
-        volume = strain[:, :3].sum(axis=1)
-        whole = at.stress.copy()
-        whole[:, :3] += (self.bulk * volume)[:, None]
+        volume_strain = strain[:, :3].sum(axis=1)
+        whole_stress = at.stress.copy()
+        whole_stress[:, :3] += (self.bulk * volume_strain)[:, None]
         stiffness = self.elastic.copy()
         stiffness[:, :3, :3] += self.bulk[:, None, None]
-        plastic = strain - np.linalg.solve(stiffness, whole[:, :, None])[:, :, 0]
+        plastic = strain - np.linalg.solve(stiffness, whole_stress[:, :, None])[:, :, 0]
         plastic[:, 3:] *= 0.5
         values = self._of_elements(np.column_stack([at.stress, plastic, at.state[:, -1]]))
         inelastic = inelastic_bodies(self.posed.materials)[mesh.element_body]
@@ -209,11 +209,11 @@ class InelasticBodies:
 def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -> sparse.csr_array:
     """Return the matrix (len(numbers) * k, n_dofs) of the strains of some patches."""
     dim = patches.slopes.shape[1]
-    place = np.full(len(patches.measures), -1)
-    place[numbers] = np.arange(len(numbers))
-    patch = np.repeat(place, np.diff(patches.start))
-    chosen = patch >= 0
-    row = k * patch[chosen]
+    number_among_chosen = np.full(len(patches.measures), -1)
+    number_among_chosen[numbers] = np.arange(len(numbers))
+    patch_of_corner = np.repeat(number_among_chosen, np.diff(patches.start))
+    chosen = patch_of_corner >= 0
+    row = k * patch_of_corner[chosen]
     column = dim * patches.nodes[chosen].astype(np.int64)
     slopes = patches.slopes[chosen]
     entries = []

@@ -119,7 +119,7 @@ class Posed:
 
     @cached_property
     def surfaces(self) -> Mapping[str, Surface]:
-        """The surfaces that contacts, ties and supports name."""
+        """Return the surfaces that contacts, ties and supports name."""
         problem = self.problem
         supported = (support.boundary for support in problem.supports)
         return surfaces_of(
@@ -128,7 +128,7 @@ class Posed:
 
     @cached_property
     def sides(self) -> Mapping[int, tuple[Surface, Surface]]:
-        """Slave and master of each pair, by its number, exact where the domain knows both."""
+        """Return slave and master of each pair, by its number, exact where the domain knows both."""
         pairs = {
             k: (contact.slave, contact.master)
             for k, contact in enumerate(self.problem.contact)
@@ -147,7 +147,7 @@ class Posed:
 
     @cached_property
     def materials(self) -> tuple[Elastic, ...]:
-        """The materials in the order of the bodies."""
+        """Return the materials in the order of the bodies."""
         return body_materials(self.mesh, self.problem.material)
 
     def young(self, boundary: str) -> float:
@@ -169,12 +169,12 @@ class Posed:
 
     @cached_property
     def holds(self) -> Sequence[Held]:
-        """The directions that supports hold, with nodes and values."""
+        """Return the directions that supports hold, with nodes and values."""
         return held_by(self.mesh, self.problem.supports, self.surfaces)
 
     @cached_property
     def directions(self) -> Mapping[str, np.ndarray]:
-        """By boundary the orthonormal directions (k, dim) along which supports hold it."""
+        """Return by boundary the orthonormal directions (k, dim) along which supports hold it."""
         return held_directions(self.holds)
 
     @cached_property
@@ -188,7 +188,7 @@ class Posed:
 
     @cached_property
     def inclined(self) -> Inclined:
-        """The nodes that supports hold along directions that are no axes."""
+        """Return the nodes that supports hold along directions that are no axes."""
         return inclined_supports(self.mesh.points, self.holds)
 
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -197,7 +197,7 @@ class Posed:
 
     @cached_property
     def prescribed(self) -> np.ndarray:
-        """The displacement (n_nodes, dim) of held components and jump of tied nodes, m; 0 elsewhere."""
+        """Return the displacement (n_nodes, dim) of held components and jump of tied nodes, m; 0 elsewhere."""
         _, values = self._components
         result = values.copy()
         for tie, part in zip(self.problem.ties, self.ties, strict=True):
@@ -206,7 +206,7 @@ class Posed:
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """The nodes (n,), ascending, of which contacts, ties, supports or springs say something."""
+        """Return the nodes (n,), ascending, of which contacts, ties, supports or springs say something."""
         mentioned = np.zeros(self.mesh.n_nodes, dtype=bool)
         for name in (*self.problem.pair_boundaries, *self.problem.tied_boundaries):
             mentioned[self.surfaces[name].nodes] = True
@@ -233,12 +233,12 @@ class Posed:
 
     @cached_property
     def ties(self) -> Sequence[MortarInterface]:
-        """The tied slave nodes of each tie."""
+        """Return the tied slave nodes of each tie."""
         return tie_interfaces(self)
 
     @cached_property
     def owner(self) -> np.ndarray:
-        """The number of the contact (n_nodes,) that a node may carry a condition of; -1 of none."""
+        """Return the number of the contact (n_nodes,) that a node may carry a condition of; -1 of none."""
         owner = np.full(self.mesh.n_nodes, -1)
         for k, name in reversed([*enumerate(self.problem.contact_boundaries)]):
             owner[self.surfaces[name].nodes] = k
@@ -246,7 +246,7 @@ class Posed:
 
     @cached_property
     def untied(self) -> np.ndarray:
-        """``owner`` without tied nodes."""
+        """Return ``owner`` without tied nodes."""
         owner = self.owner.copy()
         for tie in self.ties:
             owner[tie.nodes] = -1
@@ -288,6 +288,8 @@ class Posed:
             excluded = np.union1d(excluded, contact.nodes[held_rows])
 
     def _rows(self, excluded: np.ndarray) -> Rows:
+        """Return the rows of the table, in which ``excluded`` slave nodes (n,) carry no
+        condition."""
         problem = self.problem
         nodes = self.nodes
         n = len(nodes)
@@ -301,17 +303,17 @@ class Posed:
             role[np.searchsorted(nodes, self.surfaces[name].nodes)] = Role.MASTER
         parts = [self._touching(k, excluded) for k in range(len(problem.contact))]
         for k, part in enumerate(parts):
-            at = np.searchsorted(nodes, part.nodes)
-            role[at] = Role.SLAVE if problem.masters[k] else Role.OBSTACLE
-            owner[at] = k
-            normals[at] = part.normals
-            gaps[at] = part.gaps
-            weights[at] = part.weights
+            rows = np.searchsorted(nodes, part.nodes)
+            role[rows] = Role.SLAVE if problem.masters[k] else Role.OBSTACLE
+            owner[rows] = k
+            normals[rows] = part.normals
+            gaps[rows] = part.gaps
+            weights[rows] = part.weights
         for k, part in enumerate(self.ties):
-            at = np.searchsorted(nodes, part.nodes)
-            role[at] = Role.TIED
-            owner[at] = k
-            weights[at] = part.weights
+            rows = np.searchsorted(nodes, part.nodes)
+            role[rows] = Role.TIED
+            owner[rows] = k
+            weights[rows] = part.weights
         n_nodes = self.mesh.n_nodes
         taken = spread([(part.nodes, part.taken_over) for part in parts], n_nodes)
         taken = None if taken is None else taken[nodes]
@@ -326,14 +328,15 @@ class Posed:
             return in_front_of(self, k)
         surface = self.surfaces[contact.slave]
         slave_nodes = surface.nodes
-        free = free_normals(self, k, self.outward[k])
-        partly = np.linalg.norm(free, axis=1) < 1 - checks.ALIKE
-        without = slave_nodes[
-            partly | (self.untied[slave_nodes] != k) | np.isin(slave_nodes, excluded)
+        free_directions = free_normals(self, k, self.outward[k])
+        held_in_part = np.linalg.norm(free_directions, axis=1) < 1 - checks.ALIKE
+        without_multiplier = slave_nodes[
+            held_in_part | (self.untied[slave_nodes] != k) | np.isin(slave_nodes, excluded)
         ]
-        return pair_interface(self, contact, self.sides[k], without)
+        return pair_interface(self, contact, self.sides[k], without_multiplier)
 
     def _contact_nodes(self, rows: Rows) -> ContactNodes:
+        """Return the contact nodes of the rows that carry conditions."""
         problem = self.problem
         touching = (rows.role == Role.OBSTACLE) | (rows.role == Role.SLAVE)
         nodes = rows.nodes[touching]
@@ -358,20 +361,20 @@ class Posed:
         result = np.zeros(len(nodes))
         for k, contact_part in enumerate(self.problem.contact):
             if contact_part.compliance is not None:
-                at = owner == k
-                soft = contact_part.compliance.at_points(self.mesh.points[nodes[at]])
-                result[at] = soft / weights[at]
+                on_boundary = owner == k
+                per_area = contact_part.compliance.at_points(self.mesh.points[nodes[on_boundary]])
+                result[on_boundary] = per_area / weights[on_boundary]
         return result
 
     @cached_property
     def contact(self) -> ContactNodes:
-        """The nodes that carry contact conditions, in ascending order."""
+        """Return the nodes that carry contact conditions, in ascending order."""
         contact = self._contact_nodes(self.rows)
-        rubbed = np.intersect1d(contact.nodes, self.inclined.nodes[self.inclined.moving])
-        if len(rubbed):
+        moved_nodes = np.intersect1d(contact.nodes, self.inclined.nodes[self.inclined.moving])
+        if len(moved_nodes):
             raise ValueError(
-                f"a support moves contact node {rubbed[0]} "
-                f"{tuple(self.mesh.points[rubbed[0]].tolist())} along the normal of its boundary, not "
+                f"a support moves contact node {moved_nodes[0]} "
+                f"{tuple(self.mesh.points[moved_nodes[0]].tolist())} along the normal of its boundary, not "
                 "an axis: turn the geometry, or end one of the boundaries before the other begins"
             )
         return contact

@@ -159,6 +159,7 @@ class DiscreteProblem(Unknowns):
         volumes: Volumes | None = None,
         inelastic: bool = False,
     ) -> None:
+        """Check the arrays of a user, and keep read-only copies of them."""
         law = Frictionless() if law is None else check_law("law", law)
         if (contact is None) == (bounds is None):
             raise ValueError(
@@ -374,6 +375,8 @@ class DiscreteProblem(Unknowns):
         self.__dict__.update(_structure=Computed(), _computed=Computed())
 
     def _check_fixed_at_contact(self) -> None:
+        """Raise ValueError if a component with a part along the normal of a contact node is
+        fixed."""
         fixed = self.fixed.reshape(-1, self.dim)[self.contact.nodes]
         # a fixed Cartesian component must lie in the tangent plane, or the contact condition would
         # be prescribed too
@@ -441,6 +444,7 @@ def remembered_of_structure(
 
 
 def _check_row_sums(weights: sparse.csr_array) -> None:
+    """Raise ValueError unless the rows of nodes that face others have the sum 1."""
     followers = np.flatnonzero(np.diff(weights.indptr))
     sums = np.asarray(weights.sum(axis=1)).ravel()[followers]
     if not np.abs(sums - 1).max(initial=0.0) <= 1e-8:

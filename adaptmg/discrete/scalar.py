@@ -112,6 +112,7 @@ class ScalarProblem(checks.Checked):
         )
 
     def _stiffness(self, mesh: MeshArrays) -> sparse.csr_array:
+        """Return the matrix (n_nodes, n_nodes) of the conductivity."""
         slopes, measures = shape_gradients(mesh)
         centroids = mesh.points[mesh.elements].mean(axis=1)
         k = checks.field("conductivity", self.conductivity, centroids)
@@ -125,6 +126,7 @@ class ScalarProblem(checks.Checked):
         return sparse.coo_array((entries.reshape(-1), (row, column)), shape=shape).tocsr()
 
     def _load(self, mesh: MeshArrays) -> np.ndarray:
+        """Return the nodal loads (n_nodes,)."""
         rule, points, weights = integration(mesh.points, mesh.elements, mesh.volumes, False)
         density = checks.field("load", self.load, points.reshape(-1, mesh.dim))
         forces = (weights * density.reshape(weights.shape)) @ rule

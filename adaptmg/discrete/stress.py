@@ -269,6 +269,7 @@ class StressData:
         return strain
 
     def _stress(self, mesh: MeshArrays, strain: np.ndarray) -> np.ndarray:
+        """Return the stresses (n_elements, 3, 3) of elastic strains (n_elements, 3, 3), Pa."""
         if self.smoothed:
             strain = smoothed(
                 mesh, strain.reshape(-1, 9), element_measures(mesh, self.axisymmetric)
@@ -307,7 +308,7 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
 
 
 def _nodal(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
-    """The displacement as float (n_nodes, dim), its shape checked."""
+    """Return the displacement as float (n_nodes, dim), its shape checked."""
     u = checks.real_array(displacement)
     if u is None:
         raise TypeError(f"displacement must be real numbers, got {checks.shown(displacement)}")
@@ -328,16 +329,16 @@ def cut_force(
     elements = body_elements(mesh, preload.body)
     axis = preload.direction
     nodes = np.unique(mesh.elements[elements])
-    along = mesh.points[nodes, axis]
-    at = 0.5 * (along.min() + along.max()) if preload.at is None else preload.at
-    if not along.min() < at < along.max():
+    coordinates = mesh.points[nodes, axis]
+    cut = 0.5 * (coordinates.min() + coordinates.max()) if preload.at is None else preload.at
+    if not coordinates.min() < cut < coordinates.max():
         raise ValueError(
-            f"at of the preload of {preload.body!r} must be in ({along.min():g}, {along.max():g}), the "
-            f"extent of the body along {preload.axis}, got {at:g}"
+            f"at of the preload of {preload.body!r} must be in ({coordinates.min():g}, {coordinates.max():g}), the "
+            f"extent of the body along {preload.axis}, got {cut:g}"
         )
-    beyond = np.zeros(mesh.points.shape)
-    beyond[nodes[along > at], axis] = 1.0
-    slopes = displacement_gradient(mesh, beyond)[elements]
+    unit_motion = np.zeros(mesh.points.shape)
+    unit_motion[nodes[coordinates > cut], axis] = 1.0
+    slopes = displacement_gradient(mesh, unit_motion)[elements]
     stress = data.tensors(mesh, displacement)[elements, : mesh.dim, : mesh.dim]
     volumes = element_measures(mesh, data.axisymmetric)[elements]
     return float(np.einsum("n,nij,nij->", volumes, stress, slopes))
@@ -364,7 +365,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     of_nodes = elements_of_nodes(cells, len(points))
     rows, columns = shape_of(of_nodes)
     # the elements of each node, and the nodes of each element
-    around = sparse.csr_array(
+    elements_of_node = sparse.csr_array(
         (np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=(columns, rows)
     )
     corners_of = sparse.csr_array(
@@ -375,16 +376,18 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2);
     # else there are more
     n_neighbours = np.diff(indptr) - 1
-    count = np.diff(around.indptr)
-    inner = np.flatnonzero(n_neighbours == count if corners == 3 else 2 * n_neighbours == count + 4)
-    fits, good = _fits(around[inner], points[inner], centroids, values)
-    inner = inner[good]
-    fits = fits[good]
+    n_elements = np.diff(elements_of_node.indptr)
+    inner = np.flatnonzero(
+        n_neighbours == n_elements if corners == 3 else 2 * n_neighbours == n_elements + 4
+    )
+    fits, determined = _fits(elements_of_node[inner], points[inner], centroids, values)
+    inner = inner[determined]
+    fits = fits[determined]
     nodal = np.zeros((len(points), values.shape[1]))
     nodal[inner] = fits[:, 0]
     outer = np.setdiff1d(np.arange(len(points)), inner)
     # entries are the numbers of elements that an outer node and another one share
-    shared = sparse.coo_array(around[outer] @ corners_of)
+    shared = sparse.coo_array(elements_of_node[outer] @ corners_of)
     fit_of_node = np.full(len(points), -1)
     fit_of_node[inner] = np.arange(len(inner))
     has_fit = fit_of_node[shared.col] >= 0
@@ -393,13 +396,15 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     n_shared = shared.data[has_fit]
     neighbour_fits = fits[fit_of_node[neighbour]]
     slopes = neighbour_fits[:, 1:]
-    there = neighbour_fits[:, 0] + np.einsum("nd,ndc->nc", points[node] - points[neighbour], slopes)
-    np.add.at(nodal, node, n_shared[:, None] * there)
+    extrapolated = neighbour_fits[:, 0] + np.einsum(
+        "nd,ndc->nc", points[node] - points[neighbour], slopes
+    )
+    np.add.at(nodal, node, n_shared[:, None] * extrapolated)
     weights = np.bincount(node, n_shared, len(points))
     nodal[weights > 0] /= weights[weights > 0, None]
-    rest = outer[weights[outer] == 0]
-    wider = around[rest] @ corners_of @ around
-    nodal[rest] = _fits(wider, points[rest], centroids, values)[0][:, 0]
+    isolated = outer[weights[outer] == 0]
+    wider_patches = elements_of_node[isolated] @ corners_of @ elements_of_node
+    nodal[isolated] = _fits(wider_patches, points[isolated], centroids, values)[0][:, 0]
     return cells, nodal
 
 
@@ -410,36 +415,36 @@ def _fits(
     n_elements) determine them; elsewhere a is the mean."""
     first = patches.indptr[:-1]
     rows = np.repeat(np.arange(len(places)), np.diff(patches.indptr))
-    away = centroids.take(patches.indices, axis=0) - places.take(rows, axis=0)
-    size = np.maximum.reduceat(np.abs(away), first).max(axis=1)
-    terms = np.ones((len(rows), away.shape[1] + 1))
-    np.divide(away, size[rows, None], out=terms[:, 1:])
+    offsets = centroids.take(patches.indices, axis=0) - places.take(rows, axis=0)
+    extents = np.maximum.reduceat(np.abs(offsets), first).max(axis=1)
+    terms = np.ones((len(rows), offsets.shape[1] + 1))
+    np.divide(offsets, extents[rows, None], out=terms[:, 1:])
     n = len(places)
     k = terms.shape[1]
     samples = values.take(patches.indices, axis=0)
     # numbers of all nodes side by side
     matrix = np.empty((k, k, n))
-    sides = np.empty((k, values.shape[1], n))
-    good = np.ones(n, dtype=bool)
+    right_sides = np.empty((k, values.shape[1], n))
+    determined = np.ones(n, dtype=bool)
     for a in range(k):
         sums = sparse.csr_array(
             (terms[:, a], np.arange(len(terms)), patches.indptr), shape=(n, len(terms))
         )
         # scipy-stubs: of dense arrays
         matrix[a] = cast("np.ndarray", sums @ terms).T
-        sides[a] = cast("np.ndarray", sums @ samples).T
-    means = sides[0] / matrix[0, 0]
+        right_sides[a] = cast("np.ndarray", sums @ samples).T
+    means = right_sides[0] / matrix[0, 0]
     # samples on a line, or in a plane, have pivots below
     limit = checks.SIX_DIGITS * matrix[0, 0]
     for a in range(k):
-        good &= matrix[a, a] > limit
-        matrix[a, a, ~good] = 1.0
+        determined &= matrix[a, a] > limit
+        matrix[a, a, ~determined] = 1.0
         factor = matrix[a + 1 :, a] / matrix[a, a]
         matrix[a + 1 :] -= factor[:, None] * matrix[a]
-        sides[a + 1 :] -= factor[:, None] * sides[a]
+        right_sides[a + 1 :] -= factor[:, None] * right_sides[a]
     for a in reversed(range(k)):
-        sides[a] -= (matrix[a, a + 1 :, None] * sides[a + 1 :]).sum(axis=0)
-        sides[a] /= matrix[a, a]
-    sides[1:] /= size
-    sides[0] = np.where(good, sides[0], means)
-    return sides.transpose(2, 0, 1), good
+        right_sides[a] -= (matrix[a, a + 1 :, None] * right_sides[a + 1 :]).sum(axis=0)
+        right_sides[a] /= matrix[a, a]
+    right_sides[1:] /= extents
+    right_sides[0] = np.where(determined, right_sides[0], means)
+    return right_sides.transpose(2, 0, 1), determined

@@ -156,13 +156,15 @@ def stress_intensity(
     faces = [f"{crack}.left", f"{crack}.right"]
     r = np.abs(tip.local(mesh.points))
     # what is not the straight crack stays outside
-    other = ~np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
-    other |= (r[mesh.facets] > tip.straight * (1 + 1e-9)).any(axis=1)
-    near = np.argmin(r)
-    lame, shear = _of_one_material(mesh, data, np.flatnonzero((mesh.elements == near).any(axis=1)))
-    foreign = (data.lame != lame) | (data.shear != shear)
-    limits = r[mesh.facets[other]].min(initial=np.inf)
-    limits = min(limits, r[mesh.elements[foreign[mesh.element_body]]].min(initial=np.inf))
+    not_straight_crack = ~np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
+    not_straight_crack |= (r[mesh.facets] > tip.straight * (1 + 1e-9)).any(axis=1)
+    tip_node = np.argmin(r)
+    lame, shear = _of_one_material(
+        mesh, data, np.flatnonzero((mesh.elements == tip_node).any(axis=1))
+    )
+    other_material = (data.lame != lame) | (data.shear != shear)
+    limits = r[mesh.facets[not_straight_crack]].min(initial=np.inf)
+    limits = min(limits, r[mesh.elements[other_material[mesh.element_body]]].min(initial=np.inf))
     largest = min(_OF_CRACK * tip.straight, _OF_REST * float(limits))
     outer = largest if radius is None else checks.positive("radius", radius)
     if not outer <= largest:
@@ -171,25 +173,27 @@ def stress_intensity(
             f"another boundary or another material is near), got {radius!r}"
         )
     ring = np.abs(r[mesh.elements].mean(axis=1) / outer - 0.6) < 0.4
-    size = float(np.median(np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring]))) if ring.any() else np.inf
-    if not outer >= _ELEMENTS * size:
+    element_size = (
+        float(np.median(np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring]))) if ring.any() else np.inf
+    )
+    if not outer >= _ELEMENTS * element_size:
         raise ValueError(
             f"the mesh is too coarse at tip {number} of {crack!r}: a radius of {outer:.3g} m must be at "
-            f"least {_ELEMENTS} elements, which are {size:.3g} m there; refine it"
+            f"least {_ELEMENTS} elements, which are {element_size:.3g} m there; refine it"
         )
     stress = data.tensors(mesh, displacement)[:, :2, :2]
     forces = _nodal_forces(mesh, stress) @ tip.axes.T
     fit = _fitted_tractions(mesh, tip, faces, forces, outer)
     for face in faces:
         forces[mesh.boundary_nodes(face)] = 0.0
-    free = tip.axes @ _free_strain(mesh, data, lame, shear) @ tip.axes.T
-    at_tip = free[(mesh.elements == near).any(axis=1)].mean(axis=0)
+    free_strains = tip.axes @ _free_strain(mesh, data, lame, shear) @ tip.axes.T
+    at_tip = free_strains[(mesh.elements == tip_node).any(axis=1)].mean(axis=0)
     fields = _Fields(
         mesh,
         tip,
         tip.axes @ displacement_gradient(mesh, displacement) @ tip.axes.T - at_tip,
         tip.axes @ stress @ tip.axes.T,
-        free - at_tip,
+        free_strains - at_tip,
         forces,
         fit,
         lame,
@@ -208,7 +212,7 @@ def stress_intensity(
 def _of_one_material(
     mesh: MeshArrays, data: StressData, elements: np.ndarray
 ) -> tuple[float, float]:
-    """Lame's constants of the elements at a tip; ValueError if they differ."""
+    """Return Lame's constants of the elements at a tip; ValueError if they differ."""
     bodies = np.unique(mesh.element_body[elements])
     constants = np.unique(np.column_stack([data.lame, data.shear])[bodies], axis=0)
     if len(constants) > 1:
@@ -221,7 +225,7 @@ def _of_one_material(
 
 
 def _nodal_forces(mesh: MeshArrays, stress: np.ndarray) -> np.ndarray:
-    """The forces (n_nodes, 2) that balance stresses (n_elements, 2, 2)."""
+    """Return the forces (n_nodes, 2) that balance stresses (n_elements, 2, 2)."""
     slopes, volumes = shape_gradients(mesh)
     parts = np.einsum("n,nij,nkj->nki", volumes, stress, slopes)
     result = np.zeros(mesh.points.shape)
@@ -291,47 +295,59 @@ class _Fields:
         gradient = self.gradient[inside]
         stress = self.stress[inside]
         measures = mesh.volumes[inside, None] * weights
-        at_points = q[mesh.elements[inside]] @ rule.T
+        weight_at_points = q[mesh.elements[inside]] @ rule.T
         loaded = np.flatnonzero((q > 0) & self.forces.any(axis=1))
         # along the face, from s = 0 to the root of the radius
-        s, share = np.polynomial.legendre.leggauss(40)
+        s, gauss_weights = np.polynomial.legendre.leggauss(40)
         s = 0.5 * (1 + s) * np.sqrt(radius)
-        share = share * np.sqrt(radius)
-        traction = (share * np.clip(2 - 2 * s**2 / radius, 0, 1)) @ (
+        gauss_weights = gauss_weights * np.sqrt(radius)
+        traction = (gauss_weights * np.clip(2 - 2 * s**2 / radius, 0, 1)) @ (
             s[:, None] ** (2 * np.arange(3)) @ self.fit
         )
         result = []
-        for factor, part in ((1.0, traction[1]), (1j, traction[0])):
-            near_field, slope, change = _near_field(z, factor, kolosov, shear)
-            flux = np.einsum("nij,nqi->nqj", stress, slope)
+        for factor, jump_part in ((1.0, traction[1]), (1j, traction[0])):
+            near_field, displacement_derivative, stress_derivative = _near_field(
+                z, factor, kolosov, shear
+            )
+            flux = np.einsum("nij,nqi->nqj", stress, displacement_derivative)
             flux += np.einsum("nqij,ni->nqj", near_field, gradient[:, :, 0])
             flux[:, :, 0] -= np.einsum("nqij,nij->nq", near_field, gradient)
-            total = np.einsum("nq,nqj,nj->", measures, flux, slopes)
-            total -= np.einsum("nq,nqij,nij->", measures * at_points, change, self.uneven[inside])
-            _, slope, _ = _near_field(place[loaded], factor, kolosov, shear)
-            total -= np.einsum("n,ni,ni->", q[loaded], slope, self.forces[loaded])
-            total += (kolosov + 1) / (2 * shear * np.sqrt(2 * np.pi)) * part
-            result.append(0.5 * modulus * float(total))
+            integral = np.einsum("nq,nqj,nj->", measures, flux, slopes)
+            integral -= np.einsum(
+                "nq,nqij,nij->", measures * weight_at_points, stress_derivative, self.uneven[inside]
+            )
+            _, displacement_derivative, _ = _near_field(place[loaded], factor, kolosov, shear)
+            integral -= np.einsum(
+                "n,ni,ni->", q[loaded], displacement_derivative, self.forces[loaded]
+            )
+            integral += (kolosov + 1) / (2 * shear * np.sqrt(2 * np.pi)) * jump_part
+            result.append(0.5 * modulus * float(integral))
         return result
 
 
 def _near_field(
     z: np.ndarray, factor: complex, kolosov: float, shear: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stresses (..., 2, 2) of K_I + i K_II, the derivative of the displacement along the crack
+    """Return the stresses (..., 2, 2) of K_I + i K_II, the derivative of the displacement along the crack
     (..., 2) and that of the stresses (..., 2, 2)."""
     a = np.conj(factor) / np.sqrt(8 * np.pi)
-    first = a / np.sqrt(z)
-    other = (np.conj(a) - 0.5 * a) / np.sqrt(z)
-    second = -0.5 * first / z
-    stress = _stress(first, np.conj(z) * second + other)
-    change = _stress(second, second - 1.5 * np.conj(z) * second / z - 0.5 * other / z)
-    slope = (kolosov * first - np.conj(first) - z * np.conj(second) - np.conj(other)) / (2 * shear)
-    return stress, np.stack([slope.real, slope.imag], axis=-1), change
+    phi_1 = a / np.sqrt(z)
+    psi_1 = (np.conj(a) - 0.5 * a) / np.sqrt(z)
+    phi_2 = -0.5 * phi_1 / z
+    stress = _stress(phi_1, np.conj(z) * phi_2 + psi_1)
+    stress_derivative = _stress(phi_2, phi_2 - 1.5 * np.conj(z) * phi_2 / z - 0.5 * psi_1 / z)
+    displacement_derivative = (
+        kolosov * phi_1 - np.conj(phi_1) - z * np.conj(phi_2) - np.conj(psi_1)
+    ) / (2 * shear)
+    return (
+        stress,
+        np.stack([displacement_derivative.real, displacement_derivative.imag], axis=-1),
+        stress_derivative,
+    )
 
 
 def _stress(mean: np.ndarray, difference: np.ndarray) -> np.ndarray:
-    """Stresses (..., 2, 2) of phi' and of conj(z) phi'' + psi'."""
+    """Return the stresses (..., 2, 2) of phi' and of conj(z) phi'' + psi'."""
     twice = 2 * np.real(mean)
     real = np.real(difference)
     imaginary = np.imag(difference)

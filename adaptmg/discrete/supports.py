@@ -139,6 +139,7 @@ class Inclined:
         }
 
     def _eliminated(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
+        """Return A' (n_dofs, n_dofs) of a matrix A in relative coordinates."""
         size = matrix.blocksize
         n = matrix.shape[0]
         free = sparse.bsr_array(
@@ -184,9 +185,11 @@ class Inclined:
         not be what supports prescribe."""
         if not len(self):
             return residual
-        ahead = self.prescribed({}) - self.along(unknowns)
-        whole = (residual + self.rows.T @ ahead.reshape(-1)).reshape(-1, self.spans.shape[1])
-        free = self.free_part(np.arange(len(whole)), whole).reshape(-1)
+        short_of_prescribed = self.prescribed({}) - self.along(unknowns)
+        forces = (residual + self.rows.T @ short_of_prescribed.reshape(-1)).reshape(
+            -1, self.spans.shape[1]
+        )
+        free = self.free_part(np.arange(len(forces)), forces).reshape(-1)
         return free - self.reaction(unknowns, NO_PRESSURES)
 
     def reaction(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
@@ -335,10 +338,10 @@ def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
         rows[at, k] = hold.direction
         values[at, k] = hold.values[entries]
     inverse = np.linalg.pinv(rows, rcond=checks.SIX_DIGITS)
-    left = np.einsum("nsd,ndt,nt->ns", rows, inverse, values) - values
-    wrong = np.abs(left).max(axis=1) > checks.ALIKE * np.abs(values).max()
-    if wrong.any():
-        i = int(np.argmax(wrong))
+    contradiction = np.einsum("nsd,ndt,nt->ns", rows, inverse, values) - values
+    contradicts = np.abs(contradiction).max(axis=1) > checks.ALIKE * np.abs(values).max()
+    if contradicts.any():
+        i = int(np.argmax(contradicts))
         names = dict.fromkeys(
             repr(holds[k].support.place) for k in np.flatnonzero(rows[i].any(axis=1)).tolist()
         )
@@ -361,25 +364,25 @@ def held_components(points: np.ndarray, holds: Sequence[Held]) -> tuple[np.ndarr
     :func:`inclined_supports`. ValueError for two values of one component."""
     fixed = np.zeros(points.shape, dtype=bool)
     values = np.zeros(points.shape)
-    origin = np.zeros(points.shape, dtype=np.int64)  # of fixed ones
+    hold_of_component = np.zeros(points.shape, dtype=np.int64)  # of fixed ones
     for k, hold in enumerate(holds):
-        d = hold.axis
-        if d is None:
+        axis = hold.axis
+        if axis is None:
             continue
         nodes = hold.nodes
-        clash = fixed[nodes, d] & (values[nodes, d] != hold.values)
+        clash = fixed[nodes, axis] & (values[nodes, axis] != hold.values)
         if clash.any():
             node = int(nodes[np.argmax(clash)])
             value = hold.values[np.argmax(clash)]
-            other = holds[int(origin[node, d])].support.place
+            other = holds[int(hold_of_component[node, axis])].support.place
             raise ValueError(
-                f"supports on {other!r} and {hold.support.place!r} prescribe different {'xyz'[d]} "
-                f"displacements, {values[node, d]:g} and {value:g} m, at their common node {node} "
+                f"supports on {other!r} and {hold.support.place!r} prescribe different {'xyz'[axis]} "
+                f"displacements, {values[node, axis]:g} and {value:g} m, at their common node {node} "
                 f"{tuple(points[node].tolist())}: give both the same value or free one"
             )
-        fixed[nodes, d] = True
-        values[nodes, d] = hold.values
-        origin[nodes, d] = k
+        fixed[nodes, axis] = True
+        values[nodes, axis] = hold.values
+        hold_of_component[nodes, axis] = k
     for hold in holds:
         if hold.axis is None:
             fixed[hold.nodes] = False

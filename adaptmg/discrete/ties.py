@@ -84,26 +84,28 @@ def tie_interfaces(posed: Posed) -> list[MortarInterface]:
     supports hold in all directions is not tied."""
     if not posed.problem.ties:
         return []
-    taken = np.all(posed.fixed, axis=1)
+    not_tied = np.all(posed.fixed, axis=1)
     # a support that moves such a node prescribes it
-    taken[posed.inclined.nodes[posed.inclined.moving]] = True
+    not_tied[posed.inclined.nodes[posed.inclined.moving]] = True
     parts: list[MortarInterface] = []
     for tie in posed.problem.ties:
         slave = posed.surfaces[tie.slave]
         master = posed.surfaces[tie.master]
         if isinstance(tie, Periodic):
-            parts.append(_periodic(tie, posed.mesh, slave.nodes, master.nodes, taken, posed.fixed))
-            taken[parts[-1].nodes] = True
+            parts.append(
+                _periodic(tie, posed.mesh, slave.nodes, master.nodes, not_tied, posed.fixed)
+            )
+            not_tied[parts[-1].nodes] = True
             continue
         pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
         try:
-            excluded = slave.nodes[taken[slave.nodes]]
+            excluded = slave.nodes[not_tied[slave.nodes]]
             parts.append(pair_interface(posed, pair, (slave, master), excluded))
         except ValueError as error:
             raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
         if tie.reach is None:
             _warn_of_gaps(tie, slave, np.abs(parts[-1].gaps).max(initial=0.0))
-        taken[parts[-1].nodes] = True
+        not_tied[parts[-1].nodes] = True
     return parts
 
 
@@ -122,7 +124,7 @@ def _periodic(
     mesh: MeshArrays,
     slave: np.ndarray,
     master: np.ndarray,
-    taken: np.ndarray,
+    not_tied: np.ndarray,
     fixed: np.ndarray,
 ) -> MortarInterface:
     """Return the nodes of a side of a cell, each with its partner on the other one."""
@@ -135,24 +137,24 @@ def _periodic(
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     # scipy-stubs: of several points
-    found = cKDTree(points[master]).query(points[slave] - shift)
-    away, partner = cast("tuple[np.ndarray, np.ndarray]", found)
-    if len(slave) != len(master) or away.max() > checks.SIX_DIGITS * size:
-        i = int(np.argmax(away))
+    nearest = cKDTree(points[master]).query(points[slave] - shift)
+    distances, partner = cast("tuple[np.ndarray, np.ndarray]", nearest)
+    if len(slave) != len(master) or distances.max() > checks.SIX_DIGITS * size:
+        i = int(np.argmax(distances))
         raise ValueError(
             f"periodic sides {tie.master!r} and {tie.slave!r} do not match: {len(master)} and "
             f"{len(slave)} nodes, and the partner of node {slave[i]} {tuple(points[slave[i]].tolist())} "
-            f"lies {away[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
+            f"lies {distances[i]:.3g} m off. Take a structured mesh, or one with sides made alike"
         )
-    held_alone = (fixed[slave] & ~fixed[master[partner]]).any(axis=1)
-    if held_alone.any():
-        i = int(np.argmax(held_alone))
+    held_without_partner = (fixed[slave] & ~fixed[master[partner]]).any(axis=1)
+    if held_without_partner.any():
+        i = int(np.argmax(held_without_partner))
         raise ValueError(
             f"a support holds node {slave[i]} {tuple(points[slave[i]].tolist())} of periodic side "
             f"{tie.slave!r}, and not its partner, which would move apart from it: hold the partner at "
             f"{tuple(points[master[partner[i]]].tolist())}, which this node follows"
         )
-    free = ~taken[slave]
+    free = ~not_tied[slave]
     slave = slave[free]
     partner = master[partner[free]]
     rows = sparse.csr_array(
@@ -174,21 +176,21 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     without ties."""
     if not problem.ties:
         return None
-    at = residual.reshape(-1, problem.dim)
+    nodal = residual.reshape(-1, problem.dim)
     held = problem.held.reshape(-1, problem.dim)
     nodes = []
     forces = []
     boundary = []
     names = []
     for slave, master, tied, slave_nodes in problem.ties:
-        slave_forces = problem.inclined.free_part(tied, np.where(held[tied], 0.0, at[tied]))
+        slave_forces = problem.inclined.free_part(tied, np.where(held[tied], 0.0, nodal[tied]))
         # ties are rows of a coupling
         rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
-        facing = np.unique(rows.indices)
-        nodes += [tied, facing]
-        forces += [slave_forces, -(rows.T @ slave_forces)[facing]]
+        facing_nodes = np.unique(rows.indices)
+        nodes += [tied, facing_nodes]
+        forces += [slave_forces, -(rows.T @ slave_forces)[facing_nodes]]
         # a held slave node is not tied, but bears what its neighbours take over
-        on_slave = np.isin(facing, slave_nodes)
+        on_slave = np.isin(facing_nodes, slave_nodes)
         boundary += [np.full(len(tied), len(names)), np.where(on_slave, len(names), len(names) + 1)]
         names += [slave, master]
     return TieForces(*map(np.concatenate, (nodes, forces, boundary)), names=tuple(names))
