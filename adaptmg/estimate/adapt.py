@@ -158,7 +158,7 @@ def adapt(
         tolerance_argument(rtol, solver),
         remesh_every,
     )
-    _check(parts)
+    _check_parts(parts)
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
     if depends is not None:
@@ -182,7 +182,7 @@ def adapt(
         }
         head = {"fingerprint": loop_fingerprint(first, options, load_path, depends)}
         steps = StepStore.resumed(store, "loop.json", head, LOOP_KINDS)
-    report = _written if progress is True else progress or None
+    report = _write_line if progress is True else progress or None
     return cast(
         "Iterator[Step[AnyEstimate]]", AdaptiveLoop(first, parts, limits, steps, report).steps()
     )
@@ -210,17 +210,17 @@ def _check_obstacles(problem: ContactProblem, parts: LoopParts) -> None:
         )
 
 
-def _written(row: dict[str, float | str]) -> None:
+def _write_line(row: dict[str, float | str]) -> None:
     """Write a line before each solve and after each step."""
-    words = {
+    texts = {
         "solve": "solve",
         "done": f"estimate {row['estimate']:.3%}, {row['seconds']:.2f} s in all",
     }
-    if row["phase"] in words:
-        say(f"step {row['step']}: {row['nodes']} nodes, {words[row['phase']]}")
+    if row["phase"] in texts:
+        say(f"step {row['step']}: {row['nodes']} nodes, {texts[row['phase']]}")
 
 
-def _check(parts: LoopParts) -> None:
+def _check_parts(parts: LoopParts) -> None:
     """Raise TypeError or ValueError unless each part of the loop offers its method."""
     checks.offers(
         "indicator",
@@ -250,8 +250,9 @@ def _check(parts: LoopParts) -> None:
 
 #: nodes of a loop without limits
 _NODES = 20_000
-#: sizes of the first mesh over the extent of a body by default, and elements along a contact boundary at least
-_ACROSS, _ALONG = {2: 8, 3: 4}, 3
+#: elements of the default first mesh across a body, and at least along a contact boundary
+_ACROSS = {2: 8, 3: 4}
+_ALONG = 3
 #: a size is refused before it is meshed if the expected nodes, which are good to 15 %, exceed the limit by this factor
 _SURELY = 1.5
 
@@ -261,9 +262,9 @@ def _first_hierarchy(
 ) -> Hierarchy:
     """Return the hierarchy that the loop begins with; ValueError if it exceeds the limits."""
     if isinstance(start, Hierarchy):
-        first = _checked(problem, start, transfer)
+        first = _given_hierarchy(problem, start, transfer)
     elif start is None or isinstance(start, Real):
-        first = _of_size(problem, start, transfer, engine, limits)
+        first = _hierarchy_of_size(problem, start, transfer, engine, limits)
     else:
         with _naming_start():
             first = Hierarchy.from_meshes(problem, (cast("MeshLike", start),), transfer)
@@ -276,7 +277,9 @@ def _first_hierarchy(
     return first
 
 
-def _checked(problem: ContactProblem, start: Hierarchy, transfer: Transfer | None) -> Hierarchy:
+def _given_hierarchy(
+    problem: ContactProblem, start: Hierarchy, transfer: Transfer | None
+) -> Hierarchy:
     """Return a hierarchy given as start; ValueError unless it is of the problem and has meshes."""
     if start.problem is not problem:
         raise ValueError(
@@ -293,7 +296,7 @@ def _checked(problem: ContactProblem, start: Hierarchy, transfer: Transfer | Non
     return start
 
 
-def _of_size(
+def _hierarchy_of_size(
     problem: ContactProblem,
     start: Real | None,
     transfer: Transfer | None,
@@ -310,23 +313,25 @@ def _of_size(
     dim = problem.dim
     ratio = 1.0
     if size is None:
-        size = float(f"{(sum(volumes) / len(volumes)) ** (1 / dim) / _ACROSS[dim]:.2g}")
+        extent = (sum(volumes) / len(volumes)) ** (1 / dim)
+        size = float(f"{extent / _ACROSS[dim]:.2g}")
         shortest = min(
             (lengths[name] for name in problem.pair_boundaries if name in lengths), default=math.inf
         )
         ratio = max(ratio, _ALONG * size / shortest)
-    cells = NODES_PER_CELL[dim] * sum(volumes)
-    most = limits.max_nodes
+    nodes_at_size_1 = NODES_PER_CELL[dim] * sum(volumes)
+    max_nodes = limits.max_nodes
     with np.errstate(over="ignore", divide="ignore"):
-        nodes = float(cells * np.float64(1 / size) ** dim)
-    if most is not None and nodes > _SURELY * most:
+        nodes = float(nodes_at_size_1 * np.float64(1 / size) ** dim)
+    if max_nodes is not None and nodes > _SURELY * max_nodes:
+        least_size = (nodes_at_size_1 / max_nodes) ** (1 / dim)
         raise ValueError(
-            f"start must be at least {(cells / most) ** (1 / dim):.2g} m for max_nodes={most}, got "
+            f"start must be at least {least_size:.2g} m for max_nodes={max_nodes}, got "
             f"{size:g}: its mesh has about {nodes:.2g} nodes"
         )
-    make = getattr(engine, "first", None)
+    first_mesh = getattr(engine, "first", None)
     with _naming_start():
-        mesh = cast("MeshLike | None", make(problem, size) if callable(make) else None)
+        mesh = cast("MeshLike | None", first_mesh(problem, size) if callable(first_mesh) else None)
         if mesh is None:
             return Hierarchy.graded(problem, (size,), ratio, transfer)
     sound_mesh(engine, "first", problem, mesh)
@@ -336,8 +341,8 @@ def _of_size(
 
 @contextmanager
 def _naming_start() -> Iterator[None]:
-    """Name the argument in messages on the mesh that is made of it; others speak of the problem or
-    the transfer."""
+    """Put "start: " before messages of errors that concern the mesh or its size; other messages name
+    the problem or the transfer."""
     try:
         yield
     except (TypeError, ValueError, FileNotFoundError) as error:

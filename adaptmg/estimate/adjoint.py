@@ -58,12 +58,9 @@ class LinearisedContact:
     residual: np.ndarray  # (n_dofs,): A u - b, Cartesian, N
     gap: np.ndarray  # (n,), m
     slip: np.ndarray  # (n, dim - 1), m
-    fixed_limit: (
-        np.ndarray
-    )  # (n,): of the friction, its part that does not depend on the pressure, N
-    slips: (
-        np.ndarray
-    )  # (n,) bool: nodes with friction at its limit, open ones of Tresca's law included
+    fixed_limit: np.ndarray  # (n,): part of the limit that does not depend on the pressure, N
+    #: (n,) bool: nodes with friction at its limit, open ones of Tresca's law included
+    slips: np.ndarray
     sticks: np.ndarray  # (n,) bool
     unit: np.ndarray  # (n, dim - 1): f at slipping nodes
     direction: np.ndarray  # (n, dim - 1): mu f at nodes that slip and touch, else 0
@@ -73,7 +70,7 @@ class LinearisedContact:
 
     @property
     def nodes(self) -> np.ndarray:
-        """The contact nodes."""
+        """Return the contact nodes (n,)."""
         return self.discrete.contact.nodes
 
     def local(self, vector: np.ndarray) -> np.ndarray:
@@ -86,8 +83,8 @@ class LinearisedContact:
 
     @property
     def fixed_friction(self) -> np.ndarray:
-        """Forces (n_dofs,) of the friction that does not depend on pressure, in local components,
-        N."""
+        """Return the forces (n_dofs,) of the friction that does not depend on pressure, in local
+        components, N."""
         forces = np.zeros((self.discrete.n_nodes, self.discrete.dim))
         forces[self.nodes, 1:] = np.where(self.slips, self.fixed_limit, 0.0)[:, None] * self.unit
         return forces.reshape(-1)
@@ -96,62 +93,65 @@ class LinearisedContact:
 def linearised_contact(
     discrete: DiscreteProblem, displacement: np.ndarray, state: np.ndarray
 ) -> LinearisedContact:
-    """Return the contact conditions at a displacement (n_nodes, dim) with these states,
-    linearised."""
+    """Return the contact conditions linearised at a displacement (n_nodes, dim), m, with the
+    ``state`` (n,) of its contact nodes."""
     nodal, frames = local_contact(discrete)
     dim = discrete.dim
     nodes = discrete.contact.nodes
     unknowns = discrete.relative(displacement).reshape(-1)
     residual = discrete.matrix @ unknowns - discrete.load
-    # in contact frames: what slip and gap are left, and the contact force
+    # slips, gaps and contact forces, in contact frames
     held = held_tangents(discrete)
-    moved = to_frames(frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference)
-    slip = moved[:, 1:]
+    relative_slip = to_frames(
+        frames, discrete.at_contact(unknowns) - discrete.contact.slip_reference
+    )
+    slip = relative_slip[:, 1:]
     gap = nodal.gap - np.einsum(
         "nj,nj->n", frames[:, 0], discrete.from_prescribed(unknowns).reshape(-1, dim)[nodes]
     )
     force = to_frames(frames, residual.reshape(-1, dim)[nodes])
     force[:, 1:][held] = 0.0
-    length = np.linalg.norm(slip, axis=1)
+    slip_length = np.linalg.norm(slip, axis=1)
     # Tresca's law acts at open nodes too, whose state does not say whether they slip
     open_with_friction = (state == State.OPEN) & (nodal.limit > 0)
     open_at_rest = open_with_friction & (
-        length <= checks.ROUNDING * np.abs(unknowns).max(initial=0.0)
+        slip_length <= checks.ROUNDING * np.abs(unknowns).max(initial=0.0)
     )
     sticks = (state == State.STICK) | open_at_rest
     slips = (state == State.SLIP) | (open_with_friction & ~open_at_rest)
-    # friction B s of a node that slips, s = -slip / |slip|: how it follows the pressure (direction)
-    # and turns with the slip (hessian)
+    # friction B f of a node that slips, f = -slip / |slip|: it changes with the pressure by
+    # direction, and with the direction of the slip by hessian
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
-    unit = _opposite(slip, length, force[:, 1:])
+    unit = _opposite(slip, slip_length, force[:, 1:])
     direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
-    with_direction = slips & (length > 0)
-    stiffness = np.where(with_direction, limit / np.where(with_direction, length, 1.0), 0.0)
+    with_direction = slips & (slip_length > 0)
+    stiffness = np.where(with_direction, limit / np.where(with_direction, slip_length, 1.0), 0.0)
     hessian = stiffness[:, None, None] * (np.eye(dim - 1) - unit[:, :, None] * unit[:, None, :])
     free = np.ones((len(nodes), dim), dtype=bool)
     free[state != State.OPEN, 0] = False
     free[:, 1:] = ~held & ~sticks[:, None]
     return LinearisedContact(
-        discrete,
-        frames,
-        state,
-        unknowns,
-        residual,
-        gap,
-        slip,
-        nodal.limit,
-        slips,
-        sticks,
-        unit,
-        direction,
-        hessian,
-        free,
-        held,
+        discrete=discrete,
+        frames=frames,
+        state=state,
+        unknowns=unknowns,
+        residual=residual,
+        gap=gap,
+        slip=slip,
+        fixed_limit=nodal.limit,
+        slips=slips,
+        sticks=sticks,
+        unit=unit,
+        direction=direction,
+        hessian=hessian,
+        free=free,
+        held=held,
     )
 
 
 def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return directions (n, dim - 1) against the slip; where there is none, of the force."""
+    """Return unit vectors (n, dim - 1) against the slip of this length (n,); where there is none,
+    along the force (n, dim - 1)."""
     size = np.linalg.norm(force, axis=1)
     along = np.divide(force, size[:, None], out=np.zeros_like(slip), where=size[:, None] > 0)
     return np.divide(-slip, length[:, None], out=along, where=length[:, None] > 0)
@@ -159,11 +159,10 @@ def _opposite(slip: np.ndarray, length: np.ndarray, force: np.ndarray) -> np.nda
 
 @dataclass(frozen=True, eq=False)
 class AdjointSolution:
-    """A dual field."""
+    """The solution of an adjoint problem."""
 
-    field: (
-        np.ndarray
-    )  # (n_dofs,): z in relative coordinates, Cartesian, m/N times the unit of the quantity
+    #: (n_dofs,): z in relative coordinates, Cartesian, m/N times the unit of the quantity
+    field: np.ndarray
     residual: float  # euclidean, over that of the functional
     iterations: int  # 0 of a direct solution
     converged: bool  # whether the residual is below the tolerance
@@ -249,12 +248,15 @@ class AdjointSystem:
         return result
 
     def _load(self, functional: np.ndarray) -> np.ndarray:
+        """Return E^T j (n_dofs,) of a functional j."""
         return np.where(self.trial, self.contact.local(functional), 0.0)
 
     def _field(self, y: np.ndarray) -> np.ndarray:
+        """Return the dual field z = T y (n_dofs,), Cartesian."""
         return self.contact.cartesian(self.test @ np.where(self.trial, y, 0.0))
 
     def _relative(self, load: np.ndarray, y: np.ndarray) -> float:
+        """Return the Euclidean norm of the residual of y over that of the load."""
         size = float(np.linalg.norm(load))
         residual = float(np.linalg.norm(np.where(self.trial, load - self.matrix @ y, 0.0)))
         return residual / size if size > 0 else residual
@@ -263,11 +265,13 @@ class AdjointSystem:
 def error_spaces(
     contact: LinearisedContact,
 ) -> tuple[sparse.csr_array, np.ndarray, sparse.csr_array]:
-    """Return A + H in local components, the dofs (n_dofs,) that an error has, and T on them."""
+    """Return A + H in local components, the mask (n_dofs,) of the dofs in which an error may move,
+    and T (n_dofs, n_dofs), whose columns are zero at other dofs; see the module."""
     local = local_system(contact.discrete)
     dim = contact.discrete.dim
     n = contact.discrete.n_dofs
     matrix = sparse.csr_array(local.system.matrix)
+    # dofs of the contact nodes
     at = contact.nodes[:, None] * dim + np.arange(dim)
     if contact.hessian.any():
         rows, columns = np.broadcast_arrays(at[:, 1:, None], at[:, None, 1:])
@@ -276,16 +280,16 @@ def error_spaces(
         )
     trial = ~local.system.fixed
     trial[at[~contact.free]] = False
-    node, k = np.nonzero(contact.direction)
-    node, k = node[trial[at[node, 1 + k]]], k[trial[at[node, 1 + k]]]
-    every = np.flatnonzero(trial)
-    test = sparse.csr_array(
-        (
-            np.concatenate([np.ones(len(every)), contact.direction[node, k]]),
-            (np.concatenate([every, at[node, 0]]), np.concatenate([every, at[node, 1 + k]])),
-        ),
-        shape=(n, n),
-    )
+    # T: ones on the diagonal and, at tangents that slip, mu f in the row of the normal
+    free_dofs = np.flatnonzero(trial)
+    node, tangent = np.nonzero(contact.direction)
+    moves = trial[at[node, 1 + tangent]]
+    node = node[moves]
+    tangent = tangent[moves]
+    entries = np.concatenate([np.ones(len(free_dofs)), contact.direction[node, tangent]])
+    rows = np.concatenate([free_dofs, at[node, 0]])
+    columns = np.concatenate([free_dofs, at[node, 1 + tangent]])
+    test = sparse.csr_array((entries, (rows, columns)), shape=(n, n))
     return matrix, trial, test
 
 
@@ -318,11 +322,10 @@ def _cycle(hierarchy: Hierarchy, system: AdjointSystem) -> LinearCycle:
     )
     matrix = sparse.bsr_array(sparse.csr_array(coarse), blocksize=(dim, dim)).sorted_indices()
     matrices.insert(0, split(matrix, levels[-2].discrete.fixed))
-    for nodal, below in zip(
-        reversed(nodal_prolongations(hierarchy)[:-1]), reversed(levels[:-2]), strict=True
-    ):
+    further = zip(nodal_prolongations(hierarchy)[:-1], levels[:-2], strict=True)
+    for nodal, level in reversed(list(further)):
         matrix = coarse_matrix(matrix, nodal)
-        matrices.insert(0, split(matrix, below.discrete.fixed))
+        matrices.insert(0, split(matrix, level.discrete.fixed))
         prolongations.insert(0, nodal)
     cycle = LinearCycle(matrices, prolongations, Run(unit=1), [2] * len(matrices))
     cycle.renew(len(matrices) - 1)

@@ -143,14 +143,11 @@ class Bisect:
         parts = domain.parts if isinstance(domain, Assembly) else {"": domain}
         if not all(isinstance(part, Rectangle | Box) for part in parts.values()):
             return None
-        # a side of a body has three nodes at least
-        cells = {
-            name: tuple(
-                int(n)
-                for n in np.maximum(np.ceil((part.upper - part.lower) / size * (1 - 1e-9)), 2)
-            )
-            for name, part in parts.items()
-        }
+        cells = {}
+        for name, part in parts.items():
+            # a side of a body has at least two elements; rounding of a quotient makes no third one
+            counts = np.maximum(np.ceil((part.upper - part.lower) / size * (1 - 1e-9)), 2)
+            cells[name] = tuple(int(count) for count in counts)
         return lattices(domain, cells if isinstance(domain, Assembly) else cells[""])
 
     def refine(
@@ -181,10 +178,12 @@ class Bisect:
     def _halved(
         self, mesh: MeshArrays, squares: np.ndarray, chosen: np.ndarray, limit: float
     ) -> MeshArrays:
-        """Return the refined mesh; elements with large squares are halved twice unless that exceeds the limit."""
+        """Return the mesh with the edges of the ``chosen`` (n_elements,) elements halved; those of
+        large squares twice unless the mesh then exceeds the limit of nodes."""
         fine = refined(mesh, chosen)
-        enough = 2.0 ** (2 + mesh.dim) * _LEFT * max(squares.mean(), squares[chosen].min())
-        again = chosen & (squares > enough)
+        # halving once leaves 2^-(2 + dim) of a square
+        large = 2.0 ** (2 + mesh.dim) * _LEFT * max(squares.mean(), squares[chosen].min())
+        again = chosen & (squares > large)
         if again.any() and fine.mesh.n_nodes < limit:
             finer = refined(fine.mesh, again[fine.origin]).mesh
             return finer if finer.n_nodes <= limit else fine.mesh
@@ -193,30 +192,32 @@ class Bisect:
     def _within(
         self, mesh: MeshArrays, squares: np.ndarray, marked: np.ndarray, limit: float
     ) -> MeshArrays | None:
-        """Return the mesh refined at the first elements of the order of squares, at as many as the limit
+        """Return the mesh refined at the marked elements with the largest squares, as many as the limit
         of nodes allows; None if it allows not even one. The number is found by bracketing: ``fits``
-        is known to be within the limit, ``most`` beyond it."""
+        elements are within the limit, ``exceeds`` elements beyond it."""
         order = np.flatnonzero(marked)
         order = order[np.argsort(-squares[order], kind="stable")]
-        room = limit - mesh.n_nodes
-        most = len(order) + 1
+        allowed = limit - mesh.n_nodes
+        exceeds = len(order) + 1
         fits = 0
         best = None
         count = len(order)
-        for _ in range(_TRIES if room > 0 else 0):
+        for _ in range(_TRIES if allowed > 0 else 0):
             chosen = np.zeros(len(marked), dtype=bool)
             chosen[order[:count]] = True
             fine = self._halved(mesh, squares, chosen, limit)
             added = fine.n_nodes - mesh.n_nodes
-            if added <= room:
+            if added <= allowed:
                 fits = count
                 best = fine
             else:
-                most = count
+                exceeds = count
             # as far below the aim as the aim is below the limit
-            if most <= fits + 1 or (2 * _AIM - 1) * room <= added <= room:
+            close = (2 * _AIM - 1) * allowed <= added <= allowed
+            if exceeds <= fits + 1 or close:
                 break
-            count = int(min(max(count * _AIM * room / added, fits + 1), most - 1))
+            proportional = count * _AIM * allowed / added
+            count = int(min(max(proportional, fits + 1), exceeds - 1))
         return best
 
 
@@ -301,8 +302,8 @@ class Remesh:
     def _equilibrated(
         self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, aim: float
     ) -> np.ndarray:
-        """Sizes (n_nodes,) for a mesh of about ``aim`` nodes, m; contact boundaries keep four edges
-        at least."""
+        """Return sizes (n_nodes,), m, for a mesh of about ``aim`` nodes, with at least four edges along
+        a contact boundary."""
         sizes = equilibrated_sizes(mesh, estimate.squares, aim)
         for name in problem.pair_boundaries:
             surface = mesh.surface(name)
@@ -334,6 +335,8 @@ class Remesh:
 
 
 def _aim(nodes: int, max_nodes: int | None, growth: float) -> float:
+    """Return the number of nodes to aim at after a mesh of ``nodes`` nodes: ``growth`` times as many,
+    or with ``max_nodes`` the factor near it by which equal steps lead there."""
     if max_nodes is None:
         return growth * nodes
     aim = _AIM * checks.integer("max_nodes", max_nodes, 1)
@@ -365,8 +368,8 @@ def nodal_sizes(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:
 
 
 class NodeCount:
-    """About how many nodes a mesh has whose sizes are given at the nodes of another (module
-    docstring)."""
+    """The estimated number of nodes of a mesh whose sizes are given at the nodes of another ``mesh``;
+    see the module for the formula."""
 
     def __init__(self, mesh: MeshArrays) -> None:
         self.mesh = mesh
@@ -382,19 +385,20 @@ class NodeCount:
         mesh = self.mesh
         # sizes at the middles between corner and centroid: integrated as linear functions nearly
         # exactly
-        at = sizes[mesh.elements]
-        at = 0.5 * (at + at.mean(axis=1, keepdims=True))
-        on = sizes[mesh.facets]
-        on = 0.5 * (on + on.mean(axis=1, keepdims=True))
-        inside = (1 / at**mesh.dim).sum(axis=1)
-        boundary = (1 / on ** (mesh.dim - 1)).sum(axis=1)
+        in_elements = sizes[mesh.elements]
+        in_elements = 0.5 * (in_elements + in_elements.mean(axis=1, keepdims=True))
+        on_facets = sizes[mesh.facets]
+        on_facets = 0.5 * (on_facets + on_facets.mean(axis=1, keepdims=True))
+        inside = (1 / in_elements**mesh.dim).sum(axis=1)
+        boundary = (1 / on_facets ** (mesh.dim - 1)).sum(axis=1)
         return self.factor * float(self.inside @ inside + self.boundary @ boundary)
 
 
 def equilibrated_sizes(
     mesh: MeshArrays, squares: np.ndarray, n_nodes: float, growth: float = GRADING
 ) -> np.ndarray:
-    """Return sizes at the nodes of a mesh, for a new mesh of about ``n_nodes`` nodes."""
+    """Return sizes (n_nodes of the mesh,), m, for a new mesh of about ``n_nodes`` nodes on which the
+    squares (n_elements,) are equal; they grow by at most ``growth`` per distance."""
     from scipy.optimize import brentq  # takes long to import
 
     largest = squares.max()
@@ -419,12 +423,14 @@ def equilibrated_sizes(
     high = math.log(_COARSEST_SIZE / factors.min())
     if excess(low) <= 0.0:
         return sizes(low)
-    # to about a node
-    return sizes(high if excess(high) >= 0.0 else brentq(excess, low, high, xtol=1 / n_nodes))
+    if excess(high) >= 0.0:
+        return sizes(high)
+    # accurate to about a node
+    return sizes(brentq(excess, low, high, xtol=1 / n_nodes))
 
 
 def _edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both ends and lengths of the edges of a mesh."""
+    """Return the first and second ends and the lengths, m, of the edges of a mesh."""
     i, j = (mesh.elements[:, corners].ravel() for corners in np.triu_indices(mesh.dim + 1, 1))
     keys = np.unique(pair_keys(np.minimum(i, j), np.maximum(i, j), mesh.n_nodes))
     i, j = np.divmod(keys, mesh.n_nodes)

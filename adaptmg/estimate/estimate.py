@@ -175,6 +175,7 @@ class Estimate:
 
 
 def _checked_squares(name: str, squares: object) -> np.ndarray:
+    """Return squares (n_elements,) as an array; ValueError unless all are >= 0."""
     result = checks.array(name, squares, (None,))
     if not len(result) or result.min() < 0:
         raise ValueError(
@@ -312,6 +313,7 @@ class Maximum:
 
 
 def _share(theta: float) -> float:
+    """Return ``theta`` as a float; ValueError unless it is above 0 and at most 1."""
     result = checks.number("theta", theta)
     if not 0 < result <= 1:
         raise ValueError(f"theta must be > 0 and <= 1, got {checks.shown(theta)}")
@@ -319,6 +321,7 @@ def _share(theta: float) -> float:
 
 
 def _squares(estimate: Estimate | np.ndarray) -> np.ndarray:
+    """Return the squares of an estimate, or checked squares."""
     return (
         estimate.squares
         if isinstance(estimate, Estimate)
@@ -371,21 +374,22 @@ class Residual:
 
 
 def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
-    """Return squares (n_elements,) on boundaries without and on those with contact, N m."""
+    """Return the squares (n_elements,), N m, of residual tractions on boundaries without contact, and
+    those on boundaries with contact."""
     mesh = state.mesh
     stress = state.stress
-    near = state.neighbours
+    neighbours = state.neighbours
     touching = contact_tractions(mesh, state.result, stress.axisymmetric)
     plain = np.zeros(len(mesh.elements))
     contact = np.zeros(len(mesh.elements))
     supports = state.posed.directions
     for k, name in enumerate(mesh.boundaries):
         on_boundary = mesh.facet_labels == k
-        outside = near.outer[on_boundary]
+        outside = neighbours.outer[on_boundary]
         if not outside.any():
             continue
         surface = mesh.surface(name)
-        elements = near.owner[on_boundary]
+        elements = neighbours.owner[on_boundary]
         facets = surface.facets
         normals = surface.normals
         rule, at, weights = integration(mesh.points, facets, surface.measures, stress.axisymmetric)
@@ -395,33 +399,36 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
                 residual += load_density(load, at, normals)
         if name in touching:
             residual += np.einsum("qk,fkd->fqd", rule, touching[name].corners)
-        # there a support bears any traction
         for spring in state.problem.supports:
             if isinstance(spring, Spring) and spring.boundary == name:
                 stiffness = foundation(spring, at, normals)
                 residual -= np.einsum(
                     "fqij,qk,fkj->fqi", stiffness, rule, state.result.displacement[facets]
                 )
+        # a support bears any traction along the directions that it holds
         held = supports.get(name, np.empty((0, mesh.dim)))
         residual -= residual @ held.T @ held
         sizes = surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures)
         squares = (
             sizes / state.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
         )
-        into = contact if name in touching else plain
-        into += np.bincount(elements, weights=np.where(outside, squares, 0.0), minlength=len(into))
+        total = contact if name in touching else plain
+        total += np.bincount(
+            elements, weights=np.where(outside, squares, 0.0), minlength=len(total)
+        )
     return plain, contact
 
 
 def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
-    """Return squares (n_elements,) from complementarity and from friction, N m. At the nodes the
-    conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere, friction at its
-    limit against the slip where there is one. What a solver leaves of them is algebraic error;
-    multiplied by a gap, or by a slip, far larger than the deformation it would exceed all that the
-    mesh has left."""
+    """Return squares (n_elements,), N m, from complementarity and from friction.
+
+    At the nodes the conditions are taken as met: no pressure where a node is OPEN, no gap elsewhere,
+    friction at its limit against the slip where there is one. The remainder that a solver leaves is
+    algebraic error, and its product with a gap or slip far larger than the deformation would exceed
+    the error of the mesh."""
     mesh = state.mesh
     contact = state.result.contact
-    near = state.neighbours
+    neighbours = state.neighbours
     complementarity = np.zeros(len(mesh.elements))
     friction = np.zeros(len(mesh.elements))
     opens = contact.state == State.OPEN
@@ -432,7 +439,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
     for k, name in enumerate(contact.names):
         surface = mesh.surface(name)
         rows = np.flatnonzero(contact.boundary == k)
-        # a node without a condition of this boundary adds nothing: the last entries
+        # a node without a condition of this boundary takes the zero that is appended
         index = np.full(mesh.n_nodes, len(rows))
         index[contact.node[rows]] = np.arange(len(rows))
         pressure, gap, limit, traction, slip = (
@@ -444,12 +451,11 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         )
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
-        slip_part = np.einsum(
-            "fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2)
-        ) + np.einsum("fij,fid,fjd->f", mass, traction, slip)
-        elements = near.owner[mesh.facet_labels == mesh.boundaries.index(name)]
+        slip_part = np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))
+        slip_part += np.einsum("fij,fid,fjd->f", mass, traction, slip)
+        elements = neighbours.owner[mesh.facet_labels == mesh.boundaries.index(name)]
         complementarity += np.bincount(elements, weights=open_part, minlength=len(complementarity))
-        # below zero by rounding
+        # rounding may make a part negative
         friction += np.bincount(
             elements, weights=np.maximum(slip_part, 0.0), minlength=len(friction)
         )
@@ -457,48 +463,48 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _friction(state: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the limits (n,) of friction and its Cartesian tractions (n, dim), Pa, which obey the
-    law: at the limit against the slip, below it where a node sticks."""
+    """Return the limits (n_contact,) of friction and Cartesian friction tractions (n_contact, dim),
+    Pa, which obey the law: at the limit against the slip where a node moves, along the force and at
+    most at the limit where it sticks. ``opens`` (n_contact,) is the mask of open nodes."""
     contact = state.result.contact
     fixed, _ = state.discrete.law.bounds(len(contact))
     limit = np.where(opens, fixed, contact.limit)
     length = np.linalg.norm(contact.slip, axis=1)
-    moves = (contact.state != State.STICK) & (
-        length > checks.ROUNDING * np.abs(state.result.displacement).max(initial=0.0)
-    )
-    along = np.where(moves[:, None], -contact.slip, contact.force_t)
-    size = np.linalg.norm(along, axis=1)
+    rounding = checks.ROUNDING * np.abs(state.result.displacement).max(initial=0.0)
+    moves = (contact.state != State.STICK) & (length > rounding)
+    direction = np.where(moves[:, None], -contact.slip, contact.force_t)
+    size = np.linalg.norm(direction, axis=1)
     factor = np.divide(limit, size, out=np.zeros_like(size), where=size > 0)
     factor = np.where(moves, factor, np.minimum(factor, 1.0)) / contact.weights
-    return limit / contact.weights, from_frames(contact.frames[:, 1:], factor[:, None] * along)
+    return limit / contact.weights, from_frames(contact.frames[:, 1:], factor[:, None] * direction)
 
 
 def _padded(values: np.ndarray) -> np.ndarray:
+    """Return values (n, ...) with a zero appended."""
     return np.concatenate([values, np.zeros((1, *values.shape[1:]))])
 
 
 def jump_squares(state: Solved) -> np.ndarray:
-    """Return squares (n_elements,), N m; half of each facet to each of its elements, with that
-    element's modulus."""
+    """Return the squares (n_elements,), N m, of jumps of the traction: half of that of a facet belongs
+    to each of its elements, with the modulus of that element."""
     mesh = state.mesh
     stress = state.stress
     first, second = state.neighbours.pairs
     surface = Surface(mesh.points, state.neighbours.facets)
     if stress.axisymmetric:
         rule, _, weights = integration(mesh.points, surface.facets, surface.measures, True)
-        jump = np.subtract(
-            *(
-                stress.tractions(elements, surface.normals, surface.facets, rule)
-                for elements in (first, second)
-            )
+        jump, opposite = (
+            stress.tractions(elements, surface.normals, surface.facets, rule)
+            for elements in (first, second)
         )
+        jump -= opposite
         squares = np.einsum("fqd,fqd,fq->f", jump, jump, weights)
     else:
         values = stress.values.T
-        vectors = surface.vectors.T
         change = values.take(first, axis=1) - values.take(second, axis=1)
+        # components of the jump of sigma n, times the measure of the facet
         jumps = [
-            sum(change[c] * part for c, part in zip(row, vectors, strict=True))
+            sum(change[column] * n for column, n in zip(row, surface.vectors.T, strict=True))
             for row in stress.columns
         ]
         squares = sum(jump * jump for jump in jumps) / surface.measures
@@ -512,8 +518,8 @@ def jump_squares(state: Solved) -> np.ndarray:
 def volume_squares(
     stress: ElementStress, loads: Sequence[Load], young: np.ndarray
 ) -> np.ndarray | None:
-    """Return squares (n_elements,), N m; None where there is neither a body force nor
-    axisymmetry."""
+    """Return the squares (n_elements,), N m, of residuals inside elements; None where there is neither
+    a body force nor axisymmetry, so that they vanish."""
     forces = [load for load in loads if isinstance(load, BodyForce)]
     if not forces and not stress.axisymmetric:
         return None

@@ -190,11 +190,14 @@ class Goal:
         algebraic = np.array(
             [_algebraic(view, *pair) for pair in zip(functionals, duals, strict=True)]
         )
-        signed, parts = zip(*map(error.of_functional, functionals, finer, duals), strict=True)
-        errors = np.array(signed) + algebraic
+        discretised = [
+            error.of_functional(*group) for group in zip(functionals, finer, duals, strict=True)
+        ]
+        errors = np.array([signed for signed, _ in discretised]) + algebraic
         worst = int(np.argmax(np.abs(errors / sizes)))
         squares = [
-            _on_elements(fine, origin, part / size) for part, size in zip(parts, sizes, strict=True)
+            _on_elements(fine, origin, parts / size)
+            for (_, parts), size in zip(discretised, sizes, strict=True)
         ]
         values = np.array([functional.value for functional in functionals])
         return GoalEstimate(
@@ -227,8 +230,8 @@ def need_linear(problem: ContactProblem) -> None:
 
 
 def _sizes(functionals: list[Functional]) -> np.ndarray:
-    """Return the value that each quantity is related to: 1 for a single one, else the size of its
-    value."""
+    """Return the divisors (n,) that make the errors of quantities relative: 1 for a single one, else
+    the absolute values."""
     if len(functionals) == 1:
         return np.ones(1)
     sizes = np.array([abs(functional.value) for functional in functionals])
@@ -250,7 +253,11 @@ _STEPS = 30
 
 
 class HalvedError:
-    """The error of a discrete solution at the new nodes of the mesh with all edges halved."""
+    """The error of a discrete solution at the new nodes of the mesh with all edges halved.
+
+    ``new`` (n_new,) are the dofs of these nodes in which it may move, ``error`` (n_new,) the error
+    from all equations of these dofs together, for signed estimates, and ``diagonal_error`` (n_new,)
+    that from each equation by itself, for marks."""
 
     def __init__(self, view: GoalView, fine: GoalView, norm: float) -> None:
         self.view = view
@@ -263,18 +270,18 @@ class HalvedError:
         load = self.test @ (contact.fixed_friction - contact.local(contact.residual))
         matrix = sparse.csr_array(self.test @ matrix[:, new])
         diagonal = matrix.diagonal()
-        self.alone = load / diagonal  # of each new node by itself: marks
+        self.diagonal_error = load / diagonal
         inner = LinearOperator(matrix.shape, lambda x: x.reshape(-1) / diagonal, dtype=np.float64)
-        # of all in one system: signed estimates. scipy tests the preconditioned residual
-        self.together, failed = gmres(
+        # scipy tests the preconditioned residual
+        self.error, failed = gmres(
             matrix, load, rtol=_RTOL, atol=0.0, restart=_STEPS, maxiter=3, M=inner
         )
         if failed:
             _LOG.info("the equations of %d new unknowns were not solved to %.0e", len(new), _RTOL)
-        self.energies = np.abs(load * self.alone)
+        self.energies = np.abs(load * self.diagonal_error)
         #: energy norm of the error over that of the solution
         self.energy = (
-            float(np.sqrt(max(_WHOLE * load @ self.together, 0.0))) / norm if norm > 0 else 0.0
+            float(np.sqrt(max(_WHOLE * load @ self.error, 0.0))) / norm if norm > 0 else 0.0
         )
 
     def of_functional(
@@ -286,35 +293,29 @@ class HalvedError:
         reaction = finer.vector - self.fine.discrete.matrix @ self.fine.interpolated(dual.field)
         weighted = contact.local(reaction)[self.new]
         geometry = _WHOLE * (finer.value - coarse.value)
-        signed = _WHOLE * float(weighted @ self.together) + geometry
-        parts = np.abs(weighted * self.alone)
+        signed = _WHOLE * float(weighted @ self.error) + geometry
+        parts = np.abs(weighted * self.diagonal_error)
         if not dual.field.any() and coarse.vector[~self.view.discrete.fixed].any():
-            # the contact state alone leaves the quantity no way to change, but a finer mesh may
-            # have another state: the parts of the energy; in all a relative error of the
-            # displacement as large as that of the energy
-            moved = float(
-                np.abs(self.view.contact.unknowns).max(initial=0.0) * np.abs(coarse.vector).sum()
-            )
-            parts = (
-                self.energies
-                / max(float(self.energies.sum()), np.finfo(float).tiny)
-                * self.energy
-                * moved
-            )
-        nodal = np.bincount(
-            self.new // contact.discrete.dim, parts, minlength=contact.discrete.n_nodes
-        )
-        # an edge of length h changes a mean by h^3, a facet by h^4
+            # the contact state does not let the quantity change, but a finer mesh may have another
+            # state: the parts are then those of the energy, and their sum is the change by a relative
+            # error of the displacement as large as that of the energy
+            displacement_size = np.abs(self.view.contact.unknowns).max(initial=0.0)
+            largest_change = float(displacement_size * np.abs(coarse.vector).sum())
+            shares = self.energies / max(float(self.energies.sum()), np.finfo(float).tiny)
+            parts = shares * self.energy * largest_change
         dim = contact.discrete.dim
-        first = self.view.mesh.n_nodes
+        nodal = np.bincount(self.new // dim, parts, minlength=contact.discrete.n_nodes)
+        # the error of the chords, at the new nodes: an edge of length h changes a mean by h^3, a facet
+        # by h^4
+        first_new = self.view.mesh.n_nodes
         share = np.linalg.norm(finer.vector.reshape(-1, dim), axis=1) ** ((dim + 1) / (dim - 1))
-        share[:first] = 0.0
+        share[:first_new] = 0.0
         return signed, nodal + abs(geometry) * share / max(float(share.sum()), np.finfo(float).tiny)
 
 
 def _on_elements(fine: GoalView, origin: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Parts of the nodes of the halved mesh shared out evenly among the elements around each, by
-    those that these come from."""
+    """Return the sums (n_elements,) of the parts (n_nodes,) of the nodes of the halved mesh, each shared
+    evenly by the elements around the node, over the element (``origin``) that holds these."""
     elements = fine.mesh.elements
     around = np.bincount(elements.ravel(), minlength=len(parts))
     return np.bincount(origin, (parts / around)[elements].sum(axis=1))

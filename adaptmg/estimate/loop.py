@@ -67,7 +67,7 @@ Progress = Callable[[dict[str, float | str]], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """When the loop ends."""
+    """The limits at which the loop ends; at least one is given."""
 
     tolerance: float | None = None  # for the relative estimate
     max_nodes: int | None = None
@@ -198,27 +198,29 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
         return None
     if before is None or before.signed is None:
         return False
-    (values, errors), (old_values, old_errors) = (
-        (quantities.values, quantities.errors)
-        if isinstance(quantities, GoalEstimate)
-        else (np.array([quantities.value]), np.array([quantities.signed]))
-        for quantities in (estimate, before)
-    )
-    change = (
-        np.abs(values + errors - old_values - old_errors)
-        if values.shape == old_values.shape
-        else np.inf
-    )
-    return bool(((errors * old_errors > 0) & (change <= np.abs(errors))).all())
+    values, errors = _values_and_errors(estimate)
+    old_values, old_errors = _values_and_errors(before)
+    change = np.inf
+    if values.shape == old_values.shape:
+        change = np.abs(values + errors - old_values - old_errors)
+    same_sign = errors * old_errors > 0
+    return bool((same_sign & (change <= np.abs(errors))).all())
+
+
+def _values_and_errors(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values (n,) of the quantities of a goal and their estimated errors (n,)."""
+    if isinstance(estimate, GoalEstimate):
+        return estimate.values, estimate.errors
+    return np.array([estimate.value]), np.array([estimate.signed])
 
 
 def _is_exact(estimate: Estimate) -> bool:
     """Return whether an estimate is rounding."""
     # solutions that are linear: solves to RTOL leave 6e-13 of the square of the norm in patch tests
-    exact = (checks.SIX_DIGITS * estimate.norm) ** 2
+    rounding = (checks.SIX_DIGITS * estimate.norm) ** 2
     if estimate.value is not None:
-        exact = checks.ROUNDING * abs(estimate.value)
-    return bool(estimate.squares.sum() <= exact)
+        rounding = checks.ROUNDING * abs(estimate.value)
+    return bool(estimate.squares.sum() <= rounding)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +295,7 @@ class AdaptiveLoop:
         self.said: set[str] = set()  # kinds of warnings, each given once in the loop
 
     def steps(self) -> Iterator[Step]:
-        """Yield the steps, those of the store first."""
+        """Yield the steps, those of the store first, until a limit is reached."""
         for number, stored in enumerate(() if self.store is None else self.store.steps()):
             self.clock.timings = {}
             self._remember(self._restored(number, stored))
@@ -302,14 +304,14 @@ class AdaptiveLoop:
             yield self._solve(self.first, None)
         while True:
             last = self.done[-1]
-            met = self._reached(last)
-            remeshed = self.parts.remesh_every is not None
-            # a path goes on on a mesh that needs no finer one
-            reason = self._ended(last) if remeshed else met or self._ended(last)
+            limit = self._reached(last)
+            reason = self._ended(last)
             mesh = None
-            if not (reason or met):
-                mesh, stopped = self._refine(last)
-                reason = "" if remeshed else stopped
+            if not (reason or limit):
+                mesh, limit = self._refine(last)
+            # along a path the loop goes on, on the same mesh, where no finer one is needed or possible
+            if self.parts.remesh_every is None:
+                reason = limit or reason
             if reason:
                 object.__setattr__(last, "outcome", reason)
                 if self.first.problem.contact and not last.result.displacement.any():
@@ -340,12 +342,12 @@ class AdaptiveLoop:
         """Return as text which limit a step has reached; empty if none."""
         limits = self.limits
         relative = last.estimate.relative
-        met = [
+        accurate = [
             limits.tolerance is not None and step.estimate.relative <= limits.tolerance
             for step in self.done[-2:]
         ]
         # signs of goals may be chance on every mesh: twice in a row is enough
-        if met[-1] and (last.settled is not False or met == [True, True]):
+        if accurate[-1] and (last.settled is not False or accurate == [True, True]):
             return (
                 f"tolerance met: the estimate is {relative:.3g}, the tolerance {limits.tolerance:g}"
             )
@@ -366,9 +368,9 @@ class AdaptiveLoop:
 
     @one_blas_thread()
     def _refine(self, last: Step) -> tuple[MeshArrays | None, str]:
-        """The next mesh; or why there is none."""
+        """Return the next mesh; or None, and as text why there is none."""
         self._report("mesh", last.nodes)
-        most = self.limits.max_nodes
+        max_nodes = self.limits.max_nodes
         engine = self.parts.engine
         problem = self.first.problem
         with self.clock.phase("mesh"):
@@ -379,32 +381,27 @@ class AdaptiveLoop:
             marked = marks_of(self.parts.mark, estimate)
             if not marked.any():
                 return None, "no progress: the marking chooses no element"
-            bound = most
+            # between steps of a load path the next mesh may have fewer nodes
+            must_grow = self.parts.remesh_every is None
+            bound = max_nodes
             for _ in range(ATTEMPTS):
                 finer = engine.refine(problem, mesh, estimate, marked, max_nodes=bound)
                 if finer is not None:
                     finer = sound_mesh(engine, "refine", problem, finer, mesh)
-                fewest = mesh.n_nodes + 1 if self.parts.remesh_every is None else 0
-                if finer is None or finer.n_nodes < fewest:
-                    floor = (
-                        ""
-                        if divisible(mesh)[marked].any()
-                        else (
-                            "; the marked elements are so small that coordinates do not resolve smaller ones"
-                        )
-                    )
-                    return (
-                        None,
-                        f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes{floor}",
-                    )
-                if most is None or finer.n_nodes <= most:
+                if finer is None or (must_grow and finer.n_nodes <= mesh.n_nodes):
+                    reason = f"no progress: the engine makes no finer mesh than that of {mesh.n_nodes} nodes"
+                    if not divisible(mesh)[marked].any():
+                        reason += "; the marked elements are so small that coordinates do not resolve smaller ones"
+                    return None, reason
+                if max_nodes is None or finer.n_nodes <= max_nodes:
                     return finer, ""
-                # sizes are met roughly only: ask for as much less
-                bound = int(0.98 * cast("int", bound) * most / finer.n_nodes)
-        return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {most} are allowed"
+                # engines meet the number roughly: ask for fewer in proportion
+                bound = int(0.98 * cast("int", bound) * max_nodes / finer.n_nodes)
+        return None, f"max_nodes: the next mesh has {finer.n_nodes} nodes, {max_nodes} are allowed"
 
     @one_blas_thread()
     def _carry(self, last: Step, mesh: MeshArrays) -> tuple[Hierarchy, Result]:
+        """Return the hierarchy with a finer mesh, and the last result interpolated to it as start."""
         self._report("assembly", mesh.n_nodes)
         before = last.hierarchy
         with self.clock.phase("levels"):
@@ -493,8 +490,8 @@ class AdaptiveLoop:
         return step
 
     def _steering(self, last: Step) -> Estimate:
-        """The estimate by which the next mesh is made: of a load path perhaps more than that of the
-        step."""
+        """Return the estimate by which the next mesh is made: that of the last step, or one for all load
+        steps of its path."""
         if last.path is None or self.parts.adapt_on == "last":
             return last.estimate
         if self.steering is None:  # the step is from a store
@@ -502,6 +499,7 @@ class AdaptiveLoop:
         return self.steering
 
     def _restored(self, number: int, step: Stored) -> Step:
+        """Return a step made of its record in the store."""
         stored: StoredStep = step.more
         finest = with_refinement(need_mesh(step.value), stored.history)
         last = self.done[-1] if self.done else None
@@ -522,11 +520,13 @@ class AdaptiveLoop:
         )
 
     def _remember(self, step: Step) -> None:
+        """Append a step that is finished, and report it."""
         self.done.append(step)
         self._report("done", step.nodes)
         _LOG.debug("%s", step)
 
     def _report(self, phase: str, nodes: int) -> None:
+        """Call ``progress`` with a row on a phase of the step."""
         if self.progress is None:
             return
         last = self.done[-1] if self.done else None
@@ -646,10 +646,12 @@ def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) 
 def _path_estimate(
     hierarchy: Hierarchy, parts: LoopParts, results: PathResult, number: int
 ) -> tuple[int, Estimate, Estimate]:
-    """The last load step, or the one with the largest relative estimate: number, estimate, and what
-    to refine by. Of several load steps each element counts with its largest share in the relative
-    estimate of any step: a mesh made for one step alone is too coarse where others need it, and the
-    loop would alternate between them."""
+    """Return the number and the estimate of the last load step, or of the one with the largest relative
+    estimate, and the estimate by which mesh ``number`` is refined.
+
+    Of several load steps each element counts with its largest share in the relative estimate of any
+    step: a mesh made for one step alone is too coarse where others need it, and the loop would
+    alternate between them."""
     steps = range(len(results)) if parts.adapt_on == "worst" else (len(results) - 1,)
     estimates = {
         k: estimate_of(
@@ -665,17 +667,12 @@ def _path_estimate(
             "load_path: nothing moves in any of its steps, so there is nothing to refine for"
         )
     k = max(estimates, key=lambda k: estimates[k].relative)
-    # a quantity that is zero has no relative error: above 1 all steps count alike
-    shares = np.max(
-        [
-            min(step_estimate.relative, 1.0) ** 2
-            / (step_estimate.squares.sum() or 1.0)
-            * step_estimate.squares
-            for step_estimate in estimates.values()
-        ],
-        axis=0,
-    )
-    return k, estimates[k], replace(estimates[k], squares=shares)
+    shares = []
+    for step_estimate in estimates.values():
+        # a quantity that is zero has no relative error: above 1 all steps count alike
+        relative = min(step_estimate.relative, 1.0) ** 2
+        shares.append(relative / (step_estimate.squares.sum() or 1.0) * step_estimate.squares)
+    return k, estimates[k], replace(estimates[k], squares=np.max(shares, axis=0))
 
 
 #: what the file of a step holds; user-defined estimates come back as Estimate
@@ -713,17 +710,18 @@ def loop_fingerprint(
 
 def restored(before: Hierarchy, meshes: Sequence[MeshArrays]) -> Hierarchy:
     """Return the hierarchy of a stored step, which has these meshes, made of that of the step
-    before."""
+    before: levels are appended and dropped."""
     stored = [_key(mesh) for mesh in meshes]
-    there = [_key(need_mesh(level)) for level in before.levels]
+    present = [_key(need_mesh(level)) for level in before.levels]
     for key, mesh in zip(stored, meshes, strict=True):
-        if key not in there:
+        if key not in present:
             before = before.append(sound_by_construction(check_mesh(mesh)))
-            there.append(key)
-    for level in reversed([k for k, key in enumerate(there) if key not in stored]):
+            present.append(key)
+    for level in reversed([k for k, key in enumerate(present) if key not in stored]):
         before = before.without(level)
     return before
 
 
 def _key(mesh: MeshArrays) -> bytes:
+    """Return a hash of the points and elements of a mesh."""
     return hashlib.sha256(mesh.points.tobytes() + mesh.elements.tobytes()).digest()

@@ -65,7 +65,7 @@ class GoalView:
 
     @property
     def touching(self) -> ContactNodes:
-        """The contact nodes."""
+        """Return the contact nodes."""
         return self.discrete.contact
 
     def load_of(self, nodal: np.ndarray) -> np.ndarray:
@@ -120,12 +120,13 @@ def _halved(
 
 
 def _mean(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the value in the middle between two nodes."""
     return 0.5 * (a + b)
 
 
 def _looser(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The state between two nodes: the solution does not say where contact ends; without a
-    condition the other's."""
+    """Return the state between two nodes: the looser one, as the solution does not say where contact
+    ends, or that of the node that has one."""
     return np.where(a == _NONE, b, np.where(b == _NONE, a, np.minimum(a, b)))
 
 
@@ -169,7 +170,8 @@ def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
 
 
 def _axis(name: str, value: int | str, dim: int | None = None) -> int:
-    """The number of a component given as 0, 1, 2 or "x", "y", "z"."""
+    """Return the number of a component given as 0, 1, 2 or "x", "y", "z"; ValueError for others, and
+    for those beyond the dimension."""
     if isinstance(value, str) and value not in _AXES:
         raise ValueError(f"{name} must be 'x', 'y', 'z' or 0, 1, 2, got {checks.shown(value)}")
     number = _AXES[value] if isinstance(value, str) else checks.integer(name, value, 0, 2)
@@ -209,13 +211,10 @@ class Displacement:
             raise ValueError(
                 f"points must all have 2 or all 3 coordinates, got {checks.shown(self.points)}"
             ) from None
-        points = (
-            np.empty((0, 0))
-            if 0 in shape
-            else checks.array(
-                "points", [self.points] if len(shape) == 1 else self.points, (None, None)
-            )
-        )
+        points = np.empty((0, 0))
+        if 0 not in shape:
+            rows = [self.points] if len(shape) == 1 else self.points
+            points = checks.array("points", rows, (None, None))
         if not len(points) or points.shape[1] not in (2, 3):
             raise ValueError(
                 f"points must hold at least one point of 2 or 3 coordinates, got shape {shape}"
@@ -239,30 +238,24 @@ class Displacement:
                 f"body {self.body!r} does not exist{checks.suggestion(self.body, mesh.bodies)}; the "
                 f"bodies are {', '.join(mesh.bodies)}"
             )
-        at = PointLocator(mesh, None if self.body is None else mesh.bodies.index(self.body)).locate(
-            points
-        )
+        number = None if self.body is None else mesh.bodies.index(self.body)
+        place = PointLocator(mesh, number).locate(points)
         result = []
         for point, element, weights, distance in zip(
-            self.points, at.element, at.weights, at.distance, strict=True
+            self.points, place.element, place.weights, place.distance, strict=True
         ):
             if view.coarse is None and distance > checks.SIX_DIGITS * mesh.element_sizes[element]:
                 raise ValueError(f"points: {point} lies {distance:.3g} m outside the mesh")
             nodal = np.zeros(mesh.points.shape)
             nodal[mesh.elements[element], k] = weights
             value = float(np.sum(nodal * view.displacement))
-            result.append(
-                Functional(
-                    f"u_{'xyz'[k]} at {_place(cast('Sequence[float]', point))}",
-                    value,
-                    "m",
-                    view.load_of(nodal),
-                )
-            )
+            name = f"u_{'xyz'[k]} at {_place(cast('Sequence[float]', point))}"
+            result.append(Functional(name, value, "m", view.load_of(nodal)))
         return result
 
 
 def _place(point: Sequence[float]) -> str:
+    """Return a point as text."""
     return f"({', '.join(f'{c:g}' for c in point)})"
 
 
@@ -304,8 +297,8 @@ class MeanDisplacement:
 
 
 def _contact_mask(contact: ContactNodes, name: str) -> tuple[np.ndarray, float]:
-    """Return the mask of the contact nodes of a boundary, and a sign: -1 where it is the master of a
-    pair."""
+    """Return the mask (n_contact,) of the contact nodes of the boundary or pair ``name``, and a sign:
+    -1 where it is the master of a pair, else 1."""
     if name == "contact":
         return np.ones(len(contact), dtype=bool), 1.0
     pairs = [
@@ -313,10 +306,9 @@ def _contact_mask(contact: ContactNodes, name: str) -> tuple[np.ndarray, float]:
         for slave, master in zip(contact.names, contact.masters, strict=True)
     ]
     for names, sign in ((contact.names, 1.0), (pairs, 1.0), (contact.masters, -1.0)):
-        if name in names:
-            return np.isin(
-                contact.boundary, [k for k, boundary in enumerate(names) if boundary == name]
-            ), sign
+        numbers = [k for k, boundary in enumerate(names) if boundary == name]
+        if numbers:
+            return np.isin(contact.boundary, numbers), sign
     candidates = ("contact", *contact.names, *filter(None, contact.masters))
     raise ValueError(
         f"there is no contact on boundary {name!r}{checks.suggestion(name, candidates)}; contact is on "
@@ -432,6 +424,7 @@ class PeakPressure:
         shares = pressures / largest  # powers of these do not overflow
         total = float(weights @ shares**self.power) or 1.0
         mean = float(weights @ shares ** (self.power + 1)) / total
+        # the derivative of the mean by the shares, times the total over the weights
         change = (self.power + 1) * shares**self.power
         change -= self.power * mean * shares ** (self.power - 1)
         local = np.zeros((len(weights), view.mesh.dim))
@@ -466,13 +459,13 @@ class Dissipation:
         """Return the functional."""
         source = view if view.coarse is None else view.coarse
         contact = source.contact
-        chosen = _of_slaves(source, self.boundary) > 0
-        frictions = np.where(chosen[:, None], _at_nodes(source, contact.residual)[:, 1:], 0.0)
+        on_boundary = _of_slaves(source, self.boundary) > 0
+        frictions = np.where(on_boundary[:, None], _at_nodes(source, contact.residual)[:, 1:], 0.0)
         frictions[contact.held] = 0.0
         # the product of frictions and slips varies with both: the matrix times the slips is the
         # variation of the frictions, and the frictions are that of the slips
-        slips = np.zeros((len(chosen), view.mesh.dim))
-        slips[chosen, 1:] = -contact.slip[chosen]
+        slips = np.zeros((len(on_boundary), view.mesh.dim))
+        slips[on_boundary, 1:] = -contact.slip[on_boundary]
         tractions = np.zeros_like(slips)
         tractions[:, 1:] = -frictions / source.touching.weights[:, None]
         vector = view.discrete.matrix @ _direction(view, source, slips)
@@ -579,19 +572,18 @@ class Opening:
         point = np.array(self.point)
         if len(point) != mesh.dim:
             raise ValueError(f"point has {len(point)} coordinates in a {mesh.dim}D problem")
-        (k,), (shape,), _ = BoxTree(mesh.points, facets).nearest(point[None])
-        distance = np.linalg.norm(shape @ mesh.points[facets[k]] - point)
-        if (
-            view.coarse is None
-            and distance > checks.SIX_DIGITS * np.ptp(mesh.points[facets[k]], axis=0).max()
-        ):
+        (number,), (shape,), _ = BoxTree(mesh.points, facets).nearest(point[None])
+        facet = facets[number]
+        distance = np.linalg.norm(shape @ mesh.points[facet] - point)
+        extent = np.ptp(mesh.points[facet], axis=0).max()
+        if view.coarse is None and distance > checks.SIX_DIGITS * extent:
             raise ValueError(
                 f"point {self.point} lies {distance:.3g} m off the boundary {self.boundary!r}"
             )
         nodal = np.zeros(mesh.n_nodes)
         nodes = view.touching.nodes
-        nodal[facets[k]] = shape
-        without_contact = facets[k][(shape > 1e-9) & ~np.isin(facets[k], nodes)]
+        nodal[facet] = shape
+        without_contact = facet[(shape > 1e-9) & ~np.isin(facet, nodes)]
         if view.coarse is None and len(without_contact):
             raise ValueError(
                 f"point {self.point}: its neighbour, node {without_contact[0]}, carries no contact condition"

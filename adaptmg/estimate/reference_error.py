@@ -59,17 +59,16 @@ class Reference:
     problem: ContactProblem
     energy: float  # ||u_H||^2, N m
     own_error: float  # ||u - u_H|| by Recovery, sqrt(N m)
-    points: Mapping[str, np.ndarray] = field(
-        repr=False
-    )  # (n, dim): where contact or supports exert forces, m
-    forces: Mapping[str, np.ndarray] = field(repr=False)  # (n, dim): these forces, on the body, N
-    prescribed: Mapping[str, np.ndarray] = field(
-        repr=False
-    )  # (n, dim): constants of supports there, m; NaN elsewhere
+    #: (n, dim): points at which contact or supports exert forces, m
+    points: Mapping[str, np.ndarray] = field(repr=False)
+    #: (n, dim): these forces, on the body, N
+    forces: Mapping[str, np.ndarray] = field(repr=False)
+    #: (n, dim): constant displacements that supports prescribe there, m; NaN elsewhere
+    prescribed: Mapping[str, np.ndarray] = field(repr=False)
 
     @classmethod
     def of(cls, hierarchy: Hierarchy, result: Result) -> Reference:
-        """Return that of a result on the finest mesh of a hierarchy, solved far below the errors to
+        """Return the reference made of a result on the finest mesh of a hierarchy, solved far below the errors to
         be measured."""
         state = solved(hierarchy, result)
         if state.problem.elements == "smoothed":
@@ -166,22 +165,24 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
 
 
 def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
-    """Return the forces (n_nodes, dim) that contact and supports exert on the bodies; elsewhere the solver's
-    residual is cut, and ties do next to no work on displacements that obey them."""
+    """Return the forces (n_nodes, dim), N, that contact and supports exert on the bodies. The residual
+    of the solver at other nodes is left out, and so are the forces of ties, which do next to no work
+    on displacements that obey them."""
     contact = result.contact
     forces = np.zeros_like(result.reaction)
     forces[contact.node] = contact.force
     np.add.at(forces, contact.master_node, contact.master_force)
-    # a support bears what contact does not, whatever both exert at one node
+    # at a node with both, the reaction contains what contact and support exert together
     forces = np.where(discrete.held.reshape(forces.shape), result.reaction, forces)
-    left = result.reaction - forces
-    return forces + left - discrete.inclined.free_part(np.arange(len(forces)), left)
+    rest = result.reaction - forces
+    # its part along directions that oblique supports hold
+    return forces + rest - discrete.inclined.free_part(np.arange(len(forces)), rest)
 
 
 def _constants(posed: Posed) -> np.ndarray:
-    """Prescribed displacements (n_nodes, dim) that are constant along a boundary, and so the same
-    on all meshes, m. NaN elsewhere: of a function of position a coarse mesh has its own
-    interpolant."""
+    """Return the prescribed displacements (n_nodes, dim), m, that are constant along a boundary, and so
+    the same on all meshes; NaN elsewhere, as each mesh interpolates a function of position in its own
+    way."""
     result = np.full(posed.mesh.points.shape, np.nan)
     for hold in posed.holds:
         if hold.axis is not None and hold.constant:

@@ -40,10 +40,11 @@ from adaptmg.solver.advice import CORNER
 from adaptmg.solver.examine import ContactResult, energy_norm, euclidean_norm
 from adaptmg.solver.result import Result
 
-#: rows and columns of the tensor that are kept of stresses in the plane and in space; of axisymmetric ones; and back
-_PLAIN = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
-_ROUND = ([0, 1, 2, 0], [0, 1, 2, 1])
-_BACK = {
+#: rows and columns in the tensor of the stored components of a stress, by dimension, and of an axisymmetric one;
+#: and by the number of components, the stored component at each place of the tensor
+_COMPONENTS = {2: ([0, 1, 0], [0, 1, 1]), 3: ([0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2])}
+_AXISYMMETRIC = ([0, 1, 2, 0], [0, 1, 2, 1])
+_STORED = {
     3: np.array([[0, 2], [2, 1]]),
     4: np.array([[0, 3], [3, 1]]),
     6: np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]]),
@@ -52,14 +53,13 @@ _BACK = {
 
 @dataclass(frozen=True, eq=False)
 class ElementStress:
-    """Stress in a mesh."""
+    """The stress of a displacement on each element of a mesh."""
 
     mesh: MeshArrays
     displacement: np.ndarray  # (n_nodes, dim): m
     data: StressData
-    values: (
-        np.ndarray
-    )  # (n_elements, n_values) at centroids: xx, yy, xy; rr, zz, hoop, rz; xx, yy, zz, xy, yz, xz
+    #: (n_elements, n_components) at centroids: xx, yy, xy; rr, zz, hoop, rz; xx, yy, zz, xy, yz, xz
+    values: np.ndarray
 
     @property
     def axisymmetric(self) -> bool:
@@ -68,13 +68,13 @@ class ElementStress:
 
     @property
     def columns(self) -> np.ndarray:
-        """Return the column (dim, dim) of each component in space, in axisymmetry of the
-        section."""
-        return _BACK[self.values.shape[1]]
+        """Return the column of ``values`` that holds each component (dim, dim) of the tensor, in
+        axisymmetry of its part in the section."""
+        return _STORED[self.values.shape[1]]
 
     @cached_property
     def compliances(self) -> Moduli:
-        """The tensors whose inverses make energies of stresses; Lame's first constant may be
+        """Return the moduli whose inverses make energies of stresses; Lame's first constant may be
         infinite."""
         if self.data.moduli is not None:
             return self.data.moduli
@@ -88,8 +88,8 @@ class ElementStress:
 
     @cached_property
     def of_hoop(self) -> np.ndarray:
-        """Stresses rr, zz, hoop, rz (n_elements, 4) of a hoop strain of 1, Pa, which varies within
-        linear elements."""
+        """Return the stresses rr, zz, hoop, rz (n_elements, 4), Pa, of a hoop strain of 1, which varies
+        within linear elements."""
         if self.data.smoothed:
             return np.zeros((len(self.mesh.elements), 4))
         return self.data.of_elements(self.mesh).of_hoop()
@@ -97,35 +97,37 @@ class ElementStress:
     def tractions(
         self, elements: np.ndarray, normals: np.ndarray, facets: np.ndarray, rule: np.ndarray
     ) -> np.ndarray:
-        """Return sigma n (n, n_points, dim) at points of facets."""
+        """Return sigma n (n, n_points, dim), Pa, at the points of a ``rule`` (n_points, dim) on facets
+        (n, dim) with these normals (n, dim), in their elements (n,)."""
         plain = np.einsum("nij,nj->ni", self.values[elements][:, self.columns], normals)
         result = np.repeat(plain[:, None, :], len(rule), axis=1)
         if self.axisymmetric:
-            more = np.einsum("nij,nj->ni", self.of_hoop[elements][:, self.columns], normals)
-            result += self.rise(elements, facets, rule)[:, :, None] * more[:, None, :]
+            per_hoop_strain = np.einsum(
+                "nij,nj->ni", self.of_hoop[elements][:, self.columns], normals
+            )
+            result += self.rise(elements, facets, rule)[:, :, None] * per_hoop_strain[:, None, :]
         return result
 
     @cached_property
     def hoop(self) -> np.ndarray:
-        """Hoop strain (n_elements,) at the centroids of axisymmetric elements, else empty."""
+        """Return the hoop strain (n_elements,) at the centroids of axisymmetric elements, else empty."""
         return hoop_strain(self.mesh, self.displacement) if self.axisymmetric else np.empty(0)
 
     def rise(self, elements: np.ndarray | slice, cells: np.ndarray, rule: np.ndarray) -> np.ndarray:
-        """Return the hoop strain (n, n_points) at points of cells (n, k) less that at the centroids
-        of their elements; 0 where elements are smoothed."""
+        """Return the hoop strain (n, n_points) at the points of a ``rule`` (n_points, k) on cells
+        (n, k), elements or facets, minus that at the centroids of their elements (n,); 0 where
+        elements are smoothed."""
         if self.data.smoothed:
             return np.zeros((len(cells), len(rule)))
         radius = self.mesh.points[cells, 0] @ rule.T
         moved = self.displacement[cells, 0] @ rule.T
-        return (
-            np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0)
-            - self.hoop[elements, None]
-        )
+        hoop = np.divide(moved, radius, out=np.zeros_like(radius), where=radius > 0)
+        return hoop - self.hoop[elements, None]
 
 
 def element_stress(mesh: MeshArrays, displacement: np.ndarray, data: StressData) -> ElementStress:
     """Return the stress of a displacement (n_nodes, dim), m."""
-    rows, columns = _ROUND if data.axisymmetric else _PLAIN[mesh.dim]
+    rows, columns = _AXISYMMETRIC if data.axisymmetric else _COMPONENTS[mesh.dim]
     return ElementStress(
         mesh, displacement, data, data.tensors(mesh, displacement)[:, rows, columns]
     )
@@ -143,9 +145,11 @@ class Neighbours:
 
 
 def neighbours(mesh: MeshArrays) -> Neighbours:
-    """Return neighbours in a mesh: two facets of elements with the same nodes follow each other
-    when sorted."""
-    k = mesh.dim + 1
+    """Return the neighbours in a mesh.
+
+    The sides of all elements are numbered element by element; two sides with the same nodes follow
+    each other when sorted by their keys."""
+    n_sides = mesh.dim + 1
     n = mesh.n_nodes
     facets = element_facets(mesh.elements).reshape(-1, mesh.dim)
     keys = facet_keys(facets, n)
@@ -157,14 +161,16 @@ def neighbours(mesh: MeshArrays) -> Neighbours:
     unpaired = np.ones(len(order), dtype=bool)
     unpaired[inside] = False
     place = np.minimum(np.searchsorted(keys, boundary_keys), len(keys) - 1)
-    lost = np.flatnonzero(keys[place] != boundary_keys)
-    if len(lost):
+    without_element = np.flatnonzero(keys[place] != boundary_keys)
+    if len(without_element):
+        facet = without_element[0]
         raise ValueError(
-            f"mesh: boundary facet {lost[0]} of nodes {mesh.facets[lost[0]].tolist()} belongs to no "
-            "element"
+            f"mesh: boundary facet {facet} of nodes {mesh.facets[facet].tolist()} belongs to no element"
         )
     side = order[place]
-    return Neighbours(inside // k, facets.take(inside[0], axis=0), side // k, unpaired[side])
+    return Neighbours(
+        inside // n_sides, facets.take(inside[0], axis=0), side // n_sides, unpaired[side]
+    )
 
 
 _OTHER_STEP = (
@@ -183,17 +189,17 @@ class Solved:
 
     @property
     def problem(self) -> ContactProblem:
-        """The problem."""
+        """Return the problem."""
         return self.posed.problem
 
     @property
     def mesh(self) -> MeshArrays:
-        """Its mesh."""
+        """Return the mesh."""
         return self.posed.mesh
 
     @cached_property
     def stress(self) -> ElementStress:
-        """Stress on each element."""
+        """Return the stress on each element."""
         data = self.result.stress_data
         if data is None:
             data = StressData.of(
@@ -203,18 +209,19 @@ class Solved:
 
     @cached_property
     def neighbours(self) -> Neighbours:
-        """Neighbours in the mesh."""
+        """Return the neighbours in the mesh."""
         return neighbours(self.mesh)
 
     @cached_property
     def young(self) -> np.ndarray:
-        """Young's modulus of each element (n_elements,), Pa."""
+        """Return Young's modulus of each element (n_elements,), Pa."""
         of_bodies = np.array([elastic.young for elastic in self.posed.materials])
         return of_bodies[self.mesh.element_body]
 
     @cached_property
     def regular(self) -> np.ndarray:
-        """Elements (n_elements,) bool at which no point force acts: its energy is infinite."""
+        """Return the mask (n_elements,) of elements at which no point force, whose energy is infinite,
+        acts."""
         nodes = [
             node_at(self.mesh, load.point, load.body)
             for load in self.problem.loads
@@ -237,15 +244,15 @@ class Solved:
 
     @cached_property
     def _moved(self) -> tuple[np.ndarray, np.ndarray]:
-        """Unknowns and the forces A u (n_dofs,), between bodies relative; with those of the
-        pressures of volumes."""
+        """Return the unknowns and the forces A u (n_dofs,), those of the pressures of volumes
+        included, in relative coordinates."""
         unknowns = self.discrete.relative(self.result.displacement).reshape(-1)
         forces = self.discrete.matrix @ unknowns
         return unknowns, forces + self.discrete.volumes.forces(self.result.pressures)
 
     def check_loads(self) -> None:
-        """Raise ValueError unless the loads of the problem are those of the result, b = A u -
-        reactions - contact forces, and its obstacles."""
+        """Raise ValueError unless the result is of the loads and obstacles of the problem: its load is
+        b = A u - reactions - contact forces."""
         unknowns, forces = self._moved
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:
@@ -258,7 +265,7 @@ class Solved:
         posed = self.discrete.relative_forces(
             load_vector(self.mesh, self.problem.loads, self.problem.material, self.problem.elements)
         )
-        # what acts along held directions goes into the supports
+        # supports bear the components along held directions
         posed = inclined.posed(posed, inclined.along(unknowns))
         nodes = np.arange(self.mesh.n_nodes)
         load, expected, posed = (
@@ -266,19 +273,17 @@ class Solved:
             for nodal_forces in (load, expected, posed)
         )
         rounding = checks.ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
-        allowed = max(
-            checks.SIX_DIGITS * max(euclidean_norm(forces), euclidean_norm(load)), rounding
-        )
+        size = max(euclidean_norm(forces), euclidean_norm(load))
+        allowed = max(checks.SIX_DIGITS * size, rounding)
         if not min(euclidean_norm(load - expected), euclidean_norm(load - posed)) <= allowed:
             raise ValueError(
                 "result has other loads than those of hierarchy.problem: " + _OTHER_STEP
             )
         contact = self.result.contact
         gaps = self.discrete.contact.gaps * contact.weights / contact.measures
-        left = contact.gap + contact.u_n - gaps
-        if np.abs(left).max(initial=0.0) > checks.SIX_DIGITS * np.abs(
-            [contact.gap, contact.u_n]
-        ).max(initial=0.0):
+        moved = contact.gap + contact.u_n - gaps
+        length = np.abs([contact.gap, contact.u_n]).max(initial=0.0)
+        if np.abs(moved).max(initial=0.0) > checks.SIX_DIGITS * length:
             raise ValueError(
                 "result has its obstacles in other places than hierarchy.problem: " + _OTHER_STEP
             )
@@ -331,7 +336,7 @@ class SurfaceTraction:
 
     @property
     def corners(self) -> np.ndarray:
-        """Values (n, dim, dim) at the corners of the facets."""
+        """Return the tractions (n, dim, dim) at the corners of the facets."""
         return self.values[np.searchsorted(self.nodes, self.facets)]
 
 
@@ -342,7 +347,7 @@ def contact_tractions(
     name."""
     contact = result.contact
     ties = result.ties
-    found = {
+    tractions = {
         name: _on_surface(mesh, contact, name, axisymmetric)
         for name in dict.fromkeys([*contact.names, *filter(None, contact.masters)])
     }
@@ -351,6 +356,7 @@ def contact_tractions(
     for name in set(names):
         sides[mesh.surface(name).nodes] += 1
     tied = cast("TieForces", ties)  # read for each name
+    # sides of ties come in pairs: slave (k even), master (k odd)
     for k, name in enumerate(names):
         surface = mesh.surface(name)
         on_side = tied.boundary == k
@@ -360,21 +366,18 @@ def contact_tractions(
         values = np.divide(values, mass, out=np.zeros_like(values), where=mass > 0)
         # where several meet, and at slave nodes that are not tied, the traction is that of the
         # neighbours
-        # sides of ties come in pairs: slave (k even), master (k odd)
-        one_sided = sides[surface.nodes] == 1
-        _fill(
-            surface,
-            one_sided & (np.isin(surface.nodes, tied.node[on_side]) if k % 2 == 0 else True),
-            values,
-        )
-        before = found[name].values if name in found else 0.0
-        found[name] = SurfaceTraction(surface.facets, surface.nodes, before + values)
-    return found
+        tied_alone = sides[surface.nodes] == 1
+        if k % 2 == 0:
+            tied_alone &= np.isin(surface.nodes, tied.node[on_side])
+        _fill(surface, tied_alone, values)
+        before = tractions[name].values if name in tractions else 0.0
+        tractions[name] = SurfaceTraction(surface.facets, surface.nodes, before + values)
+    return tractions
 
 
 def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
-    """Fill ``values`` in at other nodes with the mean of their neighbours', corners from edges that
-    were filled."""
+    """Overwrite ``values`` (n_nodes of the surface, dim) at nodes outside the mask ``filled`` by the
+    mean of their filled neighbours. A second pass fills corners from the nodes of the first."""
     place = np.searchsorted(surface.nodes, surface.facets)
     filled = filled.copy()
     for _ in range(2):
@@ -402,7 +405,7 @@ def _on_surface(
             at = np.searchsorted(nodes, contact.node[rows])
             force[at] += contact.force[rows]
             filled[at] = True
-            if not master:  # an obstacle: what ties hand on counts too
+            if not master:  # in front of an obstacle the weights contain the mass of tied nodes
                 mass[at] = np.maximum(mass[at], contact.weights[rows])
         if name in (slave, master):
             rows = (contact.master_boundary == k) & (contact.master_is_slave == (slave == name))
@@ -412,12 +415,14 @@ def _on_surface(
     values = np.divide(force, mass[:, None], out=np.zeros_like(force), where=mass[:, None] > 0)
     if name in contact.names and not filled.all():
         # nodes that belong to another contact boundary, which may go on straight
-        of_node = np.zeros((2, *mesh.points.shape))
-        of_node[:, contact.node] = contact.normal, contact.force / contact.weights[:, None]
-        normals, tractions = of_node[:, nodes]
+        normals = np.zeros(mesh.points.shape)
+        normals[contact.node] = contact.normal
+        normals = normals[nodes]
+        tractions = np.zeros(mesh.points.shape)
+        tractions[contact.node] = contact.force / contact.weights[:, None]
         straight = ~filled & (
             np.einsum("nd,nd->n", normals, surface.node_normals[nodes]) > np.cos(CORNER)
         )
-        values[straight] = tractions[straight]
+        values[straight] = tractions[nodes[straight]]
         _fill(surface, filled | straight | ~normals.any(axis=1), values)
     return SurfaceTraction(surface.facets, nodes, values)
