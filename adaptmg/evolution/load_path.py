@@ -20,7 +20,7 @@ from adaptmg._text import html_table, in_html_lines, say, shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg._units import in_units
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.evolution.path_loop import PathLoop, way_in_contact
+from adaptmg.evolution.path_loop import PathLoop, slip_lengths
 from adaptmg.evolution.plastic import PlasticLoop
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.problem.load_path import LoadPath
@@ -155,8 +155,8 @@ class PathResult(Sequence[Result]):
 
         The sum of ``|slip|`` over the steps after which it is in contact.
         """
-        ways = [way_in_contact(result) for result in self.results]
-        return np.cumsum(ways, axis=0) if ways else np.zeros((0, 0))
+        lengths = [slip_lengths(result) for result in self.results]
+        return np.cumsum(lengths, axis=0) if lengths else np.zeros((0, 0))
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Write a file a step, and the factors; ValueError if the folder holds steps already."""
@@ -206,6 +206,7 @@ def _head(
     fingerprint: Mapping[str, object],
     norms: Sequence[float] = (),
 ) -> dict[str, object]:
+    """Return the head of a store of steps, from which :meth:`PathResult.load` reads the path."""
     return {
         "steps": steps,
         "factors": {name: list(map(float, values)) for name, values in factors.items()},
@@ -215,6 +216,7 @@ def _head(
 
 
 def _stored(k: int, result: Result) -> Result:
+    """Return the result of step k as it is stored: only the first one with the mesh."""
     return result if k == 0 else replace(result, mesh=None)
 
 
@@ -357,7 +359,7 @@ def solve_path(
         if store is None
         else fingerprint(grids, loop.loads, loop.factors, len(path), parts, depends, start_state)
     )
-    if store is not None and (obstacles := loop.controls.posed()):
+    if store is not None and (obstacles := loop.controls.prescribed_numbers()):
         mark["obstacles and preloads"] = obstacles
     steps = (
         None
@@ -365,7 +367,7 @@ def solve_path(
         else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
     )
     if start is not None:
-        loop.go_on(start)
+        loop.continue_from(start)
     results: list[Result] = []
     for result, coarse in () if steps is None else _results(steps, len(path)):
         loop.take_over(len(results), result, coarse)
@@ -394,15 +396,15 @@ def solve_path(
 
 
 def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
-    """Return the displacement, the state and the accumulated slip with which a path begins; the result
-    must be on its finest mesh."""
+    """Return the displacement, the plastic state and the accumulated slip with which a path begins;
+    ValueError unless they are of its problem, on its finest mesh."""
     checks.instance("start", start, Result, "a Result")
     finest = loop.grids.finest
     mesh = finest.mesh
-    alike = start.displacement.shape == (finest.n_nodes, finest.discrete.dim)
-    if alike and mesh is not None and start.mesh is not None:
-        alike = np.array_equal(start.mesh.points, mesh.points)
-    if not alike:
+    same_mesh = start.displacement.shape == (finest.n_nodes, finest.discrete.dim)
+    if same_mesh and mesh is not None and start.mesh is not None:
+        same_mesh = np.array_equal(start.mesh.points, mesh.points)
+    if not same_mesh:
         raise ValueError(
             f"start must be on the finest mesh, which has {finest.n_nodes} nodes, got a result on "
             f"another mesh of {len(start.displacement)}: carry it over by am.transfer_state"

@@ -56,7 +56,7 @@ from adaptmg.solver.result import Result
 from adaptmg.solver.truncated import TruncatedRun
 
 _LOG = logging.getLogger(__name__)
-Kept = TypeVar("Kept")
+Carried = TypeVar("Carried")
 
 #: forces are met to this multiple of rtol: half and twice change none of 97 cycles of four load paths (campaign
 #: constants)
@@ -86,17 +86,18 @@ _EXACT = 1e-5
 # at most 36, 45, 45 a step
 _SLOW = 0.15
 _TINY = float(np.finfo(np.float64).tiny)
-#: motions, a result near to theirs, and the tolerance that suffices -> a result, and what is kept of it
-Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Kept]]
+#: solves a contact problem: from motions, a result with motions near to these and the tolerance that suffices to the
+#: result, and what the next step takes over
+Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Carried]]
 
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """The steps and differences known before a step."""
+    """The starts that a step has from the steps before it."""
 
     levels: list[np.ndarray]  # displacements (n_dofs,) after the step before, coarsest level first
     last: np.ndarray  # solution (n_unknowns,) after the step before
-    extrapolated: np.ndarray
+    extrapolated: np.ndarray  # (n_unknowns,): from the last two steps in the loads
     given: bool  # whether there is a step before
     near: bool = False  # whether ``extrapolated`` is a solution of this step with other motions
     loose: float = 0.0  # tolerance that suffices
@@ -110,8 +111,9 @@ def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
 
 
 def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list[np.ndarray]:
-    """Return a displacement of the finest level on all discretised ones: the next coarser ones that
-    interpolate it best."""
+    """Return a displacement (n_dofs,) of the finest level on all levels, coarsest first: on each the one
+    whose interpolation is nearest to that of the next finer level. Only the finest of spaces that are
+    not discretised."""
     result = [displacement]
     for level in reversed(hierarchy.levels[1:] if hierarchy.discretised else ()):
         columns = result[0].reshape(level.n_nodes, -1).T
@@ -147,7 +149,8 @@ def without_nested_start(solver: FullMultigrid) -> Multigrid:
 def restarted(
     solver: Solver, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
 ) -> Outcome:
-    """Solve a step by a solver that keeps nothing: the first one without a start."""
+    """Solve a step by a solver that begins again: the first step without a start, others from the
+    better one of the two that :class:`Past` has."""
     if not (past.given or past.near):
         return solver.run(hierarchy, run, None)
     if isinstance(solver, FullMultigrid):
@@ -178,10 +181,14 @@ def resumed(
     if past.near:
         start = past.extrapolated
     elif isinstance(solver, FullMultigrid):
-        levels = past.levels if past.given else None
-        *below, start = multigrid.nested_start(solver.start, levels)
-        levels = zip(multigrid.problems[:-1], below, strict=True)
-        coarse = [coarse_problem.parts(solution)[0] for coarse_problem, solution in levels]
+        levels_before = past.levels if past.given else None
+        *coarse_solutions, start = multigrid.nested_start(solver.start, levels_before)
+        coarse = [
+            coarse_problem.parts(solution)[0]
+            for coarse_problem, solution in zip(
+                multigrid.problems[:-1], coarse_solutions, strict=True
+            )
+        ]
         kind = "given" if past.given else "nested"
         if past.given:
             start[problem.n_dofs :] = past.last[problem.n_dofs :]
@@ -199,44 +206,44 @@ def resumed(
     else:
         start = np.zeros(problem.n_unknowns)
     outcome = multigrid.finish(problem.from_prescribed(start), kind)
-    # what a cycle that ran away leaves behind is not used again
+    # after a cycle that diverged the set-up is not used again
     return outcome, None if outcome.left else multigrid, coarse
 
 
 @dataclass(frozen=True)
 class _Unknowns:
-    """The numbers of one obstacle or preload: where they begin, and what they are measured by."""
+    """The unknowns of one obstacle or preload among all: those from number ``first`` on, and the
+    sizes by which they and their forces are divided."""
 
     name: str
     first: int
-    targets: np.ndarray  # (n,)
-    sizes: np.ndarray  # (n,): displacements in m, rotations in rad, strains
-    forces: np.ndarray  # (n,)
-    free: tuple[int, ...] = (0,)
-    number: int = -1  # of the contact of an obstacle
+    targets: np.ndarray  # (n,): prescribed forces, N, and moments, N m
+    sizes: np.ndarray  # (n,): of displacements, m, rotations, rad, or strains
+    force_sizes: np.ndarray  # (n,): of forces, N, and moments, N m
+    free: tuple[int, ...] = (0,)  # which components of the motion they are
+    number: int = -1  # of the contact of an obstacle; -1 of a preload
 
     @property
-    def own(self) -> slice:
+    def indices(self) -> slice:
+        """Return the indices of these unknowns among all."""
         return slice(self.first, self.first + len(self.targets))
 
 
 @dataclass
 class Controls:
-    """The obstacles and preloads of a problem, from step to step."""
+    """The obstacles and preloads of a problem, whose motions and strains change from step to step."""
 
     problem: ContactProblem | None
     level: Level
     #: motions (3 in the plane, 6 in space) of obstacles, strains (1) of preloads, by name
     motions: dict[str, np.ndarray] = field(default_factory=dict)
     factors: dict[str, float] = field(default_factory=dict)  # of the step before
-    places: dict[int, Moving] = field(
-        init=False
-    )  # of all moving obstacles at the end of the step before
+    #: all moving obstacles at the end of the step before, by the number of their contact
+    places: dict[int, Moving] = field(init=False)
 
     def __post_init__(self) -> None:
-        contacts, loads = (
-            ((), ()) if self.problem is None else (self.problem.contact, self.problem.loads)
-        )
+        contacts = () if self.problem is None else self.problem.contact
+        loads = () if self.problem is None else self.problem.loads
         self.obstacles = {
             k: contact.obstacle
             for k, contact in enumerate(contacts)
@@ -252,7 +259,7 @@ class Controls:
             self.motions[bolt.path_name] = np.zeros(1)
         self.places = self.placed({}, {})  # from there the discretisation counts slips
 
-    def posed(self) -> list[list[float]]:
+    def prescribed_numbers(self) -> list[list[float]]:
         """Return the prescribed motions and forces as numbers, for stores; -1e300 where nothing is
         prescribed."""
         result = [
@@ -276,7 +283,7 @@ class Controls:
                 )
 
     def unknowns(self, factors: Mapping[str, float]) -> list[_Unknowns]:
-        """Return what is to be found in a step with these factors."""
+        """Return the unknowns of a step with these factors."""
         result: list[_Unknowns] = []
         if not self.rigid and not self.bolts:
             return result
@@ -295,16 +302,16 @@ class Controls:
             problem = cast("ContactProblem", self.problem)
             nodes = mesh.surface(problem.contact[number].boundary).nodes
             extent = float(np.linalg.norm(np.ptp(mesh.points[nodes], axis=0)))
-            turns = np.arange(3 * dim - 3)[list(obstacle.free)] >= dim
-            # rotations and moments are measured by the extent of the boundary
-            arms = np.where(turns, extent, 1.0)
+            is_rotation = np.arange(3 * dim - 3)[list(obstacle.free)] >= dim
+            # rotations and moments are divided by sizes with the extent of the boundary as arm
+            arms = np.where(is_rotation, extent, 1.0)
             result.append(
                 _Unknowns(
                     name,
                     first,
                     targets,
                     sizes=force / stiffness / arms,
-                    forces=force * arms,
+                    force_sizes=force * arms,
                     free=obstacle.free,
                     number=number,
                 )
@@ -324,18 +331,18 @@ class Controls:
                     first,
                     targets=np.array([factors[name] * bolt.force]),
                     sizes=np.array([strain]),
-                    forces=np.array([force]),
+                    force_sizes=np.array([force]),
                 )
             )
             first += 1
         return result
 
-    def taken(self, parts: Sequence[_Unknowns], values: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the motions with the values (n,) of the unknowns."""
+    def motions_of(self, parts: Sequence[_Unknowns], values: np.ndarray) -> dict[str, np.ndarray]:
+        """Return all motions, by name, with the values (n,) of the unknowns in them."""
         result = dict(self.motions)
         for part in parts:
             motion = result[part.name].copy()
-            motion[list(part.free)] = values[part.own]
+            motion[list(part.free)] = values[part.indices]
             result[part.name] = motion
         return result
 
@@ -346,10 +353,9 @@ class Controls:
         places = {k: placed(obstacle, factors, motions) for k, obstacle in self.obstacles.items()}
         return {k: place for k, place in places.items() if isinstance(place, Moving)}
 
-    def missed(self, parts: Sequence[_Unknowns], result: Result) -> np.ndarray:
-        """Return by how much the forces of a result miss what is prescribed (n,), relative to the
-        sizes of forces."""
-        missed = []
+    def missing_forces(self, parts: Sequence[_Unknowns], result: Result) -> np.ndarray:
+        """Return the forces (n,) of a result minus the prescribed ones, over their sizes."""
+        missing = []
         for part in parts:
             if part.number >= 0:
                 obstacle = self.rigid[part.number]
@@ -357,31 +363,23 @@ class Controls:
                     cast("ContactProblem", self.problem).contact[part.number].boundary,
                     about=obstacle.about,
                 )
-                have = np.append(total.force, total.turning)[list(part.free)]
+                forces = np.append(total.force, total.turning)[list(part.free)]
             else:
                 bolt = next(preload for preload in self.bolts if preload.path_name == part.name)
-                have = np.array(
-                    [
-                        cut_force(
-                            need_mesh(result),
-                            cast("StressData", result.stress_data),
-                            result.displacement,
-                            bolt,
-                        )
-                    ]
-                )
-            missed.append((have - part.targets) / part.forces)
-        return np.concatenate(missed)
+                data = cast("StressData", result.stress_data)
+                forces = cut_force(need_mesh(result), data, result.displacement, bolt)
+            missing.append((forces - part.targets) / part.force_sizes)
+        return np.concatenate(missing)
 
     def find(
         self,
         parts: Sequence[_Unknowns],
-        solve: Solve[Kept],
+        solve: Solve[Carried],
         posed: Callable[[dict[str, np.ndarray]], Hierarchy],
         limit: float,
-    ) -> tuple[Result, Kept, dict[str, np.ndarray]]:
-        """Return the result, what is kept of it, and the motions with which the forces are as
-        prescribed.
+    ) -> tuple[Result, Carried, dict[str, np.ndarray]]:
+        """Return the result with the prescribed forces, what ``solve`` carries to the next step, and
+        the motions.
 
         A guide finds motions of obstacles on a level with few unknowns; contact problems on the
         finest level correct them, and shorten bolts. The result counts the cycles of all contact
@@ -390,39 +388,39 @@ class Controls:
         search = Search(self, parts, solve, limit)
         guide = Guide(self, parts, posed)
         values = np.concatenate([self.motions[part.name][list(part.free)] for part in parts])
-        values = guide.pressed(values / search.sizes)
+        values = guide.balanced_values(values / search.sizes)
         try:
             has_bolts = len(guide.parts) < len(parts)
             if has_bolts:
-                found = search.run(search.pulled(search.at(values, None, _LOOSE)), None)
+                trial = search.run(search.pulled(search.trial_at(values, None, _LOOSE)), None)
             else:
-                found = search.run(search.at(values, None, guide.loose), guide)
+                trial = search.run(search.trial_at(values, None, guide.loose), guide)
         except _Exhausted:
-            found = search.last
-        result = found.result
-        if result.status.ok and not search.reached(found):
+            trial = search.last
+        result = trial.result
+        if result.status.ok and not search.reached(trial):
             _LOG.warning(
                 "forces of %s are missed by %.1e of their size after %d contact problems",
                 ", ".join(part.name for part in parts),
-                np.abs(found.missed).max(),
+                np.abs(trial.missed).max(),
                 len(search.spent),
             )
             result = replace(result, status=Status.LIMIT)
         spent = [*guide.spent, *search.spent]
         timings = {
-            name: sum(trial.timings.get(name, 0.0) for trial in spent)
-            for name in dict.fromkeys(chain(*(trial.timings for trial in spent)))
+            name: sum(solved.timings.get(name, 0.0) for solved in spent)
+            for name in dict.fromkeys(chain(*(solved.timings for solved in spent)))
         }
         result = replace(
             result,
             cycles=search.cycles,
-            work_units=sum(trial.work_units for trial in spent),
+            work_units=sum(solved.work_units for solved in spent),
             timings=timings,
         )
-        return result, found.kept, self.taken(parts, found.values * search.sizes)
+        return result, trial.carried, self.motions_of(parts, trial.values * search.sizes)
 
     def take(self, factors: Mapping[str, float], motions: Mapping[str, np.ndarray]) -> None:
-        """Go past a step."""
+        """Continue after a step with these factors and motions."""
         self.factors = dict(factors)
         self.motions = dict(motions)
         self.places = self.placed(factors, motions)
@@ -457,18 +455,18 @@ class Guide:
         #: tolerance that suffices where the finest level begins
         self.loose = 0.0 if self.level_number == self.finest_number else _LOOSE * _COARSE
 
-    def pressed(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the unknowns with which obstacles balance their forces, the nearest ones
-        that are found."""
+    def balanced_values(self, values: np.ndarray) -> np.ndarray:
+        """Return values of the unknowns with which obstacles balance their forces, by a few steps to
+        first order from ``values``; or the last ones, where equations become singular."""
         values = values.copy()
         for _ in range(_RELINEARISED if self.size else 0):
             try:
-                change = self._balanced(values, np.zeros(self.size))
+                change = self._balancing_change(values, np.zeros(self.size))
             except ValueError:  # singular equations
                 if not self.spent:
                     raise
                 break
-            # motions in sizes of obstacles, which only springs resist
+            # a change of so many sizes means that only the soft springs resist
             if not np.abs(change).max() < 1 / checks.SIX_DIGITS:
                 raise nothing_resists(self.parts)
             values[: self.size] += change
@@ -476,7 +474,7 @@ class Guide:
                 break
         return values
 
-    def nearer(self, values: np.ndarray, missed: np.ndarray) -> np.ndarray:
+    def better_values(self, values: np.ndarray, missed: np.ndarray) -> np.ndarray:
         """Return better values than those with which the finest level misses the forces by
         ``missed``. The first time they come from a search on the finest level. Later, and where
         its factors take too much memory, one Newton step on the level of the search before
@@ -485,37 +483,38 @@ class Guide:
             self.controls.level.discrete
         ):
             try:
-                return values + self._balanced(values, -missed)
+                return values + self._balancing_change(values, -missed)
             except ValueError:
                 return values
         self.level_number = self.finest_number
-        return self.pressed(values)
+        return self.balanced_values(values)
 
     def stiffness(self, values: np.ndarray) -> np.ndarray | None:
         """Return the Jacobian (n, n) of forces by motions, the inverse of what small changes of the
         forces move; None where equations are singular."""
         try:
-            rest = self._balanced(values, np.zeros(self.size))
+            rest = self._balancing_change(values, np.zeros(self.size))
             changes = _DIFFERENCE * np.eye(self.size)
-            moved = [self._balanced(values, force) - rest for force in changes]
+            moved = [self._balancing_change(values, force) - rest for force in changes]
             return np.linalg.inv(np.stack(moved, axis=1) / _DIFFERENCE)
         except ValueError:
             return None
 
-    def _balanced(self, values: np.ndarray, extra: np.ndarray) -> np.ndarray:
-        r"""Return by how much (n,) obstacles move until their forces are as prescribed, and ``extra``
-        ones (n,), to first order in the motion; all in their sizes.
+    def _balancing_change(self, values: np.ndarray, extra: np.ndarray) -> np.ndarray:
+        r"""Return the change (n,) of the values after which obstacles bear the prescribed forces plus
+        ``extra`` ones (n,), to first order in the motion; all over their sizes.
 
         The motions are unknowns of one contact problem in displacements relative to obstacles,
         :math:`u = v + M z` at the nodes that they may touch, with the matrix :math:`(I\; M)^T A\,
         (I\; M)` and the load :math:`(b, M^T b + F^*)`. Soft springs hold motions that nothing
         resists."""
-        motions = self.controls.taken(self.all_parts, values * self.sizes)
+        motions = self.controls.motions_of(self.all_parts, values * self.sizes)
         posed = self.posed(motions)
         discrete = posed[self.level_number].discrete
         n = self.size
         dim = discrete.dim
         contact = discrete.contact
+        # M: the displacements of nodes by each motion
         moves = np.zeros((discrete.n_nodes, dim, n))
         scales = np.zeros(n)
         forces = np.zeros(n)
@@ -525,22 +524,22 @@ class Guide:
                 cast("np.ndarray", discrete.coordinates)[nodes]
                 - self.controls.rigid[part.number].about
             )
-            scales[part.own] = part.sizes / part.sizes[0]
-            forces[part.own] = part.targets + part.forces * extra[part.own]
+            scales[part.indices] = part.sizes / part.sizes[0]
+            forces[part.indices] = part.targets + part.force_sizes * extra[part.indices]
             part_moves = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
-            moves[nodes, :, part.own] = part_moves * scales[part.own]
+            moves[nodes, :, part.indices] = part_moves * scales[part.indices]
         everywhere = np.arange(discrete.n_nodes)
         free = [discrete.inclined.free_part(everywhere, moves[:, :, k]) for k in range(n)]
         moves = np.stack(free, axis=2).reshape(-1, n)
         moves[discrete.fixed] = 0.0
-        # whole nodes
+        # motions without a meaning fill the last block of the matrix; they are fixed
         moves = np.pad(moves, ((0, 0), (0, -n % dim)))
         padded = moves.shape[1]
-        rows = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
+        basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
         soft = _SOFT * np.abs(discrete.matrix.diagonal()).max()
         springs = sparse.diags_array(np.append(np.zeros(discrete.n_dofs), np.full(padded, soft)))
-        matrix = rows.T @ sparse.csr_array(discrete.matrix) @ rows + springs
-        load = rows.T @ discrete.load
+        matrix = basis.T @ sparse.csr_array(discrete.matrix) @ basis + springs
+        load = basis.T @ discrete.load
         load[discrete.n_dofs :][:n] += forces * scales
         problem = DiscreteProblem(
             matrix=0.5 * (matrix + matrix.T),
@@ -549,39 +548,39 @@ class Guide:
             fixed_values=np.pad(discrete.fixed_values, (0, padded)),
             law=discrete.law,
             contact=contact,
-            volumes=discrete.volumes.with_rows(discrete.volumes.rows @ rows),
+            volumes=discrete.volumes.with_rows(discrete.volumes.rows @ basis),
         )
         run = Run(unit=posed.finest.discrete.matrix.nnz)
         with run.phase("start"):
             outcome = ActiveSet().run(Hierarchy.single(problem), run, None)
         self.spent.append(run)
-        found = outcome.solution[discrete.n_dofs :][:n]
-        return found * scales / self.sizes[:n]
+        motion = outcome.solution[discrete.n_dofs :][:n]
+        return motion * scales / self.sizes[:n]
 
 
 @dataclass(frozen=True)
-class _Trial(Generic[Kept]):
+class _Trial(Generic[Carried]):
     """A contact problem with prescribed motions."""
 
-    values: np.ndarray  # (n,): of the unknowns, in their sizes
-    missed: np.ndarray  # (n,): by the forces, in theirs
+    values: np.ndarray  # (n,): of the unknowns, over their sizes
+    missed: np.ndarray  # (n,): its forces minus the prescribed ones, over their sizes
     result: Result
-    kept: Kept
-    loosened: bool
+    carried: Carried
+    loosened: bool  # whether it was solved to a larger tolerance than that of the solver
 
 
 class _Exhausted(Exception):
     """The contact problems of a step have taken all cycles of its solver."""
 
 
-class Search(Generic[Kept]):
+class Search(Generic[Carried]):
     """The search for motions on the finest level; ``solve`` takes motions, a result near theirs and
     the tolerance that suffices. ``last`` is the last trial."""
 
-    last: _Trial[Kept]
+    last: _Trial[Carried]
 
     def __init__(
-        self, controls: Controls, parts: Sequence[_Unknowns], solve: Solve[Kept], limit: float
+        self, controls: Controls, parts: Sequence[_Unknowns], solve: Solve[Carried], limit: float
     ) -> None:
         self.controls = controls
         self.parts = parts
@@ -592,18 +591,21 @@ class Search(Generic[Kept]):
         self.sizes = np.concatenate([part.sizes for part in parts])
         self.spent: list[Result] = []
 
-    def at(self, values: np.ndarray, near: _Trial[Kept] | None, loose: float = 0.0) -> _Trial[Kept]:
-        """Return the contact problem with the unknowns at some values."""
+    def trial_at(
+        self, values: np.ndarray, near: _Trial[Carried] | None, loose: float = 0.0
+    ) -> _Trial[Carried]:
+        """Return the solved contact problem with these values of the unknowns, which starts from the
+        trial ``near`` to it; ``loose`` is the tolerance that suffices."""
         if self.cycles >= self.budget:
             raise _Exhausted
-        motions = self.controls.taken(self.parts, values * self.sizes)
+        motions = self.controls.motions_of(self.parts, values * self.sizes)
         # a bolt shortened too far pulls with many times its force
         loose = min(loose, _LOOSE)
-        result, kept = self.solve(motions, None if near is None else near.result, loose)
+        result, carried = self.solve(motions, None if near is None else near.result, loose)
         self.spent.append(result)
-        missed = self.controls.missed(self.parts, result)
+        missed = self.controls.missing_forces(self.parts, result)
         _LOG.debug("motions %s miss their forces by %s of their size", motions, missed)
-        self.last = _Trial(values, missed, result, kept, result.rtol == loose)
+        self.last = _Trial(values, missed, result, carried, result.rtol == loose)
         return self.last
 
     @property
@@ -611,45 +613,46 @@ class Search(Generic[Kept]):
         """Return the cycles of all contact problems so far."""
         return sum(trial.cycles for trial in self.spent)
 
-    def reached(self, trial: _Trial[Kept]) -> bool:
+    def reached(self, trial: _Trial[Carried]) -> bool:
         """Return whether the forces are as prescribed."""
         most = ACCURACY * trial.result.rtol
         return not trial.loosened and bool(np.abs(trial.missed).max() <= most)
 
-    def run(self, trial: _Trial[Kept], guide: Guide | None) -> _Trial[Kept]:
+    def run(self, trial: _Trial[Carried], guide: Guide | None) -> _Trial[Carried]:
         """Return the last trial; a guide, if there is one, makes the first Jacobian, and better
         values where that does not lead to the solution."""
+        # size of the last changes of the values, to which differences are scaled
         reach = 1.0
         jacobian = None
         self.budget = self.cycles - trial.result.cycles + self.limit
         while trial.result.status.ok and not self.reached(trial) and len(self.spent) < _MOST:
-            fresh = jacobian is None and guide is None
+            by_differences = jacobian is None and guide is None
             if jacobian is None and guide is not None:
                 jacobian = guide.stiffness(trial.values)
                 if jacobian is None:
-                    trial = self.at(guide.nearer(trial.values, trial.missed), None)
+                    trial = self.trial_at(guide.better_values(trial.values, trial.missed), None)
                     guide = None
                     continue
             elif jacobian is None:
-                # as accurate as the differences
-                trial = self.at(trial.values, trial, _EXACT * reach) if trial.loosened else trial
+                if trial.loosened:  # as accurate as the differences
+                    trial = self.trial_at(trial.values, trial, _EXACT * reach)
                 jacobian = self.differences(trial, reach)
             # Newton's step in the directions that resist; then Broyden's update of the Jacobian
-            left, stiffnesses, right = np.linalg.svd(jacobian)
-            noise = _EXACT / _DIFFERENCE if fresh else 0.0
+            left_vectors, stiffnesses, right_vectors = np.linalg.svd(jacobian)
+            noise = _EXACT / _DIFFERENCE if by_differences else 0.0
             resisted = stiffnesses > max(checks.SIX_DIGITS * stiffnesses[0], noise)
-            along = left.T @ trial.missed
-            if fresh and np.abs(along[~resisted]).max(initial=0.0) > 1e-3:
+            components = left_vectors.T @ trial.missed
+            if by_differences and np.abs(components[~resisted]).max(initial=0.0) > 1e-3:
                 raise nothing_resists(self.parts)
-            change = -right[resisted].T @ (along[resisted] / stiffnesses[resisted])
-            most = max(np.abs(trial.missed).max(), trial.result.rtol)
-            new = self.at(trial.values + change, trial, _LOOSE * most)
-            left_over = np.abs(new.missed).max()
-            if guide is not None and left_over > _SLOW * most:
-                trial = self.at(guide.nearer(trial.values, trial.missed), None)
+            change = -right_vectors[resisted].T @ (components[resisted] / stiffnesses[resisted])
+            missed_size = max(np.abs(trial.missed).max(), trial.result.rtol)
+            new = self.trial_at(trial.values + change, trial, _LOOSE * missed_size)
+            new_missed_size = np.abs(new.missed).max()
+            if guide is not None and new_missed_size > _SLOW * missed_size:
+                trial = self.trial_at(guide.better_values(trial.values, trial.missed), None)
                 guide = None
                 continue
-            if not fresh and left_over > 0.9 * most:
+            if not by_differences and new_missed_size > 0.9 * missed_size:
                 jacobian = None
                 continue
             update = new.missed - trial.missed - jacobian @ change
@@ -658,31 +661,32 @@ class Search(Generic[Kept]):
             trial = new
         return trial
 
-    def differences(self, trial: _Trial[Kept], reach: float) -> np.ndarray:
-        """Return the Jacobian (n, n) at a trial."""
+    def differences(self, trial: _Trial[Carried], reach: float) -> np.ndarray:
+        """Return the Jacobian (n, n) at a trial, by differences over a share of ``reach``."""
         step = _DIFFERENCE * reach
-        columns = [
-            (self.at(trial.values + change, trial, _EXACT * reach).missed - trial.missed) / step
-            for change in step * np.eye(len(trial.values))
-        ]
+        columns = []
+        for change in step * np.eye(len(trial.values)):
+            moved = self.trial_at(trial.values + change, trial, _EXACT * reach)
+            columns.append((moved.missed - trial.missed) / step)
         return np.stack(columns, axis=1)
 
-    def pulled(self, trial: _Trial[Kept]) -> _Trial[Kept]:
+    def pulled(self, trial: _Trial[Carried]) -> _Trial[Carried]:
         """Return the first trial in which every bolt pulls; each is shortened until something
         resists it."""
         for doubling in range(_DOUBLINGS):
             change = np.zeros(len(trial.values))
             for part in self.parts:
-                target = part.targets[0] / part.forces[0]
+                target = part.targets[0] / part.force_sizes[0]
                 if part.number < 0 and target + trial.missed[part.first] < _PULLS * target:
                     change[part.first] = 2.0**doubling
             if not change.any():
                 return trial
-            trial = self.at(trial.values + change, trial, _LOOSE)
+            trial = self.trial_at(trial.values + change, trial, _LOOSE)
         raise nothing_resists(self.parts)
 
 
 def _numbers(values: Iterable[float | None]) -> list[float]:
+    """Return values with -1e300 in place of None."""
     return [-1e300 if value is None else value for value in values]
 
 
@@ -696,7 +700,8 @@ def nothing_resists(parts: Sequence[_Unknowns]) -> ValueError:
 
 
 def _rigid_moves(arms: np.ndarray) -> np.ndarray:
-    """The displacements (n, 3 or 6, dim) of points with these arms (n, dim) in rigid motions."""
+    """Return the displacements (n, 3 or 6, dim) of points with these arms (n, dim) in each rigid motion
+    of size 1: translations, then rotations."""
     n, dim = arms.shape
     axes = np.eye(3)[3 - 2 * dim :]  # of rotation: z alone in the plane
     spatial = np.pad(arms, ((0, 0), (0, 3 - dim)))

@@ -45,7 +45,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import supported_nodes
 from adaptmg.evolution.load_steps import Past, step_outcome
-from adaptmg.evolution.path_loop import way_in_contact
+from adaptmg.evolution.path_loop import slip_lengths
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.dynamics import Dynamics
@@ -278,15 +278,15 @@ class March:
         #: Euclidean norm of what rounding of a unit displacement leaves in K u, N/m
         self.rounding = np.finfo(float).eps * euclidean_norm(self.stiffness.diagonal())
         self.forces = self.discrete.physical_forces(self.discrete.whole_load).reshape(-1, mesh.dim)
-        self.flying = self._flying()
-        #: by cause the energy lost so far, N m, and the slips so far (n_contact,), m
-        self.lost = {"friction": 0.0, "contact": 0.0, "damping": 0.0}
-        self.slid = self.discrete.contact.accumulated_slip
+        self.free_pieces = self._free_pieces()
+        #: the energy lost so far by cause, N m, and the lengths of the slips so far (n_contact,), m
+        self.lost_energies = {"friction": 0.0, "contact": 0.0, "damping": 0.0}
+        self.accumulated_slip = self.discrete.contact.accumulated_slip
         first = displacement_argument("start", start, self.discrete)
         relative = np.zeros(mesh.points.shape) if first is None else first
-        self.displacement = self._held(relative, 1.0)
-        flying = self.discrete.relative(nodal_velocity(self.posed, dynamics))
-        self.velocity = self._held(flying, 0.0)
+        self.displacement = self._with_prescribed(relative, 1.0)
+        initial_velocity = self.discrete.relative(nodal_velocity(self.posed, dynamics))
+        self.velocity = self._with_prescribed(initial_velocity, 0.0)
         self.internal = self._internal(self.displacement)
         overlap = self._overlap(self.displacement).max(initial=0.0)
         if overlap > _OVERLAP * mesh.sides.max():
@@ -295,9 +295,9 @@ class March:
             )
         advise_on_problem(self.posed)
 
-    def _flying(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the nodes of each connected piece, and along which axes (dim,) bool nothing holds
-        it."""
+    def _free_pieces(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return for each connected piece its nodes, and the mask (dim,) of the axes along which
+        nothing holds it."""
         problem = self.posed.problem
         held = self.posed.fixed.copy()
         held[self.posed.inclined.nodes] = True
@@ -308,21 +308,21 @@ class March:
         pieces = nodes_of_pieces(self.posed.mesh)
         return [(nodes, ~np.any(held[nodes], axis=0)) for nodes in pieces]
 
-    def _shift(self, displacement: np.ndarray) -> np.ndarray:
+    def _mean_displacement(self, displacement: np.ndarray) -> np.ndarray:
         """Return the mean displacement (n_nodes, dim) of each body along axes that nothing holds."""
         result = np.zeros_like(displacement)
-        for nodes, free in self.flying:
+        for nodes, free in self.free_pieces:
             result[nodes] = np.where(free, displacement[nodes].mean(axis=0), 0.0)
         return result
 
     def _internal(self, displacement: np.ndarray) -> np.ndarray:
         """Return K u (n_nodes, dim), N."""
-        strained = (displacement - self._shift(displacement)).reshape(-1)
+        strained = (displacement - self._mean_displacement(displacement)).reshape(-1)
         return (self.stiffness @ strained).reshape(displacement.shape)
 
-    def _held(self, relative: np.ndarray, share: float) -> np.ndarray:
-        """Return the vectors (n_nodes, dim) of relative ones, with a ``share`` of what supports and
-        ties prescribe."""
+    def _with_prescribed(self, relative: np.ndarray, share: float) -> np.ndarray:
+        """Return Cartesian vectors (n_nodes, dim) from relative ones, with ``share`` times the values
+        that supports and ties prescribe."""
         discrete = self.discrete
         inclined = discrete.inclined
         fixed = np.where(discrete.fixed, share * discrete.fixed_values, relative.reshape(-1))
@@ -331,7 +331,7 @@ class March:
         return discrete.physical(held)
 
     def _overlap(self, displacement: np.ndarray) -> np.ndarray:
-        """Return how far (n_contact,) contact nodes are beyond their gaps, m."""
+        """Return the overlap (n_contact,), m, at contact nodes: the normal displacement minus the gap."""
         discrete = self.discrete
         moved = discrete.at_contact(discrete.relative(displacement))
         return np.einsum("nd,nd->n", discrete.contact.normals, moved) - discrete.contact.gaps
@@ -346,7 +346,7 @@ class March:
             result = displacement.copy()
             result[contact.nodes] -= np.maximum(overlap, 0.0)[:, None] * contact.normals
             return result
-        problem = self._of_mass
+        problem = self._mass_problem
         gaps = replace(contact, gaps=-overlap, allow_interference=True)
         grids = Hierarchy.single(problem.posing(contact=gaps))
         nearest = ActiveSet().run(grids, Run(unit=problem.matrix.nnz), None)
@@ -357,7 +357,7 @@ class March:
         return displacement + problem.physical(nearest.solution)
 
     @cached_property
-    def _of_mass(self) -> DiscreteProblem:
+    def _mass_problem(self) -> DiscreteProblem:
         """Return the contact problem, without friction and loads, whose matrix is the mass."""
         mass = partial(with_mass, factor=0.0, mass=self.mass[:, 0])
         nothing = np.zeros(self.discrete.n_dofs)
@@ -372,15 +372,15 @@ class March:
         with run.phase("setup"):
             free = self.displacement + self.dynamics.step * self.velocity
             admissible = self._admissible(free)
-            shift = self._shift(self.displacement)
+            shift = self._mean_displacement(self.displacement)
             grids = self._posed(admissible, shift)
             discrete = grids.finest.discrete
             examiner = Examiner(discrete, certified=certified)
             run.examiner = examiner if certified else None
-            # not with the acceleration of the step before: errors that alternate would grow, up to
-            # the tolerance, and the steps of a bar take 1.82 cycles for 1.72
+            # a start with the acceleration of the step before lets errors that alternate grow, up to
+            # the tolerance
             first = discrete.relative(admissible - shift).reshape(-1)
-            # much where bodies have flown far, and a step is so long that their mass is a trifle
+            # large where bodies have flown far, and a step is so long that their mass counts little
             noise = self.rounding * np.abs([self.displacement, admissible - shift]).max()
             loose = noise / (StopTest.RESIDUAL_FACTOR * euclidean_norm(discrete.load) or 1.0)
             loose = min(loose, _MOST_ROUNDING)
@@ -404,8 +404,8 @@ class March:
         self.displacement = result.displacement
         self.velocity = result.velocity
         self.internal = self._internal(result.displacement)
-        self.lost = {cause: result.energies[cause] for cause in self.lost}
-        self.slid = self.slid + way_in_contact(result)
+        self.lost_energies = {cause: result.energies[cause] for cause in self.lost_energies}
+        self.accumulated_slip = self.accumulated_slip + slip_lengths(result)
 
     def _posed(self, admissible: np.ndarray, shift: np.ndarray) -> Hierarchy:
         """Return the hierarchy with the problem of a step, relative to a ``shift`` of the bodies."""
@@ -419,7 +419,7 @@ class March:
             discrete.relative_forces(load.reshape(-1)),
             discrete.fixed_values - shifted.reshape(-1),
             discrete.at_contact(discrete.relative(self.displacement) - shifted),
-            self.slid,
+            self.accumulated_slip,
             None,
             {},
             discrete.volumes,
@@ -437,37 +437,43 @@ class March:
         admissible: np.ndarray,
         shift: np.ndarray,
     ) -> Result:
-        """Return the result of a step with what belongs to its time, not relative to a shift."""
+        """Return the result of step k, relative to a shift, as one with the whole displacement, the
+        velocity and the energies."""
         step = self.dynamics.step
         contact = result.contact
         displacement = result.displacement + shift
         change = displacement - self.displacement
-        gained = 2 / step * (displacement - admissible)
-        velocity = self.velocity + gained
+        velocity_change = 2 / step * (displacement - admissible)
+        velocity = self.velocity + velocity_change
         internal = self._internal(displacement)
         # conditions of nodes that take over a part of others are sums, contact results are means
         share = contact.measures / contact.weights
-        # at open nodes the tolerance leaves forces, and gaps may be long
+        # only of closed nodes: at open ones the tolerance leaves forces, and gaps may be long
         closing = (self._overlap(self.displacement) + share * contact.gap) * contact.closed
-        rubbing = np.sum(contact.force_t * contact.slip, axis=1)
-        strained = np.sum(change * (internal - self.internal))
+        friction_work = np.sum(contact.force_t * contact.slip, axis=1)
+        damped_work = np.sum(change * (internal - self.internal))
+        pushed = np.sum((admissible - free) * self.mass * velocity_change) / step
         losses = {
-            "friction": -np.sum(share * rubbing),
-            "contact": np.sum((admissible - free) * self.mass * gained) / step
-            - np.sum(contact.force_n * closing),
-            "damping": self.dynamics.damping / step * strained,
+            "friction": -np.sum(share * friction_work),
+            "contact": pushed - np.sum(contact.force_n * closing),
+            "damping": self.dynamics.damping / step * damped_work,
         }
         energies = {
             "kinetic": 0.5 * np.sum(self.mass * velocity**2),
             "strain": 0.5 * np.sum(displacement * internal),
             "load": -np.sum(displacement * self.forces),
-        } | {cause: self.lost[cause] + loss for cause, loss in losses.items()}
+        } | {cause: self.lost_energies[cause] + loss for cause, loss in losses.items()}
         shifted = self.discrete.at_contact(self.discrete.relative(shift)) / share[:, None]
-        moved = to_frames(contact.frames, shifted)
+        shifted_local = to_frames(contact.frames, shifted)
+        moved = replace(
+            contact,
+            u_n=contact.u_n + shifted_local[:, 0],
+            u_t=contact.u_t + shifted_local[:, 1:],
+        )
         return replace(
             result,
             displacement=displacement,
-            contact=replace(contact, u_n=contact.u_n + moved[:, 0], u_t=contact.u_t + moved[:, 1:]),
+            contact=moved,
             time=(k + 1) * step,
             velocity=velocity,
             energies={name: float(value) for name, value in energies.items()},

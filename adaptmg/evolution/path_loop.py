@@ -41,7 +41,7 @@ from adaptmg.solver.truncated import TruncatedRun
 _LOG = logging.getLogger(__name__)
 
 
-def way_in_contact(result: Result) -> np.ndarray:
+def slip_lengths(result: Result) -> np.ndarray:
     """Return the lengths of the slips of a step (n_contact,), m, at nodes that it leaves in
     contact."""
     return np.linalg.norm(result.contact.slip, axis=1) * result.contact.closed
@@ -107,6 +107,7 @@ class PathLoop:
         return ", ".join(f"{name}={factor:g}" for name, factor in self._factors_at(k).items())
 
     def _factors_at(self, k: int) -> dict[str, float]:
+        """Return the factors of the loads in step k, by name."""
         return {name: float(values[k]) for name, values in self.factors.items()}
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
@@ -143,18 +144,19 @@ class PathLoop:
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
     ) -> tuple[Result, tuple[Hierarchy, list[np.ndarray] | None]]:
-        """Return the result of step k with the motions of obstacles, which starts from a result
-        ``near`` to it, and what the next step needs. The tolerance may be as large as ``loose``."""
+        """Return the result of step k with these motions of obstacles, and what the next step needs:
+        the hierarchy and the displacements of coarse levels. The method starts from a result ``near``
+        to it; its tolerance may be as large as ``loose``."""
         run, grids, forces = self._set_up(k, motions, progress)
         run.examiner = self.examiner
         with run.phase("setup"):
             past = Past(
-                self.levels,
-                self.recent[-1][0],
-                self._start(k, near),
-                len(self.recent) > 1,
-                near is not None,
-                loose,
+                levels=self.levels,
+                last=self.recent[-1][0],
+                extrapolated=self._start(k, near),
+                given=len(self.recent) > 1,
+                near=near is not None,
+                loose=loose,
             )
         if self.controls.motions:
             with run.phase("statics"):
@@ -165,7 +167,7 @@ class PathLoop:
             self.step_solver, self.multigrid, grids, self.examiner, run, past
         )
         outcome = checked_outcome(outcome, self.solver, grids.finest.discrete)
-        self._hold(outcome.rtol)
+        self._fix_tolerance(outcome.rtol)
         outcome = handed_over(outcome, grids, run)
         with run.phase("result"):
             result = result_of(
@@ -190,14 +192,15 @@ class PathLoop:
             self.examiner = Examiner(grids.finest.discrete, self.bodies)
             return run, grids, grids.finest.discrete.load_from_prescribed()
 
-    def _hold(self, rtol: float) -> None:
-        """Keep the tolerance that the discretisation error of the first step has set: increments
-        have smaller ones."""
+    def _fix_tolerance(self, rtol: float) -> None:
+        """Give all steps the tolerance ``rtol`` that the discretisation error of the first one has
+        set, if the solver asks for that: the errors of increments are smaller."""
         if getattr(self.step_solver, "rtol", None) == "discretisation":
             least = max(rtol, StopTest.ROUNDING_LIMIT)
             self.step_solver = replace(cast("Multigrid", self.step_solver), rtol=least)
 
     def _check_statics(self, k: int, grids: Hierarchy) -> None:
+        """Raise ValueError, which names step k, if a rigid motion is held by nothing."""
         try:
             check_statics_of(grids)
         except ValueError as error:
@@ -206,6 +209,7 @@ class PathLoop:
             ) from error
 
     def _check_held(self, grids: Hierarchy, k: int, motions: Mapping[str, np.ndarray]) -> None:
+        """Raise ValueError if supports hold nodes inside an obstacle in step k."""
         posed = self.posed[-1]
         if posed is not None:
             factors = self._loading(k, motions)
@@ -229,22 +233,22 @@ class PathLoop:
                 f"{grids.finest.n_nodes}"
             )
         if result.displacement.any():
-            self._hold(result.rtol)
+            self._fix_tolerance(result.rtol)
         self.controls.take(self._factors_at(k), motions)
         self._remember(k, grids, result, coarse)
 
-    def go_on(self, start: Result) -> None:
+    def continue_from(self, start: Result) -> None:
         """Begin at a result under the loads of the first step, which repeats them."""
         self.take_over(0, start, None)
         self.continued = True
 
     def _at_rest(self, forces: np.ndarray) -> bool:
-        """Return whether nothing acts, and the undeformed bodies are a solution; ``forces`` is b -
-        A u_fixed."""
+        """Return whether nothing acts, so that the undeformed bodies are a solution; ``forces``
+        (n_dofs,) is b - A u_fixed."""
         contact = self.examiner.contact
         quiet = not (forces.any() or self.examiner.discrete.fixed_values.any())
-        slid = np.abs(contact.slip_reference).any(axis=1)
-        return quiet and bool((contact.gap >= 0).all()) and not contact.limit[slid].any()
+        has_slipped = np.abs(contact.slip_reference).any(axis=1)
+        return quiet and bool((contact.gap >= 0).all()) and not contact.limit[has_slipped].any()
 
     def _loading(self, k: int, motions: Mapping[str, np.ndarray]) -> dict[str, float]:
         """Return the factors of all loads; those of preloads are strains."""
@@ -252,6 +256,7 @@ class PathLoop:
         return self._factors_at(k) | bolts
 
     def _stress_data(self, k: int, motions: Mapping[str, np.ndarray]) -> StressData | None:
+        """Return what stresses of step k need, if the levels have meshes."""
         return self.finest_loads.stress_data(self._loading(k, motions))
 
     def _undeformed(
@@ -280,7 +285,8 @@ class PathLoop:
         factors = self._loading(k, motions)
         levels = []
         places = self.controls.placed(factors, motions)
-        n_unused = len(self.grids) - len(self.levels)  # coarsest levels
+        # coarsest levels that the method does not use
+        n_unused = len(self.grids) - len(self.levels)
         ends = (n_unused, len(self.grids) - 1)
         parts = zip(self.grids.levels, self.loads, self.posed, strict=True)
         for number, (level, loads, posed) in enumerate(parts):
@@ -306,6 +312,7 @@ class PathLoop:
     def _remember(
         self, k: int, grids: Hierarchy, result: Result, coarse: list[np.ndarray] | None
     ) -> None:
+        """Keep what the next step needs of the result of step k."""
         discrete = grids.finest.discrete
         self.coarse = coarse
         # from the result, as a path that goes on from its store has it
@@ -318,10 +325,12 @@ class PathLoop:
         )
 
     def _factor_array(self, k: int) -> np.ndarray:
+        """Return the factors of the loads in step k (n_loads,)."""
         return np.array(list(self._factors_at(k).values()))
 
     def _ratio(self, k: int) -> float:
-        """Return the change of the factors towards step k over their last one, by least squares."""
+        """Return the ratio of the change of the factors towards step k to their last change, by least
+        squares."""
         last = self.recent[-1][1]
         change = last - self.recent[0][1]
         size = float(change @ change)
