@@ -41,6 +41,7 @@ from types import (
 )
 
 import numpy as np
+from scipy import sparse
 
 #: on which the results of adaptmg depend, with itself
 PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
@@ -375,6 +376,10 @@ class _Pickler(pickle.Pickler):
             return "file", _content(value)
         if (module, kind.__name__) == ("netgen.libngpy._meshing", "Mesh"):
             raise pickle.PicklingError("the pickle of a mesh of Netgen differs in each process")
+        if sparse.issparse(value):
+            # scipy notes there whether the indices are sorted, when it is asked
+            noted = ("_has_sorted_indices", "_has_canonical_format")
+            return kind, {name: part for name, part in vars(value).items() if name not in noted}
         caches = any(
             type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
         )

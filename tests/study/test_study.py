@@ -134,6 +134,18 @@ def test_a_file_changed_by_others_is_not_blamed_on_runs(tmp_path):
     assert study.run(progress=False)["m"][0] == 2 and study.table()["status"][0] == "done"
 
 
+def test_meshes_on_which_runs_solve_do_not_make_their_rows_stale(tmp_path):
+    grids = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 12e-3, 8e-3), contact_ratio=2)
+
+    def run(friction):
+        law = am.Coulomb(friction)
+        return {"cycles": am.solve(grids.with_problem(am.cases.greco_bar(law=law))).cycles}
+
+    study = am.Study(run, {"friction": [0.1, 0.5]}, tmp_path / "s.sqlite")
+    study.run(progress=False)
+    assert study.table()["status"].tolist() == ["done", "done"]
+
+
 def test_a_store_holds_several_studies_by_fixed_parameters(tmp_path):
     path = tmp_path / "s.sqlite"
     for friction in (0.5, 1.0):
