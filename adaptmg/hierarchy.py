@@ -531,7 +531,8 @@ class Hierarchy:
         --------
         >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(4, 8))
         >>> for friction in (0.2, 0.4):
-        ...     result = am.solve(grids.with_problem(am.cases.greco_bar(law=am.Coulomb(friction))), am.Multigrid())
+        ...     other = am.cases.greco_bar(law=am.Coulomb(friction))
+        ...     result = am.solve(grids.with_problem(other), am.Multigrid())
         """
         begin = clock()
         self._need_meshes("with_problem")

@@ -51,7 +51,7 @@ class Level:
     Examples
     --------
     >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
-    >>> grids.finest.prolongation.shape                               # to its nodes from those of the level below
+    >>> grids.finest.prolongation.shape  # to its nodes from those of the level below
     (25, 9)
     """
 

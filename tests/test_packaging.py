@@ -140,6 +140,9 @@ def test_every_public_name_has_an_example_that_runs(tmp_path, monkeypatch):
         for found in finder.find(thing, name, globs=globs):
             if found.examples:
                 runner.run(found, out=report.write)
+                # a page is as wide: 100 columns with the prompt
+                lines = [line for example in found.examples for line in example.source.split("\n")]
+                assert max(map(len, lines)) <= 96, (found.name, max(lines, key=len))
             elif found.name in named:
                 without.add(found.name)
     assert not runner.failures, report.getvalue()

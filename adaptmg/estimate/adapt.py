@@ -139,7 +139,8 @@ def adapt(
     Examples
     --------
     >>> problem = am.cases.upset_block()
-    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=30))
+    >>> mesh = am.mesh.structured(problem.domain, 2)
+    >>> steps = list(am.adapt(problem, mesh, engine=am.Bisect(), max_nodes=30))
     >>> steps[-1].estimate.relative < steps[0].estimate.relative
     True
     """

@@ -131,7 +131,8 @@ class Bisect:
     Examples
     --------
     >>> problem = am.cases.upset_block()
-    >>> steps = am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=30)
+    >>> mesh = am.mesh.structured(problem.domain, 2)
+    >>> steps = am.adapt(problem, mesh, engine=am.Bisect(), max_nodes=30)
     >>> next(steps).number
     0
     """

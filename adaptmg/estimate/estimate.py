@@ -336,7 +336,8 @@ class Residual:
     Examples
     --------
     >>> problem = am.cases.greco_bar()
-    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=am.Residual(), max_nodes=30))
+    >>> mesh = am.mesh.structured(problem.domain, 2)
+    >>> step = next(am.adapt(problem, mesh, indicator=am.Residual(), max_nodes=30))
     >>> step.estimate.squares.shape == (len(step.hierarchy.finest.mesh.elements),)
     True
     """
@@ -565,7 +566,8 @@ class Recovery:
     Examples
     --------
     >>> problem = am.cases.greco_bar()
-    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=am.Recovery(), max_nodes=30))
+    >>> mesh = am.mesh.structured(problem.domain, 2)
+    >>> step = next(am.adapt(problem, mesh, indicator=am.Recovery(), max_nodes=30))
     >>> 0 < step.estimate.relative < 1
     True
     """

@@ -54,7 +54,8 @@ class GoalEstimate(Estimate):
     --------
     >>> goal = am.Goal(am.Opening("contact"))
     >>> problem = am.cases.greco_bar()
-    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=goal, max_nodes=30))
+    >>> mesh = am.mesh.structured(problem.domain, 2)
+    >>> step = next(am.adapt(problem, mesh, indicator=goal, max_nodes=30))
     >>> len(step.estimate.values)
     1
     """
@@ -128,7 +129,8 @@ class Goal:
     --------
     >>> goal = am.Goal(am.ContactForce("contact", "normal"))
     >>> problem = am.cases.greco_bar()
-    >>> step = next(am.adapt(problem, am.mesh.structured(problem.domain, 2), indicator=goal, max_nodes=30))
+    >>> mesh = am.mesh.structured(problem.domain, 2)
+    >>> step = next(am.adapt(problem, mesh, indicator=goal, max_nodes=30))
     >>> step.estimate.value > 0                                       # N/m
     True
     """

@@ -123,7 +123,8 @@ class Step(Generic[AnyEstimate]):
     Examples
     --------
     >>> problem = am.cases.greco_bar()
-    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=20))
+    >>> mesh = am.mesh.structured(problem.domain, 2)
+    >>> steps = list(am.adapt(problem, mesh, engine=am.Bisect(), max_nodes=20))
     >>> steps[0].nodes < steps[-1].nodes
     True
     """

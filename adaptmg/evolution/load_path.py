@@ -87,7 +87,9 @@ class PathResult(Sequence[Result]):
         return shortened(str(self))
 
     def _repr_html_(self) -> str:
-        return in_html_lines(str(self).partition("\n")[0]) + html_table(self.table())
+        return in_html_lines(str(self).partition("\n")[0]) + html_table(
+            self.table().drop(columns=["work_units", "seconds", "residual"])
+        )
 
     def __str__(self) -> str:
         about = (

@@ -117,8 +117,9 @@ class MeshArrays:
 
     Examples
     --------
-    >>> triangle = am.MeshArrays(points=[[0, 0], [1, 0], [0, 1]], elements=[[0, 1, 2]], facets=[[0, 1], [1, 2], [2, 0]],
-    ...                          facet_labels=[0, 1, 1], boundaries=("bottom", "rest"))
+    >>> triangle = am.MeshArrays(
+    ...     points=[[0, 0], [1, 0], [0, 1]], elements=[[0, 1, 2]],
+    ...     facets=[[0, 1], [1, 2], [2, 0]], facet_labels=[0, 1, 1], boundaries=("bottom", "rest"))
     >>> triangle.n_nodes, triangle.dim
     (3, 2)
     """

@@ -286,7 +286,8 @@ def touching(
     Examples
     --------
     >>> pairs = am.mesh.touching("assembly.step", tolerance=5e-5)      # doctest: +SKIP
-    >>> problem = am.ContactProblem(domain=am.StepFile("assembly.step"), contact=pairs, ...)    # doctest: +SKIP
+    >>> domain = am.StepFile("assembly.step")  # doctest: +SKIP
+    >>> problem = am.ContactProblem(domain=domain, contact=pairs, ...)  # doctest: +SKIP
     """
     domain = _domain(path)
     tolerance = None if tolerance is None else checks.positive("tolerance", tolerance)

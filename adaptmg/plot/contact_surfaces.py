@@ -70,7 +70,7 @@ def contact(
     Examples
     --------
     >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
-    >>> len(am.plot.contact(result).axes)                               # pressure, friction, gap and slip
+    >>> len(am.plot.contact(result).axes)  # pressure, friction, gap and slip
     3
     """
     style.need_displacements(checks.instance("result", result, Result))

@@ -237,7 +237,8 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     Examples
     --------
     >>> problem = am.cases.greco_bar()
-    >>> steps = list(am.adapt(problem, am.mesh.structured(problem.domain, 2), engine=am.Bisect(), max_nodes=20))
+    >>> mesh = am.mesh.structured(problem.domain, 2)
+    >>> steps = list(am.adapt(problem, mesh, engine=am.Bisect(), max_nodes=20))
     >>> am.plot.adaptation(steps).savefig("adaptation.png")
     """
     steps = checks.items("steps", steps, Step, "Steps of am.adapt")

@@ -136,9 +136,11 @@ class Cut(Combination):
     Examples
     --------
     >>> plate = am.Cut(am.Rectangle(width=0.2, height=0.1), am.Circle((0.1, 0.05), 0.02, "hole"))
-    >>> am.Cut(plate, am.Rectangle(width=0.02, height=0.03), rename={"b.right": "notch", "b.top": "notch"}).boundaries
+    >>> corner = am.Rectangle(width=0.02, height=0.03)
+    >>> am.Cut(plate, corner, rename={"b.right": "notch", "b.top": "notch"}).boundaries
     ('bottom', 'right', 'top', 'left', 'notch', 'hole')
-    >>> drilled = am.Cut(am.Box(width=1, depth=1, height=1), am.Cylinder((0.5, 0.5, 0), (0, 0, 1), 0.2, 1.0))
+    >>> drill = am.Cylinder((0.5, 0.5, 0), (0, 0, 1), 0.2, 1.0)
+    >>> drilled = am.Cut(am.Box(width=1, depth=1, height=1), drill)
     >>> drilled.a.width
     1.0
     """

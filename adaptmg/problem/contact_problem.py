@@ -153,7 +153,8 @@ class ContactProblem(checks.Checked):
     Examples
     --------
     >>> posed = am.ContactProblem(
-    ...     domain=am.Rectangle(width=1.0, height=1.0), material=am.PlaneStrain(young=2e11, poisson=0.3),
+    ...     domain=am.Rectangle(width=1.0, height=1.0),
+    ...     material=am.PlaneStrain(young=2e11, poisson=0.3),
     ...     contact=am.Contact("bottom", am.Plane((0, 0), (0, 1))), law=am.Coulomb(0.3),
     ...     loads=(am.Pressure("top", 1e6),), supports=(am.Support("left", x=0),))
     >>> posed.dim

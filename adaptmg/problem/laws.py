@@ -331,7 +331,9 @@ class Solid(Elastic):
 
         Examples
         --------
-        >>> am.Solid.orthotropic(young=(12e9, 0.8e9, 0.5e9), poisson=(0.4, 0.4, 0.5), shear=(0.7e9, 0.6e9, 0.1e9)).dim
+        >>> spruce = am.Solid.orthotropic(
+        ...     young=(12e9, 0.8e9, 0.5e9), poisson=(0.4, 0.4, 0.5), shear=(0.7e9, 0.6e9, 0.1e9))
+        >>> spruce.dim
         3
         """
         return cls._of(Anisotropy(_stiffness(young, poisson, shear), _axes(axes)))
@@ -686,7 +688,8 @@ class NormalCompliance(checks.Checked):
     >>> rough = am.Contact("bottom", am.Plane((0, 0), (0, 1)), compliance=am.NormalCompliance(1e-13))
     >>> problem = am.cases.greco_bar()
     >>> from dataclasses import replace
-    >>> contact = am.solve(am.Hierarchy.uniform(replace(problem, contact=rough), divisions=(2, 4))).contact
+    >>> grids = am.Hierarchy.uniform(replace(problem, contact=rough), divisions=(2, 4))
+    >>> contact = am.solve(grids).contact
     >>> bool(np.allclose(-contact.gap, 1e-13 * contact.pressure))
     True
     """

@@ -186,7 +186,8 @@ class Outline(Domain):
 
     Examples
     --------
-    >>> quarter = am.Outline(vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "arc", "left"), arcs={1: (0, 0)})
+    >>> quarter = am.Outline(
+    ...     vertices=((0, 0), (1, 0), (0, 1)), boundaries=("bottom", "arc", "left"), arcs={1: (0, 0)})
     >>> quarter.boundaries
     ('bottom', 'arc', 'left')
     """

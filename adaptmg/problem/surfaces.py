@@ -509,7 +509,8 @@ class Periodic(_Sides, Acting):
 
     Examples
     --------
-    >>> shear = [am.Periodic("left", "right", jump=(0, 1e-3)), am.Periodic("bottom", "top", jump=(1e-3, 0))]
+    >>> sides = am.Periodic("left", "right", jump=(0, 1e-3))
+    >>> shear = [sides, am.Periodic("bottom", "top", jump=(1e-3, 0))]
     """
 
     master: Name

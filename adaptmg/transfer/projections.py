@@ -116,7 +116,8 @@ class QuasiInterpolation(_Projection):
 
     Examples
     --------
-    >>> len(am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), transfer=am.QuasiInterpolation()))
+    >>> bar = am.cases.greco_bar()
+    >>> len(am.Hierarchy.graded(bar, sizes=(20e-3, 10e-3), transfer=am.QuasiInterpolation()))
     2
     """
 

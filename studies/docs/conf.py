@@ -4,6 +4,7 @@ import importlib
 import logging
 import os
 import sys
+import warnings
 from importlib.metadata import distribution
 from pathlib import Path
 
@@ -43,10 +44,14 @@ html_static_path = ["_static"]
 html_css_files = ["docs.css"]
 html_show_search_summary = False
 html_copy_source = False
-html_theme_options = {"light_css_variables": {"font-stack": "system-ui, sans-serif"}}
+html_theme_options = {
+    "light_css_variables": {"font-stack": "system-ui, sans-serif", "code-font-size": ".78rem"}
+}
 
 suppress_warnings = ["config.cache"]  # the function below cannot be pickled
 _shown = []
+# tutorials show what a warning says, not in which folder they were run
+warnings.formatwarning = lambda message, category, *_: f"{category.__name__}: {message}\n"
 
 
 def _pictures(block, names, settings):

@@ -14,9 +14,8 @@ goal = am.Goal(am.Displacement(problem.reference["points"]["A"], "x"))
 steps = list(am.adapt(problem, start=10e-3, indicator=goal, max_nodes=4000))
 for step in steps:
     error, corrected = step.estimate.value / exact - 1, step.estimate.corrected[0] / exact - 1
-    print(
-        f"{step.nodes:5d} nodes: error {error:+.1e}, corrected {corrected:+.1e}, settled: {step.settled}"
-    )
+    errors = f"error {error:+.1e}, corrected {corrected:+.1e}"
+    print(f"{step.nodes:5d} nodes: {errors}, settled: {step.settled}")
 
 # %%
 # Believe the estimate when ``step.settled`` says so: on coarse meshes the contact state itself is
