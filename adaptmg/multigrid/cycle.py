@@ -111,13 +111,13 @@ def correction_contact(
     fine_slip = values[:, 1:] - contact.slip_reference
     # |E| is a bound of what a correction changes in a slip that is held along one tangent
     fine_slip[contact.driven] = 0.0
-    data = fine_slip, sliding_limit(system, contact, residual), initial
-    returned = correction.transport(reach, contact.gap - values[:, 0], *data)
-    gap, slip, limit = _transported(correction, coarse, returned)
+    slip_data = fine_slip, sliding_limit(system, contact, residual), initial
+    transported = correction.transport(reach, contact.gap - values[:, 0], *slip_data)
+    gap, slip, limit = _transported(correction, coarse, transported)
     lowest = None
     if contact.lowest is not None:
-        returned = correction.transport(reach, values[:, 0] - contact.lowest, *data)
-        lowest = -_transported(correction, coarse, returned)[0]
+        transported = correction.transport(reach, values[:, 0] - contact.lowest, *slip_data)
+        lowest = -_transported(correction, coarse, transported)[0]
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     return NodalContact(
         gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit), lowest=lowest
@@ -244,20 +244,20 @@ def local_prolongation(
     rows = np.repeat(np.arange(nodal.shape[0]), np.diff(nodal.indptr))
     columns = nodal.indices
     blocks = nodal.data[:, None, None] * np.eye(dim)
-    at_row = fine.system.contact_of[rows]
-    at_column = coarse.system.contact_of[columns]
-    turned = np.flatnonzero((at_row >= 0) | (at_column >= 0))
-    if turned.size:
-        left = np.broadcast_to(np.eye(dim), (turned.size, dim, dim)).copy()
-        right = left.copy()
-        i = at_row[turned]
-        j = at_column[turned]
-        left[i >= 0] = fine.frames[i[i >= 0]]
-        right[j >= 0] = coarse.frames[j[j >= 0]]
-        rotation = np.einsum("nij,nkj->nik", left, right)
-        both = (i >= 0) & (j >= 0)
-        rotation[both] = _tangential_part(rotation[both])
-        blocks[turned] = nodal.data[turned, None, None] * rotation
+    contact_of_row = fine.system.contact_of[rows]
+    contact_of_column = coarse.system.contact_of[columns]
+    at_contact = np.flatnonzero((contact_of_row >= 0) | (contact_of_column >= 0))
+    if at_contact.size:
+        fine_frames = np.broadcast_to(np.eye(dim), (at_contact.size, dim, dim)).copy()
+        coarse_frames = fine_frames.copy()
+        fine_contact = contact_of_row[at_contact]
+        coarse_contact = contact_of_column[at_contact]
+        fine_frames[fine_contact >= 0] = fine.frames[fine_contact[fine_contact >= 0]]
+        coarse_frames[coarse_contact >= 0] = coarse.frames[coarse_contact[coarse_contact >= 0]]
+        rotation = np.einsum("nij,nkj->nik", fine_frames, coarse_frames)
+        between_contacts = (fine_contact >= 0) & (coarse_contact >= 0)
+        rotation[between_contacts] = _tangential_part(rotation[between_contacts])
+        blocks[at_contact] = nodal.data[at_contact, None, None] * rotation
     free_rows = (~fine.system.fixed).reshape(-1, dim)[rows]
     free_columns = (~coarse.system.fixed).reshape(-1, dim)[columns]
     blocks *= free_rows[:, :, None] & free_columns[:, None, :]
@@ -287,17 +287,17 @@ def local_galerkin(
     prolongation = level.prolongation
     restriction = level.restriction
     if finer is not None:
-        taken = sparse.diags_array(
+        seen = sparse.diags_array(
             (np.asarray(abs(finer.prolongation).sum(axis=0)).ravel() > 0).astype(float)
         )
-        prolongation = taken @ prolongation
-        restriction = restriction @ taken
+        prolongation = seen @ prolongation
+        restriction = restriction @ seen
     product = sparse.csr_array(restriction @ level.system.matrix @ prolongation)
     diagonal = product.diagonal()
-    empty = ~(diagonal > 0)
-    fill = np.where(empty, diagonal[~empty].mean() if (~empty).any() else 1.0, 0.0)
+    unseen = ~(diagonal > 0)
+    unit_scale = np.where(unseen, diagonal[~unseen].mean() if (~unseen).any() else 1.0, 0.0)
     matrix = sparse.bsr_array(
-        product + sparse.diags_array(fill), blocksize=(dim, dim)
+        product + sparse.diags_array(unit_scale), blocksize=(dim, dim)
     ).sorted_indices()
     return LocalSystem.from_matrix(matrix, coarse.fixed, coarse.nodes)
 
@@ -478,41 +478,44 @@ class MultigridCycle:
         elif shape == "complete":
             self._complete(level, contact, load, unknowns)
         else:
-            for each in {"V": "V", "W": "WW", "F": "FV"}[shape]:
-                self.cycle(level, contact, load, unknowns, each)
+            for shape_of_visit in {"V": "V", "W": "WW", "F": "FV"}[shape]:
+                self.cycle(level, contact, load, unknowns, shape_of_visit)
 
     def correct(
         self,
         level: int,
         contact: NodalContact,
         unknowns: np.ndarray,
-        r: np.ndarray,
+        residual: np.ndarray,
         shape: str | None = None,
     ) -> None:
         """Add the correction from the next coarser level; ``r`` is the residual at ``unknowns``."""
         fine = self.levels[level]
         coarse = self.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None
-        data = correction_contact(
+        coarse_contact = correction_contact(
             self.correction,
             fine.supports,
             fine.system,
             coarse.system,
             contact,
             unknowns,
-            r,
+            residual,
             initial,
         )
         self.recorder.visit(level, "restrict")
-        load = fine.restriction @ r
+        load = fine.restriction @ residual
         error = np.zeros(coarse.system.n_dofs)
-        self.solve(level - 1, data, load, error, self.options.shape if shape is None else shape)
+        self.solve(
+            level - 1, coarse_contact, load, error, self.options.shape if shape is None else shape
+        )
         unknowns += fine.prolongation @ error
         self.recorder.visit(level, "prolong")
 
     def smooth(
         self, level: int, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray, sweeps: int
     ) -> None:
+        """Smooth on a level, and count the passes."""
         if sweeps:
             system = self.levels[level].system
             passes = self.smoother.smooth(system, contact, load, unknowns, sweeps)
@@ -526,17 +529,18 @@ class MultigridCycle:
         return load - system.matrix @ unknowns
 
     def solve_coarsest(self, contact: NodalContact, load: np.ndarray, unknowns: np.ndarray) -> None:
+        """Solve the coarsest problem, condensed to its contact dofs if it has factors."""
         if self.condensed is None:
             sweeps = self.coarse.solve(
                 self.levels[0].system, contact, load, unknowns, self.recorder
             )
         else:
             particular, reduced = self.condensed.reduce(load)
-            part = self.condensed.restrict(unknowns)
+            contact_part = self.condensed.restrict(unknowns)
             sweeps = self.coarse.solve(
-                self.condensed.problem.system, contact, reduced, part, self.recorder
+                self.condensed.problem.system, contact, reduced, contact_part, self.recorder
             )
-            unknowns[:] = self.condensed.complete(particular, part)
+            unknowns[:] = self.condensed.complete(particular, contact_part)
         self.recorder.visit(0, "solve", sweeps)
 
     def _complete(
@@ -591,6 +595,7 @@ class CoarseSolve:
     BATCH = 4
 
     def __post_init__(self) -> None:
+        """Check the options."""
         object.__setattr__(self, "rtol", checks.nonnegative("rtol", self.rtol))
         object.__setattr__(self, "atol", checks.nonnegative("atol", self.atol))
         if not self.rtol < 1:

@@ -52,12 +52,12 @@ class LinearLevel:
 
     @cached_property
     def rest(self) -> np.ndarray:
-        """The residual that :meth:`presmooth` leaves."""
+        """Return the vector in which :meth:`presmooth` leaves the residual."""
         return np.zeros(self.matrix.n_dofs)
 
     @cached_property
     def _transfer(self) -> tuple[tuple[float, ...], np.ndarray, np.ndarray, np.ndarray]:
-        """The zeros of the components of the prolongation, and its arrays."""
+        """Return zeros, one a component of the prolongation, and its arrays."""
         nodal = self.prolongation
         return ZERO[self.matrix.n_dofs // nodal.shape[0]], nodal.indptr, nodal.indices, nodal.data
 
@@ -99,9 +99,10 @@ class LinearLevel:
             return 0.0
         lower = matrix.lower_arrays
         upper = matrix.upper_arrays
-        none = matrix.no_half
-        matrix.sweep(gauss_seidel, False, *lower, *none, matrix.inverse, load, u, rest)
+        no_entries = matrix.no_half
+        matrix.sweep(gauss_seidel, False, *lower, *no_entries, matrix.inverse, load, u, rest)
         passes = 0.5  # L
+        # an odd number begins with two forward sweeps; backward and forward alternate after them
         if self.pre % 2 == 1:
             if self.pre == 1:
                 rest[:] = 0.0
@@ -110,7 +111,7 @@ class LinearLevel:
             self._forward(load)
             passes += 1.0
         self._backward()
-        for _ in range((self.pre - 1) // 2 - (self.pre % 2)):
+        for _ in range(self.pre // 2 - 1):
             self._forward(load)
             self._backward()
             passes += 1.5
@@ -177,6 +178,8 @@ class LinearCycle:
         coarse_smoother: LinearSmoother | None = None,
         correct: Cycle | LinearCorrection | None = None,
     ) -> None:
+        """Prepare cycles; ``sweeps`` has a number for each level, before and after the correction,
+        where ``correct`` is not a :class:`~adaptmg.multigrid.cycle.Cycle`."""
         self.levels: list[LinearLevel] = []
         self.recorder = recorder
         self.coarse_smoother = coarse_smoother
@@ -227,9 +230,9 @@ class LinearCycle:
         if number > 0 and second:  # the coarsest level is solved
             level = self.levels[number]
             solution = solution.copy()
-            rest = level.residual(load, solution)
+            residual = level.residual(load, solution)
             self.recorder.count(1.0, level.matrix.nonzeros)
-            solution += self._visit(number, rest, second[0])
+            solution += self._visit(number, residual, second[0])
         return solution
 
     def _visit(self, number: int, load: np.ndarray, shape: str, smooth: bool = True) -> np.ndarray:
@@ -242,38 +245,40 @@ class LinearCycle:
             recorder.visit(0, "solve")
             return level.solution
         passes = 0.0
-        rest = load
-        after = 2
+        residual = load
+        sweeps_after = 2
         if smooth:
             passes = level.presmooth(load)
-            rest = level.rest
-            after = level.post
+            residual = level.rest
+            sweeps_after = level.post
             recorder.visit(number, "smooth", level.pre)
         else:
             level.solution[:] = 0.0
         coarse_load = level.below.load
-        level.restrict(rest, coarse_load)
+        level.restrict(residual, coarse_load)
         recorder.visit(number, "restrict")
         level.prolong(self._visits(number - 1, coarse_load, shape), level.solution)
         level.solution[level.matrix.fixed] = 0.0
         recorder.visit(number, "prolong")
-        passes += level.postsmooth(load, after)
-        recorder.visit(number, "smooth", after)
+        passes += level.postsmooth(load, sweeps_after)
+        recorder.visit(number, "smooth", sweeps_after)
         recorder.count(passes, level.matrix.nonzeros)
         return level.solution
 
     def _prepared(self, number: int) -> PreparedSolve:
         """Set the user-defined correction up for the levels below ``number``."""
-        below = [level.matrix for level in self.levels[:number]]
-        matrices = [_regular_sparse(matrix, _sizes(matrix)) for matrix in below]
+        coarse_matrices = [level.matrix for level in self.levels[:number]]
+        matrices = [_regular_sparse(matrix, _sizes(matrix)) for matrix in coarse_matrices]
         prolongations = [
             _by_dofs(level.prolongation, level.matrix.n_dofs) for level in self.levels[1:number]
         ]
-        made = cast("LinearCorrection", self.correction).setup(matrices, prolongations)
+        prepared = cast("LinearCorrection", self.correction).setup(matrices, prolongations)
         words = "an object with solve(rhs) -> solution"
-        return checks.offers("correct: what setup returns", made, "solve", words)
+        return checks.offers("correct: what setup returns", prepared, "solve", words)
 
     def _corrected(self, number: int, load: np.ndarray) -> np.ndarray:
+        """Return the solution (n_dofs,) that a user-defined correction finds for a load of a
+        level."""
         matrix = self.levels[number].matrix
         solution = np.array(
             checks.array("correct: what solve returns", self._corrector.solve(load), load.shape)
@@ -313,6 +318,7 @@ class CoarseFactors:
     DENSE = 1500
 
     def __init__(self, level: SplitMatrix, custom: LinearSolve | None = None) -> None:
+        """Prepare for the matrices of the coarsest level; ``custom`` replaces the factors."""
         self.level = level
         self.custom = custom
         scale = np.abs(
@@ -330,6 +336,7 @@ class CoarseFactors:
         self._shift = np.zeros(self.level.n_dofs)
 
     def renew(self) -> None:
+        """Factorise the matrix that has changed, and shift it where it is singular."""
         if self.custom is not None:
             self._prepared = checks.offers(
                 "coarse_solve: what setup returns",
@@ -364,14 +371,14 @@ class CoarseFactors:
 
 
 def _dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Solves with a matrix; those of a singular one are vast, infinite or NaN."""
+    """Return a solve with a matrix; solutions of a singular one are vast, infinite or NaN."""
     # LAPACK itself: scipy's wrapper warns of what the caller mends
     factors, pivots, _ = linalg.lapack.dgetrf(matrix)
     return lambda load: linalg.lapack.dgetrs(factors, pivots, load)[0]
 
 
 def _sparse_factors(matrix: sparse.csr_array) -> Callable[[np.ndarray], np.ndarray]:
-    """As :func:`_dense_factors`, by SuperLU."""
+    """Return the same as :func:`_dense_factors`, by SuperLU."""
     try:
         # pivots off the diagonal fill more than they gain: but for the slip rows of Coulomb the
         # matrix is symmetric
@@ -564,14 +571,14 @@ class _LevelSmoother:
         return checks.nonnegative("coarse_smoother: the passes that smooth returns", passes)
 
 
-def least_weights(now: np.ndarray, changes: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return the alpha (k,) that minimise |now + alpha changes|, ``changes`` (k, n), weighted with ``d``
-    (n,)."""
-    weighted = changes * d
+def least_weights(residual: np.ndarray, changes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the alpha (k,) that minimise the norm of ``residual`` (n,) + alpha ``changes`` (k, n), squares
+    weighted with ``weights`` (n,)."""
+    weighted = changes * weights
     products = weighted @ changes.T
     scale = np.sqrt(products.diagonal())
     scale[scale == 0.0] = 1.0
     products /= scale[:, None] * scale
     products.flat[:: len(scale) + 1] += checks.ROUNDING
     # LAPACK itself: numpy's least squares take ten times as long as all products of a small problem
-    return linalg.lapack.dposv(products, -(weighted @ now) / scale)[1] / scale
+    return linalg.lapack.dposv(products, -(weighted @ residual) / scale)[1] / scale

@@ -93,10 +93,10 @@ class RigidMotions:
     load: np.ndarray  # (n_dofs,): f
     coefficients: np.ndarray  # (k, m): of the motions, in the columns of problem.near_nullspace
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
-    _last: tuple[bytes, np.ndarray] = (
+    _last_free: tuple[bytes, np.ndarray] = (
         b"",
         np.empty(0),
-    )  # the last status and the combinations free in it
+    )  # the last status, and the combinations that are free in it
 
     #: steps at most
     STEPS: ClassVar[int] = 30
@@ -138,17 +138,17 @@ class RigidMotions:
         """Return the combinations (m, j) that move closed nodes along the obstacle only, and held
         ones not at all."""
         key = closed.tobytes() + held.tobytes()
-        if key != self._last[0]:
+        if key != self._last_free[0]:
             rows = [
                 self.at_contact[closed, 0],
                 self.at_contact[held, 1:].reshape(-1, self.at_contact.shape[2]),
             ]
-            self._last = key, null_combinations(np.concatenate(rows))
-        return self._last[1]
+            self._last_free = key, null_combinations(np.concatenate(rows))
+        return self._last_free[1]
 
     @cached_property
     def work(self) -> np.ndarray | None:
-        """The work (m,) of the load on the motions; None where they strain the body."""
+        """Return the work (m,) of the load on the motions; None where they strain the body."""
         motions = self.problem.near_nullspace @ self.coefficients
         forces = self.problem.matrix @ motions
         forces[self.problem.fixed] = 0.0
@@ -160,16 +160,15 @@ class RigidMotions:
         self, contact: TruncatedContact, change: np.ndarray, unknowns: np.ndarray
     ) -> np.ndarray:
         """Carry out a motion (m,) that the values of the contact contain already."""
-        o = contact
         step = self.problem.near_nullspace @ (self.coefficients @ change)
         step[self.problem.fixed] = 0.0
         unknowns += step
         # equal but for rounding; gaps and slips that vanish must do so to the bit
-        values = np.einsum(
-            "nji,nj->ni", o.frames.reshape(-1, o.dim, o.dim), o.values.reshape(-1, o.dim)
-        )
-        at = unknowns.reshape(-1, o.dim)
-        at[o.nodes] = np.where(self.problem.fixed.reshape(-1, o.dim)[o.nodes], 0.0, values)
+        dim = contact.dim
+        frames = contact.frames.reshape(-1, dim, dim)
+        values = np.einsum("nji,nj->ni", frames, contact.values.reshape(-1, dim))
+        fixed = self.problem.fixed.reshape(-1, dim)[contact.nodes]
+        unknowns.reshape(-1, dim)[contact.nodes] = np.where(fixed, 0.0, values)
         return step
 
 
@@ -188,6 +187,7 @@ class _Descent:
     def __init__(
         self, motions: RigidMotions, contact: TruncatedContact, residual: np.ndarray
     ) -> None:
+        """Begin at the values of the contact nodes, with the residual (n_dofs,) there."""
         dim = contact.dim
         self.contact = contact
         self.motions = motions
@@ -200,63 +200,73 @@ class _Descent:
         )
 
     def step(self) -> np.ndarray | None:
-        """Take a step; returns its combination of motions (m,), None at a minimum."""
-        o = self.contact
+        """Take a step; return its combination of motions (m,), None at a minimum."""
+        contact = self.contact
         slip = self.values[:, 1:] - self.reference
-        closed = self.values[:, 0] >= o.gap
-        resists = (o.limit > 0) | (closed & (o.friction > 0))
+        closed = self.values[:, 0] >= contact.gap
+        resists = (contact.limit > 0) | (closed & (contact.friction > 0))
         held = resists & ~slip.any(axis=1)
         free = self.motions.free(closed, held)
-        values = self.motions.at_contact
         if not free.shape[1] or self.motions.work is None:
             return None
-        bound = np.where(resists, o.limit + np.where(closed, o.friction * self.pressure, 0.0), 0.0)
-        tangents = values[:, 1:] @ free
+        at_contact = self.motions.at_contact
+        tangents = at_contact[:, 1:] @ free
         force = free.T @ self.motions.work
+        of_pressure = np.where(closed, contact.friction * self.pressure, 0.0)
+        bound = np.where(resists, contact.limit + of_pressure, 0.0)
         direction = self._direction(self.factor * bound, slip, tangents, force)
         if direction is None:
             return None
-        along = tangents @ direction
-        across = values[:, 0] @ (free @ direction)
-        speed = np.linalg.norm(along, axis=1)
-        small = checks.ALIKE * max(speed.max(), np.abs(across).max())
-        closing = ~closed & (across > small) & np.isfinite(o.gap)
+        # rates of slips and gaps along the direction
+        slip_rate = tangents @ direction
+        approach = at_contact[:, 0] @ (free @ direction)
+        speed = np.linalg.norm(slip_rate, axis=1)
+        small = checks.ALIKE * max(speed.max(), np.abs(approach).max())
+        closing = ~closed & (approach > small) & np.isfinite(contact.gap)
         # the step ends where the first gap closes, or where the sum of friction and work is least
-        stops = np.divide(
-            o.gap - self.values[:, 0], across, out=np.full(len(across), np.inf), where=closing
+        closes_at = np.divide(
+            contact.gap - self.values[:, 0],
+            approach,
+            out=np.full(len(approach), np.inf),
+            where=closing,
         )
         work = float(force @ direction)
         bound = np.where(speed > small, self.factor * bound, 0.0)
         resistance = float(bound @ speed)
-        if not (np.isfinite(stops.min()) or resistance > work):
+        if not (np.isfinite(closes_at.min()) or resistance > work):
             if not resistance > 0.0:
                 return None
             self.factor *= self.ENOUGH * work / resistance
             return self.step()
-        slope = friction_slope(slip, along, bound)
+        slope = friction_slope(slip, slip_rate, bound)
         acts = bound > 0
         size = np.linalg.norm(slip, axis=1)
         longest = float((size[acts] / speed[acts]).max(initial=0.0)) or 1.0
-        length = _least(lambda alpha: slope(alpha) - work, 2.0 * longest, float(stops.min()))
+        length = _least(lambda alpha: slope(alpha) - work, 2.0 * longest, float(closes_at.min()))
         change = length * direction
-        if length == stops.min():
-            closed[np.argmin(stops)] = True
+        if length == closes_at.min():
+            closed[np.argmin(closes_at)] = True
         else:
-            left = np.linalg.norm(slip + length * along, axis=1)
+            left = np.linalg.norm(slip + length * slip_rate, axis=1)
             share = np.divide(left, length * speed, out=np.full(len(left), np.inf), where=acts)
             node = int(np.argmin(share))
             if share[node] < checks.SIX_DIGITS:
-                # its slip to the last bit
+                # a slip vanishes, to the last bit
                 rest = slip[node] + tangents[node] @ change
                 change = change - np.linalg.lstsq(tangents[node], rest, rcond=checks.ALIKE)[0]
                 held[node] = True
         change = free @ change
-        normal = np.maximum(self.values[:, 0], o.gap)  # of springs it is deeper
-        # nodes that were closed or held, or are now, are so to the bit
-        self.values += values @ change
-        self.values[:, 0] = np.where(closed, normal, np.minimum(self.values[:, 0], o.gap))
-        self.values[:, 1:] = np.where(held[:, None], self.reference, self.values[:, 1:])
+        self._move(change, closed, held)
         return change
+
+    def _move(self, change: np.ndarray, closed: np.ndarray, held: np.ndarray) -> None:
+        """Move the values of the contact nodes by a combination of motions (m,); nodes that are
+        ``closed`` or ``held`` afterwards are so to the bit."""
+        gap = self.contact.gap
+        normal = np.maximum(self.values[:, 0], gap)  # springs lie deeper than the gap
+        self.values += self.motions.at_contact @ change
+        self.values[:, 0] = np.where(closed, normal, np.minimum(self.values[:, 0], gap))
+        self.values[:, 1:] = np.where(held[:, None], self.reference, self.values[:, 1:])
 
     def _direction(
         self, bound: np.ndarray, slip: np.ndarray, tangents: np.ndarray, force: np.ndarray
@@ -264,19 +274,23 @@ class _Descent:
         """Return the direction (j,) of a step in the free motions, None at a minimum: that of Newton's
         method for sum B |slip| - force, or the steepest descent where the Hessian is singular."""
         size = np.linalg.norm(slip, axis=1, keepdims=True)
-        along = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0)
-        gradient = np.einsum("n,nt,ntj->j", bound, along, tangents) - force
+        slip_direction = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0)
+        gradient = np.einsum("n,nt,ntj->j", bound, slip_direction, tangents) - force
         if np.linalg.norm(gradient) <= self.BALANCED[self.contact.dim] * np.linalg.norm(force):
             return None
         if slip.shape[1] == 1:
             return -gradient
-        turned = tangents - along[:, :, None] * np.einsum("nt,ntj->nj", along, tangents)[:, None]
+        across_slip = (
+            tangents
+            - slip_direction[:, :, None]
+            * np.einsum("nt,ntj->nj", slip_direction, tangents)[:, None]
+        )
         stiffness = np.divide(bound, size[:, 0], out=np.zeros_like(bound), where=size[:, 0] > 0)
-        hessian = np.einsum("n,nti,ntj->ij", stiffness, turned, tangents)
-        values, vectors = np.linalg.eigh(hessian)
-        if not values[0] > checks.ALIKE * values[-1]:
+        hessian = np.einsum("n,nti,ntj->ij", stiffness, across_slip, tangents)
+        eigenvalues, eigenvectors = np.linalg.eigh(hessian)
+        if not eigenvalues[0] > checks.ALIKE * eigenvalues[-1]:
             return -gradient
-        return -(vectors @ ((vectors.T @ gradient) / values))
+        return -(eigenvectors @ ((eigenvectors.T @ gradient) / eigenvalues))
 
 
 def _least(slope: Callable[[float], float], first: float, stop: float) -> float:

@@ -139,6 +139,7 @@ class Truncated:
     interface_sweeps: int = 2
 
     def __post_init__(self) -> None:
+        """Check the options."""
         checks.convert(self, checks.flag, "coarse_contact", "rigid_motions", "search")
         checks.integer("interface_sweeps", self.interface_sweeps)
         if isinstance(self.smooth, (int, np.integer)):
@@ -175,6 +176,7 @@ class FrameSmoother:
     which works in Cartesian components."""
 
     def __init__(self, smoother: Smoother, problem: DiscreteProblem, level: SplitMatrix) -> None:
+        """Prepare the smoother for the matrix of a level, in contact frames."""
         self.smoother = smoother
         blocks = level.diagonal.reshape(-1, level.dim, level.dim)
         sizes = np.abs(blocks.diagonal(axis1=1, axis2=2)).reshape(-1)
@@ -193,17 +195,17 @@ class FrameSmoother:
         nodes = system.nodes
         forces = rotate(load, self.frames, nodes)
         forces[system.fixed] = 0.0
-        w = rotate(u, self.frames, nodes)
-        at_nodes = w.reshape(-1, system.dim)
+        local = rotate(u, self.frames, nodes)
+        local_by_node = local.reshape(-1, system.dim)
         values = contact.values.reshape(-1, system.dim)
         # turned to and fro a closed gap would no longer be closed to the last digit
-        at_nodes[nodes] = values
+        local_by_node[nodes] = values
         conditions = contact.conditions
-        passes = self.smoother.smooth(system, conditions, forces, w, 1)
-        checks.array("smooth: the unknowns that smooth leaves", w, w.shape)
-        w[system.fixed] = 0.0
-        at_nodes[nodes, 0] = conditions.clamped(at_nodes[nodes, 0])
-        values[:] = at_nodes[nodes]
-        u[:] = rotate_back(w, self.frames, nodes)
-        residual[:] = rotate_back(forces - system.matrix @ w, self.frames, nodes)
+        passes = self.smoother.smooth(system, conditions, forces, local, 1)
+        checks.array("smooth: the unknowns that smooth leaves", local, local.shape)
+        local[system.fixed] = 0.0
+        local_by_node[nodes, 0] = conditions.clamped(local_by_node[nodes, 0])
+        values[:] = local_by_node[nodes]
+        u[:] = rotate_back(local, self.frames, nodes)
+        residual[:] = rotate_back(forces - system.matrix @ local, self.frames, nodes)
         return passes

@@ -44,6 +44,7 @@ class VolumePressures:
     CAUTIOUS, STEPS = 0.5, 2
 
     def __init__(self, problem: DiscreteProblem) -> None:
+        """Prepare the steps of a problem, of none if it has no volumes."""
         volumes = problem.volumes
         if len(volumes):
             rows = volumes.rows
@@ -83,7 +84,7 @@ class VolumePressures:
 
     @property
     def nonzeros(self) -> int:
-        """Entries of B."""
+        """Return the number of entries of B."""
         return self.volumes.rows.nnz
 
 
@@ -131,17 +132,19 @@ class Augmented:
     MOST = 20
 
     def __init__(self, problem: DiscreteProblem, pressures: np.ndarray) -> None:
+        """Pose the augmented problem of a solve that begins with these pressures (n_groups,),
+        Pa."""
         formed, self._kappa = _formed(problem)
         volumes = problem.volumes
         self._volumes = volumes
-        rest = 1 - self._kappa * volumes.compliance
-        self._before = pressures
-        self._offset = rest * self._before
+        share_of_start = 1 - self._kappa * volumes.compliance
+        self._start_pressures = pressures
+        self._offset = share_of_start * self._start_pressures
         #: whether the first solve ends it
-        self.exact = not (rest > 1e-12).any()
-        resting = self.pressures(np.zeros(problem.n_dofs))
+        self.exact = not (share_of_start > 1e-12).any()
+        pressures_at_zero = self.pressures(np.zeros(problem.n_dofs))
         self.problem = formed.posing(
-            load=problem.load - volumes.forces(resting),
+            load=problem.load - volumes.forces(pressures_at_zero),
             law=problem.law,
             fixed_values=problem.fixed_values,
             contact=problem.contact,
@@ -163,19 +166,19 @@ class Augmented:
         """Return what the next solve begins with: the pressures of this one recombined with those
         of the ``past`` ones. The mean pressure of a body that is enclosed tends to its value with 1
         - kappa~ / kappa alone."""
-        past.insert(0, (pressures, pressures - self._before))
+        past.insert(0, (pressures, pressures - self._start_pressures))
         values, changes = map(np.array, zip(*past[:5], strict=True))
         if len(values) == 1:
             return pressures
-        alpha = least_weights(
+        weights = least_weights(
             changes[0], changes[1:] - changes[0], self._volumes.areas / self._volumes.modulus
         )
-        return pressures + alpha @ (values[1:] - pressures)
+        return pressures + weights @ (values[1:] - pressures)
 
     def missed(self, solved: np.ndarray) -> float:
         """Return what volume strains of a displacement and pressures of this problem miss, relative
         to these."""
         volumes = self._volumes
-        missed = volumes.scale * volumes.missed(solved.reshape(-1), self._before)
-        size = np.linalg.norm(volumes.scale / volumes.modulus * self._before)
+        missed = volumes.scale * volumes.missed(solved.reshape(-1), self._start_pressures)
+        size = np.linalg.norm(volumes.scale / volumes.modulus * self._start_pressures)
         return float(np.linalg.norm(missed) / size) if size > 0 else np.inf
