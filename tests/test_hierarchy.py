@@ -548,6 +548,21 @@ def test_a_forecast_is_right_to_the_factors_it_names(case):
     assert "nodes" in str(costs) and "MB" in str(costs)
 
 
+@pytest.mark.parametrize(
+    ("case", "divisions", "most"),
+    [("greco_bar", (4, 8, 16, 32, 64, 128), 770), ("greco_block", (4, 8, 16), 1550)],
+)
+def test_memory_of_hierarchy_and_solve_in_bytes_a_dof(case, divisions, most):
+    problem = am.cases.CASES[case].function()
+    am.solve(am.Hierarchy.uniform(problem, divisions[:2]))  # imports and kernels
+    tracemalloc.start()
+    grids = am.Hierarchy.uniform(problem, divisions)
+    am.solve(grids)
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert used < most * grids.finest.discrete.n_dofs
+
+
 def test_body_of_which_half_is_cut_is_not_taken_for_one_in_mm():
     half = am.Cut(
         am.Circle((0.0, 0.0), 0.02), am.Rectangle(width=0.1, height=0.1, origin=(-0.05, 0))

@@ -113,7 +113,7 @@ class MortarInterface:
 def slave_normals(slave: Surface, posed: Posed) -> np.ndarray:
     """Return average normals (n_nodes, dim) without components along what supports hold, where
     these are small."""
-    normals = slave.node_normals.copy()
+    normals = slave.node_normals
     nodes = slave.nodes
     inside = posed.free_part(nodes, normals[nodes])
     lengths = np.linalg.norm(inside, axis=1)

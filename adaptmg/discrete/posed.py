@@ -199,6 +199,8 @@ class Posed:
     def prescribed(self) -> np.ndarray:
         """Return the displacement (n_nodes, dim) of held components and jump of tied nodes, m; 0 elsewhere."""
         _, values = self._components
+        if not self.ties:
+            return values
         result = values.copy()
         for tie, part in zip(self.problem.ties, self.ties, strict=True):
             result[part.nodes] += jump_of(tie, part.nodes, self)
@@ -239,7 +241,7 @@ class Posed:
     @cached_property
     def owner(self) -> np.ndarray:
         """Return the number of the contact (n_nodes,) that a node may carry a condition of; -1 of none."""
-        owner = np.full(self.mesh.n_nodes, -1)
+        owner = np.full(self.mesh.n_nodes, -1, dtype=np.int32)
         for k, name in reversed([*enumerate(self.problem.contact_boundaries)]):
             owner[self.surfaces[name].nodes] = k
         return owner
@@ -247,6 +249,8 @@ class Posed:
     @cached_property
     def untied(self) -> np.ndarray:
         """Return ``owner`` without tied nodes."""
+        if not self.ties:
+            return self.owner
         owner = self.owner.copy()
         for tie in self.ties:
             owner[tie.nodes] = -1

@@ -494,16 +494,26 @@ def _relative_motions(coupling: Coupling, motions: Callable[[], np.ndarray]) -> 
     return coupling.relative(motions())
 
 
-def diagonal_blocks(matrix: sparse.bsr_array) -> np.ndarray:
-    """Return the diagonal blocks (n_nodes, dim, dim) of a matrix, which has them all."""
+def diagonal_places(matrix: sparse.bsr_array) -> np.ndarray:
+    """Return the places (n_nodes,) of the diagonal blocks of a matrix, which has them all."""
     numbers = np.arange(len(matrix.indices), dtype=np.int32)
     n = len(matrix.indptr) - 1
-    return matrix.data.take(
-        sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal(), axis=0
-    )
+    return sparse.csr_array((numbers, matrix.indices, matrix.indptr), shape=(n, n)).diagonal()
 
 
 @remembered_of_structure
-def nodal_blocks(problem: DiscreteProblem) -> np.ndarray:
-    """Return the diagonal blocks (n_nodes, dim, dim) of the matrix."""
-    return diagonal_blocks(problem.matrix)
+def _diagonal_places(problem: DiscreteProblem) -> np.ndarray:
+    return diagonal_places(problem.matrix)
+
+
+def nodal_blocks(problem: DiscreteProblem, nodes: np.ndarray | None = None) -> np.ndarray:
+    """Return the diagonal blocks (n, dim, dim) of the matrix, of some or of all nodes."""
+    places = _diagonal_places(problem)
+    return problem.matrix.data.take(places if nodes is None else places[nodes], axis=0)
+
+
+def near_nullspace_of(problem: DiscreteProblem) -> np.ndarray | None:
+    """Return ``near_nullspace``, which is not stored if it was not."""
+    if "near_nullspace" in vars(problem):
+        return problem.near_nullspace
+    return _rigid_motions(problem)

@@ -346,7 +346,7 @@ class Surface:
         """Return the unit normals (n, dim) of the facets."""
         return self.vectors / self.measures[:, None]
 
-    @cached_property
+    @property
     def node_normals(self) -> np.ndarray:
         """Return the mean unit normals (n_nodes, dim), 0 at other nodes; ValueError where facets at
         a node cancel."""

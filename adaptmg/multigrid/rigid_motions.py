@@ -27,7 +27,11 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import rotations
-from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
+from adaptmg.discrete.problem import (
+    DiscreteProblem,
+    near_nullspace_of,
+    remembered_of_structure,
+)
 from adaptmg.multigrid.truncated_contact import TruncatedContact, friction_slope
 
 
@@ -64,25 +68,23 @@ def _is_held_body(problem: DiscreteProblem, held: np.ndarray, fixed: np.ndarray)
 
 
 @remembered_of_structure
-def _free_motions(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coefficients (k, m) of the m motions that supports leave free, among k rigid modes,
-    and these motions at the contact nodes (n_contact, dim, m)."""
-    nodes = problem.contact.nodes
+def _free_motions(problem: DiscreteProblem) -> np.ndarray:
+    """Return the m motions (n_dofs, m) that supports leave free; the rigid modes they are combined
+    of, 24 bytes a dof (48 in 3D), are not stored."""
     fixed = problem.fixed.reshape(-1, problem.dim)
     # 0.1 ms for 263k nodes, by any(axis=1) 3.3
     held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
-    if (
-        not len(nodes)
-        or _is_held_body(problem, held, fixed[held])
-        or problem.near_nullspace is None
-    ):
-        return np.empty((0, 0)), np.empty((len(nodes), problem.dim, 0))
-    modes = problem.near_nullspace.reshape(problem.n_nodes, problem.dim, -1)
+    none = np.empty((problem.n_dofs, 0))
+    if not len(problem.contact) or _is_held_body(problem, held, fixed[held]):
+        return none
+    rigid_modes = near_nullspace_of(problem)
+    if rigid_modes is None:
+        return none
+    modes = rigid_modes.reshape(problem.n_nodes, problem.dim, -1)
     rows = modes[held][fixed[held]]
     along = np.einsum("nij,njk->nik", problem.inclined.spans, modes[problem.inclined.nodes])
     rows = np.concatenate([rows, along.reshape(-1, rows.shape[1])])
-    coefficients = null_combinations(rows)
-    return coefficients, modes[nodes] @ coefficients
+    return rigid_modes @ null_combinations(rows)
 
 
 @dataclass(eq=False)
@@ -91,7 +93,7 @@ class RigidMotions:
 
     problem: DiscreteProblem
     load: np.ndarray  # (n_dofs,): f
-    coefficients: np.ndarray  # (k, m): of the motions, in the columns of problem.near_nullspace
+    motions: np.ndarray  # (n_dofs, m)
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
     _last_free: tuple[bytes, np.ndarray] = (
         b"",
@@ -109,17 +111,12 @@ class RigidMotions:
         unknown."""
         if problem.dim == 1:  # a constant, which truncation shifts
             return None
-        coefficients, cartesian = _free_motions(problem)
-        if not coefficients.shape[1]:
+        motions = _free_motions(problem)
+        if not motions.shape[1]:
             return None
-        return cls(
-            problem,
-            load,
-            coefficients,
-            np.einsum(
-                "nij,njk->nik", contact.frames.reshape(-1, problem.dim, problem.dim), cartesian
-            ),
-        )
+        cartesian = motions.reshape(problem.n_nodes, problem.dim, -1)[problem.contact.nodes]
+        frames = contact.frames.reshape(-1, problem.dim, problem.dim)
+        return cls(problem, load, motions, np.einsum("nij,njk->nik", frames, cartesian))
 
     def settle(
         self, contact: TruncatedContact, unknowns: np.ndarray, residual: np.ndarray
@@ -149,7 +146,7 @@ class RigidMotions:
     @cached_property
     def work(self) -> np.ndarray | None:
         """Return the work (m,) of the load on the motions; None where they strain the body."""
-        motions = self.problem.near_nullspace @ self.coefficients
+        motions = self.motions
         forces = self.problem.matrix @ motions
         forces[self.problem.fixed] = 0.0
         scale = np.abs(self.problem.matrix.diagonal()).max() * np.abs(motions).max(axis=0)
@@ -160,7 +157,7 @@ class RigidMotions:
         self, contact: TruncatedContact, change: np.ndarray, unknowns: np.ndarray
     ) -> np.ndarray:
         """Carry out a motion (m,) that the values of the contact contain already."""
-        step = self.problem.near_nullspace @ (self.coefficients @ change)
+        step = self.motions @ change
         step[self.problem.fixed] = 0.0
         unknowns += step
         # equal but for rounding; gaps and slips that vanish must do so to the bit

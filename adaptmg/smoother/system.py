@@ -26,7 +26,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import frames_of, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import (
     DiscreteProblem,
-    diagonal_blocks,
+    diagonal_places,
     nodal_blocks,
     remembered_of_structure,
 )
@@ -156,7 +156,7 @@ class LocalSystem:
             matrix = matrix.sorted_indices()
         indptr = matrix.indptr.astype(np.int32)
         indices = matrix.indices.astype(np.int32)
-        diagonal = diagonal_blocks(matrix)
+        diagonal = matrix.data.take(diagonal_places(matrix), axis=0)
         contact_of = np.full(n_nodes, -1, dtype=np.int32)
         contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
         return cls(
@@ -270,7 +270,7 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     """Return the diagonal blocks (n_contact, dim, dim) of the contact nodes in local components, as
     :func:`local_system` has them, without rotating the matrix."""
     contact, frames = local_contact(problem)
-    cartesian = nodal_blocks(problem)[problem.contact.nodes]
+    cartesian = nodal_blocks(problem, problem.contact.nodes)
     blocks = np.einsum("nij,njk,nlk->nil", frames, cartesian, frames)
     # rows and columns of held tangents are those of the identity
     free = np.ones((len(blocks), problem.dim))

@@ -53,6 +53,8 @@ _SIZE = {1: (64, 4), 2: (64, 4), 3: (80, 3)}
 #: beyond this number of nodes, by dimension: least nodes of an aggregate, and about the most aggregates, which bound
 #: the cost of the coarse matrix
 _MANY, _LARGE, _MOST = {1: 40_000, 2: 40_000, 3: 24_000}, 100, {1: 3600, 2: 1800, 3: 200}
+#: axes of the planes of rotations, by dimension
+_PLANES = {1: (), 2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}
 #: aggregates below this share of their size join a neighbour
 _REMNANT = 8
 #: what may be missing in the conditions of a changed status
@@ -166,10 +168,10 @@ class Aggregates:
         self.label = label[inside]
         self.count = int(label.max(initial=-1)) + 1
         self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
-        self.motions = np.ones((len(self.label), 1, 1))  # of scalar problems a constant
+        self.offsets = np.empty((0, len(self.label)))  # motions of scalar problems are constant
         if dim > 1:
             points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
-            self.motions = self._rigid(points, inside)
+            self.offsets = self._offsets(points[inside])
         # a narrow band: the place of each aggregate, and how far it reaches
         pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
         found = _adjacent(matrix.indptr, matrix.indices, label, *pairs)
@@ -180,27 +182,28 @@ class Aggregates:
         rows = np.repeat(self.place, np.diff(coarse.indptr))
         self.width = int(np.max(rows - self.place[coarse.indices], initial=0)) + 1
 
-    def _rigid(self, points: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        """Return rigid motions (n, modes, dim): translations, and turns about the centre over the extent
-        of an aggregate (root of the mean square)."""
-        dim = points.shape[1]
+    def _offsets(self, points: np.ndarray) -> np.ndarray:
+        """Return the offsets (dim, n) of points (n, dim) from the centre of their aggregate, over its
+        extent (root of the mean square)."""
         members = np.bincount(self.label, minlength=self.count)
-        offset = np.array([x[inside] for x in points.T])
-        for x in offset:
+        offsets = points.T.copy()
+        for x in offsets:
             x -= (np.bincount(self.label, x, self.count) / members).take(self.label)
         extent = np.sqrt(
-            np.bincount(self.label, np.einsum("dn,dn->n", offset, offset), self.count) / members
+            np.bincount(self.label, np.einsum("dn,dn->n", offsets, offsets), self.count) / members
         )
-        offset /= np.where(extent > 0, extent, 1.0).take(self.label)
-        motions = np.zeros((len(self.label), 3 * dim - 3, dim))
-        motions[:, :dim] = np.eye(dim)
-        for k, (a, b) in enumerate([(0, 1)] if dim == 2 else [(1, 2), (2, 0), (0, 1)], dim):
-            motions[:, k, a], motions[:, k, b] = -offset[b], offset[a]
-        return motions
+        offsets /= np.where(extent > 0, extent, 1.0).take(self.label)
+        return offsets
 
     def projected(self, nodes: np.ndarray, projections: np.ndarray) -> np.ndarray:
-        """Return the motions, at some nodes projected by ``kept`` (n, dim, dim)."""
-        motions = self.motions.copy()
+        """Return the rigid motions (n, modes, dim) of the aggregates, translations and turns about their
+        centres, at some nodes projected by ``projections`` (n, dim, dim)."""
+        dim = projections.shape[1]
+        motions = np.zeros((len(self.label), dim * (dim + 1) // 2, dim))
+        motions[:, :dim] = np.eye(dim)
+        for k, (a, b) in enumerate(_PLANES[dim], dim):
+            motions[:, k, a] = -self.offsets[b]
+            motions[:, k, b] = self.offsets[a]
         row = self.starts[nodes]
         inside = self.starts[nodes + 1] > row
         motions[row[inside]] = motions[row[inside]] @ projections[inside].swapaxes(1, 2)

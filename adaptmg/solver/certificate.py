@@ -324,7 +324,9 @@ class Evidence:
         explain: at free dofs they must vanish, at the others supports carry them."""
         problem = self.problem
         # a tie holds with whatever force it needs; its counterpart on the master is no violation
-        self.tying = np.where(problem.fixed & ~problem.held, -self.residual, 0.0)
+        self.tying = np.zeros(problem.n_dofs)
+        tied = problem.fixed & ~problem.held
+        self.tying[tied] = -self.residual[tied]
         borne = -self.residual - self.tying
         self.unexplained = problem.physical_forces(borne).reshape(self.u.shape)
         self.unexplained[self.nodes] -= self.claimed
@@ -651,7 +653,7 @@ class Evidence:
         spring = np.divide(1.0, self.compliance, out=np.zeros_like(gap), where=on_spring)
         limit = self.limit + np.where(closed, self.coefficient * pressing, 0.0)
         friction = self._nearest_friction(conditions.slip, conditions.friction * free, limit, free)
-        change = np.zeros_like(unknowns)
+        change = np.zeros(unknowns.shape)
         normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
         change[nodes] = normal_change - friction.without_slip[:, None] * conditions.slip * free
         change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
@@ -730,7 +732,7 @@ def _image(matrix: sparse.bsr_array, change: np.ndarray) -> np.ndarray:
     blocks = np.repeat(starts - np.append(0, np.cumsum(counts)[:-1]), counts)
     blocks += np.arange(len(blocks))
     factors = np.repeat(change[nodes], counts, axis=0)
-    images = np.zeros_like(change)
+    images = np.zeros(change.shape)  # untouched memory is not taken
     # by symmetry the rows are columns
     np.add.at(images, matrix.indices[blocks], np.einsum("pij,pi->pj", matrix.data[blocks], factors))
     return images

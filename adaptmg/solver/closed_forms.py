@@ -27,7 +27,7 @@ or contact hold, those of the stresses of the linear elements there, 'stresses',
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import cast
 
@@ -39,11 +39,11 @@ from adaptmg._checks import FieldLike
 from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
-from adaptmg.discrete.moduli import as_tensors, body_materials, columns, moduli
+from adaptmg.discrete.moduli import Moduli, as_tensors, body_materials, columns, moduli
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem, remembered
 from adaptmg.discrete.supports import node_at
-from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets
+from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, signed_measures
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Axisymmetric, Elastic
 from adaptmg.problem.loads import (
@@ -241,7 +241,8 @@ def _resultants(
 class FreeBodies:
     """Properties of the bodies of a problem that are known before it is solved."""
 
-    points: np.ndarray  # (n_nodes, dim): from the middle of the mesh, m
+    points: np.ndarray  # (n_nodes, dim): m
+    middle: np.ndarray  # (dim,): of the mesh, m
     arm: float  # that moments are divided by, m
     body: np.ndarray  # (n_nodes,) int
     springs: list[Blocks]
@@ -285,9 +286,11 @@ class FreeBodies:
             support for support in problem.supports if isinstance(support, Spring | PointSpring)
         ]
         covered = problem.elements == "linear" and not len(discrete.inclined)
-        points = mesh.points - mesh.box.mean(axis=0)
+        middle = mesh.box.mean(axis=0)
+        points = mesh.points - middle
         return cls(
-            points,
+            mesh.points,
+            middle,
             float(mesh.sides.max()),
             body,
             [_spring_blocks(mesh, spring, problem.axisymmetric) for spring in springs],
@@ -356,7 +359,7 @@ class FreeBodies:
         self, forces: np.ndarray, body: np.ndarray, shift: np.ndarray | None = None
     ) -> np.ndarray:
         loaded = np.flatnonzero(_any_component(forces))
-        places = self.points[loaded] + (0.0 if shift is None else shift)
+        places = (self.points[loaded] - self.middle) + (0.0 if shift is None else shift)
         return _resultants(places, forces[loaded], self.arm, body[loaded], len(self.compared))
 
 
@@ -404,7 +407,7 @@ class Elements:
     cells: np.ndarray  # (n, dim + 1) int
     sides: np.ndarray  # (n, dim + 1, dim): measure times gradient of each shape function
     measures: np.ndarray  # (n,): m^2 or m^3
-    tensors: np.ndarray  # (n, k, k): stress columns of strain columns, Pa
+    moduli: Moduli  # of the elements: a tensor for each would take 288 bytes in space
     radii: np.ndarray | None  # (n,): in axisymmetry, m
 
     def forces(self, displacement: np.ndarray) -> np.ndarray:
@@ -416,8 +419,9 @@ class Elements:
         strain[:, :dim, :dim] = 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
         if self.radii is not None:
             strain[:, 2, 2] = moved[:, :, 0].mean(axis=1) / self.radii
-        of_strain = columns(strain, self.tensors.shape[1])
-        stress = as_tensors(np.einsum("nij,nj->ni", self.tensors, of_strain))
+        tensors = self.moduli.table[self.moduli.rows]
+        of_strain = columns(strain, tensors.shape[1])
+        stress = as_tensors(np.einsum("nij,nj->ni", tensors, of_strain))
         forces = self.sides @ stress[:, :dim, :dim]
         if self.radii is not None:
             forces[:, :, 0] += (self.measures * stress[:, 2, 2] / (3 * self.radii))[:, None]
@@ -437,9 +441,16 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
     outward = Surface(mesh.points, facets).vectors.reshape(*cells.shape, mesh.dim)
     radii = mesh.points[cells, 0].mean(axis=1) if problem.axisymmetric else None
     body_moduli = moduli(mesh, body_materials(mesh, problem.material))
-    tensors = body_moduli.table[body_moduli.rows[elements]]
+    element_moduli = replace(body_moduli, rows=body_moduli.rows[elements])
     nodes = np.flatnonzero(held)
-    return Elements(nodes, cells, -outward / mesh.dim, mesh.volumes[elements], tensors, radii)
+    return Elements(
+        nodes,
+        cells,
+        -outward / mesh.dim,
+        signed_measures(mesh.points, cells),
+        element_moduli,
+        radii,
+    )
 
 
 def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Condition:
