@@ -63,27 +63,25 @@ def __getattr__(name: str) -> Any:
 
 
 def _naming_arguments(kind: Any) -> None:
-    """Make calls that a class refuses name its arguments, which Python does not do."""
-    made = kind.__init__
+    """Add the signature of a class to the TypeErrors of calls with wrong arguments."""
+    constructor = kind.__init__
 
-    @functools.wraps(made)
+    @functools.wraps(constructor)
     def __init__(self: object, *arguments: object, **named: object) -> None:
         try:
-            made(self, *arguments, **named)
+            constructor(self, *arguments, **named)
         except TypeError as error:
-            if (
-                error.__traceback__ is not None and error.__traceback__.tb_next is None
-            ):  # not from within the call
+            in_call_itself = error.__traceback__ is not None and error.__traceback__.tb_next is None
+            if in_call_itself:
                 import inspect
 
-                taken = inspect.signature(kind)
+                signature = inspect.signature(kind)
                 names = [
                     parameter.replace(annotation=parameter.empty)
-                    for parameter in taken.parameters.values()
+                    for parameter in signature.parameters.values()
                 ]
-                error.add_note(
-                    f"am.{kind.__name__}{taken.replace(parameters=names, return_annotation=taken.empty)}"
-                )
+                signature = signature.replace(parameters=names, return_annotation=signature.empty)
+                error.add_note(f"am.{kind.__name__}{signature}")
             raise
 
     kind.__init__ = __init__

@@ -84,6 +84,8 @@ def number(name: str, value: object) -> float:
 
 
 def _number_that(words: str, condition: Callable[[float], bool]) -> Callable[[str, object], float]:
+    """Return a check for finite numbers with a condition, which ``words`` describe."""
+
     def check(name: str, value: object) -> float:
         result = number(name, value)
         if not condition(result):
@@ -181,6 +183,7 @@ def items(name: str, value: object, types: Types[_T], words: str = "") -> tuple[
 
 
 def _names(types: Types[_T]) -> str:
+    """Return the names of types as text."""
     return " or ".join(kind.__name__ for kind in (types if isinstance(types, tuple) else (types,)))
 
 
@@ -343,17 +346,18 @@ def array(
 
 
 def _check_shape(name: str, shape: tuple[int, ...], expected: tuple[int | None, ...]) -> None:
-    """ValueError unless ``shape`` is ``expected``, where None stands for any size."""
+    """Raise ValueError unless ``shape`` is ``expected``, where None stands for any size."""
     if len(shape) != len(expected) or any(
-        e is not None and e != s for e, s in zip(expected, shape, strict=True)
+        size is not None and size != n for size, n in zip(expected, shape, strict=True)
     ):
-        sizes = ", ".join("n" if e is None else str(e) for e in expected) + (
-            "," if len(expected) == 1 else ""
-        )
+        sizes = ", ".join("n" if size is None else str(size) for size in expected)
+        if len(expected) == 1:
+            sizes += ","
         raise ValueError(f"{name} must have shape ({sizes}), got {shape}")
 
 
 def _check_finite(name: str, values: np.ndarray) -> None:
+    """Raise ValueError unless all values are finite."""
     bad = np.count_nonzero(~np.isfinite(values))
     if bad:
         raise ValueError(f"{name} must be finite; {bad} entries are not")
@@ -400,8 +404,8 @@ def square_blocks(name: str, value: object, size: int) -> sparse.bsr_array:
 
 
 def _check_format(value: Compressed) -> None:
-    """TypeError or ValueError where arrays of a matrix were changed after it was made, so that they
-    do not fit."""
+    """Raise TypeError or ValueError if the arrays of a matrix do not fit together, as where they were
+    changed after it was made."""
     if value.indptr.dtype.kind + value.indices.dtype.kind != "ii":
         raise TypeError(
             f"indptr and indices must be integers, got {value.indptr.dtype} and {value.indices.dtype}"
@@ -416,8 +420,8 @@ def _check_format(value: Compressed) -> None:
 
 
 def shape_of(matrix: Compressed) -> tuple[int, int]:
-    """Return the shape of a matrix as type checkers take it: of scipy's arrays it may be None to
-    them."""
+    """Return the shape of a matrix, for type checkers: to them that of scipy's arrays may be
+    None."""
     return cast("tuple[int, int]", matrix.shape)
 
 
@@ -435,8 +439,7 @@ def narrowed(matrix: _Compressed) -> _Compressed:
 
 @lru_cache(maxsize=100)
 def no_entries(shape: tuple[int, int]) -> sparse.csr_array:
-    """Return a matrix without entries, shared by all who ask for its shape: scipy takes 20 us to make
-    one."""
+    """Return a matrix of a shape without entries, made once: scipy takes 20 us to make one."""
     from scipy import sparse
 
     return sparse.csr_array(shape)
@@ -493,18 +496,16 @@ class Checked:
 
 @cache
 def _field_checks(kind: type) -> list[tuple[str, Callable[[str, object], object], bool]]:
+    """Return for each check of a field its name, the check, and whether the field may be None."""
     # annotations of a user's subclass may be names that only type checkers know
     owner = next(base for base in kind.__mro__ if base.__module__.startswith("adaptmg."))
     result = []
     for name, hint in get_type_hints(owner, include_extras=True).items():
-        choices = (hint, *get_args(hint))
-        own_checks = [
-            check
-            for hinted in choices
-            for check in getattr(hinted, "__metadata__", ())
-            if callable(check)
-        ]
-        result += [(name, check, type(None) in choices) for check in own_checks]
+        alternatives = (hint, *get_args(hint))
+        for alternative in alternatives:
+            annotations = getattr(alternative, "__metadata__", ())
+            optional = type(None) in alternatives
+            result += [(name, check, optional) for check in annotations if callable(check)]
     return result
 
 

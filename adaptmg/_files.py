@@ -106,22 +106,22 @@ def make_folder(name: str, path: Path) -> None:
 
 @contextlib.contextmanager
 def waiting_folder(folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """A folder inside another one, by default that of temporary files, for files that are put in
+    """Make a folder inside another one, by default that of temporary files, for files that are put in
     place together; it is removed in the end."""
-    _remove_left(Path(folder or tempfile.gettempdir()))
+    _remove_leftovers(Path(folder or tempfile.gettempdir()))
     with tempfile.TemporaryDirectory(
-        ".part", f"{_begin()}-", folder, ignore_cleanup_errors=True
+        ".part", f"{_prefix()}-", folder, ignore_cleanup_errors=True
     ) as waiting:
         yield Path(waiting)
 
 
-def _begin() -> str:
-    """Return what the names of temporary files of this process begin with."""
+def _prefix() -> str:
+    """Return the prefix of the names of temporary files of this process."""
     return f".adaptmg-{process_name(os.getpid())}"
 
 
 @cache
-def _remove_left(folder: Path) -> None:
+def _remove_leftovers(folder: Path) -> None:
     """Remove, once in a process, the temporary files that processes left in a folder when they were
     killed."""
     for part in folder.glob(".adaptmg-*.part"):
@@ -137,8 +137,8 @@ def _remove_left(folder: Path) -> None:
 
 def _replace(target: Path, content: bytes, status: os.stat_result | None) -> None:
     """Write a temporary file and give it the target's name."""
-    _remove_left(target.parent)
-    part = target.with_name(f"{_begin()}-{secrets.token_hex(8)}.part")
+    _remove_leftovers(target.parent)
+    part = target.with_name(f"{_prefix()}-{secrets.token_hex(8)}.part")
     try:
         with part.open("xb") as file:
             file.write(content)

@@ -32,22 +32,25 @@ def processor() -> str:
 
 
 def process_name(process: int) -> str:
-    """Return a name of a process that no other process has, of any machine, before or after; "" if
-    there is none of this number. It has nothing of a clock that is set, as psutil's times do."""
-    place = platform.node()
+    """Return a name that only this process has among those of all machines and times; "" if there is
+    no process of this number. The name does not depend on the clock of the system, which may be set,
+    as times of psutil do."""
+    machine_name = platform.node()
     start = None
     with suppress(OSError):  # containers number their processes from 1
-        place += os.readlink("/proc/self/ns/pid")
+        machine_name += os.readlink("/proc/self/ns/pid")
     with suppress(OSError, ValueError):
         status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
+        # the fields after the name of the program, in parentheses: the state, ...
         state, *fields = status.rpartition(")")[2].split()
-        start = None if state in "ZX" else int(fields[18])  # ticks from the start of the system
+        is_dead = state in "ZX"
+        start = None if is_dead else int(fields[18])  # ticks from the start of the system
     if start is None and not Path("/proc/self/stat").exists():
         import psutil
 
         with suppress(psutil.Error):
             start = round(psutil.Process(process).create_time())
-    machine = hashlib.sha256(place.encode("utf-8", "replace")).hexdigest()[:12]
+    machine = hashlib.sha256(machine_name.encode("utf-8", "replace")).hexdigest()[:12]
     return "" if start is None else f"{machine}-{process}-{start}"
 
 

@@ -66,8 +66,8 @@ def html_table(table: pandas.DataFrame) -> str:
 
 
 def html_fields(self: DataclassInstance) -> str:
-    """Return the ``_repr_html_`` of a dataclass: its name, and a row for each value, of a tuple for
-    each part."""
+    """Return the ``_repr_html_`` of a dataclass: its name, and a row for each value, or for each part
+    of a tuple."""
     import pandas
 
     values = {item.name: vars(self).get(item.name) for item in fields(self) if item.repr}
@@ -76,9 +76,8 @@ def html_fields(self: DataclassInstance) -> str:
         for name, value in values.items()
         for part in (value if isinstance(value, tuple) else (value,))
     ]
-    return in_html_lines(type(self).__name__) + html_table(
-        pandas.DataFrame(rows, columns=["", "value"])
-    ) * bool(rows)
+    title = in_html_lines(type(self).__name__)
+    return title + html_table(pandas.DataFrame(rows, columns=["", "value"])) if rows else title
 
 
 def shortened(text: str) -> str:
@@ -92,8 +91,10 @@ def shortened(text: str) -> str:
 
 
 def brief(self: DataclassInstance) -> str:
-    """Return the ``__repr__`` of a dataclass without defaults; values on demand are not made.
-    Arrays are shown by their shapes, and of what is long less is shown."""
+    """Return the ``__repr__`` of a dataclass without the fields that have their defaults.
+
+    Arrays are shown by their shapes, and long values are shortened; values that are made on demand
+    are not made for it."""
     values = [(item, vars(self).get(item.name)) for item in fields(self) if item.repr]
     defaults = [
         option.default_factory() if option.default_factory is not MISSING else option.default
@@ -105,14 +106,16 @@ def brief(self: DataclassInstance) -> str:
         if repr(value) != repr(default)
     ]
     inside = ""
-    for most in (MOST, 100, 30):
-        inside = ", ".join(f"{name}={_value(value, most)}" for name, value in changed)
+    for longest in (MOST, 100, 30):
+        inside = ", ".join(f"{name}={_value(value, longest)}" for name, value in changed)
         if len(inside) < MOST - 40:
             break
     return shortened(f"{type(self).__name__}({inside})")
 
 
 def _value(value: object, most: int) -> str:
+    """Return a value as text of at most ``most`` characters, else the name of its type; large arrays
+    and collections by their sizes."""
     name = type(value).__name__
     shape = cast("tuple[int, ...]", getattr(value, "shape", ()))
     if isinstance(shape, tuple) and shape:

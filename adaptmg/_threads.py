@@ -25,7 +25,7 @@ from adaptmg import _checks as checks
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController, _ThreadpoolLimiter
 
-#: numbers read from which a kernel is cut into this many parts
+#: a kernel that reads this many numbers or more is cut into so many parts
 LARGE, PARTS = 1_000_000, 16
 
 
@@ -39,15 +39,16 @@ class _Threads:
     def map(
         self, kernel: Callable, ranges: Sequence[tuple[int, int]], arguments: Sequence[object]
     ) -> list:
-        """Call a kernel for all ranges, in all threads at the same time, this one included; those
-        that did not begin are not awaited."""
+        """Return what ``kernel(first, last, *arguments)`` returns for each range. All threads, this
+        one included, take one range after the other; threads that have not begun when none is left
+        are not awaited."""
         if self.pool is None:
-            return [kernel(*each, *arguments) for each in ranges]
+            return [kernel(first, last, *arguments) for first, last in ranges]
         results: list = [None] * len(ranges)
-        left = iter(range(len(ranges)))
+        numbers = iter(range(len(ranges)))
 
         def work() -> None:
-            for k in left:
+            for k in numbers:
                 results[k] = kernel(*ranges[k], *arguments)
 
         tasks = [self.pool.submit(work) for _ in range(min(self.number, len(ranges)) - 1)]
@@ -92,9 +93,9 @@ def several() -> bool:
 
 
 def in_parts(kernel: Callable, n: int, size: int, *arguments: object, joined: bool = True) -> list:
-    """Return what ``kernel(first, last, *arguments)`` returns for parts of n rows: one unless they
-    read LARGE numbers (``size``) together, else one a thread, or PARTS if they are not ``joined``,
-    as where a row depends on others."""
+    """Return what ``kernel(first, last, *arguments)`` returns for each part of n rows. There is one part
+    if all rows together read fewer than LARGE numbers (``size``), else one for each thread, or PARTS
+    if they are not ``joined``, as where a row depends on others."""
     if size < LARGE:
         return [kernel(0, n, *arguments)]
     ranges = [(n * k // PARTS, n * (k + 1) // PARTS) for k in range(PARTS)]
@@ -115,17 +116,16 @@ def in_colours(
     joined: bool = False,
 ) -> list:
     """Return what ``kernel(first, last, *arguments)`` returns for the ranges, one colour after the
-    other. Ranges of a colour may be ``joined``, those of each thread to one, if they follow one
-    another."""
+    other. Ranges of a colour that follow one another may be ``joined`` to one for each thread."""
     results: list = []
     for ranges in colours:
-        results += _THREADS.map(
-            kernel, _joined(ranges, _THREADS.number) if joined else ranges, arguments
-        )
+        parts = _joined(ranges, _THREADS.number) if joined else ranges
+        results += _THREADS.map(kernel, parts, arguments)
     return results
 
 
 def _joined(ranges: Sequence[tuple[int, int]], number: int) -> list[tuple[int, int]]:
+    """Return ranges that follow one another, joined to at most ``number``."""
     count = min(number, len(ranges))
     ends = [len(ranges) * k // count for k in range(count + 1)]
     return [(ranges[first][0], ranges[last - 1][1]) for first, last in pairwise(ends)]
@@ -169,6 +169,7 @@ class _Blas:
         self.inside = 0
 
     def enter(self) -> None:
+        """Hold BLAS at one thread, unless a thread of Python does so already."""
         # imported inside the block scipy would bring another BLAS without a limit
         import scipy.linalg  # noqa: F401
 
@@ -180,6 +181,7 @@ class _Blas:
             self.inside += 1
 
     def leave(self) -> None:
+        """Lift the limit, unless another thread of Python still needs it."""
         with self.lock:
             self.inside -= 1
             if self.inside == 0:
@@ -195,7 +197,8 @@ class _Blas:
 
 @lru_cache(maxsize=1)
 def _libraries(_modules: int) -> ThreadpoolController:
-    """The libraries of BLAS; looking for them takes some ms, when modules were imported since."""
+    """Return the libraries of BLAS. A search takes some ms: it is repeated only where the number of
+    modules has changed."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController().select(user_api="blas")
@@ -230,7 +233,7 @@ def seeded() -> Iterator[None]:
 
 
 def _in_a_child() -> None:
-    """Threads, which may hold the locks, do not come along to a child."""
+    """Renew pool and locks in a forked process, which has none of the threads that may hold them."""
     global _RANDOM
     _RANDOM = RLock()
     _THREADS.__init__()

@@ -124,9 +124,10 @@ def in_units(table: pandas.DataFrame, units: str | None = None) -> pandas.DataFr
     """Return a table whose columns "name [SI unit]" are converted."""
     columns = {}
     for head, values in table.items():
-        found = _HEAD.fullmatch(str(head))
-        factor, unit = converted(found[2], units) if found else (1.0, "")
-        columns[f"{found[1]} [{unit}]" if found else head] = (
-            values if factor == 1.0 else factor * values
-        )
+        parts = _HEAD.fullmatch(str(head))
+        if parts is None:
+            columns[head] = values
+            continue
+        factor, unit = converted(parts[2], units)
+        columns[f"{parts[1]} [{unit}]"] = values if factor == 1.0 else factor * values
     return type(table)(columns, index=table.index)

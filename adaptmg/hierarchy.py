@@ -43,7 +43,8 @@ Divisions = int | tuple[int, ...]
 #: bytes and processor seconds a node of the finest mesh, by dimension, from problem to solution by the default method:
 #: measured on uniform and graded bars, dovetails, blocks and pairs of 700 to 66 000 nodes, smoothed elements left out.
 #: Plane 1620 to 2470 B, 3.2e-6 to 33e-6 s; in space 5240 to 8240 B, 17e-6 to 71e-6 s
-_BYTES, _SECONDS = {2: 2000.0, 3: 6500.0}, {2: 10e-6, 3: 35e-6}
+_BYTES = {2: 2000.0, 3: 6500.0}
+_SECONDS = {2: 10e-6, 3: 35e-6}
 _MOST_LEVELS = 40  # as of a range that is meant for one number
 
 
@@ -128,12 +129,10 @@ class Hierarchy:
             shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
                 shape = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
-            prolongation = fine.prolongation_or_none
-            other = fine.surface_prolongation
-            for name, matrix in (
-                ("prolongation", prolongation),
-                ("surface_prolongation", prolongation if other is None else other),
-            ):
+            prolongations = {"prolongation": fine.prolongation_or_none}
+            if fine.surface_prolongation is not None:
+                prolongations["surface_prolongation"] = fine.surface_prolongation
+            for name, matrix in prolongations.items():
                 if matrix is None or matrix.shape != shape:
                     raise ValueError(
                         f"levels[{k}].{name} must have shape {shape} (fine, coarse), got "
@@ -340,10 +339,11 @@ class Hierarchy:
         begin = clock()
         checked, matrices = coarse_spaces(discrete.matrix, discrete.fixed, prolongations)
         levels = [Level(discrete, None, checked[-1])]
-        for P, above, A in zip(
-            [None, *checked[:-1]][::-1], checked[::-1], matrices[::-1], strict=True
+        # a level from its prolongation, that of the next finer level, and its Galerkin matrix
+        for P, finer, A in reversed(
+            list(zip([None, *checked[:-1]], checked, matrices, strict=True))
         ):
-            problem = restricted_problem(levels[0].discrete, above, A) if contact else None
+            problem = restricted_problem(levels[0].discrete, finer, A) if contact else None
             levels.insert(0, Level(problem, None, P, galerkin=A))
         return cls(tuple(levels), None, "given prolongations", {"transfer": clock() - begin})
 
@@ -392,7 +392,8 @@ class Hierarchy:
         begin: float,
         contact_rows: bool = True,
     ) -> Hierarchy:
-        """The levels on the meshes that ``mesh`` makes."""
+        """Return the hierarchy on the meshes that ``mesh`` makes; ``begin`` is the time at which the
+        caller began."""
         compiled = compiling_seconds()
         meshes = mesh()
         posed = None
@@ -604,12 +605,14 @@ class Hierarchy:
         return replace(self, levels=levels, timings=self._with({"transfer": clock() - begin}))
 
     def _with(self, seconds: dict[str, float]) -> dict[str, float]:
+        """Return the timings with further seconds by phase."""
         return {
             name: self.timings.get(name, 0.0) + seconds.get(name, 0.0)
             for name in {**self.timings, **seconds}
         }
 
     def _need_meshes(self, what: str) -> None:
+        """Raise ValueError unless all levels are made of meshes."""
         if self.problem is None or any(
             level.mesh is None or level.discrete_or_none is None for level in self.levels
         ):
@@ -671,6 +674,8 @@ class Hierarchy:
 
 
 def _each(name: str, value: Any, single_types: tuple[type, ...]) -> tuple[Any, ...]:
+    """Return the values of the levels as a tuple; a value of one of ``single_types`` stands for one
+    level."""
     if isinstance(value, single_types) and not isinstance(value, bool):
         return (value,)
     values = checks.listed(name, cast(Sequence, value), "values, one a level, coarse to fine")
@@ -680,43 +685,42 @@ def _each(name: str, value: Any, single_types: tuple[type, ...]) -> tuple[Any, .
 
 
 def _exchanged(problem: ContactProblem) -> list[frozenset[str]]:
-    """The boundaries of each contact, whichever is the slave."""
+    """Return the two boundaries of each contact, whichever is the slave."""
     return [
         frozenset(pair) for pair in zip(problem.contact_boundaries, problem.masters, strict=True)
     ]
 
 
 def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
-    """A message on a mesh that is not one of the domain; chords of arcs may miss it a little."""
+    """Return a message if the mesh is not one of the domain; chords of arcs may miss it a little."""
     if not hasattr(problem.domain, "lower") or mesh.dim != problem.dim:  # no domain, or a STEP file
         return []
-    outside = mesh.points[mesh.facets.reshape(-1)]
-    spans = [
-        np.stack(ends)
-        for ends in (
-            (outside.min(axis=0), outside.max(axis=0)),
-            (problem.domain.lower, problem.domain.upper),
-        )
-    ]
-    beyond = np.abs(spans[0] - spans[1])
+    points = mesh.points[mesh.facets.reshape(-1)]
+    # lowest and highest corners of the boxes around mesh and domain
+    mesh_box = np.stack([points.min(axis=0), points.max(axis=0)])
+    domain_box = np.stack([problem.domain.lower, problem.domain.upper])
+    extent = np.ptp(domain_box, axis=0).max()
+    beyond = np.abs(mesh_box - domain_box)
     if isinstance(problem.domain, Cut | Common):
-        # the ends of such a domain are bounds: the body may be a part, but not a thousandth of it
-        is_part = np.ptp(spans[0], axis=0).max() > 0.01 * np.ptp(spans[1], axis=0).max()
-        beyond = np.maximum((spans[0] - spans[1]) * [[-1.0], [1.0]], 0.0 if is_part else beyond)
-    if (beyond <= 0.25 * np.ptp(spans[1], axis=0).max()).all():
+        # the box of such a domain is a bound: the body may be a part, but not a thousandth of it
+        is_part = np.ptp(mesh_box, axis=0).max() > 0.01 * extent
+        outwards = (mesh_box - domain_box) * [[-1.0], [1.0]]
+        beyond = np.maximum(outwards, 0.0 if is_part else beyond)
+    if (beyond <= 0.25 * extent).all():
         return []
-    shown = [
-        " to ".join(str(tuple(map(float, corner.round(9)))) for corner in span) for span in spans
-    ]
+    mesh_span, domain_span = (
+        " to ".join(str(tuple(map(float, corner.round(9)))) for corner in box)
+        for box in (mesh_box, domain_box)
+    )
     return [
-        f"the finest mesh spans {shown[0]} m, but problem.domain {shown[1]} m: are the lengths of the mesh in mm? "
+        f"the finest mesh spans {mesh_span} m, but problem.domain {domain_span} m: are the lengths of the mesh in mm? "
         "adaptmg takes m: scale the mesh, or give the problem its domain"
     ]
 
 
 def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
-    """Messages on bodies that overlap and are not a pair; in axisymmetry that is how a ring of
-    bolts is posed."""
+    """Return messages on bodies that overlap and are not a pair; none in axisymmetry, where a ring of
+    bolts is posed so."""
     from adaptmg.mesh.soundness import overlapping_bodies
 
     if problem.axisymmetric or len(mesh.bodies) < 2:
@@ -728,13 +732,11 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
         for coupling in cast(tuple, problem.contact) + cast(tuple, problem.ties)
         if not isinstance(coupling, Contact)
     ]
-    paired = {
-        frozenset(ends)
-        for pair in pairs
-        for ends in product(
-            *(set(body[mesh.boundary_nodes(name)].tolist()) for name in (pair.slave, pair.master))
-        )
-    }
+    paired = set()
+    for pair in pairs:
+        slave_bodies = set(body[mesh.boundary_nodes(pair.slave)].tolist())
+        master_bodies = set(body[mesh.boundary_nodes(pair.master)].tolist())
+        paired |= {frozenset(ends) for ends in product(slave_bodies, master_bodies)}
     apart = [
         ends for ends in combinations(range(len(mesh.bodies)), 2) if frozenset(ends) not in paired
     ]
@@ -747,23 +749,27 @@ def _overlaps(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
 
 
 def _label(value: object) -> str:
+    """Return sizes or divisions as text."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{body}: {_label(part)}" for body, part in value.items()) + "}"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _changed_parts(problem: ContactProblem, before: ContactProblem) -> frozenset[str]:
-    """Return names of the parts but laws that may have other values than ``before``; functions may
-    return others."""
-    surfaces = [
-        tuple(replace(contact, law=None) for contact in posed.contact)
-        for posed in (problem, before)
-    ]
-    return frozenset({"contact"} if not _same(*surfaces) else ()) | frozenset(
+    """Return the names of the parts, except laws, that may have other values than ``before``. Functions
+    may return other values."""
+    changed = {
         name
         for name in ("material", "supports", "loads", "elements", "ties")
         if not _same(getattr(problem, name), getattr(before, name))
+    }
+    surfaces, surfaces_before = (
+        tuple(replace(contact, law=None) for contact in posed.contact)
+        for posed in (problem, before)
     )
+    if not _same(surfaces, surfaces_before):
+        changed.add("contact")
+    return frozenset(changed)
 
 
 _PLAIN = (type(None), bool, int, float, str, np.number, Path)

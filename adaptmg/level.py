@@ -100,8 +100,8 @@ class Level:
         return shortened(f"Level of {self.n_nodes} nodes: {self.discrete_or_none}, {self.mesh}")
 
     def posing(self, **parts: object) -> Level:
-        """Return the level with other parts, which have been checked, by the names that they have
-        when a level is made."""
+        """Return the level with other parts, by the names of the arguments of Level; they are not
+        checked."""
         result = copy.copy(self)
         result.__dict__.update({_FIELDS.get(name, name): part for name, part in parts.items()})
         return result
@@ -178,11 +178,12 @@ class Level:
         ----------
         u : (n_nodes,) or (n_nodes, k) array
         """
-        at = sparse.csc_array(self.prolongation).argmax(axis=0)
-        return _nodal("u", u, shape_of(self.prolongation)[0])[np.asarray(at).reshape(-1)]
+        nodes = np.asarray(sparse.csc_array(self.prolongation).argmax(axis=0)).reshape(-1)
+        return _nodal("u", u, shape_of(self.prolongation)[0])[nodes]
 
 
 def _nodal(name: str, value: ArrayLike, rows: int) -> np.ndarray:
+    """Return an array of this number of rows, checked."""
     return checks.array(name, value, (rows, *[None] * (np.ndim(value) - 1)))
 
 
@@ -191,6 +192,7 @@ _FIELDS = {"discrete": "discrete_or_none", "prolongation": "prolongation_or_none
 
 
 def _checked_csr(name: str, matrix: object) -> sparse.csr_array | None:
+    """Return a sparse matrix, checked, as csr of float64 with read-only indices; None stays."""
     if matrix is None:
         return None
     checked = checks.sparse_matrix(name, matrix)
@@ -232,8 +234,8 @@ def level_under(problem: ContactProblem, level: Level, changed: frozenset[str]) 
 
 
 def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
-    """Return whether the same nodes carry contact and follow the same others: what prolongations
-    depend on."""
+    """Return whether the same nodes carry contact and follow the same others, so that prolongations
+    are the same."""
 
     def parts(problem: DiscreteProblem) -> list:
         contact = problem.contact
@@ -250,8 +252,7 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
 
 
 def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -> Level:
-    """Return the level ``above`` with its prolongation from ``below``, whatever was below it
-    before."""
+    """Return the level ``above`` with its prolongation from the next coarser level ``below``."""
     from adaptmg.transfer.contact import between_levels
 
     if above.discrete.dim == 1:
