@@ -41,6 +41,7 @@ _SIDES = ("left", "right")
 
 
 def _part(name: str, value: Domain) -> Domain:
+    """Return a domain that can be combined; TypeError or ValueError for others."""
     part = checks.instance(
         name,
         value,
@@ -195,9 +196,12 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     piece."""
     tol = checks.ROUNDING * float(max(np.ptp(outline.vertices, axis=0).max() for outline in (a, b)))
     points: list[np.ndarray] = []
-    met = [[meetings(e, f, tol) for f in b.edges] for e in a.edges]
-    of_a = _pieces(a, [list(chain(*row)) for row in met], points, tol)
-    of_b = _pieces(b, [list(chain(*column)) for column in zip(*met, strict=True)], points, tol)
+    # points where edge i of a meets edge j of b
+    crossings = [[meetings(e, f, tol) for f in b.edges] for e in a.edges]
+    cuts_of_a = [list(chain(*row)) for row in crossings]
+    cuts_of_b = [list(chain(*column)) for column in zip(*crossings, strict=True)]
+    of_a = _pieces(a, cuts_of_a, points, tol)
+    of_b = _pieces(b, cuts_of_b, points, tol)
     # Of a stays what lies in b (Common) or outside b (Cut, Fuse); of b what lies in a (Common, and
     # Cut, where it is reversed) or outside a (Fuse). A piece of both stays once if both bodies lie
     # on the same side of it; for a Cut, if they lie on opposite sides.
@@ -210,16 +214,19 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
             and np.linalg.norm(piece.middle - other.middle) <= 10 * tol
         ]
         if twins:
-            if (twins[0].start == piece.start) != (what == "Cut"):
-                pieces.append(piece)
-        elif (b.winding(piece.middle) == 1) == (what == "Common"):
+            same_side = twins[0].start == piece.start
+            stays = same_side != (what == "Cut")
+        else:
+            inside = b.winding(piece.middle) == 1
+            stays = inside == (what == "Common")
+        if stays:
             pieces.append(piece)
         of_b = [other for other in of_b if other not in twins]
-    pieces += [
-        replace(piece, start=piece.end, end=piece.start) if what == "Cut" else piece
-        for piece in of_b
-        if (a.winding(piece.middle) == 1) == (what != "Fuse")
-    ]
+    for piece in of_b:
+        inside = a.winding(piece.middle) == 1
+        if inside == (what != "Fuse"):
+            reversed_piece = replace(piece, start=piece.end, end=piece.start)
+            pieces.append(reversed_piece if what == "Cut" else piece)
     return _chained(what, pieces, points)
 
 
@@ -229,8 +236,8 @@ def _pieces(
     points: list[np.ndarray],
     tol: float,
 ) -> list[_Piece]:
-    """Return the edges of an outline, cut at given points; ``points`` collects the ends of all
-    pieces, which refer to them by number."""
+    """Return the edges of an outline, cut at the points ``cuts`` of each edge. The ends of all pieces
+    are appended to ``points``, where pieces refer to them by number."""
 
     def number(p: np.ndarray) -> int:
         """Return the number of a point, a new one if none in ``points`` is near."""
@@ -246,13 +253,15 @@ def _pieces(
         inner = sorted(cut_points, key=edge.along)
         numbers = list(dict.fromkeys(map(number, (ends[0], *inner))))
         last = number(ends[1])
+        # a cut at the end of the edge makes no piece
         numbers = [k for k in numbers if k != last] + [last]
         centre = outline.arcs.get(i)
         for start, end in pairwise(numbers):
             middle = 0.5 * (points[start] + points[end])
             if isinstance(edge, Arc):
-                off = middle - np.array(centre)
-                middle = np.array(centre) + off * (edge.radius / np.linalg.norm(off))
+                # from the middle of the chord to that of the arc
+                spoke = middle - np.array(centre)
+                middle = np.array(centre) + spoke * (edge.radius / np.linalg.norm(spoke))
             result.append(_Piece(start, end, outline.boundaries[i], centre, middle))
     return result
 
@@ -260,6 +269,7 @@ def _pieces(
 def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outline:
     """Join pieces to closed loops and return their outline, its outer loop first; ValueError unless
     they bound one body."""
+    # by the number of the point at which a piece starts
     leaving: dict[int, _Piece] = {}
     for piece in pieces:
         if piece.start in leaving:
@@ -293,6 +303,7 @@ def _chained(what: str, pieces: list[_Piece], points: list[np.ndarray]) -> Outli
 
 
 def _loop_area(loop: list[_Piece], points: list[np.ndarray]) -> float:
+    """Return twice the signed area of the polygon through the starts and middles of a loop, m^2."""
     x, y = np.array([p for piece in loop for p in (points[piece.start], piece.middle)]).T
     return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
@@ -302,15 +313,14 @@ class Slit(Outline):
     """An outline whose last holes have no width: along the left face of each crack, and back along
     the right one."""
 
-    twins: Mapping[int, int] | None = (
-        None  # edge of a right face -> that of the left one at the same place
-    )
+    #: edge of a right face -> edge of the left face at the same place
+    twins: Mapping[int, int] | None = None
 
     __repr__ = brief
     __hash__ = Outline.__hash__
 
     def __post_init__(self) -> None:
-        """Nothing: it is made of what has been checked."""
+        """Check nothing: a slit is made of parts that have been checked."""
 
 
 @dataclass(frozen=True)
@@ -421,8 +431,8 @@ class Cracked(SolidDomain):
     def _anchored(self) -> tuple[Outline, dict[str, Path]]:
         """Return the outline with a vertex where a crack ends on it, and the cracks.
 
-        A crack that ends tolerance a vertex or tolerance a point of another crack ends exactly there. A crack
-        of a single edge gets a vertex in the middle: a node that can open."""
+        A crack that ends near a vertex, or near a point of another crack, ends exactly there. A crack of
+        a single edge gets a vertex in the middle: a node that can open."""
         body = self.domain.outline
         paths: dict[str, Path] = {}
         tolerance = checks.ALIKE * float((self.upper - self.lower).max())
@@ -430,19 +440,13 @@ class Cracked(SolidDomain):
             ends = []
             for end in (path[0], path[-1]):
                 body = with_vertex(body, end, arcs=True)
-                places = [
-                    *body.vertices,
-                    *(
-                        p
-                        for other, points in self.cracks.items()
-                        if other != name
-                        for p in paths.get(other, points[1:-1])
-                    ),
-                ]
+                places = list(body.vertices)
+                for other, points in self.cracks.items():
+                    if other != name:
+                        places += paths.get(other, points[1:-1])
                 distances = np.linalg.norm(np.array(places) - end, axis=1)
-                ends.append(
-                    places[int(np.argmin(distances))] if distances.min() <= tolerance else end
-                )
+                nearest = int(np.argmin(distances))
+                ends.append(places[nearest] if distances[nearest] <= tolerance else end)
             middle = path[1:-1] or (tuple((0.5 * np.add(*ends)).tolist()),)
             paths[name] = (ends[0], *middle, ends[1])
         return body, paths
@@ -460,10 +464,9 @@ def _check_plane(name: str, path: np.ndarray) -> None:
     normal = normal_of(path)
     extent = float(np.ptp(path, axis=0).max())
     length = float(np.linalg.norm(normal))
-    if (
-        not length > checks.ALIKE * extent**2
-        or not np.abs((path - path[0]) @ normal).max() <= checks.ALIKE * extent * length
-    ):
+    has_area = length > checks.ALIKE * extent**2
+    heights = np.abs((path - path[0]) @ normal)
+    if not has_area or not heights.max() <= checks.ALIKE * extent * length:
         raise ValueError(
             f"cracks[{name!r}] must be the corners of a plane polygon, got {checks.shown(path.tolist())}"
         )
@@ -480,6 +483,7 @@ def _check_cracks(body: Outline, paths: Mapping[str, Path]) -> None:
     """Raise ValueError unless cracks lie in the body, meet only at their points, and leave it in
     one piece."""
     n = len(body.vertices)
+    # numbers of the points; of the boundary those of its vertices
     number: dict[tuple[float, ...], int] = {
         p: i for i, p in reversed(list(enumerate(body.vertices)))
     }

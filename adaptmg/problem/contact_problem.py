@@ -75,11 +75,12 @@ class Contact(checks.Checked):
     compliance: OwnCompliance | None = None
 
 
-#: of a body
+#: the material of a body
 Material = Elastic | Inelastic
 
 
 def _several(*types: type) -> partial:
+    """Return a check for one instance of some types, or a sequence of them."""
     return partial(checks.items, types=types)
 
 
@@ -90,7 +91,7 @@ def _materials(
     together."""
     if not isinstance(material, Mapping) or not material:
         return elastic_material(name, material)
-    material = {body: elastic_material(name, one) for body, one in material.items()}
+    material = {body: elastic_material(name, part) for body, part in material.items()}
     for body in material:
         checks.boundary_name("the names of bodies in material", body)
     kinds = {body: type(m).__name__ for body, m in material.items()}
@@ -99,7 +100,8 @@ def _materials(
             f"material: the bodies must be all Solid, all Axisymmetric, or all plane, got {kinds}"
         )
     young = {body: m.young for body, m in material.items()}
-    soft, stiff = (pick(young, key=lambda body: young[body]) for pick in (min, max))
+    soft = min(young, key=lambda body: young[body])
+    stiff = max(young, key=lambda body: young[body])
     if young[stiff] > _MOST_STIFFER * young[soft]:
         raise ValueError(
             f"material: Young's moduli must lie within a factor {_MOST_STIFFER:g} of each other, got "
@@ -240,9 +242,7 @@ class ContactProblem(checks.Checked):
     def _check_elements(self) -> None:
         """Raise ValueError if the elements do not suit a material."""
         linear = self.elements == "linear"
-        for material in (
-            [self.material] if isinstance(self.material, Elastic) else self.material.values()
-        ):
+        for material in self._materials_of_bodies:
             if linear and material.incompressible:
                 raise ValueError(
                     f"poisson must be less than 0.5 with linear elements, got {material.poisson!r}: take "
@@ -274,9 +274,7 @@ class ContactProblem(checks.Checked):
                 "loads must not have InitialStrain next to plastic bodies: give all bodies elastic "
                 "materials, or prescribe displacements"
             )
-        if not isinstance(self.material, Elastic) and any(
-            isinstance(material, PlaneStress) for material in self.material.values()
-        ):
+        if any(isinstance(material, PlaneStress) for material in self._materials_of_bodies):
             raise ValueError(
                 "material must not have PlaneStress bodies next to plastic ones: take PlaneStrain"
             )
@@ -294,11 +292,11 @@ class ContactProblem(checks.Checked):
                 )
             # in axisymmetry component 1 is along the axis
             for part in moving_parts(contact.obstacle) if self.axisymmetric else ():
-                if (
-                    part.free != (1,)
-                    if isinstance(part, Rigid)
-                    else part.displacement[0] or part.rotation.any()
-                ):
+                if isinstance(part, Rigid):
+                    along_axis = part.free == (1,)
+                else:
+                    along_axis = not (part.displacement[0] or part.rotation.any())
+                if not along_axis:
                     raise ValueError(
                         f"the obstacle {part.name!r} in front of {contact.boundary!r} must move along the "
                         "axis only, or be pressed along it, in an axisymmetric problem"
@@ -326,6 +324,7 @@ class ContactProblem(checks.Checked):
                     )
 
     def _uses(self) -> dict[str, str]:
+        """Return by the names of boundaries what they are used for, as text."""
         used = dict.fromkeys(self.tied_boundaries, "a tie") | dict.fromkeys(
             self.pair_boundaries, "contact"
         )
@@ -339,6 +338,7 @@ class ContactProblem(checks.Checked):
         }
 
     def _check_domain(self, domain: Domain) -> None:
+        """Raise TypeError or ValueError if a domain does not fit the problem."""
         checks.instance(
             "domain", domain, Domain, "a Domain (Rectangle, Box, Polygon, Outline, Assembly, ...)"
         )
@@ -358,12 +358,12 @@ class ContactProblem(checks.Checked):
     @property
     def dim(self) -> int:
         """Return the space dimension."""
-        return self._any_material.dim
+        return self._materials_of_bodies[0].dim
 
     @property
     def axisymmetric(self) -> bool:
         """Return whether the bodies are :class:`Axisymmetric`."""
-        return isinstance(self._any_material, Axisymmetric)
+        return isinstance(self._materials_of_bodies[0], Axisymmetric)
 
     @property
     def by_force(self) -> bool:
@@ -377,17 +377,13 @@ class ContactProblem(checks.Checked):
     @property
     def inelastic(self) -> bool:
         """Return whether a body is plastic, or of another material with a history."""
-        materials = (
-            [self.material] if isinstance(self.material, Elastic) else self.material.values()
-        )
-        return any(material.inelastic is not None for material in materials)
+        return any(material.inelastic is not None for material in self._materials_of_bodies)
 
     @property
-    def _any_material(self) -> Elastic:
+    def _materials_of_bodies(self) -> list[Elastic]:
+        """Return the materials: the one of all bodies, or that of each."""
         return (
-            self.material
-            if isinstance(self.material, Elastic)
-            else next(iter(self.material.values()))
+            [self.material] if isinstance(self.material, Elastic) else list(self.material.values())
         )
 
     @property

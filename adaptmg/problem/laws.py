@@ -55,13 +55,11 @@ Axes = np.ndarray | Sequence[Sequence[float]] | Callable[[np.ndarray], np.ndarra
 class Anisotropy:
     """A stiffness that depends on the direction, and how the axes of the material lie."""
 
-    stiffness: tuple[
-        tuple[float, ...], ...
-    ]  # 6 x 6 along the axes of the material, Voigt: 11, 22, 33, 23, 13, 12; Pa
-    axes: tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None = (
-        None  # see Axes; None: x, y, z
-    )
-    angle: FieldLike = 0.0  # instead in the plane, from x to the first axis, degrees
+    #: 6 x 6 along the axes of the material, Voigt: 11, 22, 33, 23, 13, 12; Pa
+    stiffness: tuple[tuple[float, ...], ...]
+    #: see Axes; None: x, y, z turned by ``angle``
+    axes: tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None = None
+    angle: FieldLike = 0.0  # in the plane: from x to the first axis, degrees
 
     @property
     def varies(self) -> bool:
@@ -69,27 +67,26 @@ class Anisotropy:
         return callable(self.axes) or callable(self.angle)
 
     def nearest(self) -> tuple[float, float]:
-        """Return Young's modulus and Poisson's ratio of the isotropic material with means over
-        directions (Voigt)."""
+        """Return Young's modulus, Pa, and Poisson's ratio of the isotropic material whose stiffness is
+        the mean over all directions (Voigt)."""
         c = np.array(self.stiffness)
         bulk = c[:3, :3].sum() / 9
         shear = (np.trace(c[:3, :3]) - (c[0, 1] + c[0, 2] + c[1, 2]) + 3 * np.trace(c[3:, 3:])) / 15
-        return float(9 * bulk * shear / (3 * bulk + shear)), float(
-            (3 * bulk - 2 * shear) / (6 * bulk + 2 * shear)
-        )
+        young = 9 * bulk * shear / (3 * bulk + shear)
+        poisson = (3 * bulk - 2 * shear) / (6 * bulk + 2 * shear)
+        return float(young), float(poisson)
 
     def rotations(self, points: np.ndarray) -> np.ndarray:
         """Return the axes (1 or n, 3, 3) at points (n, dim), checked."""
         if self.axes is None:
-            turn = np.radians(
-                checks.field("angle", self.angle, points if callable(self.angle) else points[:1])
-            )
+            # a constant angle is the same at all points
+            points = points if callable(self.angle) else points[:1]
+            turn = np.radians(checks.field("angle", self.angle, points))
             c = np.cos(turn)
             s = np.sin(turn)
             zero = np.zeros(len(turn))
-            return np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(
-                -1, 3, 3
-            )
+            entries = np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1)
+            return entries.reshape(-1, 3, 3)
         if not callable(self.axes):
             return np.array(self.axes)[None]
         result = checks.array("axes", self.axes(points), (len(points), 3, 3))
@@ -98,7 +95,7 @@ class Anisotropy:
 
 
 def _check_axes(axes: np.ndarray) -> None:
-    """ValueError unless the rows of matrices (n, 3, 3) are orthonormal."""
+    """Raise ValueError unless the rows of matrices (n, 3, 3) are orthonormal."""
     wrong = np.abs(axes @ axes.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     if not wrong.max(initial=0.0) <= checks.SIX_DIGITS:
         raise ValueError(
@@ -110,13 +107,8 @@ def _check_axes(axes: np.ndarray) -> None:
 def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence[float]) -> tuple:
     """Return the stiffness (6, 6) of an orthotropic material in the order of
     :class:`Anisotropy`; ``poisson`` and ``shear`` are of the pairs 12, 13, 23."""
-    e, g = (
-        tuple(
-            checks.quantity(f"{name}[{i}]", value, positive=True)
-            for i, value in enumerate(checks.vector(name, values, 3))
-        )
-        for name, values in (("young", young), ("shear", shear))
-    )
+    e = _three_moduli("young", young)
+    g = _three_moduli("shear", shear)
     nu = checks.vector("poisson", poisson, 3)
     compliance = np.diag(1 / np.array([*e, g[2], g[1], g[0]]))
     for (i, j), ratio in zip(((0, 1), (0, 2), (1, 2)), nu, strict=True):
@@ -130,6 +122,14 @@ def _stiffness(young: Sequence[float], poisson: Sequence[float], shear: Sequence
     return _table(np.linalg.inv(compliance / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
+def _three_moduli(name: str, values: Sequence[float]) -> tuple[float, ...]:
+    """Return three moduli, Pa; ValueError unless they are > 0."""
+    return tuple(
+        checks.quantity(f"{name}[{i}]", value, positive=True)
+        for i, value in enumerate(checks.vector(name, values, 3))
+    )
+
+
 def _positive_definite(matrix: np.ndarray) -> bool:
     """Return whether the eigenvalues of a matrix are positive once its diagonal is scaled to 1."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
@@ -139,6 +139,7 @@ def _positive_definite(matrix: np.ndarray) -> bool:
 
 
 def _table(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """Return the symmetric part of a matrix as a tuple of rows."""
     return tuple(map(tuple, (0.5 * (matrix + matrix.T)).tolist()))
 
 
@@ -181,6 +182,7 @@ class Elastic(checks.Checked):
 
     @classmethod
     def _of(cls, anisotropy: Anisotropy) -> Self:
+        """Return the material with an anisotropy."""
         young, poisson = anisotropy.nearest()
         return cls(young=young, poisson=poisson, anisotropy=anisotropy)
 
@@ -191,9 +193,8 @@ class Elastic(checks.Checked):
             return 2 * self.shear_modulus + min(3 * self.lame, 0.0)
         # shear stresses and strains count twice in the norms of tensors
         root = np.sqrt([1, 1, 1, 2, 2, 2])
-        return float(
-            np.linalg.eigvalsh(np.array(self.anisotropy.stiffness) * np.outer(root, root)).min()
-        )
+        tensorial = np.array(self.anisotropy.stiffness) * np.outer(root, root)
+        return float(np.linalg.eigvalsh(tensorial).min())
 
     @property
     def shear_modulus(self) -> float:
@@ -370,6 +371,7 @@ class Solid(Elastic):
 def _axes(
     axes: Axes | None,
 ) -> tuple[tuple[float, ...], ...] | Callable[[np.ndarray], np.ndarray] | None:
+    """Return axes as rows, checked; a function stays, and None."""
     if axes is None or (callable(axes) and not isinstance(axes, type)):
         return axes
     rows = checks.array("axes", axes, (3, 3))
@@ -439,7 +441,7 @@ def friction_at(law: FollowsState, pressure: np.ndarray, slip: np.ndarray) -> np
 
 @dataclass(frozen=True, eq=False)
 class NodalLaw:
-    """Give limits and coefficients at the contact nodes of boundaries with different laws."""
+    """The limits and coefficients at contact nodes of boundaries with different laws."""
 
     slip_limit: np.ndarray  # (n_contact,), N
     friction: np.ndarray  # (n_contact,)
@@ -455,18 +457,20 @@ class NodalLaw:
 
 @dataclass(frozen=True, eq=False)
 class NodalStateLaw(NodalLaw):
-    """Give them where some of these laws depend on pressure and slip."""
+    """Limits and coefficients at contact nodes, where some laws depend on pressure and slip."""
 
-    laws: tuple[tuple[FollowsState, np.ndarray], ...]  # each with its nodes, numbers (k,)
+    #: each of these laws with the numbers (k,) of its contact nodes
+    laws: tuple[tuple[FollowsState, np.ndarray], ...]
 
     def at_state(self, pressure: np.ndarray, slip: np.ndarray) -> np.ndarray:
         friction = self.friction.copy()
-        for law, at in self.laws:
-            friction[at] = law.at_state(pressure[at], slip[at])
+        for law, numbers in self.laws:
+            friction[numbers] = law.at_state(pressure[numbers], slip[numbers])
         return friction
 
 
 def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
+    """Return a parameter of a law, a number or an array, at n contact nodes."""
     if callable(value):
         raise TypeError(
             f"{name}: a function of position must be evaluated at the nodes first (at_nodes)"
@@ -479,6 +483,7 @@ def _nodal(name: str, value: FieldLike | ArrayLike, n: int) -> np.ndarray:
 
 
 def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike:
+    """Return a number or an array; ValueError unless it is finite and >= 0."""
     array = checks.real_array(value)
     # an array may be that of no contact nodes
     if array is None or not (array.size or isinstance(value, np.ndarray)):
@@ -496,6 +501,7 @@ FieldLikeOrArray = Annotated[FieldLike | ArrayLike, partial(checks.function_or, 
 
 
 def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> np.ndarray:
+    """Return a parameter of a law, a number or a function, at points (n, dim)."""
     if isinstance(value, np.ndarray) and value.ndim:
         raise TypeError(
             f"{name} must be a number or a function of position on a ContactProblem; arrays over contact "
@@ -505,6 +511,7 @@ def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> n
 
 
 def _with(law: _AnyLaw, name: str, values: np.ndarray) -> _AnyLaw:
+    """Return a copy of a law with another parameter, which is not checked."""
     result = copy.copy(law)
     object.__setattr__(result, name, values)
     return result
@@ -589,6 +596,7 @@ class Coulomb(checks.Checked):
 
 
 def _state_function(name: str, value: object) -> object:
+    """Return a function; TypeError unless it takes pressures and slips."""
     if not callable(value) or isinstance(value, type):
         raise TypeError(
             f"{name} must be a function of pressures and slips, got {checks.described(value)}; a number "

@@ -227,35 +227,36 @@ class Moving(_MovingPart):
         return self.displacement.size
 
     def motion(self, points: np.ndarray) -> np.ndarray:
-        """Return how points (n, dim) of the obstacle move (n, dim), m."""
+        """Return the displacements (n, dim), m, of points (n, dim) of the obstacle."""
         arms = points - self.about
         inner = self.obstacle.motion(points) if isinstance(self.obstacle, Moving) else 0.0
         return self.displacement + arms @ (self._turn() - np.eye(self.dim)).T + inner
 
     def contact(self, points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return contact normals and gaps after the motion; see :meth:`Plane.contact`."""
-        whole = self._plane()
-        if whole is not None:
-            return whole.contact(points, normals)
+        moved_plane = self._plane()
+        if moved_plane is not None:
+            return moved_plane.contact(points, normals)
         motion = self.motion(points)
-        along = np.einsum("nd,nd->n", motion, normals)
-        # Undo the tangential part of the motion and look there; the normal part changes the gap.
-        fixed = moving_parts(self)[-1].obstacle
-        directions, gaps = fixed.contact(points - motion + along[:, None] * normals, normals)
+        along_normal = np.einsum("nd,nd->n", motion, normals)
+        # the gap of the obstacle at rest, at points moved back tangentially, plus the motion along
+        # the contact normals
+        at_rest = moving_parts(self)[-1].obstacle
+        moved_back = points - motion + along_normal[:, None] * normals
+        directions, gaps = at_rest.contact(moved_back, normals)
         return directions, gaps + np.einsum("nd,nd->n", motion, directions)
 
     def _plane(self) -> Plane | None:
-        """The plane after the motion, if it is one."""
+        """Return the plane after the motion; None of other obstacles."""
         inner = self.obstacle._plane() if isinstance(self.obstacle, Moving) else self.obstacle
         if not isinstance(inner, Plane):
             return None
         turn = self._turn()
-        return Plane(
-            self.about + self.displacement + turn @ (inner.point - self.about), turn @ inner.normal
-        )
+        place = self.about + self.displacement + turn @ (inner.point - self.about)
+        return Plane(place, turn @ inner.normal)
 
     def _turn(self) -> np.ndarray:
-        """Return the rotation (dim, dim)."""
+        """Return the rotation as a matrix (dim, dim)."""
         if not self.rotation.any():
             return np.eye(self.dim)
         if self.dim == 2:
@@ -268,6 +269,7 @@ class Moving(_MovingPart):
 
 
 def _targets(name: str, values: object) -> tuple[float | None, ...]:
+    """Return the components of a force or moment, checked; None where the motion is prescribed."""
     return tuple(
         None if value is None else checks.quantity(f"{name}[{i}]", value)
         for i, value in enumerate(checks.listed(name, values, "numbers or None, one a component"))
@@ -279,6 +281,7 @@ _NO_MOMENT = cast("Force", None)  # a tuple once it is checked
 
 
 def _forces(name: str, values: object) -> Force | dict[str, Force]:
+    """Return a force, or forces by name, checked."""
     if not isinstance(values, Mapping):
         return _targets(name, values)
     forces = {
@@ -370,6 +373,7 @@ class Rigid(_MovingPart):
 
     @property
     def path_names(self) -> tuple[str, ...]:
+        """Return the names of the forces, and that of the moment if there is one."""
         return tuple(dict.fromkeys([*self.forces, *([self.name] if any(self.moment) else [])]))
 
     @property
@@ -384,10 +388,9 @@ class Rigid(_MovingPart):
         return np.append(forces.sum(axis=0), np.array(self.moment, dtype=np.float64))
 
     def loaded(self, factors: Mapping[str, float]) -> Rigid:
-        """Return the same with factors of force and moment, 1 where not named."""
+        """Return the obstacle with force and moment times their factors, 1 where not named."""
         scaled_forces = {
-            name: times(force_component, factors.get(name, 1.0))
-            for name, force_component in self.forces.items()
+            name: times(force, factors.get(name, 1.0)) for name, force in self.forces.items()
         }
         force = scaled_forces if isinstance(self.force, Mapping) else scaled_forces[self.name]
         return replace(self, force=force, moment=times(self.moment, factors.get(self.name, 1.0)))
@@ -413,7 +416,7 @@ class Rigid(_MovingPart):
 
 
 def moving_parts(obstacle: Obstacle) -> list[Moving | Rigid]:
-    """Return an obstacle and what it wraps, as far as it moves."""
+    """Return the moving parts of an obstacle, from the outermost to the innermost."""
     result: list[Moving | Rigid] = []
     while isinstance(obstacle, Moving | Rigid):
         result.append(obstacle)
@@ -456,7 +459,7 @@ class _Sides(checks.Checked):
 
     @property
     def boundary(self) -> str:
-        """The boundary whose nodes follow the other one, or touch it: the slave."""
+        """Return the boundary whose nodes follow the other one, or touch it: the slave."""
         return self.slave
 
 
