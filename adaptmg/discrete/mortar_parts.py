@@ -57,12 +57,14 @@ class Surfaces:
     size: float = field(init=False, repr=False)  # diagonal of the bounding box of both surfaces, m
 
     def __post_init__(self) -> None:
+        """Find which nodes carry multipliers, and check that the normals point outward."""
         points = self.slave_side.points
         slave_nodes = self.slave_side.nodes
         master_nodes = self.master_side.nodes
         carries = np.zeros(len(points), dtype=bool)
         carries[slave_nodes] = True
-        carries[master_nodes] = carries[np.asarray(self.excluded, dtype=np.int64)] = False
+        carries[master_nodes] = False
+        carries[np.asarray(self.excluded, dtype=np.int64)] = False
         if not carries.any():
             raise ValueError(
                 "every node of the slave surface is excluded, or one of the master too, which leaves none "
@@ -73,14 +75,7 @@ class Surfaces:
             np.ascontiguousarray(side.facets, dtype=np.int64)
             for side in (self.slave_side, self.master_side)
         )
-        for name, value in (
-            ("points", points),
-            ("slave", slave),
-            ("master", master),
-            ("carries", carries),
-            ("size", size),
-        ):
-            object.__setattr__(self, name, value)
+        self.__dict__.update(points=points, slave=slave, master=master, carries=carries, size=size)
         outward = np.einsum("fd,fkd->fk", self.slave_side.vectors, self.normals[slave])
         if not (outward > 0).all():
             i = slave[outward <= 0][0]
@@ -139,9 +134,9 @@ class CoveredParts:
         )
 
     def means(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return measure (n_slave,), centroid (n_slave, dim - 1) and covariance of what is covered
-        of slave facets, 0, 0 and 1 if nothing is; before the last, places relative to the
-        centroid."""
+        """Return the measures (n_slave,) of the covered parts of slave facets, their centroids
+        (n_slave, dim - 1), the places (n, n_points, dim - 1) from these, and the covariances
+        (n_slave, dim - 1, dim - 1). Where nothing is covered: 0, 0 and the identity."""
         n, k = self.corners.shape[:2]
 
         def sums(values: np.ndarray) -> np.ndarray:
@@ -150,15 +145,17 @@ class CoveredParts:
             )
 
         measure = sums(self.weights.sum(axis=1, keepdims=True))[:, 0]
-        share = (
+        shares = (
             self.weights / np.where(measure > 0, measure, 1.0)[self.slave, None]
         )  # an edge may lie on the axis
-        centroid = sums(np.einsum("pq,pqa->pa", share, self.places))
-        off = self.places - centroid[self.slave, None]
-        products = np.einsum("pq,pqa,pqb->pab", share, off, off).reshape(-1, (k - 1) ** 2)
+        centroid = sums(np.einsum("pq,pqa->pa", shares, self.places))
+        from_centroid = self.places - centroid[self.slave, None]
+        products = np.einsum("pq,pqa,pqb->pab", shares, from_centroid, from_centroid).reshape(
+            -1, (k - 1) ** 2
+        )
         covariance = sums(products).reshape(n, k - 1, k - 1)
         covariance[measure == 0] = np.eye(k - 1)
-        return measure, centroid, off, covariance
+        return measure, centroid, from_centroid, covariance
 
 
 def covered_parts(surfaces: Surfaces, reach: float | None) -> CoveredParts:
@@ -184,24 +181,25 @@ _GAUSS = np.polynomial.legendre.leggauss(4)
 
 
 def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
-    """The covered parts of slave edges."""
+    """Return the covered parts of slave edges, with Gauss points; s runs from 0 to 1 along an edge."""
     edge, facet, ends = _pieces(surfaces, *surfaces.depths(reach))
     covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
+    # offsets count from the first covered place of an edge
     origin = np.where(covered > 0, np.inf, 0.0)
     np.minimum.at(origin, edge, ends[:, 0])
     slave = surfaces.slave[edge]
     master = surfaces.master[facet]
     offset = (ends[:, :1] - origin[edge][:, None]) + np.diff(ends) * 0.5 * (1 + _GAUSS[0])
     s = origin[edge][:, None] + offset
-    x = surfaces.points[slave[:, 0]]
-    e = np.diff(surfaces.points[slave], axis=1)[:, 0]
-    measure = np.linalg.norm(e, axis=1)[:, None] * np.diff(ends) * 0.5 * _GAUSS[1]
+    begin = surfaces.points[slave[:, 0]]
+    edge_vector = np.diff(surfaces.points[slave], axis=1)[:, 0]
+    weights = np.linalg.norm(edge_vector, axis=1)[:, None] * np.diff(ends) * 0.5 * _GAUSS[1]
     if surfaces.axisymmetric:
-        measure = measure * (2 * np.pi * np.maximum(x[:, :1] + s * e[:, :1], 0.0))
+        weights = weights * (2 * np.pi * np.maximum(begin[:, :1] + s * edge_vector[:, :1], 0.0))
     eta, distance = _opposite(surfaces, slave, master, s)
-    places = x[:, None] + s[..., None] * e[:, None]
-    a, b = np.moveaxis(surfaces.normals[slave], 1, 0)
-    normals = a[:, None] + s[..., None] * (b - a)[:, None]
+    places = begin[:, None] + s[..., None] * edge_vector[:, None]
+    begin_normal, end_normal = np.moveaxis(surfaces.normals[slave], 1, 0)
+    normals = begin_normal[:, None] + s[..., None] * (end_normal - begin_normal)[:, None]
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     distance = surfaces.exact_distances(edge, facet, places, normals, distance)
     corners = np.stack([-origin, 1 - origin], axis=1)[..., None]
@@ -209,7 +207,7 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
         edge,
         facet,
         offset[..., None],
-        measure,
+        weights,
         np.stack([1 - eta, eta], axis=2),
         distance,
         corners,
@@ -223,11 +221,9 @@ def _pieces(
     """Return slave edge, master edge and ends (n, 2) in s of the covered parts of slave edges."""
     edge, facet = _edges_near(surfaces, backward, forward)
     ends = _in_front(surfaces, edge, facet)
-    real = ends[:, 1] - ends[:, 0] > SHORTEST
-    edge = edge[real]
-    facet = facet[real]
-    ends = ends[real]
-    order = np.lexsort((facet, ends[:, 0], edge))
+    # those that are no rounding, edge by edge and along each edge
+    long = np.flatnonzero(ends[:, 1] - ends[:, 0] > SHORTEST)
+    order = long[np.lexsort((facet[long], ends[long, 0], edge[long]))]
     edge = edge[order]
     facet = facet[order]
     ends = ends[order]
@@ -257,24 +253,33 @@ def _pieces(
 def _edges_near(
     surfaces: Surfaces, backward: float, forward: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    n = surfaces.normals[surfaces.slave]
-    x = surfaces.points[surfaces.slave]
-    mean = n.mean(axis=1)
+    """Return slave and master edges (n,) that may lie opposite: boxes around the rays of slave
+    edges meet master edges, which face them."""
+    end_normals = surfaces.normals[surfaces.slave]
+    ends = surfaces.points[surfaces.slave]
+    mean = end_normals.mean(axis=1)
     shortest = np.linalg.norm(mean, axis=1)[:, None, None]  # of n(s), for unit normals at the ends
-    corners = np.concatenate([x - backward / shortest * n, x + forward / shortest * n], axis=1)
-    frames = np.stack([np.column_stack([mean[:, 1], -mean[:, 0]]), mean], axis=1) / shortest
-    local = np.einsum("ead,ekd->eka", frames, corners - x[:, :1])
-    pad = 1e-12 * surfaces.size
-    edge, facet = BoxTree(surfaces.points, surfaces.master).meeting(
-        frames, np.ascontiguousarray(x[:, 0]), local.min(axis=1) - pad, local.max(axis=1) + pad
+    corners = np.concatenate(
+        [ends - backward / shortest * end_normals, ends + forward / shortest * end_normals], axis=1
     )
-    leaning = np.einsum("pd,pkd->pk", surfaces.master_side.vectors[facet], n[edge]).min(axis=1)
+    frames = np.stack([np.column_stack([mean[:, 1], -mean[:, 0]]), mean], axis=1) / shortest
+    local = np.einsum("ead,ekd->eka", frames, corners - ends[:, :1])
+    rounding = 1e-12 * surfaces.size
+    edge, facet = BoxTree(surfaces.points, surfaces.master).meeting(
+        frames,
+        np.ascontiguousarray(ends[:, 0]),
+        local.min(axis=1) - rounding,
+        local.max(axis=1) + rounding,
+    )
+    leaning = np.einsum("pd,pkd->pk", surfaces.master_side.vectors[facet], end_normals[edge]).min(
+        axis=1
+    )
     facing = leaning < -_GRAZING * surfaces.master_side.measures[facet]
     return edge[facing], facet[facing]
 
 
 def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.ndarray:
-    """Part (n, 2) of each slave edge in front of which its master edge lies, without regard to the
+    """Return the part (n, 2) of each slave edge in front of which its master edge lies, without regard to the
     distance."""
     start, end = surfaces.master[facet].T
     slave = surfaces.slave[edge]
@@ -289,40 +294,44 @@ def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.nda
 
 
 def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.ndarray:
-    r"""Find where on slave edges the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times
+    r"""Return the places s on slave edges where the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times
     n(s) = 0`. Of the two roots of this quadratic equation the one where q falls: there the node is
     before the centre of curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is
     next to all of the edge."""
-    x = surfaces.points[slave]
-    n = surfaces.normals[slave]
-    e = x[:, 1] - x[:, 0]
-    turn = n[:, 1] - n[:, 0]
-    r = x[:, 0] - surfaces.points[node]
-    a = cross(e, turn)
-    b = cross(r, turn) + cross(e, n[:, 0])
-    c = cross(r, n[:, 0])
+    ends = surfaces.points[slave]
+    end_normals = surfaces.normals[slave]
+    edge = ends[:, 1] - ends[:, 0]
+    turn = end_normals[:, 1] - end_normals[:, 0]
+    from_node = ends[:, 0] - surfaces.points[node]
+    a = cross(edge, turn)
+    b = cross(from_node, turn) + cross(edge, end_normals[:, 0])
+    c = cross(from_node, end_normals[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(b * b - 4 * a * c)
         s = np.where(b <= 0, 2 * c / (root - b), -(b + root) / (2 * a))
-    none = ~np.isfinite(s)
-    s[none] = np.where((0.25 * a + 0.5 * b + c)[none] > 0, 1.0, 0.0)
+    no_root = ~np.isfinite(s)
+    s[no_root] = np.where((0.25 * a + 0.5 * b + c)[no_root] > 0, 1.0, 0.0)
     return s
 
 
 def _opposite(
     surfaces: Surfaces, slave: np.ndarray, master: np.ndarray, s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return position 0 .. 1 on the master edge, and distance along the unit normal, at points s (n,
-    n_points)."""
-    x = surfaces.points[slave]
-    n = surfaces.normals[slave]
-    y = surfaces.points[master]
+    """Return the places eta (n, n_points), 0 to 1 on the master edge, that lie opposite to places s
+    (n, n_points) on the slave edge, and their distances (n, n_points) along the unit normal, m."""
+    slave_ends = surfaces.points[slave]
+    slave_normals = surfaces.normals[slave]
+    master_ends = surfaces.points[master]
     s = s[:, :, None]
-    at = x[:, :1] + s * (x[:, 1:] - x[:, :1]) - y[:, :1]
-    normal = n[:, :1] + s * (n[:, 1:] - n[:, :1])
-    along = y[:, 1:] - y[:, :1]
-    facing = cross(along, normal)
-    return cross(at, normal) / facing, cross(at, along) / facing * np.linalg.norm(normal, axis=2)
+    from_master = (
+        slave_ends[:, :1] + s * (slave_ends[:, 1:] - slave_ends[:, :1]) - master_ends[:, :1]
+    )
+    normal = slave_normals[:, :1] + s * (slave_normals[:, 1:] - slave_normals[:, :1])
+    master_edge = master_ends[:, 1:] - master_ends[:, :1]
+    leaning = cross(master_edge, normal)
+    return cross(from_master, normal) / leaning, cross(
+        from_master, master_edge
+    ) / leaning * np.linalg.norm(normal, axis=2)
 
 
 SHORTEST = checks.ROUNDING
@@ -334,26 +343,28 @@ _BESIDE = checks.ALIKE  # how far outside a master edge, as a fraction of it, a 
 @kernel
 def distance_along_normal(points, normals, a, b, y1, y2, s):
     """Return the distance from x(s) of slave edge (a, b) along the unit normal to master edge (y1,
-    y2). Infinite if the ray misses the edge, the edge faces away, or rays cross before they reach
-    it."""
-    ex = points[b, 0] - points[a, 0]
-    ey = points[b, 1] - points[a, 1]
-    dx = normals[b, 0] - normals[a, 0]
-    dy = normals[b, 1] - normals[a, 1]
-    nx = normals[a, 0] + s * dx
-    ny = normals[a, 1] + s * dy
-    mx = points[y2, 0] - points[y1, 0]
-    my = points[y2, 1] - points[y1, 1]
-    rx = points[a, 0] + s * ex - points[y1, 0]
-    ry = points[a, 1] + s * ey - points[y1, 1]
-    facing = mx * ny - my * nx
-    across = rx * ny - ry * nx
-    if facing <= 0.0 or across < -_BESIDE * facing or across > (1.0 + _BESIDE) * facing:
+    y2), by the formulas of the module. Infinite if the ray misses the edge, the edge faces away, or
+    rays cross before they reach it."""
+    edge_x = points[b, 0] - points[a, 0]
+    edge_y = points[b, 1] - points[a, 1]
+    turn_x = normals[b, 0] - normals[a, 0]
+    turn_y = normals[b, 1] - normals[a, 1]
+    normal_x = normals[a, 0] + s * turn_x
+    normal_y = normals[a, 1] + s * turn_y
+    master_x = points[y2, 0] - points[y1, 0]
+    master_y = points[y2, 1] - points[y1, 1]
+    from_master_x = points[a, 0] + s * edge_x - points[y1, 0]
+    from_master_y = points[a, 1] + s * edge_y - points[y1, 1]
+    f = master_x * normal_y - master_y * normal_x
+    eta_f = from_master_x * normal_y - from_master_y * normal_x
+    if f <= 0.0 or eta_f < -_BESIDE * f or eta_f > (1.0 + _BESIDE) * f:
         return np.inf
-    distance = (rx * my - ry * mx) / facing
-    if (ex * ny - ey * nx) - distance * (nx * dy - ny * dx) >= 0.0:
+    alpha = (from_master_x * master_y - from_master_y * master_x) / f
+    if (edge_x * normal_y - edge_y * normal_x) - alpha * (
+        normal_x * turn_y - normal_y * turn_x
+    ) >= 0.0:
         return np.inf
-    return distance * np.hypot(nx, ny)
+    return alpha * np.hypot(normal_x, normal_y)
 
 
 @kernel
@@ -374,47 +385,48 @@ def nearest_pieces(
     piece_facet,
     piece_ends,
 ):
-    """Cut each slave edge where a master edge begins or ends; give each part the nearest master
-    edge in front of it."""
+    """Cut each slave edge where a master edge begins or ends (``breaks``, ascending in each edge), and
+    give each part the nearest master edge in front of it; return the number of parts. ``active`` is
+    overwritten: the pairs whose master edge reaches the part."""
     n_pieces = 0
     for e in range(len(slave)):
         a = slave[e, 0]
         b = slave[e, 1]
-        following = starts[e]
+        next_pair = starts[e]
         n_active = 0
-        for at in range(2 * starts[e], 2 * starts[e + 1]):
-            high = breaks[at]
-            if at == 2 * starts[e]:
-                low = high
-            if high - low <= SHORTEST:
+        for k_break in range(2 * starts[e], 2 * starts[e + 1]):
+            end = breaks[k_break]
+            if k_break == 2 * starts[e]:
+                begin = end
+            if end - begin <= SHORTEST:
                 continue
-            middle = 0.5 * (low + high)
-            while following < starts[e + 1] and lows[following] < middle:  # one further each time
-                active[n_active] = following
-                following += 1
+            middle = 0.5 * (begin + end)
+            while next_pair < starts[e + 1] and lows[next_pair] < middle:  # one further each time
+                active[n_active] = next_pair
+                next_pair += 1
                 n_active += 1
-            remaining = 0
-            best = -1
-            best_distance = np.inf
+            n_remaining = 0
+            nearest = -1
+            least_distance = np.inf
             for k in range(n_active):
                 pair = active[k]
                 if highs[pair] <= middle:
                     continue
-                active[remaining] = pair
-                remaining += 1
+                active[n_remaining] = pair
+                n_remaining += 1
                 distance = distance_along_normal(
                     points, normals, a, b, master[facets[pair], 0], master[facets[pair], 1], middle
                 )
-                if -backward <= distance <= forward and abs(distance) < best_distance:
-                    best = pair
-                    best_distance = abs(distance)
-            n_active = remaining
-            if best >= 0:
-                piece_edge[n_pieces], piece_facet[n_pieces] = e, facets[best]
-                piece_ends[n_pieces, 0] = low
-                piece_ends[n_pieces, 1] = high
+                if -backward <= distance <= forward and abs(distance) < least_distance:
+                    nearest = pair
+                    least_distance = abs(distance)
+            n_active = n_remaining
+            if nearest >= 0:
+                piece_edge[n_pieces], piece_facet[n_pieces] = e, facets[nearest]
+                piece_ends[n_pieces, 0] = begin
+                piece_ends[n_pieces, 1] = end
                 n_pieces += 1
-            low = high
+            begin = end
     return n_pieces
 
 
@@ -427,7 +439,7 @@ _POINTS = np.sqrt(2) * np.array(
 
 
 def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts:
-    """The visible common parts of slave and master triangles."""
+    """Return the visible common parts of slave and master triangles."""
     depths = surfaces.depths(reach)
     frames = _frames(surfaces)
     start, near = _triangles_near(surfaces, frames, *depths)
@@ -447,17 +459,19 @@ def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts
 
 
 def _frames(surfaces: Surfaces) -> np.ndarray:
+    """Return the frames (n_slave, 3, 3) of slave triangles by row: two tangents, then the
+    normal."""
     corners = surfaces.points[surfaces.slave]
     normal = surfaces.normals[surfaces.slave].sum(axis=1)
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    first = corners[:, 1] - corners[:, 0]
-    first -= np.sum(first * normal, axis=1)[:, None] * normal
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    return np.stack([first, np.cross(normal, first), normal], axis=1)
+    tangent = corners[:, 1] - corners[:, 0]
+    tangent -= np.sum(tangent * normal, axis=1)[:, None] * normal
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    return np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
 
 
 def _local(surfaces: Surfaces, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centroids (n_slave, 3) of slave facets, and their corners relative to it in their frames."""
+    """Return the centroids (n_slave, 3) of slave facets, and their corners relative to it in their frames."""
     corners = surfaces.points[surfaces.slave]
     origins = corners.mean(axis=1)
     return origins, np.einsum("fad,fkd->fka", frames, corners - origins[:, None])
@@ -488,39 +502,42 @@ def _common_parts(
     backward: float,
     forward: float,
 ) -> CoveredParts:
-    """The visible common parts."""
+    """Return the visible common parts in some frames, with three points each."""
     origins, local = _local(surfaces, frames)
     slave = np.repeat(np.arange(len(frames)), np.diff(start))
     # seen from the slave a facing facet runs clockwise: turned round
-    other = np.einsum(
+    master_corners = np.einsum(
         "pad,pkd->pka",
         frames[slave],
         surfaces.points[surfaces.master[near, ::-1]] - origins[slave][:, None],
     )
     moments = np.empty((len(near), MOMENTS))
-    common_moments(local, other, start, backward, forward, moments)
-    real = moments[:, 0] > 0
-    slave = slave[real]
-    master = near[real]
-    other = other[real, ::-1]
-    moments = moments[real]
-    area, at, (xx, xy, yy) = moments[:, 0], moments[:, 1:3], moments[:, 3:].T
-    # the points are the corners of an equilateral triangle times the square root of the covariance
-    wide = np.sqrt(xx)
-    tilt = xy / wide
-    high = np.sqrt(np.maximum(yy - tilt**2, 0.0))
+    common_moments(local, master_corners, start, backward, forward, moments)
+    has_part = moments[:, 0] > 0
+    slave = slave[has_part]
+    master = near[has_part]
+    master_corners = master_corners[has_part, ::-1]
+    moments = moments[has_part]
+    area, centroid, (xx, xy, yy) = moments[:, 0], moments[:, 1:3], moments[:, 3:].T
+    # the points are the corners of an equilateral triangle times the Cholesky factor of the covariance
+    factor_xx = np.sqrt(xx)
+    factor_yx = xy / factor_xx
+    factor_yy = np.sqrt(np.maximum(yy - factor_yx**2, 0.0))
     steps = np.stack(
-        [wide[:, None] * _POINTS[0], tilt[:, None] * _POINTS[0] + high[:, None] * _POINTS[1]],
+        [
+            factor_xx[:, None] * _POINTS[0],
+            factor_yx[:, None] * _POINTS[0] + factor_yy[:, None] * _POINTS[1],
+        ],
         axis=2,
     )
-    value, slope = _barycentric(other[..., :2], at)
-    base, base_slope = _barycentric(local[slave, :, :2], at)
-    shapes = value[:, None] + np.einsum("pqa,pka->pqk", steps, slope)
-    own_shapes = base[:, None] + np.einsum("pqa,pka->pqk", steps, base_slope)
-    distances = np.einsum("pqk,pk->pq", shapes, other[..., 2]) - np.einsum(
-        "pqk,pk->pq", own_shapes, local[slave, :, 2]
+    at_centroid, master_slope = _barycentric(master_corners[..., :2], centroid)
+    slave_at_centroid, slave_slope = _barycentric(local[slave, :, :2], centroid)
+    shapes = at_centroid[:, None] + np.einsum("pqa,pka->pqk", steps, master_slope)
+    slave_shapes = slave_at_centroid[:, None] + np.einsum("pqa,pka->pqk", steps, slave_slope)
+    distances = np.einsum("pqk,pk->pq", shapes, master_corners[..., 2]) - np.einsum(
+        "pqk,pk->pq", slave_shapes, local[slave, :, 2]
     )
-    places = np.einsum("pqk,pkd->pqd", own_shapes, surfaces.points[surfaces.slave[slave]])
+    places = np.einsum("pqk,pkd->pqd", slave_shapes, surfaces.points[surfaces.slave[slave]])
     normals = np.broadcast_to(frames[slave, None, 2], places.shape)
     distances = surfaces.exact_distances(slave, master, places, normals, distances)
     stretch = surfaces.slave_side.measures / np.einsum(
@@ -528,12 +545,12 @@ def _common_parts(
     )
     weights = np.repeat((area * stretch[slave] / 3)[:, None], 3, axis=1)
     origin = np.zeros((len(frames), 2))
-    origin[slave] = at
+    origin[slave] = centroid
     covered = np.bincount(slave, weights.sum(axis=1), minlength=len(frames))
     return CoveredParts(
         slave,
         master,
-        (at - origin[slave])[:, None] + steps,
+        (centroid - origin[slave])[:, None] + steps,
         weights,
         shapes,
         distances,
@@ -543,7 +560,7 @@ def _common_parts(
 
 
 def _barycentric(corners: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shape functions (n, 3) of plane triangles (n, 3, 2) at points (n, 2), and their gradients (n,
+    """Return the shape functions (n, 3) of plane triangles (n, 3, 2) at points (n, 2), and their gradients (n,
     3, 2)."""
     opposite = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
     double = cross(opposite[:, 0], opposite[:, 1])[:, None]
@@ -564,30 +581,31 @@ def common_moments(slave, masters, start, below, above, moments):
     for them, by local corners. A part is dropped if its gap, at its centroid, is outside [-below,
     above]. Where parts overlap, the one with the gap of smaller magnitude, at the centroid of the
     overlap, hides the other."""
-    room = 1
+    most_masters = 1
     for s in range(len(slave)):
-        room = max(room, start[s + 1] - start[s])
-    parts = np.empty((room, ROOM, 2))
-    sizes = np.empty(room, dtype=np.int64)
-    boxes = np.empty((room, 4))
-    gaps = np.empty((room, 3))
-    base = np.empty(3)
-    hiding = np.empty(room, dtype=np.int64)
+        most_masters = max(most_masters, start[s + 1] - start[s])
+    parts = np.empty((most_masters, ROOM, 2))
+    sizes = np.empty(most_masters, dtype=np.int64)
+    boxes = np.empty((most_masters, 4))
+    gaps = np.empty((most_masters, 3))
+    slave_plane = np.empty(3)
+    hiding = np.empty(most_masters, dtype=np.int64)
     spare = np.empty((2, 2 * ROOM, 2))
     piece = np.empty((2, ROOM, 2))
-    stack = np.empty((ROOM * (1 + room), 3, 2))
-    states = np.empty((ROOM * (1 + room), 2), dtype=np.int64)
+    stack = np.empty((ROOM * (1 + most_masters), 3, 2))
+    states = np.empty((ROOM * (1 + most_masters), 2), dtype=np.int64)
     for s in range(len(slave)):
-        area = 0.5 * _plane(slave[s], base)
+        area = 0.5 * _plane(slave[s], slave_plane)
         first = start[s]
         n = start[s + 1] - start[s]
-        many = 0
-        here = masters[first : first + n]
+        n_parts = 0
+        facing = masters[first : first + n]
+        # the common part with each master facet, and its gap
         for i in range(n):
-            _plane(here[i], gaps[i])
+            _plane(facing[i], gaps[i])
             for k in range(3):
-                gaps[i, k] -= base[k]
-            sizes[i] = clip(here[i], 3, slave[s], 3, parts[i], piece[0])
+                gaps[i, k] -= slave_plane[k]
+            sizes[i] = clip(facing[i], 3, slave[s], 3, parts[i], piece[0])
             polygon_moments(parts[i], sizes[i], moments[first + i])
             gap = _gap(gaps[i], moments[first + i])
             if not moments[first + i, 0] > SLIVER * area or gap > above or gap < -below:
@@ -600,9 +618,10 @@ def common_moments(slave, masters, start, below, above, moments):
                     boxes[i, c] = min(boxes[i, c], parts[i, k, c])
                     boxes[i, 2 + c] = max(boxes[i, 2 + c], parts[i, k, c])
             if sizes[i] > 0:
-                many += 1
+                n_parts += 1
         tolerance = THIN * np.sqrt(area)
-        for i in range(n if many > 1 else 0):
+        # without what nearer parts hide
+        for i in range(n if n_parts > 1 else 0):
             n_hiding = 0
             for j in range(n):
                 if (
@@ -611,7 +630,7 @@ def common_moments(slave, masters, start, below, above, moments):
                     and boxes[j, 2] > boxes[i, 0] + tolerance
                     and boxes[j, 1] < boxes[i, 3] - tolerance
                     and boxes[j, 3] > boxes[i, 1] + tolerance
-                    and _nearer(parts, sizes, here, gaps, i, j, tolerance, spare) == j
+                    and _nearer(parts, sizes, facing, gaps, i, j, tolerance, spare) == j
                 ):
                     hiding[n_hiding] = j
                     n_hiding += 1
@@ -619,7 +638,7 @@ def common_moments(slave, masters, start, below, above, moments):
                 add_visible(
                     parts[i],
                     sizes[i],
-                    here,
+                    facing,
                     hiding,
                     n_hiding,
                     tolerance,
@@ -634,24 +653,24 @@ def common_moments(slave, masters, start, below, above, moments):
 
 @kernel
 def _plane(corners, plane):
-    """Write height at the origin and slope of the plane through three local points; returns twice
-    their area."""
+    """Write the height at the origin and the slopes (x, y) of the plane through three local points
+    into ``plane`` (3,); return twice the area of their triangle."""
     x1 = corners[1, 0] - corners[0, 0]
     y1 = corners[1, 1] - corners[0, 1]
     z1 = corners[1, 2] - corners[0, 2]
     x2 = corners[2, 0] - corners[0, 0]
     y2 = corners[2, 1] - corners[0, 1]
     z2 = corners[2, 2] - corners[0, 2]
-    double = x1 * y2 - x2 * y1
-    plane[1] = (z1 * y2 - z2 * y1) / double
-    plane[2] = (z2 * x1 - z1 * x2) / double
+    double_area = x1 * y2 - x2 * y1
+    plane[1] = (z1 * y2 - z2 * y1) / double_area
+    plane[2] = (z2 * x1 - z1 * x2) / double_area
     plane[0] = corners[0, 2] - plane[1] * corners[0, 0] - plane[2] * corners[0, 1]
-    return double
+    return double_area
 
 
 @inner_kernel
 def _gap(plane, moments):
-    """Value at the centroid."""
+    """Return the value of a plane at the centroid of a part, from its moments."""
     return plane[0] + plane[1] * moments[1] + plane[2] * moments[2]
 
 

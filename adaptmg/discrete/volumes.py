@@ -95,7 +95,7 @@ class Volumes:
 
     @cached_property
     def columns(self) -> sparse.csr_array:
-        """B', (n_dofs, n_groups)."""
+        """Return B' (n_dofs, n_groups)."""
         return sparse.csr_array(self.rows.T)
 
     def forces(self, pressures: np.ndarray) -> np.ndarray:
@@ -173,88 +173,94 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     materials = body_materials(mesh, material)
     dim = mesh.dim
     lame, shear = lame_constants(materials)
-    edge = np.minimum(lame, edge_parts(materials) * shear)
+    edge_lame = np.minimum(lame, edge_parts(materials) * shear)
     isotropic = np.array([elastic.anisotropy is None for elastic in materials])
     grouped = inelastic_bodies(materials) == inelastic
-    kappa = np.where(isotropic & grouped, lame - edge, 0.0)
+    kappa = np.where(isotropic & grouped, lame - edge_lame, 0.0)
     # a ratio of .4 has a kappa of rounding
-    soft = (kappa > checks.ALIKE * shear)[mesh.element_body]
-    if not soft.any():
+    in_groups = (kappa > checks.ALIKE * shear)[mesh.element_body]
+    if not in_groups.any():
         return Volumes.none(mesh.n_nodes, dim)
-    # a node of two bodies has a group in each
+    # a node of two bodies counts once for each; they are numbered along a curve through space
     cells, points = apart(mesh)
-    elements = mesh.elements[soft]
-    body = mesh.element_body[soft]
-    used, cells = np.unique(cells[soft], return_inverse=True)
-    n = len(used)
-    rank = np.empty(len(used), dtype=np.int32)
-    rank[morton_order(points[used])] = np.arange(n, dtype=np.int32)
+    elements = mesh.elements[in_groups]
+    body = mesh.element_body[in_groups]
+    body_nodes, cells = np.unique(cells[in_groups], return_inverse=True)
+    n = len(body_nodes)
+    rank = np.empty(len(body_nodes), dtype=np.int32)
+    rank[morton_order(points[body_nodes])] = np.arange(n, dtype=np.int32)
     cells = rank[cells.reshape(elements.shape)]
     node = np.empty(n, dtype=np.int64)
     body_of = np.empty(n, dtype=np.int64)
-    node[cells], body_of[cells] = elements, body[:, None]
-    ends = starts_of(cells)
+    node[cells] = elements
+    body_of[cells] = body[:, None]
+    starts = starts_of(cells)
     group = np.full(n, -1, dtype=np.int32)
-    count = _gather(
-        *pattern(elements_of_nodes(cells, n), ends, read_only(cells.reshape(-1))), GROUP[dim], group
+    n_groups = _gather(
+        *pattern(elements_of_nodes(cells, n), starts, read_only(cells.reshape(-1))),
+        GROUP[dim],
+        group,
     )
-    slopes, part = (every[soft] for every in shape_gradients(mesh))
+    slopes, corner_volumes = (every[in_groups] for every in shape_gradients(mesh))
     if is_axisymmetric(materials):
-        radius = mesh.points[elements, 0].mean(axis=1)
-        part *= 2 * np.pi * radius
-        slopes[:, :, 0] += 1 / (3 * radius[:, None])
-    part /= dim + 1
-    shares = np.bincount(cells.reshape(-1), np.repeat(part, dim + 1))
-    areas = np.bincount(group, shares, minlength=count)
+        mean_radius = mesh.points[elements, 0].mean(axis=1)
+        corner_volumes *= 2 * np.pi * mean_radius
+        slopes[:, :, 0] += 1 / (3 * mean_radius[:, None])
+    corner_volumes /= dim + 1
+    shares = np.bincount(cells.reshape(-1), np.repeat(corner_volumes, dim + 1))
+    areas = np.bincount(group, shares, minlength=n_groups)
     dofs = dim * elements[:, :, None] + np.arange(dim)
     members = sparse.csr_array(
-        (np.ones(cells.size), group[cells].reshape(-1), ends), shape=(len(cells), count)
+        (np.ones(cells.size), group[cells].reshape(-1), starts), shape=(len(cells), n_groups)
     )
     strains = sparse.csr_array(
-        ((part[:, None, None] * slopes).reshape(-1), dofs.reshape(-1), dim * ends),
+        ((corner_volumes[:, None, None] * slopes).reshape(-1), dofs.reshape(-1), dim * starts),
         shape=(len(cells), dim * mesh.n_nodes),
     )
     rows = sparse.csr_array(sparse.csr_array(members.T) @ strains)
     rows.sort_indices()
-    means = sparse.csr_array((shares / areas[group], (group, node)), shape=(count, mesh.n_nodes))
-    owner = np.empty(count, dtype=np.int64)
+    means = sparse.csr_array((shares / areas[group], (group, node)), shape=(n_groups, mesh.n_nodes))
+    owner = np.empty(n_groups, dtype=np.int64)
     corners = np.full(mesh.elements.shape, -1, dtype=np.int32)
-    owner[group], corners[soft] = body_of, group[cells]
-    return Volumes(rows, means, areas, 1 / kappa[owner], (edge + shear)[owner], owner, corners)
+    owner[group] = body_of
+    corners[in_groups] = group[cells]
+    return Volumes(rows, means, areas, 1 / kappa[owner], (edge_lame + shear)[owner], owner, corners)
 
 
 @kernel
 def _gather(indptr, indices, size, group):
     """Number the groups of nodes in ``group``, which comes as -1; returns their number. A group
-    grows from the first free node over free neighbours, the first ones first; one that stays too
-    small joins its smallest neighbour."""
+    grows from the first free node over free neighbours, those of its first members first; a group
+    that stays too small joins its smallest neighbour."""
     n = len(group)
-    count = 0
+    n_groups = 0
     queue = np.empty(size, dtype=np.int64)
     sizes = np.zeros(n, dtype=np.int64)
     for seed in range(n):
         if group[seed] >= 0:
             continue
         queue[0] = seed
-        group[seed] = count
-        members = 1
-        best = -1
+        group[seed] = n_groups
+        n_members = 1
+        smallest_neighbour = -1
         for k in range(size):
-            if k == members:
+            if k == n_members:
                 break
             for p in range(indptr[queue[k]], indptr[queue[k] + 1]):
                 other = group[indices[p]]
-                if other < 0 and members < size:
-                    queue[members] = indices[p]
-                    group[indices[p]] = count
-                    members += 1
-                elif 0 <= other < count and (best < 0 or sizes[other] < sizes[best]):
-                    best = other
-        if members < size and best >= 0:
-            for k in range(members):
-                group[queue[k]] = best
-            sizes[best] += members
+                if other < 0 and n_members < size:
+                    queue[n_members] = indices[p]
+                    group[indices[p]] = n_groups
+                    n_members += 1
+                elif 0 <= other < n_groups and (
+                    smallest_neighbour < 0 or sizes[other] < sizes[smallest_neighbour]
+                ):
+                    smallest_neighbour = other
+        if n_members < size and smallest_neighbour >= 0:
+            for k in range(n_members):
+                group[queue[k]] = smallest_neighbour
+            sizes[smallest_neighbour] += n_members
         else:
-            sizes[count] = members
-            count += 1
-    return count
+            sizes[n_groups] = n_members
+            n_groups += 1
+    return n_groups

@@ -4,7 +4,7 @@ interface.
 Unknowns are Cartesian; the exact node solve of :mod:`adaptmg.smoother.node_solve` works in the
 frame of the contact node. Both sweeps read L only, each row for two purposes, as :math:`U = L^T`.
 The backward sweep scatters
-:math:`-L_i^T u_i` to the nodes before, so that :math:`t = f - U u` is complete when its node is reached, and keeps t.
+:math:`-L_i^T u_i` to the nodes before, so that :math:`t = f - U u` is complete when its node is reached, and stays.
 The forward sweep scatters :math:`-L_i^T \delta_i`, :math:`\delta_i` the change of node i: at the
 end t is f - A u.
 
@@ -87,19 +87,19 @@ def backward(
     compliance,
     values,
     u,
-    kept,
+    remainder,
 ):
-    """Sweep backward with projections; ``kept`` comes as f and becomes f - U u."""
+    """Sweep backward with projections; ``remainder`` comes as f and becomes f - U u."""
     dim = np.uint64(len(zero))
     for place in range(last - 1, first - 1, -1):
         row = np.uint64(place)
         i = np.uint64(order[place])
-        at = dim * i
-        # kept comes last: it is the one to wait for, as the node before has just written to it
-        r = minus_row(row, -1, l_indptr, l_indices, lower, u, zero)
-        r = add(read(kept, at, zero), r)
+        dof = dim * i
+        # remainder comes last: it is the one to wait for, as the node before has just written to it
+        force = minus_row(row, -1, l_indptr, l_indices, lower, u, zero)
+        force = add(read(remainder, dof, zero), force)
         if contact_of[i] < 0:
-            new = times(inverse, dim * at, r)
+            new = times(inverse, dim * dof, force)
         else:
             new = solve_at(
                 np.uint64(contact_of[i]),
@@ -111,10 +111,10 @@ def backward(
                 friction,
                 compliance,
                 values,
-                r,
+                force,
             )
-        write(u, at, new)
-        minus_transposed_row(row, -1, l_indptr, l_indices, lower, new, kept)
+        write(u, dof, new)
+        minus_transposed_row(row, -1, l_indptr, l_indices, lower, new, remainder)
 
 
 @kernel(fastmath={"contract"})
@@ -138,28 +138,28 @@ def forward(
     compliance,
     values,
     u,
-    kept,
+    remainder,
 ):
-    """Sweep forward with projections after :func:`backward`; ``kept`` becomes f - A u. ``diagonal``
+    """Sweep forward with projections after :func:`backward`; ``remainder`` becomes f - A u. ``diagonal``
     (n_contact * dim^2,) are the Cartesian diagonal blocks of the contact nodes."""
     dim = np.uint64(len(zero))
     for place in range(first, last):
         row = np.uint64(place)
         i = np.uint64(order[place])
-        at = dim * i
-        r = minus_row(row, 1, l_indptr, l_indices, lower, u, read(kept, at, zero))
+        dof = dim * i
+        force = minus_row(row, 1, l_indptr, l_indices, lower, u, read(remainder, dof, zero))
         if contact_of[i] < 0:
-            new = times(inverse, dim * at, r)
-            write(kept, at, zero)
+            new = times(inverse, dim * dof, force)
+            write(remainder, dof, zero)
         else:
             k = np.uint64(contact_of[i])
             new = solve_at(
-                k, frames, blocks, gap, reference, limit, friction, compliance, values, r
+                k, frames, blocks, gap, reference, limit, friction, compliance, values, force
             )
-            write(kept, at, minus_times(r, diagonal, dim * dim * k, new))
-        change = subtract(new, read(u, at, zero))
-        write(u, at, new)
-        minus_transposed_row(row, 1, l_indptr, l_indices, lower, change, kept)
+            write(remainder, dof, minus_times(force, diagonal, dim * dim * k, new))
+        change = subtract(new, read(u, dof, zero))
+        write(u, dof, new)
+        minus_transposed_row(row, 1, l_indptr, l_indices, lower, change, remainder)
 
 
 @kernel
@@ -196,7 +196,7 @@ def diagonal_square(first, last, zero, inverse, u):
 
 
 @inner_kernel
-def _changed(p, i, d, indptr, indices, blocks, diagonal, residual):
+def _subtract_change(p, i, d, indptr, indices, blocks, diagonal, residual):
     """Take a change d of node i, at position p, out of the residual: its own and that of its
     neighbours."""
     dim = np.uint64(len(d))
@@ -211,10 +211,10 @@ def _changed(p, i, d, indptr, indices, blocks, diagonal, residual):
 
 
 @inner_kernel
-def _alone(
+def _move_master(
     zero,
-    p,
-    i,
+    position,
+    master,
     nodes,
     indptr,
     indices,
@@ -223,7 +223,7 @@ def _alone(
     follow_indptr,
     followers,
     weights,
-    alone,
+    master_inverse,
     contact_of,
     frames,
     gap,
@@ -232,37 +232,55 @@ def _alone(
     u,
     residual,
 ):
-    """Move a master i by d and its followers j back by -w_j d, so that these stay where they are, if
-    all are open and stay so; return whether it was done."""
+    """Move a master by a change d and its followers j back by -w_j d, so that these stay where they
+    are, if all are open and stay so; return whether it was done."""
     dim = np.uint64(len(zero))
     size = dim * dim
-    begin = np.uint64(follow_indptr[p])
-    end = np.uint64(follow_indptr[p + ONE])
-    r = read(residual, dim * i, zero)
-    for s in range(begin, end):
-        j = np.uint64(nodes[followers[s]])
-        if contact_of[j] < 0:
+    begin = np.uint64(follow_indptr[position])
+    end = np.uint64(follow_indptr[position + ONE])
+    force = read(residual, dim * master, zero)
+    for entry in range(begin, end):
+        follower = np.uint64(nodes[followers[entry]])
+        if contact_of[follower] < 0:
             return False
-        k = np.uint64(contact_of[j])
-        if values[dim * k] >= gap[k] or limit[k] > 0.0:
+        contact = np.uint64(contact_of[follower])
+        if values[dim * contact] >= gap[contact] or limit[contact] > 0.0:
             return False
-        r = subtract(r, multiply(read(weights, dim * s, zero), read(residual, dim * j, zero)))
-    d = times(alone, size * p, r)
-    for s in range(begin, end):
-        k = np.uint64(contact_of[nodes[followers[s]]])
-        behind = negative(multiply(read(weights, dim * s, zero), d))
-        if values[dim * k] + times(frames, size * k, behind)[0] >= gap[k]:
+        force = subtract(
+            force, multiply(read(weights, dim * entry, zero), read(residual, dim * follower, zero))
+        )
+    change = times(master_inverse, size * position, force)
+    for entry in range(begin, end):
+        contact = np.uint64(contact_of[nodes[followers[entry]]])
+        follower_change = negative(multiply(read(weights, dim * entry, zero), change))
+        if (
+            values[dim * contact] + times(frames, size * contact, follower_change)[0]
+            >= gap[contact]
+        ):
             return False
-    write(u, dim * i, add(read(u, dim * i, zero), d))
-    _changed(p, i, d, indptr, indices, blocks, diagonal, residual)
-    for s in range(begin, end):
-        q = np.uint64(followers[s])
-        j = np.uint64(nodes[q])
-        k = np.uint64(contact_of[j])
-        behind = negative(multiply(read(weights, dim * s, zero), d))
-        write(u, dim * j, add(read(u, dim * j, zero), behind))
-        write(values, dim * k, add(read(values, dim * k, zero), times(frames, size * k, behind)))
-        _changed(q, j, behind, indptr, indices, blocks, diagonal, residual)
+    write(u, dim * master, add(read(u, dim * master, zero), change))
+    _subtract_change(position, master, change, indptr, indices, blocks, diagonal, residual)
+    for entry in range(begin, end):
+        follower_position = np.uint64(followers[entry])
+        follower = np.uint64(nodes[follower_position])
+        contact = np.uint64(contact_of[follower])
+        follower_change = negative(multiply(read(weights, dim * entry, zero), change))
+        write(u, dim * follower, add(read(u, dim * follower, zero), follower_change))
+        write(
+            values,
+            dim * contact,
+            add(read(values, dim * contact, zero), times(frames, size * contact, follower_change)),
+        )
+        _subtract_change(
+            follower_position,
+            follower,
+            follower_change,
+            indptr,
+            indices,
+            blocks,
+            diagonal,
+            residual,
+        )
     return True
 
 
@@ -278,11 +296,11 @@ def local(
     follow_indptr,
     followers,
     weights,
-    alone,
+    master_inverse,
     inverse,
     contact_of,
     frames,
-    own_blocks,
+    contact_blocks,
     gap,
     reference,
     limit,
@@ -297,16 +315,18 @@ def local(
     after."""
     dim = np.uint64(len(zero))
     for entry in range(len(order)):
-        p = np.uint64(order[entry])
-        i = np.uint64(nodes[p])
-        at = dim * i
-        now = read(u, at, zero)
+        position = np.uint64(order[entry])
+        i = np.uint64(nodes[position])
+        dof = dim * i
+        before = read(u, dof, zero)
         if contact_of[i] >= 0:
-            force = minus_times(read(residual, at, zero), diagonal, dim * dim * p, negative(now))
+            force = minus_times(
+                read(residual, dof, zero), diagonal, dim * dim * position, negative(before)
+            )
             new = solve_at(
                 np.uint64(contact_of[i]),
                 frames,
-                own_blocks,
+                contact_blocks,
                 gap,
                 reference,
                 limit,
@@ -315,10 +335,10 @@ def local(
                 values,
                 force,
             )
-            change = subtract(new, now)
-        elif follow_indptr[p + ONE] > follow_indptr[p] and _alone(
+            change = subtract(new, before)
+        elif follow_indptr[position + ONE] > follow_indptr[position] and _move_master(
             zero,
-            p,
+            position,
             i,
             nodes,
             indptr,
@@ -328,7 +348,7 @@ def local(
             follow_indptr,
             followers,
             weights,
-            alone,
+            master_inverse,
             contact_of,
             frames,
             gap,
@@ -339,10 +359,10 @@ def local(
         ):
             continue
         else:
-            change = times(inverse, dim * at, read(residual, at, zero))
-            new = add(now, change)
-        write(u, at, new)
-        _changed(p, i, change, indptr, indices, blocks, diagonal, residual)
+            change = times(inverse, dim * dof, read(residual, dof, zero))
+            new = add(before, change)
+        write(u, dof, new)
+        _subtract_change(position, i, change, indptr, indices, blocks, diagonal, residual)
 
 
 class Interface:
@@ -353,25 +373,32 @@ class Interface:
     LAYERS = 2
 
     def __init__(self, level: SplitMatrix, coupling: Coupling, fixed: np.ndarray) -> None:
+        """Take the rows of the nodes near contact, and the blocks by which masters move."""
         n = level.n_nodes
         dim = level.dim
         self.dim = dim
         ones = np.ones(len(level.lower_indices))
-        # row by row of the nodes
-        half = sparse.csr_array(
+        # numbers of the entries of L, from 1, row by row of the nodes
+        lower_pattern = sparse.csr_array(
             (np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
             shape=(n, n),
         )[level.strips.rank]
-        entries = half
-        half = sparse.csr_array((ones, half.indices, half.indptr), shape=(n, n))
-        reached = (np.diff(coupling.weights.indptr) > 0).astype(float)
+        lower_entries = lower_pattern
+        lower_pattern = sparse.csr_array(
+            (ones, lower_pattern.indices, lower_pattern.indptr), shape=(n, n)
+        )
+        is_near = (np.diff(coupling.weights.indptr) > 0).astype(float)
         for _ in range(self.LAYERS):
-            reached = ((reached + half @ reached + half.T @ reached) > 0).astype(float)
-        self.nodes = np.flatnonzero(reached).astype(np.int32)
+            is_near = ((is_near + lower_pattern @ is_near + lower_pattern.T @ is_near) > 0).astype(
+                float
+            )
+        self.nodes = np.flatnonzero(is_near).astype(np.int32)
         place = np.full(n, -1, dtype=np.int32)
         place[self.nodes] = np.arange(len(self.nodes), dtype=np.int32)
         # the rows without diagonal: entries of L, and of L' (negative), whose blocks are transposed
-        rows = sparse.csr_array(entries[self.nodes] - sparse.csr_array(entries[:, self.nodes].T))
+        rows = sparse.csr_array(
+            lower_entries[self.nodes] - sparse.csr_array(lower_entries[:, self.nodes].T)
+        )
         rows.sort_indices()
         self.indptr = rows.indptr.astype(np.int64)
         self.indices = rows.indices.astype(np.uint32)
@@ -383,8 +410,8 @@ class Interface:
         self._follow(coupling, place, fixed)
         # fixed components stay where they are, though followers pull at them
         free = ~fixed.reshape(-1, dim)[self.nodes]
-        blocks = self._alone_blocks(place) * (free[:, :, None] & free[:, None, :])
-        self.alone = np.linalg.pinv(blocks, hermitian=True).reshape(-1)
+        blocks = self._master_blocks(place) * (free[:, :, None] & free[:, None, :])
+        self.master_inverse = np.linalg.pinv(blocks, hermitian=True).reshape(-1)
         self.forward = np.arange(len(self.nodes), dtype=np.int32)
         self.backward = self.forward[::-1].copy()
         self.nonzeros = len(self.blocks) + len(self.diagonal)
@@ -393,17 +420,17 @@ class Interface:
         """Set the followers of each node that can stay where they are, with their weights; nodes that
         follow others have none."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
-        itself = np.diff(coupling.weights.indptr)[self.nodes] > 0
-        following = ~np.repeat(itself, np.diff(by_master.indptr))
-        self.follow_indptr = np.concatenate([[0], np.cumsum(following)])[by_master.indptr].astype(
+        follows = np.diff(coupling.weights.indptr)[self.nodes] > 0
+        counts = ~np.repeat(follows, np.diff(by_master.indptr))
+        self.follow_indptr = np.concatenate([[0], np.cumsum(counts)])[by_master.indptr].astype(
             np.int32
         )
-        slaves = by_master.indices[following]
-        self.followers = place[slaves]
-        free = ~fixed.reshape(-1, coupling.dim)[slaves]
-        self.follow_weights = (by_master.data[following, None] * free).reshape(-1)
+        slave_nodes = by_master.indices[counts]
+        self.followers = place[slave_nodes]
+        free = ~fixed.reshape(-1, coupling.dim)[slave_nodes]
+        self.follow_weights = (by_master.data[counts, None] * free).reshape(-1)
 
-    def _alone_blocks(self, place: np.ndarray) -> np.ndarray:
+    def _master_blocks(self, place: np.ndarray) -> np.ndarray:
         """Return the blocks D'AD (n, dim, dim), D the motion of a node that leaves its followers where
         they are: 1 at the node, minus the weight at each follower."""
         n = len(self.nodes)
@@ -422,15 +449,16 @@ class Interface:
                 shape=rows.shape,
             )
         )
-        masters = np.repeat(np.arange(n), np.diff(self.follow_indptr))
-        ends = (
+        master_positions = np.repeat(np.arange(n), np.diff(self.follow_indptr))
+        row_and_column = (
             (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
-            for nodes in (self.followers, masters)
+            for nodes in (self.followers, master_positions)
         )
         motion = sparse.eye_array(dim * n) - sparse.csr_array(
-            (self.follow_weights, tuple(ends)), shape=rows.shape
+            (self.follow_weights, tuple(row_and_column)), shape=rows.shape
         )
-        motion, forces = sparse.csc_array(motion), sparse.csc_array(rows @ motion)
+        forces = sparse.csc_array(rows @ motion)
+        motion = sparse.csc_array(motion)
         result = np.empty((n, dim, dim))
         for a, b in np.ndindex(dim, dim):
             result[:, a, b] = motion[:, a::dim].multiply(forces[:, b::dim]).sum(axis=0)
@@ -438,7 +466,7 @@ class Interface:
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """The arrays that the local sweeps read."""
+        """Return the arrays that the local sweeps read."""
         return (
             self.nodes,
             self.indptr,
@@ -448,5 +476,5 @@ class Interface:
             self.follow_indptr,
             self.followers,
             self.follow_weights,
-            self.alone,
+            self.master_inverse,
         )

@@ -84,7 +84,7 @@ class SplitMatrix:
 
     @cached_property
     def no_half(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Arrays as of a half without entries."""
+        """Return the arrays of a half without entries."""
         return np.zeros_like(self.lower_indptr), self.lower_indices[:0].copy(), np.empty(0)
 
     def drop_diagonal(self) -> None:
@@ -121,7 +121,7 @@ class SplitMatrix:
 
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Block rows and columns of L, D and U."""
+        """Return the block rows and columns of L, D and U."""
         diagonal = np.arange(self.n_nodes)
         order = self.strips.order
         lower = self.lower_indices.astype(np.int64)
@@ -135,7 +135,7 @@ class SplitMatrix:
 
     @property
     def _blocks(self) -> list[np.ndarray]:
-        """The blocks at these places."""
+        """Return the blocks at these places."""
         lower, diagonal, upper = (
             part.reshape(-1, self.dim, self.dim) for part in (self.lower, self.diagonal, self.upper)
         )
@@ -143,7 +143,7 @@ class SplitMatrix:
 
     @cached_property
     def _order(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The order of all blocks in the whole matrix, and its indptr and indices."""
+        """Return the order of all blocks in the whole matrix, and its indptr and indices."""
         row, column = (np.concatenate(part) for part in zip(*self._places, strict=True))
         order = np.lexsort((column, row))
         return (
@@ -310,11 +310,11 @@ def _nested(
 ) -> bool:
     """Return whether ``coarse`` is the Galerkin matrix; the level above remembers, as growing
     hierarchies ask each time."""
-    asked = above.__dict__.get("_galerkin_of")
-    if asked is None or asked[0] is not matrix or asked[1] is not coarse:
-        asked = matrix, coarse, is_galerkin(matrix, nodal, coarse)
-        object.__setattr__(above, "_galerkin_of", asked)
-    return asked[2]
+    answer = above.__dict__.get("_galerkin_of")
+    if answer is None or answer[0] is not matrix or answer[1] is not coarse:
+        answer = matrix, coarse, is_galerkin(matrix, nodal, coarse)
+        object.__setattr__(above, "_galerkin_of", answer)
+    return answer[2]
 
 
 def is_galerkin(
@@ -327,13 +327,13 @@ def is_galerkin(
     the sizes of what it sums: next to a stiff body a soft one would go unseen."""
     transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data
     probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
-    fine = np.zeros(matrix.shape[0])
-    image = np.zeros(len(probe))
-    in_parts(add_prolonged, nodal.shape[0], 2 * len(fine), *transfer, probe, fine)
-    colours = scattering(nodal.indices, nodal.indptr, 2 * len(fine))
-    in_colours(colours, restrict, *transfer, product(matrix, fine), image)
+    prolonged = np.zeros(matrix.shape[0])
+    restricted = np.zeros(len(probe))
+    in_parts(add_prolonged, nodal.shape[0], 2 * len(prolonged), *transfer, probe, prolonged)
+    colours = scattering(nodal.indices, nodal.indptr, 2 * len(prolonged))
+    in_colours(colours, restrict, *transfer, product(matrix, prolonged), restricted)
     sizes = product(abs(coarse), np.abs(probe))
-    return bool((np.abs(image - product(coarse, probe)) <= tolerance * sizes).all())
+    return bool((np.abs(restricted - product(coarse, probe)) <= tolerance * sizes).all())
 
 
 def _supported(
@@ -342,7 +342,7 @@ def _supported(
     nodal: sparse.csr_array,
     coarse: DiscreteProblem,
 ) -> sparse.bsr_array:
-    """The matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
+    """Return the matrix, without the rows and columns of fixed dofs if free coarse dofs reach them."""
     dim = fine.dim
     fixed = fine.fixed.reshape(-1, dim)
     free = ~coarse.fixed.reshape(-1, dim)
@@ -373,22 +373,22 @@ def gauss_seidel(
     inverse,
     load,
     u,
-    kept,
+    remainder,
 ):
     """Sweep over places of ``order``, forward or backward: D u_i = (f - A u - B u)_i with halves A
-    and B, kept = f - A
-    u. ``load`` may be ``kept``, which then stays if A has no entries."""
+    and B, and f - A u goes to ``remainder``. ``load`` may be ``remainder``, which then stays if A
+    has no entries."""
     dim = np.uint64(len(zero))
     step = -1 if backward else 1
     for k in range(last - first):
         place = last - 1 - k if backward else first + k
         row = np.uint64(place)
         i = np.uint64(order[place])
-        at = dim * i
-        r = minus_row(row, step, a_indptr, a_indices, a, u, read(load, at, zero))
-        write(kept, at, r)
-        r = minus_row(row, step, b_indptr, b_indices, b, u, r)
-        write(u, at, times(inverse, dim * at, r))
+        dof = dim * i
+        force = minus_row(row, step, a_indptr, a_indices, a, u, read(load, dof, zero))
+        write(remainder, dof, force)
+        force = minus_row(row, step, b_indptr, b_indices, b, u, force)
+        write(u, dof, times(inverse, dim * dof, force))
 
 
 @kernel
@@ -418,7 +418,7 @@ def restrict(first, last, zero, indptr, indices, weights, r, coarse):
 
 @in_loop
 def _plus_prolonged(i, indptr, indices, weights, coarse, e):
-    """E plus P coarse at node i."""
+    """Return e plus P coarse at node i."""
     for k in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
         e = add(e, scale(weights[k], read(coarse, np.uint64(len(e)) * np.uint64(indices[k]), e)))
     return e
@@ -439,8 +439,8 @@ def add_prolonged(first, last, zero, indptr, indices, weights, coarse, u):
 
 @kernel
 def count(first, last, order, indptr, indices, rank, lower_counts, upper_counts):
-    """Count the blocks of the rows in both halves, one place further: what row pointers are summed
-    from."""
+    """Count the blocks of the rows in both halves, those of place k at k + 1: the row pointers are
+    their sums."""
     for place in range(first, last):
         i = order[place]
         below = 0
@@ -454,13 +454,13 @@ def count(first, last, order, indptr, indices, rank, lower_counts, upper_counts)
 
 
 @in_loop
-def _copy(zero, k, to, indices, data, diagonal_indices, diagonal):
-    """Block k to place ``to`` of a half."""
+def _copy(zero, k, to, indices, data, half_indices, half):
+    """Copy block k to place ``to`` of a half."""
     dim = np.uint64(len(zero))
-    diagonal_indices[to] = indices[k]
+    half_indices[to] = indices[k]
     for a in range(dim):
         row = dim * np.uint64(a)
-        write(diagonal, dim * dim * to + row, read(data, dim * dim * k + row, zero))
+        write(half, dim * dim * to + row, read(data, dim * dim * k + row, zero))
 
 
 @inner_kernel
@@ -497,39 +497,40 @@ def distribute(
 ):
     """Distribute blocks into L, U (unless it is empty), D and its inverse (see
     :func:`invert_block`), without the couplings of fixed dofs; blocks of a duplicate or missing
-    diagonal are summed or zero. ``held`` tells the nodes with fixed dofs."""
+    diagonal are summed or zero. ``held`` (n_nodes,) tells which nodes have
+    fixed dofs."""
     dim = len(zero)
-    entries = np.int64(len(zero) ** 2)
-    size = np.uint64(entries)
-    both = len(upper_indptr) > 0
-    block = np.empty(entries)
+    block_size = np.int64(len(zero) ** 2)
+    size = np.uint64(block_size)
+    with_upper = len(upper_indptr) > 0
+    block = np.empty(block_size)
     scale = np.empty(dim)
     for place in range(first, last):
         i = np.int64(order[place])
-        at = entries * i
-        near = held[i]
-        for c in range(entries):
-            diagonal[at + c] = 0.0
+        block_at = block_size * i
+        meets_fixed = held[i]
+        for c in range(block_size):
+            diagonal[block_at + c] = 0.0
         below = np.uint64(lower_indptr[place])
-        above = np.uint64(upper_indptr[place]) if both else np.uint64(0)
+        above = np.uint64(upper_indptr[place]) if with_upper else np.uint64(0)
         for entry in range(indptr[i], indptr[i + 1]):
             k = np.uint64(entry)
             j = np.uint64(indices[k])
-            near |= held[j]
+            meets_fixed |= held[j]
             if rank[j] < place:
                 _copy(zero, k, below, indices, data, lower_indices, lower)
                 below += ONE
             elif rank[j] == place:
-                for c in range(entries):
-                    diagonal[at + c] += data[size * k + np.uint64(c)]
-            elif both:
+                for c in range(block_size):
+                    diagonal[block_at + c] += data[size * k + np.uint64(c)]
+            elif with_upper:
                 _copy(zero, k, above, indices, data, upper_indices, upper)
                 above += ONE
-        if near:
+        if meets_fixed:
             _mask(
                 dim, i, np.int64(lower_indptr[place]), np.int64(below), lower_indices, lower, free
             )
-            if both:
+            if with_upper:
                 _mask(
                     dim,
                     i,
@@ -542,13 +543,13 @@ def distribute(
             for a in range(dim):
                 for b in range(dim):
                     if a != b and not (free[dim * i + a] and free[dim * i + b]):
-                        diagonal[at + dim * a + b] = 0.0
-        for c in range(entries):
-            block[c] = diagonal[at + c]
+                        diagonal[block_at + dim * a + b] = 0.0
+        for c in range(block_size):
+            block[c] = diagonal[block_at + c]
         for a in range(dim):
             scale[a] = abs(block[a * dim + a])
         invert_block(
-            np.int64(dim), block, scale, inverse, at
+            np.int64(dim), block, scale, inverse, block_at
         )  # the length of a tuple would be compiled apart
 
 

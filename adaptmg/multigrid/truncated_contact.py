@@ -173,13 +173,13 @@ class TruncatedContact:
         normals = self.frames.reshape(-1, self.dim, self.dim)[:, 0]
         # pressures may follow the displacements
         dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
-        depth = np.einsum("nd,nd->n", normals, unknowns[dofs])
-        soft = (self.spring > 0) & (depth > self.gap)
-        self.codes = np.where(soft, CLOSED, 0).astype(np.int8)
+        normal_displacement = np.einsum("nd,nd->n", normals, unknowns[dofs])
+        penetrates_spring = (self.spring > 0) & (normal_displacement > self.gap)
+        self.codes = np.where(penetrates_spring, CLOSED, 0).astype(np.int8)
         self.project(unknowns)
         self.codes = codes
 
-    def way(self, unknowns: np.ndarray) -> float:
+    def closing_share(self, unknowns: np.ndarray) -> float:
         """Return the share of a change to unknowns (n_dofs,) at which its first open node closes,
         at most 1. Scalar problems take the whole: torsion with 64 and 256 cells a side takes 9 and 8
         cycles from zero, shortened 10 and 12."""
@@ -214,12 +214,12 @@ class TruncatedContact:
         forces = np.maximum(forces, 0.0)
         slip = self.values.reshape(n, -1)[:, 1:] - self.reference.reshape(n, -1)
         size = np.linalg.norm(slip, axis=1)
-        bound, _, rise = friction_bound(friction_at, forces, size)
-        self.hardening = np.maximum(rise, 0.0)
+        bound, _, slope_of_slip = friction_bound(friction_at, forces, size)
+        self.hardening = np.maximum(slope_of_slip, 0.0)
         stiffness = np.abs(self.blocks.reshape(n, -1)[:, -1])
-        share = 1 / (1 + self.hardening / (self.YIELDING * stiffness))
+        part_followed = 1 / (1 + self.hardening / (self.YIELDING * stiffness))
         # a new array: copies share the old one
-        self.friction = self.friction + share * (friction_at(forces, size) - self.friction)
+        self.friction = self.friction + part_followed * (friction_at(forces, size) - self.friction)
         return float(np.sum((bound - self.friction * forces) ** 2))
 
     def linearise_friction(self) -> None:
@@ -230,15 +230,19 @@ class TruncatedContact:
         slip = self.values.reshape(-1, self.dim)[:, 1:] - self.reference.reshape(-1, self.dim - 1)
         direction = np.zeros(slip.shape)
         hessian = np.zeros((*slip.shape, self.dim - 1))
-        at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
+        slipping = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         # scaled: the square of a slip that is all but zero may vanish
-        largest = np.abs(slip[at]).max(axis=1, keepdims=True)
-        size = largest * np.linalg.norm(slip[at] / largest, axis=1, keepdims=True)
-        direction[at] = along = slip[at] / size
-        hessian[at] = self.hardening[at, None, None] * along[:, :, None] * along[:, None, :]
+        largest = np.abs(slip[slipping]).max(axis=1, keepdims=True)
+        size = largest * np.linalg.norm(slip[slipping] / largest, axis=1, keepdims=True)
+        direction[slipping] = slip_direction = slip[slipping] / size
+        hessian[slipping] = (
+            self.hardening[slipping, None, None]
+            * slip_direction[:, :, None]
+            * slip_direction[:, None, :]
+        )
         if self.dim == 3:
-            across = np.eye(2) - along[:, :, None] * along[:, None, :]
-            hessian[at] += (self._bound[at, None] / size)[:, :, None] * across
+            across = np.eye(2) - slip_direction[:, :, None] * slip_direction[:, None, :]
+            hessian[slipping] += (self._bound[slipping, None] / size)[:, :, None] * across
             direction[self.driven, 0] = 0.0
             hessian[self.driven, 0] = 0.0
             hessian[self.driven, :, 0] = 0.0
@@ -248,7 +252,7 @@ class TruncatedContact:
 
     @property
     def _bound(self) -> np.ndarray:
-        """g (n_contact,), N."""
+        """Return the bound g of friction (n_contact,), N."""
         return self.limit + np.where(self.codes & CLOSED, self.friction * self.pressure, 0.0)
 
     def truncate(self, residual: np.ndarray) -> float:
@@ -301,27 +305,28 @@ class TruncatedContact:
         shape = len(self.nodes), self.dim
         frames = self.frames.reshape(*shape, self.dim)
         before = self.values.reshape(shape)
-        held = np.zeros(shape, dtype=bool)
+        truncated = np.zeros(shape, dtype=bool)
         closed = self.codes & CLOSED != 0
-        soft = self.spring > 0
-        held[:, 0] = closed & ~soft
-        held[:, 1:] = (self.codes & TANGENTIAL == HELD)[:, None]
+        on_spring = self.spring > 0
+        truncated[:, 0] = closed & ~on_spring
+        truncated[:, 1:] = (self.codes & TANGENTIAL == HELD)[:, None]
         dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
         after = to_frames(frames, unknowns[dofs])
-        after[held] = before[held]
+        after[truncated] = before[truncated]
         values = checks.array(
             "project: what project returns", project(self.conditions, before.copy(), after), shape
         )
-        values = np.where(held, before, values)
+        values = np.where(truncated, before, values)
         normal = self.conditions.clamped(values[:, 0])
         # as in front of rigid surfaces, a correction opens no closed node and closes no open one
         same_side = np.where(closed, np.maximum(normal, self.gap), np.minimum(normal, self.gap))
-        values[:, 0] = np.where(soft, same_side, normal)
+        values[:, 0] = np.where(on_spring, same_side, normal)
         values[self.driven, 1:2] = 0.0
         self.values[:] = values.reshape(-1)
         unknowns[dofs] = from_frames(frames, values)
 
     def _project(self, unknowns: np.ndarray, move: bool) -> int:
+        """Project an iterate, or with ``move`` False only count the nodes that would be cut."""
         return project(
             self.dim,
             self.codes,
@@ -347,12 +352,14 @@ class TruncatedContact:
         shape = len(self.nodes), self.dim
         if self.dim == 1:
             return lambda alpha: 0.0
-        at = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
+        slipping = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         change = (self.values - before).reshape(shape)
-        pressed = float((self.spring * (self.codes & CLOSED)) @ change[:, 0] ** 2)
-        slip = before.reshape(shape)[at, 1:] - self.reference.reshape(-1, self.dim - 1)[at]
-        slope = friction_slope(slip, change[at, 1:], self._bound[at])
-        return lambda alpha: slope(alpha) + pressed * alpha
+        of_springs = float((self.spring * (self.codes & CLOSED)) @ change[:, 0] ** 2)
+        slip = (
+            before.reshape(shape)[slipping, 1:] - self.reference.reshape(-1, self.dim - 1)[slipping]
+        )
+        slope = friction_slope(slip, change[slipping, 1:], self._bound[slipping])
+        return lambda alpha: slope(alpha) + of_springs * alpha
 
 
 def friction_slope(
@@ -429,7 +436,7 @@ def _touches(w, gap, reference):
 
 @in_loop
 def _tangential(w, reference):
-    """The code of the slip; in 3D it is without direction."""
+    """Return the code of the slip; in 3D it is without direction."""
     if len(w) == 1:
         return 0
     if len(w) == 2:
@@ -441,6 +448,7 @@ def _tangential(w, reference):
 
 @inner_kernel(inline="always")
 def _slip_size(dim, k, values, reference):
+    """Return the length of the slip of contact node k."""
     largest = 0.0
     for a in range(dim - 1):
         largest = max(largest, abs(values[dim * k + 1 + a] - reference[(dim - 1) * k + a]))
@@ -495,8 +503,8 @@ def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local,
     at the gap. A slip that would turn by more than 90 degrees (2D: reverse) is cut to zero. Returns
     how many nodes were cut, or would be if nothing is to ``move``. ``local`` (dim,) is
     overwritten."""
-    m = dim - 1
-    cut = 0
+    n_tangents = dim - 1
+    n_cut = 0
     for k in range(len(nodes)):
         at = dim * np.int64(nodes[k])
         for a in range(dim):
@@ -509,31 +517,31 @@ def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local,
         elif codes[k] & CLOSED:
             if local[0] < gap[k]:
                 local[0] = gap[k]
-                cut += 1
+                n_cut += 1
         elif local[0] > gap[k]:
             local[0] = gap[k]
-            cut += 1
+            n_cut += 1
         elif dim == 1 and local[0] < reference[k]:
             local[0] = reference[k]
-            cut += 1
-        stop = tangential == HELD
+            n_cut += 1
+        sticks = tangential == HELD
         if tangential >= SLIPS:
             product = 0.0
-            for a in range(m):
-                ref = reference[m * k + a]
-                product += (values[dim * k + 1 + a] - ref) * (local[1 + a] - ref)
+            for a in range(n_tangents):
+                place = reference[n_tangents * k + a]
+                product += (values[dim * k + 1 + a] - place) * (local[1 + a] - place)
             if product <= 0.0:
-                stop = True
-                cut += 1
+                sticks = True
+                n_cut += 1
         if not move:
             continue
         for a in range(dim):
-            if stop and a > 0:
-                local[a] = reference[m * k + a - 1]
+            if sticks and a > 0:
+                local[a] = reference[n_tangents * k + a - 1]
             values[dim * k + a] = local[a]
         for b in range(dim):
             total = 0.0
             for a in range(dim):
                 total += frames[(dim * k + a) * dim + b] * local[a]
             u[at + b] = total
-    return cut
+    return n_cut

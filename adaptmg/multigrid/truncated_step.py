@@ -82,7 +82,8 @@ class TruncatedState:
     uniform: tuple[Recombinable, ...] = ()  # further directions: a uniform pressure in each body
     cautious: int = 0  # steps of the pressures that are still cautious
     linearised: TruncatedStatus | None = None  # None: at a start, which is not smoothed
-    left: np.ndarray | None = None  # the residual on the next coarser level, and what volumes miss
+    # the residual on the next coarser level, and what volumes miss
+    coarse_residual: np.ndarray | None = None
     changed: int = 0  # contact nodes whose status changed
     natural: float = np.inf  # Euclidean norm of the natural residual, N
     reactions: float = 0.0  # norm of the contact forces, N
@@ -120,6 +121,8 @@ class TruncatedStep:
         interface: Interface | None = None,
         smoother: FrameSmoother | None = None,
     ) -> None:
+        """Prepare steps with the contact of a level; ``interface`` and ``smoother`` are None where
+        the options do without."""
         self.options = options
         self.cycle = cycle
         self.number = number
@@ -147,6 +150,7 @@ class TruncatedStep:
         self._take(problem)
 
     def _take(self, problem: DiscreteProblem) -> None:
+        """Take over the load of a problem, and the motions that only contact holds."""
         self.load = problem.load_from_prescribed()
         self.motions = None
         if self.options.rigid_motions:
@@ -165,12 +169,12 @@ class TruncatedStep:
     def correct(self, state: TruncatedState, shorten: bool = False) -> TruncatedState:
         """Correct from the coarser levels, project and search; of a start a copy. ``shorten``: up
         to where the first open node closes."""
-        if state.linearised is None or state.left is None:
+        if state.linearised is None or state.coarse_residual is None:
             return state.but(iterate=state.iterate.copy(), contact=state.contact.copy())
         unknowns = self.displacement(state)
         self._truncate(state.linearised)
-        combined, left = self._recombined(state, state.left)
-        load = left[: self.coarse.n_dofs]
+        combined, coarse_residual = self._recombined(state, state.coarse_residual)
+        load = coarse_residual[: self.coarse.n_dofs]
         iterate = combined.copy()
         proposed = iterate[: self._n_dofs]
         # past iterates make up for what a cheaper cycle leaves
@@ -180,12 +184,12 @@ class TruncatedStep:
         proposed[self.matrix.fixed] = 0.0
         contact = state.contact.copy()
         if shorten:
-            way = contact.way(proposed)
-            proposed[:] = unknowns + way * (proposed - unknowns)
+            share = contact.closing_share(proposed)
+            proposed[:] = unknowns + share * (proposed - unknowns)
         self._project(contact, proposed)
         if state.linearised.frozen and self.options.search:
             self._search(state, proposed, contact)
-        smoothed = () if combined is state.iterate else ((state.iterate, state.left),)
+        smoothed = () if combined is state.iterate else ((state.iterate, state.coarse_residual),)
         pressures = iterate[len(proposed) :]
         if len(pressures):
             energy += self.pressures.advance(proposed, pressures, state.cautious > 0)
@@ -198,7 +202,7 @@ class TruncatedStep:
             cycles=state.cycles + 1,
             correction=energy,
             corrected=True,
-            past=((combined, left), *smoothed, *state.past)[: self.options.recombine],
+            past=((combined, coarse_residual), *smoothed, *state.past)[: self.options.recombine],
             cautious=max(state.cautious - 1, 0),
         )
 
@@ -218,7 +222,11 @@ class TruncatedStep:
         if motion is None:
             return state
         motion = np.append(motion, np.zeros(len(pressures)))
-        return state.but(past=tuple((earlier + motion, left) for earlier, left in state.past))
+        return state.but(
+            past=tuple(
+                (earlier + motion, coarse_residual) for earlier, coarse_residual in state.past
+            )
+        )
 
     def linearise(
         self,
@@ -240,20 +248,20 @@ class TruncatedStep:
             energy = _product(unknowns, self._balanced(values)) - _product(unknowns, residual)
             energy += self.pressures.volumes.energy(values)
         changed, natural, reactions = contact.update_status(residual)
-        whole = residual.copy() if len(values) else residual
+        full_residual = residual.copy() if len(values) else residual
         at_contact = contact.truncate(residual)
         n = self.coarse.n_dofs
-        left = np.empty(n + len(values))
-        elsewhere = max(self.level.restrict(residual, left[:n]) - at_contact, 0.0)
+        coarse_residual = np.empty(n + len(values))
+        free_squares = max(self.level.restrict(residual, coarse_residual[:n]) - at_contact, 0.0)
         self.cycle.recorder.visit(self.number, "restrict")
         if len(values):
-            left[n:] = self.pressures.missed(unknowns, values)
-            natural += self.pressures.forces_missed(left[n:])
+            coarse_residual[n:] = self.pressures.missed(unknowns, values)
+            natural += self.pressures.forces_missed(coarse_residual[n:])
             self.cycle.recorder.count(1.0, self.pressures.nonzeros)
         # not where the status was unknown: 1441 for 1512 cycles of 46 problems, ratio .45 to .5
-        hesitates = changed and state.linearised is not None
-        size = float(np.sqrt(elsewhere + natural))
-        frozen = size > trusted(unknowns)
+        status_moves = changed and state.linearised is not None
+        natural_size = float(np.sqrt(free_squares + natural))
+        frozen = natural_size > trusted(unknowns)
         linearised = state.linearised
         past = state.past
         uniform = state.uniform
@@ -264,16 +272,17 @@ class TruncatedStep:
             uniform = ()
         if len(values) and not uniform and changed <= self.FEW:
             uniform = tuple(
-                self._of_uniform(contact, whole, residual, mode) for mode in self.pressures.uniform
+                self._of_uniform(contact, full_residual, residual, mode)
+                for mode in self.pressures.uniform
             )
         return state.but(
             past=past,
             uniform=uniform,
-            cautious=self.pressures.STEPS if hesitates else state.cautious,
+            cautious=self.pressures.STEPS if status_moves else state.cautious,
             linearised=linearised,
-            left=left,
+            coarse_residual=coarse_residual,
             changed=changed,
-            natural=size,
+            natural=natural_size,
             reactions=float(np.sqrt(reactions)),
             energy=energy,
         )
@@ -294,7 +303,7 @@ class TruncatedStep:
         return state.iterate[: self._n_dofs], state.iterate[self._n_dofs :]
 
     def base_matrix(self, number: int) -> sparse.bsr_array:
-        """The matrix of a coarser level without truncation."""
+        """Return the matrix of a coarser level without truncation."""
         self.restore()
         level = self.cycle.levels[number].matrix
         scale = np.abs(
@@ -326,7 +335,7 @@ class TruncatedStep:
         truncated: np.ndarray,
         pressures: np.ndarray,
     ) -> Recombinable:
-        """The pressures, and what they add to the restricted residual and to what volumes miss."""
+        """Return the pressures, and what they add to the restricted residual and to what volumes miss."""
         volumes = self.pressures.volumes
         changed = whole - volumes.forces(pressures)
         restricted = np.empty(self.coarse.n_dofs)
@@ -358,15 +367,15 @@ class TruncatedStep:
     def _projected_sweeps(self, state: TruncatedState) -> None:
         """Sweep backward and forward, in one pass over the matrix; leave f - A u in the residual."""
         matrix = self.matrix
-        c = state.contact
+        contact = state.contact
         unknowns, pressures = self.parts(state)
         state.residual[:] = self._balanced(pressures)
         matrix.sweep(
             projected_sweeps.backward,
             *matrix.lower_arrays,
             matrix.inverse,
-            c.contact_of,
-            *c.node_data,
+            contact.contact_of,
+            *contact.node_data,
             unknowns,
             state.residual,
             backward=True,
@@ -375,9 +384,9 @@ class TruncatedStep:
             projected_sweeps.forward,
             *matrix.lower_arrays,
             matrix.inverse,
-            c.diagonal,
-            c.contact_of,
-            *c.node_data,
+            contact.diagonal,
+            contact.contact_of,
+            *contact.node_data,
             unknowns,
             state.residual,
         )
@@ -387,20 +396,21 @@ class TruncatedStep:
     def _interface_sweep(
         self, state: TruncatedState, interface: Interface, order: np.ndarray
     ) -> None:
-        c = state.contact
+        """Sweep once over the nodes near the interface, in an order of its nodes."""
+        contact = state.contact
         projected_sweeps.local(
             ZERO[self.matrix.dim],
             order,
             *interface.arrays,
             self.matrix.inverse,
-            c.contact_of,
-            *c.node_data,
+            contact.contact_of,
+            *contact.node_data,
             self.displacement(state),
             state.residual,
         )
         self.cycle.recorder.count(1.0, interface.nonzeros)
 
-    def _recombined(self, state: TruncatedState, left: np.ndarray) -> Recombinable:
+    def _recombined(self, state: TruncatedState, coarse_residual: np.ndarray) -> Recombinable:
         r"""Return the iterate and its restricted residual, recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
         the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays,
@@ -409,24 +419,26 @@ class TruncatedStep:
         if state.past or state.uniform:
             dim = self.coarse.dim
             n = len(state.past)
-            d = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
-            d = np.concatenate([d, self.pressures.weights])
-            changes = np.empty((n + len(state.uniform), len(left)))
+            weights = (
+                self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
+            )
+            weights = np.concatenate([weights, self.pressures.weights])
+            changes = np.empty((n + len(state.uniform), len(coarse_residual)))
             for change, (_, residual) in zip(changes, state.past, strict=False):
-                np.subtract(residual, left, out=change)
+                np.subtract(residual, coarse_residual, out=change)
             for change, (_, of_uniform) in zip(changes[n:], state.uniform, strict=True):
                 change[:] = of_uniform
-            alpha = least_weights(left, changes, d)
-            combined = (1.0 - alpha[:n].sum()) * state.iterate
-            for weight, (past, _) in zip(alpha, state.past, strict=False):
+            shares = least_weights(coarse_residual, changes, weights)
+            combined = (1.0 - shares[:n].sum()) * state.iterate
+            for share, (past, _) in zip(shares, state.past, strict=False):
                 combined = linalg.blas.daxpy(
-                    past, combined, a=weight
+                    past, combined, a=share
                 )  # in place: one pass over long vectors
-            for weight, (pressures, _) in zip(alpha[n:], state.uniform, strict=True):
-                combined[self._n_dofs :] += weight * pressures
+            for share, (pressures, _) in zip(shares[n:], state.uniform, strict=True):
+                combined[self._n_dofs :] += share * pressures
             if state.contact.admits(combined[: self._n_dofs]):
-                return combined, left + alpha @ changes
-        return state.iterate, left
+                return combined, coarse_residual + shares @ changes
+        return state.iterate, coarse_residual
 
     def _search(
         self, state: TruncatedState, proposed: np.ndarray, contact: TruncatedContact
@@ -437,22 +449,24 @@ class TruncatedStep:
         change = proposed - unknowns
         gain = _product(state.residual, change)
         of_friction = contact.friction_slope(state.contact.values)
-        at_begin = of_friction(0.0)
+        slope_at_begin = of_friction(0.0)
 
         def slope(part: float) -> float:
-            return part * curvature - gain + (of_friction(part) - at_begin)
+            return part * curvature - gain + (of_friction(part) - slope_at_begin)
 
         if not slope(1.0) <= 0.0:
-            low = 0.0
-            high = 1.0
+            accepted = 0.0
+            rejected = 1.0
             for _ in range(self.HALVINGS):
-                middle = 0.5 * (low + high)
-                low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
-            proposed[:] = unknowns + low * change
+                middle = 0.5 * (accepted + rejected)
+                accepted, rejected = (
+                    (accepted, middle) if slope(middle) > 0.0 else (middle, rejected)
+                )
+            proposed[:] = unknowns + accepted * change
             contact.values[:] = state.contact.values
             self._project(contact, proposed)
 
-    def distance(self, one: np.ndarray, other: np.ndarray) -> float:
+    def distance(self, first: np.ndarray, second: np.ndarray) -> float:
         """Return the A-norm of the difference of two displacements (n_dofs,); half a pass."""
         matrix = self.matrix
         arrays = self.matrix.lower_arrays
@@ -465,13 +479,13 @@ class TruncatedStep:
             ZERO[matrix.dim],
             *arrays,
             matrix.inverse,
-            one,
-            other,
+            first,
+            second,
         )
         return float(np.sqrt(max(square, 0.0)))
 
     def rounding(self, unknowns: np.ndarray) -> float:
-        """Norm of D u, D the diagonal, N: times the unit of rounding the least residual that
+        """Return the norm of D u, D the diagonal, N: times the unit of rounding the least residual that
         arithmetic reaches."""
         matrix = self.matrix
         matrix.complete()
@@ -487,7 +501,7 @@ class TruncatedStep:
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> float:
-    """a'b, not through BLAS: its threads cost more than they gain."""
+    """Return a'b, not through BLAS: its threads cost more than they gain."""
     return float(np.einsum("i,i->", a, b))
 
 
@@ -503,6 +517,8 @@ class CoarseContact:
     MOST, MOST_CONTACT, TOLERANCE, REFUSED = 2500, 500, 1e-3, 1e-2
 
     def __init__(self, step: TruncatedStep, coordinates: list[np.ndarray | None]) -> None:
+        """Choose the coarse space of a step, and eliminate its unknowns that reach no contact node;
+        ``coordinates`` (n_nodes, dim) are those of the levels, None of bare ones."""
         self.step = step
         #: Any: None where no level serves; then it is not called
         self.number: int | Any = None
@@ -556,29 +572,29 @@ class CoarseContact:
         if not len(self.eliminated.contact):  # no coarse unknown moves a contact node
             return state
         levels = step.cycle.levels
-        rest = state.residual
+        residual = state.residual
         for level in reversed(levels[self.number + 1 : step.number + 1]):
-            coarse = np.zeros(level.below.matrix.n_dofs)
-            level.restrict(rest, coarse)
-            rest = coarse
-        particular, load = self.eliminated.reduce(rest)
-        c = state.contact
+            restricted = np.zeros(level.below.matrix.n_dofs)
+            level.restrict(residual, restricted)
+            residual = restricted
+        particular, load = self.eliminated.reduce(residual)
+        contact = state.contact
         solution = interior_point(
             self.unknowns,
             load,
-            c.conditions,
+            contact.conditions,
             self.stiffness,
             self.TOLERANCE,
-            c.values.reshape(len(c.nodes), -1),
+            contact.values.reshape(len(contact.nodes), -1),
         )
         if not solution.slack <= self.REFUSED:
             return state
         correction = self.eliminated.complete(particular, solution.unknowns)
         for level in levels[self.number + 1 : step.number + 1]:
             correction[level.below.matrix.fixed] = 0.0
-            finer = np.zeros(level.matrix.n_dofs)
-            level.prolong(correction, finer)
-            correction = finer
+            prolonged = np.zeros(level.matrix.n_dofs)
+            level.prolong(correction, prolonged)
+            correction = prolonged
         correction[step.matrix.fixed] = 0.0
         return step.move(state, correction)
 
@@ -586,20 +602,20 @@ class CoarseContact:
 def _eliminated(
     matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray, coordinates: np.ndarray | None
 ) -> Eliminated:
-    """All but the coarse nodes that reach contact nodes eliminated. Galerkin matrices of
+    """Eliminate all but the coarse nodes that reach contact nodes. Galerkin matrices of
     independent meshes may be singular without these; no force acts on what springs hold then."""
     try:
         return eliminate(LocalSystem.from_matrix(matrix, fixed, nodes), coordinates)
     except ValueError:
-        held = sparse.bsr_array(
+        stiffened = sparse.bsr_array(
             matrix + sparse.diags_array(checks.ALIKE * matrix.diagonal()),
             blocksize=matrix.blocksize,
         )
-        return eliminate(LocalSystem.from_matrix(held, fixed, nodes), coordinates)
+        return eliminate(LocalSystem.from_matrix(stiffened, fixed, nodes), coordinates)
 
 
 def _without(rows: sparse.csr_array, fixed: np.ndarray) -> sparse.csr_array:
-    """The rows with columns of fixed dofs zero."""
+    """Return the rows with zeros in the columns of fixed dofs."""
     free = np.ones(rows.shape[1])
     free[fixed] = 0.0
     return sparse.csr_array(
@@ -633,7 +649,7 @@ class _CoarseSpan:
 
 @kernel
 def _add_nodal(dim, indptr, indices, data, blocks, whole):
-    """Whole += B' S B, S the blocks of the contact nodes."""
+    """Add B' S B to ``whole``, S the blocks of the contact nodes."""
     for k in range(len(blocks)):
         for a in range(dim):
             for p in range(indptr[dim * k + a], indptr[dim * k + a + 1]):

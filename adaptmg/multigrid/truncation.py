@@ -38,11 +38,13 @@ class _Changed:
     columns: np.ndarray
 
     def __post_init__(self) -> None:
+        """Read the blocks before any change."""
         self.base = self.level.at_slots(self.slots)
         self._free = np.ones(self.level.n_dofs, dtype=bool)
         self._free[self.level.fixed] = False
 
     def store(self, change: np.ndarray) -> None:
+        """Write the base blocks plus a change (n * dim^2,), and the inverse diagonal blocks."""
         level = self.level
         store(
             self.dim,
@@ -155,18 +157,16 @@ class DofUpdate(_Update[_ChangedDofs]):
         rows: np.ndarray,
         columns: np.ndarray,
     ) -> None:
+        """Find the dofs of changed blocks at ``rows`` and ``columns`` (n_blocks,), nodes, and those
+        that they reach on the levels below."""
+        # for each entry of a block the dof of its row, and that of its column
         components = np.arange(dim)
-        shape = (len(rows), dim, dim)
-        dof_rows = np.broadcast_to(
-            (dim * rows.astype(np.int64)[:, None] + components)[:, :, None], shape
-        ).reshape(-1)
-        dof_columns = np.broadcast_to(
-            (dim * columns.astype(np.int64)[:, None] + components)[:, None, :], shape
-        )
-        dofs, position = np.unique(
-            np.concatenate([dof_rows, dof_columns.reshape(-1)]), return_inverse=True
-        )
-        self._rows, self._columns = np.split(position, 2)
+        row_dofs = (dim * rows.astype(np.int64)[:, None] + components)[:, :, None]
+        column_dofs = (dim * columns.astype(np.int64)[:, None] + components)[:, None, :]
+        entries = np.stack(np.broadcast_arrays(row_dofs, column_dofs))
+        # dofs count among those that blocks have
+        dofs, numbers = np.unique(entries, return_inverse=True)
+        self._rows, self._columns = numbers.reshape(2, -1)
         self._size = len(dofs)
         pattern = sparse.csr_array(
             sparse.coo_array(
@@ -221,18 +221,18 @@ def _products(
 ) -> _ChangedBlocks:
     """Find where the blocks of a finer level go on this one."""
     entries = np.diff(nodal.indptr).astype(np.int64)
-    room = int(entries[rows] @ entries[columns])
-    source = np.empty(room, dtype=np.int32)
-    target = np.empty(room, dtype=np.int32)
-    weight = np.empty(room)
-    slots = np.empty(room, dtype=np.int64)
-    coarse_rows = np.empty(room, dtype=np.int32)
-    coarse_columns = np.empty(room, dtype=np.int32)
+    n_products_at_most = int(entries[rows] @ entries[columns])
+    source = np.empty(n_products_at_most, dtype=np.int32)
+    target = np.empty(n_products_at_most, dtype=np.int32)
+    weight = np.empty(n_products_at_most)
+    slots = np.empty(n_products_at_most, dtype=np.int64)
+    coarse_rows = np.empty(n_products_at_most, dtype=np.int32)
+    coarse_columns = np.empty(n_products_at_most, dtype=np.int32)
     below = int(level.lower_indptr[-1])
     above = int(level.upper_indptr[-1])
     n = level.n_nodes
     number = np.full(below + n + above, -1, dtype=np.int32)
-    met, count, lost = fill_contributions(
+    n_met, n_products, n_lost = fill_contributions(
         rows,
         columns,
         nodal.indptr,
@@ -251,20 +251,20 @@ def _products(
         coarse_rows,
         coarse_columns,
     )
-    if lost:
+    if n_lost:
         raise ValueError(
-            f"a coarse matrix lacks {lost} entries of the Galerkin product near contact: build the coarse "
+            f"a coarse matrix lacks {n_lost} entries of the Galerkin product near contact: build the coarse "
             "matrices with coarse_matrices='galerkin'"
         )
     return _ChangedBlocks(
         level,
         level.dim,
-        slots[:met].copy(),
-        coarse_rows[:met].copy(),
-        coarse_columns[:met].copy(),
-        source[:count].copy(),
-        target[:count].copy(),
-        weight[:count].copy(),
+        slots[:n_met].copy(),
+        coarse_rows[:n_met].copy(),
+        coarse_columns[:n_met].copy(),
+        source[:n_products].copy(),
+        target[:n_products].copy(),
+        weight[:n_products].copy(),
     )
 
 
@@ -278,9 +278,11 @@ class Truncation:
         prolongations: list[sparse.csr_array],
         contact: TruncatedContact,
     ) -> None:
+        """Collect the blocks of the finest matrix in rows and columns of contact nodes, and where
+        their changes go below."""
         fine = levels[-1]
         dim = fine.dim
-        at = np.concatenate(
+        in_lower = np.concatenate(
             in_parts(
                 _at_contact,
                 fine.n_nodes,
@@ -291,25 +293,27 @@ class Truncation:
                 contact.contact_of,
             )
         )
-        i = fine.strips.order[np.searchsorted(fine.lower_indptr, at, side="right") - 1]
-        j = fine.lower_indices[at]
-        below = fine.lower.reshape(-1, dim, dim)[at]
+        row_node = fine.strips.order[np.searchsorted(fine.lower_indptr, in_lower, side="right") - 1]
+        column_node = fine.lower_indices[in_lower]
+        lower_blocks = fine.lower.reshape(-1, dim, dim)[in_lower]
         # blocks in rows and columns of contact nodes: on the diagonal, and of L for both sides
         rows, columns = (
             np.concatenate([contact.nodes, np.column_stack(pair).reshape(-1)]).astype(np.int32)
-            for pair in ((i, j), (j, i))
+            for pair in ((row_node, column_node), (column_node, row_node))
         )
         blocks = np.concatenate(
             [
                 contact.diagonal.reshape(-1, dim, dim),
-                np.stack([below, below.transpose(0, 2, 1)], axis=1).reshape(-1, dim, dim),
+                np.stack([lower_blocks, lower_blocks.transpose(0, 2, 1)], axis=1).reshape(
+                    -1, dim, dim
+                ),
             ]
         )
         # contact node by contact node, so that the blocks written below lie close together
-        owner = np.where(
+        contact_of_block = np.where(
             contact.contact_of[rows] < 0, contact.contact_of[columns], contact.contact_of[rows]
         )
-        order = np.argsort(owner, kind="stable")
+        order = np.argsort(contact_of_block, kind="stable")
         self.rows = rows[order]
         self.columns = columns[order]
         self.blocks = blocks[order].reshape(-1)
@@ -324,22 +328,21 @@ class Truncation:
     def apply(self, contact: TruncatedContact, newton: bool) -> None:
         """Change the matrices for a status; ``newton`` False keeps them symmetric, with g
         frozen."""
-        o = contact
         changed_blocks(
-            o.dim,
+            contact.dim,
             self.rows,
             self.columns,
             self.blocks,
-            o.contact_of,
-            o.codes,
-            o.frames,
-            o.friction,
-            o.direction,
-            o.hessian,
-            o.spring,
+            contact.contact_of,
+            contact.codes,
+            contact.frames,
+            contact.friction,
+            contact.direction,
+            contact.hessian,
+            contact.spring,
             newton,
             self.change,
-            *np.empty((2, o.dim, o.dim)),
+            *np.empty((2, contact.dim, contact.dim)),
         )
         self.products.update(self.change)
 
@@ -362,19 +365,19 @@ def _at_contact(first, last, order, indptr, indices, contact_of):
 
 
 @inner_kernel
-def _turn(dim, frames, k, inverse, rows, block, other):
+def _turn(dim, frames, k, inverse, rows, block, spare):
     """Change a block to F block (``rows``) or block F', F the frame of contact node k, or F its
     inverse F'."""
     for a in range(dim):
         for b in range(dim):
-            other[a, b] = 0.0
+            spare[a, b] = 0.0
             i = a if rows else b
             for c in range(dim):
                 at = c * dim + i if inverse else i * dim + c
-                other[a, b] += frames[k * dim * dim + at] * (block[c, b] if rows else block[a, c])
+                spare[a, b] += frames[k * dim * dim + at] * (block[c, b] if rows else block[a, c])
     for a in range(dim):
         for b in range(dim):
-            block[a, b] = other[a, b]
+            block[a, b] = spare[a, b]
 
 
 @inner_kernel
@@ -399,49 +402,62 @@ def changed_blocks(
     newton,
     change,
     block,
-    other,
+    spare,
 ):
     """Compute delta of every collected block, Cartesian; ``newton`` False leaves the slip rows
     symmetric (g frozen). ``block`` and ``other`` (dim, dim) are overwritten."""
     size = dim * dim
-    m = dim - 1
+    n_tangents = dim - 1
     # _turn would be compiled again for each constant
     no = np.bool_(False)
     yes = np.bool_(True)
     for e in range(len(rows)):
-        k = contact_of[rows[e]]
-        l = contact_of[columns[e]]
+        row_contact = contact_of[rows[e]]
+        column_contact = contact_of[columns[e]]
         if dim == 1:  # a tenth of the time: of scalar problems all nodes may touch
-            out = (k >= 0 and codes[k] & CLOSED) or (l >= 0 and codes[l] & CLOSED)
-            change[e] = -blocks[e] if out else 0.0
+            drops_normal = (row_contact >= 0 and codes[row_contact] & CLOSED) or (
+                column_contact >= 0 and codes[column_contact] & CLOSED
+            )
+            change[e] = -blocks[e] if drops_normal else 0.0
             continue
         for a in range(dim):
             for b in range(dim):
                 block[a, b] = blocks[e * size + a * dim + b]
-        if k >= 0:
-            _turn(dim, frames, k, no, yes, block, other)
-            if newton and codes[k] & CLOSED:
-                for a in range(m):
+        # into the frames of the contact nodes, with the Newton rows of slip
+        if row_contact >= 0:
+            _turn(dim, frames, row_contact, no, yes, block, spare)
+            if newton and codes[row_contact] & CLOSED:
+                for a in range(n_tangents):
                     for b in range(dim):
-                        block[1 + a, b] -= friction[k] * direction[m * k + a] * block[0, b]
-        if l >= 0:
-            _turn(dim, frames, l, no, no, block, other)
-        if k >= 0 and k == l:
-            if codes[k] & CLOSED:
-                block[0, 0] += spring[k]
-            for a in range(m):
-                for b in range(m):
-                    block[1 + a, 1 + b] += hessian[m * m * k + m * a + b]
+                        block[1 + a, b] -= (
+                            friction[row_contact]
+                            * direction[n_tangents * row_contact + a]
+                            * block[0, b]
+                        )
+        if column_contact >= 0:
+            _turn(dim, frames, column_contact, no, no, block, spare)
+        if row_contact >= 0 and row_contact == column_contact:
+            if codes[row_contact] & CLOSED:
+                block[0, 0] += spring[row_contact]
+            for a in range(n_tangents):
+                for b in range(n_tangents):
+                    block[1 + a, 1 + b] += hessian[
+                        n_tangents * n_tangents * row_contact + n_tangents * a + b
+                    ]
         for a in range(dim):
             for b in range(dim):
-                if (k >= 0 and _truncated(a, codes[k], spring[k])) or (
-                    l >= 0 and _truncated(b, codes[l], spring[l])
+                if (
+                    row_contact >= 0 and _truncated(a, codes[row_contact], spring[row_contact])
+                ) or (
+                    column_contact >= 0
+                    and _truncated(b, codes[column_contact], spring[column_contact])
                 ):
                     block[a, b] = 0.0
-        if l >= 0:
-            _turn(dim, frames, l, yes, no, block, other)
-        if k >= 0:
-            _turn(dim, frames, k, yes, yes, block, other)
+        # and back
+        if column_contact >= 0:
+            _turn(dim, frames, column_contact, yes, no, block, spare)
+        if row_contact >= 0:
+            _turn(dim, frames, row_contact, yes, yes, block, spare)
         for a in range(dim):
             for b in range(dim):
                 change[e * size + a * dim + b] = block[a, b] - blocks[e * size + a * dim + b]
@@ -506,9 +522,9 @@ def fill_contributions(
     ``source``. ``number`` (slots of the coarse matrix,) comes as -1 and numbers the coarse blocks
     met. Returns their number, the number of products, and how many of them found no place in the
     coarse matrix."""
-    count = 0
-    met = 0
-    lost = 0
+    n_products = 0
+    n_met = 0
+    n_lost = 0
     for e in range(len(rows)):
         i = rows[e]
         j = columns[e]
@@ -518,21 +534,19 @@ def fill_contributions(
                 column = np.int64(indices[q])
                 slot = find_slot(row, column, l_indptr, l_indices, u_indptr, u_indices, rank)
                 if slot < 0:
-                    lost += 1
+                    n_lost += 1
                     continue
                 if number[slot] < 0:
-                    number[slot] = met
-                    slots[met] = slot
-                    coarse_rows[met] = row
-                    coarse_columns[met] = column
-                    met += 1
-                source[count], target[count], weight[count] = (
-                    e,
-                    number[slot],
-                    weights[p] * weights[q],
-                )
-                count += 1
-    return met, count, lost
+                    number[slot] = n_met
+                    slots[n_met] = slot
+                    coarse_rows[n_met] = row
+                    coarse_columns[n_met] = column
+                    n_met += 1
+                source[n_products] = e
+                target[n_products] = number[slot]
+                weight[n_products] = weights[p] * weights[q]
+                n_products += 1
+    return n_met, n_products, n_lost
 
 
 @kernel

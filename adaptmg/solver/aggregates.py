@@ -85,7 +85,9 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
             for p in range(indptr[i], indptr[i + 1]):
                 j = indices[p]
                 if tail < size and label[j] < 0 and group[j] == group[seed]:
-                    label[j], depth[j], queue[tail] = count, depth[i] + 1, j
+                    label[j] = count
+                    depth[j] = depth[i] + 1
+                    queue[tail] = j
                     tail += 1
         count += 1
     return count
@@ -97,21 +99,21 @@ def _joined(
     """Return the labels after small remnants have joined the smallest neighbour of their group."""
     inside = label >= 0
     members = np.bincount(label[inside])
-    of = np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
-    of[label[inside]] = group[inside]
-    remnant = _REMNANT * members < sizes[of]
+    group_of = np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
+    group_of[label[inside]] = group[inside]
+    remnant = _REMNANT * members < sizes[group_of]
     nodes = np.flatnonzero(inside & remnant[label])
     edges = graph[nodes].tocoo()
     aggregate = label[nodes[edges.row]]
-    other = label[edges.col]
-    joins = (other >= 0) & ~remnant[other] & (of[aggregate] == of[other])
+    neighbour = label[edges.col]
+    joins = (neighbour >= 0) & ~remnant[neighbour] & (group_of[aggregate] == group_of[neighbour])
     aggregate = aggregate[joins]
-    other = other[joins]
-    order = np.argsort(-members[other], kind="stable")  # of several values the last one stays
-    home = np.arange(len(members))
-    home[aggregate[order]] = other[order]
-    number = np.cumsum(home == np.arange(len(home)), dtype=np.int32) - 1
-    return np.where(inside, number[home[label]], -1)
+    neighbour = neighbour[joins]
+    order = np.argsort(-members[neighbour], kind="stable")  # of several values the last one stays
+    joined_to = np.arange(len(members))
+    joined_to[aggregate[order]] = neighbour[order]
+    new_number = np.cumsum(joined_to == np.arange(len(joined_to)), dtype=np.int32) - 1
+    return np.where(inside, new_number[joined_to[label]], -1)
 
 
 @kernel
@@ -135,6 +137,7 @@ class Aggregates:
     status."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
+        """Group the nodes, and order the aggregates so that the coarse matrix has a narrow band."""
         matrix = problem.matrix
         dim = problem.dim
         n = problem.n_nodes
@@ -172,7 +175,7 @@ class Aggregates:
         if dim > 1:
             points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
             self.offsets = self._offsets(points[inside])
-        # a narrow band: the place of each aggregate, and how far it reaches
+        # the place of each aggregate in the order of a narrow band, and the width of this in aggregates
         pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
         found = _adjacent(matrix.indptr, matrix.indices, label, *pairs)
         coarse = sparse.csr_array(
@@ -204,9 +207,10 @@ class Aggregates:
         for k, (a, b) in enumerate(_PLANES[dim], dim):
             motions[:, k, a] = -self.offsets[b]
             motions[:, k, b] = self.offsets[a]
-        row = self.starts[nodes]
-        inside = self.starts[nodes + 1] > row
-        motions[row[inside]] = motions[row[inside]] @ projections[inside].swapaxes(1, 2)
+        basis_row = self.starts[nodes]
+        in_aggregate = self.starts[nodes + 1] > basis_row
+        rows = basis_row[in_aggregate]
+        motions[rows] = motions[rows] @ projections[in_aggregate].swapaxes(1, 2)
         return motions
 
 
@@ -216,55 +220,56 @@ aggregates_of = remembered_of_structure(Aggregates)
 @kernel
 def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, band):
     """Add the lower half of B'AB to ``band`` (n_coarse, width), column by column. ``forces`` (modes
-    * dim,) comes as 0: what the matrix makes there of the motions of one aggregate, until the next
-    one comes. The half of the matrix up to the diagonal is read: 11 ms for 263k nodes (all of it
-    16), 8 for 36k in 3D (13)."""
+    * dim,) comes as 0; it sums what the matrix makes at a node of the motions of one aggregate,
+    until an entry of another aggregate follows in the row. The half of the matrix up to the
+    diagonal is read: 11 ms for 263k nodes (all of it 16), 8 for 36k in 3D (13)."""
     dim = np.uint64(len(zero))
     modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
     ahead = np.int64(data.ctypes.data) + AHEAD
     for row in range(len(indptr) - 1):
         i = np.uint64(row)
-        here = np.uint64(starts[i])
-        if here == np.uint64(starts[i + ONE]):
+        basis_row = np.uint64(starts[i])
+        if basis_row == np.uint64(starts[i + ONE]):
             continue
-        number = last = place[np.uint64(label[here])]
+        aggregate = place[np.uint64(label[basis_row])]
+        summed_aggregate = aggregate
         for p in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
             j = np.uint64(indices[p])
             prefetch(np.uintp(ahead + np.int64(8 * dim * dim * p)))
             if j > i:
                 break
-            at = np.uint64(starts[j])
-            if at == np.uint64(starts[j + ONE]):
+            other_row = np.uint64(starts[j])
+            if other_row == np.uint64(starts[j + ONE]):
                 continue
-            other = place[np.uint64(label[at])]
-            if other != last:
-                _project(here, motions, number, last, zero, forces, band)
-                last = other
-            part = 0.5 if j == i else 1.0
+            other_aggregate = place[np.uint64(label[other_row])]
+            if other_aggregate != summed_aggregate:
+                _project(basis_row, motions, aggregate, summed_aggregate, zero, forces, band)
+                summed_aggregate = other_aggregate
+            half_of_diagonal = 0.5 if j == i else 1.0
             for q in range(modes):
-                v = scale(part, read(motions, dim * (modes * at + q), zero))
+                v = scale(half_of_diagonal, read(motions, dim * (modes * other_row + q), zero))
                 increase(forces, dim * q, times(data, dim * dim * p, v))
-        _project(here, motions, number, last, zero, forces, band)
+        _project(basis_row, motions, aggregate, summed_aggregate, zero, forces, band)
 
 
 @in_loop
-def _project(at, motions, number, other, zero, forces, band):
-    """Add to ``band`` the work of the forces, which an aggregate exerts up to the diagonal, on the
-    motions of a node, and that of the transposed matrix."""
+def _project(basis_row, motions, aggregate, other_aggregate, zero, forces, band):
+    """Add to ``band`` the work of the forces of ``other_aggregate`` on the motions of a node of
+    ``aggregate``, and that of the transposed matrix; set the forces to zero."""
     dim = np.uint64(len(zero))
     modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
-    column = modes * np.uint64(min(number, other))
-    apart = modes * np.uint64(max(number, other)) - column
+    column = modes * np.uint64(min(aggregate, other_aggregate))
+    from_diagonal = modes * np.uint64(max(aggregate, other_aggregate)) - column
     for q in range(modes):
-        v = read(motions, dim * (modes * at + q), zero)
+        v = read(motions, dim * (modes * basis_row + q), zero)
         for r in range(modes):
             work = inner(v, read(forces, dim * r, zero))
-            if number == other and q == r:
+            if aggregate == other_aggregate and q == r:
                 band[column + q, 0] += 2.0 * work
-            elif number > other or (number == other and q > r):
-                band[column + r, apart + q - r] += work
+            elif aggregate > other_aggregate or (aggregate == other_aggregate and q > r):
+                band[column + r, from_diagonal + q - r] += work
             else:
-                band[column + q, apart + r - q] += work
+                band[column + q, from_diagonal + r - q] += work
     forces[:] = 0.0
 
 
@@ -296,6 +301,8 @@ class CoarseCorrection:
         nodes: np.ndarray,
         stiffening: np.ndarray,
     ) -> None:
+        """Factorise the coarse matrix of ``motions`` (n, modes, dim), with blocks ``stiffening`` at
+        ``nodes``."""
         _, modes, dim = motions.shape
         self._basis = (
             aggregates.starts,
@@ -314,11 +321,11 @@ class CoarseCorrection:
             band,
         )
         if stiffening.any():
-            more = at_nodes(nodes, stiffening, matrix.shape[0])
+            stiffening_matrix = at_nodes(nodes, stiffening, matrix.shape[0])
             _fill(
-                more.indptr,
-                more.indices,
-                more.data.reshape(-1),
+                stiffening_matrix.indptr,
+                stiffening_matrix.indices,
+                stiffening_matrix.data.reshape(-1),
                 *self._basis,
                 np.zeros(dim * modes),
                 band,
@@ -350,9 +357,9 @@ def at_nodes(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_a
 
 def raised(diagonal: np.ndarray) -> np.ndarray:
     """Return what is added to the diagonal of the coarse matrix."""
-    # motions that the status takes away altogether
-    most = diagonal.max(initial=0.0)
-    return np.where(diagonal > 1e-14 * most, checks.ALIKE * diagonal, most)
+    # motions that the status takes away altogether have no stiffness
+    largest = diagonal.max(initial=0.0)
+    return np.where(diagonal > 1e-14 * largest, checks.ALIKE * diagonal, largest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,6 +381,7 @@ class _Smoothed:
     contact nodes."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
+        """Compute the span, and eliminate what reaches no contact node."""
         dim = problem.dim
         free = ~problem.fixed
         matrix = sparse.csr_array(problem.matrix)
@@ -386,9 +394,10 @@ class _Smoothed:
         )
         inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
         vector = np.where(free, np.sin(np.arange(len(free)) ** 2.0), 0.0)
+        # damped Jacobi: ten power steps for the largest eigenvalue of D^-1 A
         for _ in range(10):
-            largest = np.linalg.norm(vector)
-            vector = inverse * (matrix @ (vector / largest))
+            size = np.linalg.norm(vector)
+            vector = inverse * (matrix @ (vector / size))
         damping = 4 / 3 / (1.1 * np.linalg.norm(vector))
         self.span = sparse.csr_array(
             basis - sparse.diags_array(damping * inverse) @ (matrix @ basis)
@@ -441,6 +450,7 @@ _smoothed_of = remembered_of_structure(_Smoothed)
 
 
 def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
+    """Return the block-diagonal matrix of blocks (n, dim, dim)."""
     n = len(blocks)
     dim = blocks.shape[1]
     return sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
@@ -449,26 +459,28 @@ def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
 def changed_status(
     problem: DiscreteProblem,
     residual: np.ndarray,
-    here: AtNodes,
+    claims: AtNodes,
     stiffness: np.ndarray,
     limit: np.ndarray,
     friction: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces
     (n_contact, dim) that it ends with; None if it is not found, or of a scalar problem.
-    ``stiffness``, ``limit`` and ``friction`` (n_contact,): of the nodes, N/m, of friction without
-    pressure, N, and its coefficient."""
+    ``stiffness`` (n_contact,) is that of the nodes, N/m, ``limit`` (n_contact,) the bound of
+    friction without pressure, N, ``friction`` (n_contact,) its coefficient."""
     if problem.dim == 1:
         return None
     coarse = _smoothed_of(problem)
     load = coarse.span.T @ residual
     dim = problem.dim
     # where a support holds a tangent its reaction takes the place of friction
-    free = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
-    slip = to_frames(coarse.frames, here.slip)[:, 1:]
+    without_support = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
+    slip = to_frames(coarse.frames, claims.slip)[:, 1:]
     compliance = problem.contact.compliance
-    gap = here.gap - compliance * np.maximum(here.pressure, 0.0)
-    conditions = Conditions(gap, -slip, limit * free, friction * free, compliance=compliance)
+    gap = claims.gap - compliance * np.maximum(claims.pressure, 0.0)
+    conditions = Conditions(
+        gap, -slip, limit * without_support, friction * without_support, compliance=compliance
+    )
     solution = interior_point(
         coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH
     )
