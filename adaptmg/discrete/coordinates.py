@@ -166,8 +166,9 @@ def held_slaves(
     law: Law,
     inclined: Inclined,
 ) -> np.ndarray:
-    """Return the numbers of the contact nodes that a support holds along the surface, not so what
-    they face, where friction acts: their slip is not an unknown."""
+    """Return which contact nodes (n,), numbers among ``nodes``, rub where a support holds them along
+    the surface but not what they face: their slip is not an unknown. ``weights`` (n_nodes, n_nodes)
+    and ``fixed`` (n_dofs,) are those of :class:`Coupling`."""
     fixed = fixed.reshape(weights.shape[0], -1)
     rows = sparse.csr_array(weights[nodes])
     facing = facing_part(rows)

@@ -197,26 +197,32 @@ def initial_strain_load(
 ) -> np.ndarray:
     """Return the nodal forces (n_nodes, dim) of an initial strain."""
     axisymmetric = is_axisymmetric(materials)
-    rows, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
+    elements_of_body, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
     if elements == "smoothed":
+        # one point an element, with the mean around its edges
         volumes = element_measures(mesh, axisymmetric)
         mean = mean_initial_strain(mesh, [load], axisymmetric=axisymmetric)
-        strain = smoothed(mesh, mean, volumes)[rows, None]
-        weights = volumes[rows, None]
+        strain = smoothed(mesh, mean, volumes)[elements_of_body, None]
+        weights = volumes[elements_of_body, None]
         rule = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
     if isinstance(materials[mesh.bodies.index(load.body)], PlaneStress):
         strain[:, :, 2] = 0.0
     tensors = moduli(mesh, materials, elements)
-    columns = np.einsum("eij,eqj->eqi", tensors.table[tensors.rows[rows], :, :3], strain)
-    stress = as_tensors(columns.reshape(-1, columns.shape[2])).reshape(*columns.shape[:2], 3, 3)
-    cells = mesh.elements[rows]
+    stress_columns = np.einsum(
+        "eij,eqj->eqi", tensors.table[tensors.rows[elements_of_body], :, :3], strain
+    )
+    stress = as_tensors(stress_columns.reshape(-1, stress_columns.shape[2])).reshape(
+        *stress_columns.shape[:2], 3, 3
+    )
+    cells = mesh.elements[elements_of_body]
     dim = mesh.dim
-    forces = shape_gradients(mesh)[0][rows] @ np.einsum(
+    # the forces that the stresses exert on the corners of elements
+    forces = shape_gradients(mesh)[0][elements_of_body] @ np.einsum(
         "eq,eqij->eij", weights, stress[:, :, :dim, :dim]
     )
     if axisymmetric:
-        r = quadrature_points(mesh.points, cells, rule)[:, :, 0]
-        forces[:, :, 0] += np.einsum("eq,qc->ec", weights * stress[:, :, 2, 2] / r, rule)
+        radii = quadrature_points(mesh.points, cells, rule)[:, :, 0]
+        forces[:, :, 0] += np.einsum("eq,qc->ec", weights * stress[:, :, 2, 2] / radii, rule)
     result = np.zeros(mesh.points.shape)
     np.add.at(result, cells, forces)
     return result

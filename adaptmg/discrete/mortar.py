@@ -324,8 +324,8 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
 def _with_partners(
     surfaces: Surfaces, nodes: np.ndarray, partner: np.ndarray, offset: np.ndarray
 ) -> np.ndarray:
-    """Return which slave nodes face their partners; ValueError if one with a multiplier does
-    not."""
+    """Return which slave nodes (n,) face their partners (n,), whose ``offset`` (n,) from the normal
+    is small, m; ValueError if one with a multiplier does not."""
     points = surfaces.points
     shortest = np.full(len(surfaces.points), np.inf)
     np.minimum.at(shortest, surfaces.slave, _edge_lengths(surfaces.slave_side).min(axis=1)[:, None])

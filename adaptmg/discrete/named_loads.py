@@ -150,6 +150,7 @@ def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         holds = [hold for hold in posed.holds if hold.support.path_name == name]
         fixed, values = held_components(points, holds)
         result[name] = np.flatnonzero(fixed), values[fixed]
+    # jumps of periodic sides, along what supports leave free
     for tie, part in zip(posed.problem.ties, posed.ties, strict=True):
         if isinstance(tie, Periodic) and tie.jump is not None:
             free = ~posed.fixed[part.nodes]

@@ -145,7 +145,8 @@ class InelasticBodies:
     def _material(
         self, strain: np.ndarray, state: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the stresses, tangents and states of the materials, checked."""
+        """Return the stresses (m, k), tangents (m, k, k) and states (m, n) that the materials answer to
+        strains (m, k) after ``state`` (m, n), checked."""
         k = strain.shape[1]
         stress = np.empty(strain.shape)
         tangent = np.empty((len(strain), k, k))
@@ -183,12 +184,14 @@ class InelasticBodies:
         whole_stress[:, :3] += (self.bulk * volume_strain)[:, None]
         stiffness = self.elastic.copy()
         stiffness[:, :3, :3] += self.bulk[:, None, None]
+        # what the whole stress leaves of the strain is plastic
         plastic = strain - np.linalg.solve(stiffness, whole_stress[:, :, None])[:, :, 0]
-        plastic[:, 3:] *= 0.5
+        plastic[:, 3:] *= 0.5  # components of tensors, not angles
         values = self._of_elements(np.column_stack([at.stress, plastic, at.state[:, -1]]))
         inelastic = inelastic_bodies(self.posed.materials)[mesh.element_body]
         stress = data.tensors(mesh, physical)
         stress[inelastic] = as_tensors(values[inelastic, :k])
+        # groups of nodes bear the rest of the pressure
         if len(self.groups):
             pressures = self.groups.strains(physical.reshape(-1)) / self.groups.compliance
             stress[inelastic] += self.groups.of_elements(pressures)[inelastic, None, None] * np.eye(
@@ -207,16 +210,19 @@ class InelasticBodies:
 
 
 def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -> sparse.csr_array:
-    """Return the matrix (len(numbers) * k, n_dofs) of the strains of some patches."""
+    """Return the matrix (n * k, n_dofs) of the strains of patches ``numbers`` (n,), which have k
+    columns each."""
     dim = patches.slopes.shape[1]
     number_among_chosen = np.full(len(patches.measures), -1)
     number_among_chosen[numbers] = np.arange(len(numbers))
     patch_of_corner = np.repeat(number_among_chosen, np.diff(patches.start))
     chosen = patch_of_corner >= 0
+    # for each corner of these patches the first row of its patch, the first column of its node
     row = k * patch_of_corner[chosen]
     column = dim * patches.nodes[chosen].astype(np.int64)
     slopes = patches.slopes[chosen]
     entries = []
+    # column c of the strain is u_i,j, and of shear strains u_i,j + u_j,i
     for c, (i, j) in enumerate(PAIRS[:k].tolist()):
         if max(i, j) < dim:
             entries.append((row + c, column + i, slopes[:, j]))

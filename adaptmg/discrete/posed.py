@@ -302,6 +302,7 @@ class Posed:
         normals = np.zeros((n, self.mesh.dim))
         gaps = np.zeros(n)
         weights = np.zeros(n)
+        # each role takes nodes over from those before it
         masters = {*problem.masters, *(tie.master for tie in problem.ties)} - {""}
         for name in masters:
             role[np.searchsorted(nodes, self.surfaces[name].nodes)] = Role.MASTER

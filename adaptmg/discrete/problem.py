@@ -465,6 +465,7 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
             "its part"
         )
     coupling = Coupling(weights, parts["fixed"], parts["inclined"])
+    # forces and rows of volumes are dual
     load = coupling.relative_forces(parts["load"])
     strain_free = parts.get("strain_free")
     load.flags.writeable = False
@@ -472,7 +473,7 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
         strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
     volumes = parts["volumes"]
     volumes = volumes.with_rows(coupling.relative_rows(volumes.rows))
-    if parts.get("ties"):
+    if parts.get("ties"):  # the relative displacement of tied nodes is fixed
         tied = parts["fixed"].copy().reshape(weights.shape[0], -1)
         for _, _, nodes, _ in parts["ties"]:
             tied[nodes] = True

@@ -34,16 +34,19 @@ def young_of(mesh: MeshArrays, materials: Sequence[Elastic], nodes: np.ndarray) 
 def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
     """Choose the sides of pairs that leave the choice open; return the problem itself where none
     does."""
-    free = [
+    open_pairs = [
         pair for pair in problem.contact if isinstance(pair, ContactPair) and pair.sides == "auto"
     ]
-    if not free:
+    if not open_pairs:
         return problem
     materials = body_materials(mesh, problem.material)
-    held = [*problem.tied_boundaries, *(support.boundary for support in problem.supports)]
+    held_boundaries = [
+        *problem.tied_boundaries,
+        *(support.boundary for support in problem.supports),
+    ]
     contact = []
     for pair in problem.contact:
-        if pair in free:
+        if pair in open_pairs:
             slave = mesh.surface(pair.slave)
             master = mesh.surface(pair.master)
             ratio = young_of(mesh, materials, slave.nodes) / young_of(mesh, materials, master.nodes)
@@ -51,8 +54,8 @@ def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
                 ratio = slave.measures.mean() / master.measures.mean() / (1 + 1e-6)
             # a master of several pairs, or one that a tie or a support holds, cannot carry the
             # contact nodes
-            bound = [
-                *held,
+            taken_boundaries = [
+                *held_boundaries,
                 *(
                     name
                     for other in problem.contact
@@ -60,11 +63,11 @@ def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
                     for name in (other.boundary, getattr(other, "master", ""))
                 ),
             ]
-            sides = (
+            exchanged = (
                 {"slave": pair.master, "master": pair.slave}
-                if ratio > 1 and pair.master not in bound
+                if ratio > 1 and pair.master not in taken_boundaries
                 else {}
             )
-            pair = replace(pair, sides="given", **sides)
+            pair = replace(pair, sides="given", **exchanged)
         contact.append(pair)
     return replace(problem, contact=tuple(contact))

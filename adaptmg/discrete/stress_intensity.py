@@ -247,6 +247,7 @@ def _fitted_tractions(
         masses.append(surface.lumped(False)[surface.nodes])
         loads.append((1.0 if face == tip.upper else -1.0) * forces[surface.nodes])
     r, mass, load = map(np.concatenate, (places, masses, loads))
+    # least squares for load over mass, weighted with the mass, away from both ends
     fitted = (r > _NEAR * outer) & (r < tip.straight - _NEAR * outer)
     root = np.sqrt(mass[fitted])[:, None]
     powers = (r[fitted, None] / outer) ** np.arange(3)
@@ -290,6 +291,7 @@ class _Fields:
         q = np.clip(2 - 2 * np.abs(place) / radius, 0, 1)
         inside = np.flatnonzero(q[mesh.elements].any(axis=1))
         slopes = displacement_gradient(mesh, np.column_stack([q, q]))[inside, 0] @ tip.axes.T
+        # the integrals over the elements where q does not vanish
         rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
         z = tip.local(quadrature_points(mesh.points, mesh.elements[inside], rule))
         gradient = self.gradient[inside]

@@ -331,6 +331,7 @@ def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
     if not oblique:
         return Inclined.none(points.shape[1])
     nodes = np.unique(np.concatenate(oblique))
+    # at each node a row for each hold, zero where it does not act: rows times u are the values
     rows = np.zeros((len(nodes), len(holds), points.shape[1]))
     values = np.zeros((len(nodes), len(holds)))
     for k, hold in enumerate(holds):

@@ -127,7 +127,9 @@ def _periodic(
     not_tied: np.ndarray,
     fixed: np.ndarray,
 ) -> MortarInterface:
-    """Return the nodes of a side of a cell, each with its partner on the other one."""
+    """Return the nodes of the ``slave`` side (n,) of a cell, each with its partner on the ``master`` side
+    (n,), without those of the mask ``not_tied`` (n_nodes,); ``fixed`` (n_nodes, dim) as of
+    :class:`Posed`."""
     points = mesh.points
     size = mesh.sides.max()
     middle = [

@@ -106,7 +106,8 @@ def correction_contact(
     residual: np.ndarray,
     initial: InitialContact | None,
 ) -> NodalContact:
-    """Return the contact data of the coarse correction problem at a fine iterate."""
+    """Return the contact data of the coarse correction problem at a fine iterate (n_dofs,) with its
+    residual (n_dofs,)."""
     values = unknowns.reshape(-1, system.dim)[system.nodes]
     fine_slip = values[:, 1:] - contact.slip_reference
     # |E| is a bound of what a correction changes in a slip that is held along one tangent
@@ -246,6 +247,7 @@ def local_prolongation(
     blocks = nodal.data[:, None, None] * np.eye(dim)
     contact_of_row = fine.system.contact_of[rows]
     contact_of_column = coarse.system.contact_of[columns]
+    # blocks F_f F_c' where one of the nodes has a frame; elsewhere the identity
     at_contact = np.flatnonzero((contact_of_row >= 0) | (contact_of_column >= 0))
     if at_contact.size:
         fine_frames = np.broadcast_to(np.eye(dim), (at_contact.size, dim, dim)).copy()

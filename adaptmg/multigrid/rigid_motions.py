@@ -268,8 +268,10 @@ class _Descent:
     def _direction(
         self, bound: np.ndarray, slip: np.ndarray, tangents: np.ndarray, force: np.ndarray
     ) -> np.ndarray | None:
-        """Return the direction (j,) of a step in the free motions, None at a minimum: that of Newton's
-        method for sum B |slip| - force, or the steepest descent where the Hessian is singular."""
+        """Return the direction (j,) of a step in the j free motions, None at a minimum: that of Newton's
+        method for sum B |slip| - force, or the steepest descent where the Hessian is singular.
+        ``bound`` (n_contact,), ``slip`` (n_contact, dim - 1), ``tangents`` (n_contact, dim - 1, j)
+        and ``force`` (j,): B, the slips, the motions at the nodes, and the work of the load."""
         size = np.linalg.norm(slip, axis=1, keepdims=True)
         slip_direction = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0)
         gradient = np.einsum("n,nt,ntj->j", bound, slip_direction, tangents) - force

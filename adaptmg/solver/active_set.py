@@ -417,6 +417,7 @@ class CondensedSteps:
                     matrix[node, k, node, j] += equations.curvature[:, k - 1, j - 1]
             matrix[node, 0, node, 0] += equations.spring
             matrix = matrix.reshape(n * dim, n * dim)
+            # prescribed changes go to the right-hand side
             change = equations.change.reshape(-1).copy()
             free = np.flatnonzero(~equations.prescribed.reshape(-1))
             rhs = equations.force.reshape(-1)[free] - matrix[free] @ change
@@ -472,6 +473,7 @@ class SparseSteps:
 
     def solve(self, equations: Linearised, residual: np.ndarray) -> np.ndarray:
         system = self.local.system
+        # the equations of contact nodes take the place of theirs
         prescribed = np.zeros((system.n_nodes, system.dim), dtype=bool)
         prescribed[system.nodes] = equations.prescribed
         change = np.zeros((system.n_nodes, system.dim))
@@ -514,6 +516,7 @@ class SparseSteps:
         system = self.local.system
         matrix = self._matrix.copy()
         free = ~system.fixed.reshape(-1, system.dim)[system.nodes]
+        # B at free components, added to the diagonal blocks
         added = np.zeros((system.n_nodes, system.dim, system.dim))
         added[system.nodes] = blocks * free[:, :, None] * free[:, None, :]
         row = np.repeat(np.arange(system.n_nodes), np.diff(matrix.indptr))

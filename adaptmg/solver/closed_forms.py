@@ -101,12 +101,14 @@ def _stiffness(
     kinds = _kinds_of_nodes(mesh, materials) if covered else None
     if kinds is None:
         return ()
+    # the forces of the matrix for a random affine field
     rng = np.random.default_rng(0)
     gradient = rng.uniform(-1.0, 1.0, (mesh.dim, mesh.dim)) / mesh.sides.max()
     shift = rng.uniform(-1.0, 1.0, mesh.dim)
     field = points @ gradient.T + shift
     unknowns = np.asarray(discrete.relative(field)).reshape(-1)
     forces = discrete.physical_forces(product(discrete.matrix, unknowns)).reshape(field.shape)
+    # and those of its stresses on the boundary, and of springs
     expected = np.zeros_like(field)
     strain = 0.5 * (gradient + gradient.T)
     stresses = np.stack([_stress(elastic, strain) for elastic in materials])[

@@ -423,6 +423,7 @@ def _elsewhere(
         weights.data[np.abs(weights.data) < checks.ROUNDING] = 0.0
         weights.eliminate_zeros()
     weights_by_component = []
+    # by component the rows of the master: where both bodies are held those of its held nodes
     for contacts, held_weights, _ in discrete.held_together():
         row_of_contact = np.arange(len(contact))
         row_of_contact[contacts] = len(contact) + np.arange(len(contacts))
@@ -586,6 +587,7 @@ def touching_patches(contact: ContactResult, mesh: MeshArrays) -> list[Patch]:
             continue
         inside = np.zeros(mesh.n_nodes, dtype=bool)
         inside[contact.node[touching]] = True
+        # patches: nodes that touch, joined by edges of the boundary
         facets = mesh.boundary_facets(name)
         edges = np.concatenate([facets[:, [i - 1, i]] for i in range(mesh.dim)])
         pairs = edges[inside[edges].all(axis=1)]
@@ -593,6 +595,7 @@ def touching_patches(contact: ContactResult, mesh: MeshArrays) -> list[Patch]:
         labels = sparse.csgraph.connected_components(graph, directed=False)[1]
         for label in np.unique(labels[inside]):
             nodes = np.flatnonzero(inside & (labels == label))
+            # the mean length of an edge of each facet at the patch
             near = mesh.points[facets[np.isin(facets, nodes).any(axis=1)]]
             size = float(np.linalg.norm(near[:, 1] - near[:, 0], axis=1).mean())
             patches.append(Patch(name, nodes, size))

@@ -285,6 +285,7 @@ class _Parts:
         for variable, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
             with contextlib.suppress(ValueError):  # not set
                 values[variable] = f"{variable} around {name}", cell.cell_contents
+        # what the instructions read: variables with attributes, and modules
         chains, imports = _reads(code)
         for first, *attributes in chains:
             hidden = _HIDDEN.intersection(
@@ -357,9 +358,7 @@ class _Pickler(pickle.Pickler):
         if kind in _STANDS:
             return kind.__name__, [getattr(value, name) for name in _STANDS[kind]]
         module = kind.__module__ if isinstance(kind.__module__, str) else "builtins"
-        if module.startswith("numba.") and hasattr(
-            value, "jit_methods"
-        ):  # of a numba.experimental.jitclass
+        if module.startswith("numba.") and hasattr(value, "jit_methods"):  # of a jitclass
             return str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
         if module.startswith("numba.") and isinstance(
             inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType

@@ -22,6 +22,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.conditions import natural_residual
 from adaptmg.smoother.system import LocalProblem
+from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
 from adaptmg.solver.record import Run, Status
 
@@ -160,9 +161,8 @@ class StopTest:
     #: after which no further one is better
     ROUNDING_LEVEL = 2 * np.finfo(float).eps
     ROUNDING_ITERATES = 4
-    #: relative residual up to which that is said: springs a millionth as stiff as their body leave
-    #: 4.8e-6 at rounding (test_soft_springs_hold_or_are_named_with_the_least_stiffness)
-    BALANCED = 1e-5
+    #: relative residual up to which that is said
+    BALANCED = Certificate.MOST_ROUNDING
     #: iterates without a new smallest change after which sweeps and cycles of other methods count as stalled: of
     #: 90 solves of random problems by monotone cycles and over-relaxed sweeps to 1e-6 68 converge, at 30 and 120, too;
     #: the monotone cycles are 3409, 3439, 3469

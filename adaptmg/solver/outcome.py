@@ -108,6 +108,7 @@ def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
                 "active set method"
             ),
         )
+    # from the coarsest on, those far enough from the last that was taken and from the finest
     last_taken = 0
     too_close = []
     for level in range(1, len(grids) - 1):

@@ -330,6 +330,7 @@ class Quantities:
             return Resultant(total, None)
         about = np.zeros(self.dim) if about is None else checks.vector("about", about, self.dim)
         turning = moment(self.mesh.points[nodes] - about, forces)
+        # springs act through the boundary, too, unless contact or a tie does
         tied_names = () if self.ties is None else self.ties.names
         if boundary in self.springs and boundary not in tied_names and not self._touches(boundary):
             of_springs = np.array(self.springs[boundary])

@@ -182,6 +182,7 @@ class _Body:
         """Return a motion (n, dim) of some nodes as text."""
         if self.problem.dim == 1:
             return "constant"
+        # translation of the centre, then turns about it, over the size
         motions, centre, size = _axis_motions(self.problem, nodes)
         twist = np.linalg.lstsq(motions, field.reshape(-1), rcond=None)[0]
         negligible = 1e-6 * np.abs(field).max()

@@ -352,7 +352,8 @@ class TruncatedRun:
     def _prolonged(
         self, past: list[np.ndarray] | None, number: int, solutions: list[np.ndarray]
     ) -> list[np.ndarray]:
-        """Return the solutions with a further one: that with which the next level begins."""
+        """Return the solutions (n_unknowns,) of the levels below ``number`` with a further one: that with which
+        level ``number`` begins. ``past``: displacements (n_dofs,) of the last load step."""
         coarse = self.problems[number - 1]
         fine = self.problems[number]
         fine_level = self.cycle.levels[number]
