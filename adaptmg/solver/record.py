@@ -82,9 +82,6 @@ class Run:
     _nested_seconds: float = 0.0
     _compiled: float = field(default_factory=compiling_seconds)
 
-    #: entries of ``path`` kept; a run of thousands of cycles repeats itself
-    PATH_LIMIT = 100_000
-
     def count(self, passes: float, nonzeros: int) -> None:
         """Count ``passes`` over a matrix of ``nonzeros`` stored entries, checked here for
         user-defined parts."""
@@ -96,8 +93,7 @@ class Run:
 
     def visit(self, level: int, action: str, times: int = 1) -> None:
         """Note an action on a level (0 = coarsest)."""
-        if len(self.path) < self.PATH_LIMIT:
-            self.path.append((level, action, times))
+        self.path.append((level, action, times))
 
     def record(self, *, cycle: int, **values: float) -> None:
         seconds = clock() - self.started - self.untimed_seconds

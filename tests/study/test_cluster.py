@@ -190,14 +190,17 @@ def test_values_set_in_modules_do_not_reach_workers_in_silence(cluster):
 
     # this module goes by name, and there the value is 1
     study = am.Study(run, {"n": [1]})
-    for value in (2, 1, 3, 1):
-        settings.SETTING = value
-        if value == 1:
-            assert study.run(progress=False, scheduler=cluster)["m"].tolist() == [1]
-        else:
-            words = r"worker tls.*value of test_cluster.SETTING is changed.*as parameters"
-            with pytest.raises(RuntimeError, match=words):
-                study.run(progress=False, scheduler=cluster)
+    try:
+        for value in (2, 1, 3, 1):
+            settings.SETTING = value
+            if value == 1:
+                assert study.run(progress=False, scheduler=cluster)["m"].tolist() == [1]
+            else:
+                words = r"worker tls.*value of test_cluster.SETTING is changed.*as parameters"
+                with pytest.raises(RuntimeError, match=words):
+                    study.run(progress=False, scheduler=cluster)
+    finally:
+        settings.SETTING = 1
 
 
 def test_a_study_inside_a_run(cluster):

@@ -108,14 +108,21 @@ def uses_locked(n):
     return {"m": Locked().twice() * n}
 
 
-def test_what_is_named_for_an_attribute_replaces_it_alone():
+@pytest.fixture
+def restored():
+    """The value of FACTOR, which it has again after the test."""
+    before = FACTOR
+    yield before
+    globals()["FACTOR"] = before
+
+
+def test_what_is_named_for_an_attribute_replaces_it_alone(restored):
     with pytest.raises(TypeError, match=r"Locked\.lock.*depends=\{'lock'"):
         fingerprint(uses_locked)
     before = fingerprint(uses_locked, {"lock": None})
     assert fingerprint(uses_locked, {"lock": "seed 0"}).code != before.code
     globals()["FACTOR"] = 3
     changed = fingerprint(uses_locked, {"lock": None}).differences(before.parts)
-    globals()["FACTOR"] = 2
     assert changed == ["value of test_fingerprint.FACTOR is changed"]
 
 
@@ -207,17 +214,16 @@ def test_contents_of_files_count_wherever_depends_names_them(tmp_path):
             fingerprint(uses_factor, {"data": path})
 
 
-def test_a_run_that_sets_a_global_is_not_stored_under_the_old(tmp_path):
+def test_a_run_that_sets_a_global_is_not_stored_under_the_old(restored, tmp_path):
     def run(n):
         global FACTOR
         FACTOR = n
         return {"m": FACTOR}
 
-    before = FACTOR
     with pytest.warns(UserWarning, match="FACTOR is changed"):
         am.Study(run, {"n": [7]}, tmp_path / "s.sqlite").run(progress=False)
     assert am.Study(run, {"n": [7]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["stale"]
-    globals()["FACTOR"] = before
+    globals()["FACTOR"] = restored
     assert am.Study(run, {"n": [7]}, tmp_path / "s.sqlite").table()["status"].tolist() == ["done"]
 
 
