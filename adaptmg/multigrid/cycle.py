@@ -665,10 +665,10 @@ class NestedStart:
 
     Parameters
     ----------
-    cycles : int or "complete"
-        Cycles on each level between the coarsest and the finest, or until ``rtol`` is met.
+    cycles : int
+        Cycles on each level between the coarsest and the finest.
     rtol : float
-        Tolerance on the coarsest level, and with 'complete' on all levels below the finest.
+        Tolerance on the coarsest level.
 
     Examples
     --------
@@ -678,12 +678,11 @@ class NestedStart:
 
     #: between bodies two cycles, where the next level has three times the nodes, save nothing: of 40 random problems
     #: at 1e-3 and 1e-6 417 cycles for 417, 1588 passes for 1572
-    cycles: int | str = 1
+    cycles: int = 1
     rtol: float = 1e-8
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.cycles, str) and self.cycles == "complete"):
-            checks.integer("cycles", self.cycles, 1)
+        object.__setattr__(self, "cycles", checks.integer("cycles", self.cycles, 1))
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
 
 

@@ -30,7 +30,7 @@ from adaptmg.smoother.factorisation import Condensed, condense
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.system import local_system
 from adaptmg.solver.examine import Sizes
-from adaptmg.solver.iterate import Measure, Smoothing, State, StopTest, iterate
+from adaptmg.solver.iterate import Measure, Smoothing, State
 from adaptmg.solver.record import Outcome, Run, Status
 from adaptmg.solver.steps import LocalLevels
 
@@ -78,8 +78,7 @@ class ProjectedRun:
         """Return a cycle on the finest level from state to state, which smooths a start."""
         if self.correction.needs_initial:
             self.nested_start(NestedStart())
-        last = len(self.hierarchy) - 1
-        return self._cycles(self.multigrid(last), last).step
+        return self._cycles(self.multigrid(len(self.hierarchy) - 1)).step
 
     def multigrid(self, finest: int) -> MultigridCycle:
         """Build cycles on level ``finest`` and those below."""
@@ -123,15 +122,8 @@ class ProjectedRun:
         """Return the first solution of a level between the coarsest and the finest."""
         multigrid = self.multigrid(level)
         local = self.problems[level]
-        if start.cycles == "complete":
-            cycles = self._cycles(multigrid, level)
-            first = cycles.step(State(unknowns=unknowns))
-            stop = StopTest(start.rtol, self.max_cycles)
-            state, _ = iterate(cycles.step, cycles.norms.of, first, stop)
-            unknowns = state.unknowns
-        else:
-            for _ in range(int(start.cycles)):
-                multigrid.cycle(level, local.contact, local.load, unknowns, self.cycle.shape)
+        for _ in range(start.cycles):
+            multigrid.cycle(level, local.contact, local.load, unknowns, self.cycle.shape)
         self._remember(multigrid, level, unknowns)
         return unknowns
 
@@ -144,16 +136,17 @@ class ProjectedRun:
 
     def finish(self, unknowns: np.ndarray) -> Outcome:
         """Run cycles on the finest level from ``unknowns`` (n_dofs,), local components."""
-        last = len(self.hierarchy) - 1
-        multigrid = self.multigrid(last)
+        multigrid = self.multigrid(len(self.hierarchy) - 1)
         with self.run.phase("cycles"):
-            state, status, stop = self._cycles(multigrid, last, self.run).solve(
+            state, status, stop = self._cycles(multigrid).solve(
                 unknowns, self.stop, self.rtol, self.max_cycles, self.run, self.levels.shortfall
             )
         return self.levels.outcome(state, status, stop, self.rtol)
 
-    def _cycles(self, multigrid: MultigridCycle, level: int, run: Run | None = None) -> Smoothing:
-        """Return cycles on a level, measured after the first smoothing, where the cycle has its residual."""
+    def _cycles(self, multigrid: MultigridCycle) -> Smoothing:
+        """Return cycles on the finest level, measured after the first smoothing, where the cycle has its
+        residual."""
+        level = len(self.hierarchy) - 1
         local = self.problems[level]
 
         def smooth(unknowns: np.ndarray, cycles: int) -> int:
@@ -167,7 +160,7 @@ class ProjectedRun:
         def residual(unknowns: np.ndarray) -> np.ndarray:
             return multigrid.residual(level, local.load, unknowns)
 
-        return Smoothing(Measure(local, run), smooth, residual, correct)
+        return Smoothing(Measure(local, self.run), smooth, residual, correct)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,7 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 
 class TruncatedTest(StopTest):
-    """When cycles on one level end. ``run`` has the certificate; without it the estimate decides."""
+    """When cycles end; ``run`` has the certificate."""
 
     #: the energy of the coarse correction misses what the smoothing removes: the certificate is asked when SAFETY
     #: times the estimate is below rtol. 198 solves of random problems to 1e-6 take 2185 cycles; at 1, 2178
@@ -65,11 +65,10 @@ class TruncatedTest(StopTest):
     COARSEST = 1e-2
 
     def __init__(
-        self, cycles: TruncatedCycles | Any, rtol: float | str, limit: float, run: Run | None = None
+        self, cycles: TruncatedCycles | Any, rtol: float | str, limit: float, run: Run
     ) -> None:
-        """Begin a test of cycles; with a ``run`` its certificate is asked."""
-        ask = None if run is None else run.shortfall
-        super().__init__(0.0 if isinstance(rtol, str) else rtol, limit, ask)
+        """Begin a test of cycles, which asks the certificate of their run."""
+        super().__init__(0.0 if isinstance(rtol, str) else rtol, limit, run.shortfall)
         self.cycles_of = cycles  # Any: nothing is asked of it before the first state
         self.residuals: list[float] = []
         self._first_residual = np.nan
@@ -119,15 +118,12 @@ class TruncatedTest(StopTest):
     def shortfall(self) -> float | None:
         """Return the shortfall, see :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate
         can be better."""
-        if self._ask_certificate is None:
-            return None
         if self.rests():
             return 0.0
         # mostly this iterate is the last
         self.state = self.cycles_of.set_aside(self.state)
-        return self._ask_certificate(
-            self.cycles_of.problem.with_prescribed(self.state.iterate), self.rtol
-        )
+        solution = self.cycles_of.problem.with_prescribed(self.state.iterate)
+        return self.cycles_of.run.shortfall(solution, self.rtol)
 
     def _estimate(self) -> float:
         rate = self.safe_rate
@@ -146,7 +142,7 @@ class TruncatedTest(StopTest):
 
 
 class TruncatedCycles:
-    """Cycles on one level: steps before which a contact problem on a coarse level may come, and
+    """Cycles on the finest level: steps before which a contact problem on a coarse level may come, and
     measures of their states. ``origin``: "zero", "nested" or "given". ``coarse`` makes that contact
     problem. ``nested`` is the start (n_unknowns,) from which ``rtol="discretisation"`` is
     measured."""
@@ -159,10 +155,10 @@ class TruncatedCycles:
         self,
         parts: TruncatedStep,
         problem: DiscreteProblem,
-        origin: str = "given",
-        coarse: Callable[[], CoarseContact | CoarseObstacles] | None = None,
-        run: Run | None = None,
-        nested: np.ndarray | None = None,
+        origin: str,
+        coarse: Callable[[], CoarseContact | CoarseObstacles] | None,
+        run: Run,
+        nested: np.ndarray | None,
     ) -> None:
         self.parts = parts
         self.problem = problem
@@ -216,7 +212,7 @@ class TruncatedCycles:
         floor = self.rounding(state) if early or sizes.prescribed else 0.0
         columns = {"status_changes": float(state.changed)}
         idle = sizes.nothing_strains(state.reactions, ROUNDING * floor, unknowns)
-        if self.run is not None and self.run.reference is not None:
+        if self.run.reference is not None:
             error = unknowns - self.problem.from_prescribed(self.run.reference)
             columns["true_error"] = true_error(error, self.problem.matrix, self.problem, self.run)
         return Measured(
@@ -248,8 +244,6 @@ _LOG = logging.getLogger(__name__)
 class TruncatedRun:
     """One run of the truncated multigrid; options as of :class:`adaptmg.Multigrid`."""
 
-    #: cycles on a level of a complete nested start at most
-    COMPLETE_LIMIT = 60
     #: times the least residual on a level of the nested start beyond which its cycles diverge, and are rejected
     RUNAWAY = 10.0
     #: cycles at most after which a level of the nested start is trusted
@@ -473,12 +467,7 @@ class TruncatedRun:
         problem = self.problems[number]
         *below, given = solutions
         state = parts.begin(problem.from_prescribed(given))
-        if start.cycles == "complete":
-            cycles = TruncatedCycles(parts, problem)
-            stop = TruncatedTest(cycles, start.rtol, self.COMPLETE_LIMIT)
-            state, _ = iterate(cycles.step, cycles.measure, cycles.step(state), stop)
-        else:
-            state = self._few_cycles(parts, problem, state, int(start.cycles))
+        state = self._few_cycles(parts, problem, state, start.cycles)
         parts.restore()
         if state is None:
             _LOG.info("level %d: the cycles of the nested start diverge", number)
