@@ -92,15 +92,16 @@ class Plane(checks.Checked):
         outward unit normals.
 
         Gaps are measured along the contact normals, which point out of the body; negative behind
-        the plane."""
-        facing = normals @ self.normal
-        if (facing > 0).any():
-            i = int(np.argmax(facing))
+        the plane. ValueError if the boundary faces away where it is nearest."""
+        gaps = (points - self.point) @ self.normal
+        # the back of a whole ball faces away, far from the plane
+        nearest = np.abs(gaps) <= np.abs(gaps).min(initial=np.inf)
+        away = nearest & (normals @ self.normal > 0)
+        if away.any():
             raise ValueError(
-                f"the obstacle's normal must point towards the body; at {points[i].tolist()} the "
+                f"the obstacle's normal must point towards the body; at {points[away][0].tolist()} the "
                 "contact boundary faces away from the plane: turn the normal, or name another boundary"
             )
-        gaps = (points - self.point) @ self.normal
         return np.broadcast_to(-self.normal, points.shape).copy(), gaps
 
 
