@@ -103,23 +103,23 @@ def two_block_patch(
 
 
 def _bound(law: Law, normal: float) -> float:
-    """The largest tangential traction at a pressure; infinity where the parameters of the law vary
-    in space."""
-    value = (
-        0.0
-        if isinstance(law, am.Frictionless)
-        else law.friction
-        if isinstance(law, am.Coulomb)
-        else law.limit
-        if isinstance(law, am.Tresca)
-        else np.inf
-    )
+    """Return the largest tangential traction, Pa, that a law allows at a pressure; infinity for
+    user-defined laws, and where parameters vary in space."""
+    if isinstance(law, am.Frictionless):
+        return 0.0
+    if isinstance(law, am.Coulomb):
+        value = law.friction
+        factor = normal
+    else:
+        value = law.limit if isinstance(law, am.Tresca) else np.inf
+        factor = 1.0
     if callable(value) or np.ndim(value):
         return np.inf
-    return float(np.asarray(value)) * (normal if isinstance(law, am.Coulomb) else 1.0)
+    return float(np.asarray(value)) * factor
 
 
 def _flat(dim: int, size: float) -> dict[str, Domain]:
+    """Return two squares or cubes, one on the other."""
     if dim == 2:
         return {
             "upper": am.Rectangle(width=size, height=size),
@@ -132,8 +132,8 @@ def _flat(dim: int, size: float) -> dict[str, Domain]:
 
 
 def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
-    """Profiles with an interface through (size / 2, 0); the walls x = 0 are held at a distance from
-    it."""
+    """Return two bodies with an interface through (size / 2, 0). Their walls at x = 0 are held except
+    next to it, at the "shoulder"."""
     left = -0.5 * tangent * size
     right = 0.5 * tangent * size
     lower = am.Polygon(
@@ -152,6 +152,8 @@ def _sloping(dim: int, tangent: float, size: float) -> dict[str, Domain]:
 def _held(
     dim: int, sloping: bool, pressure: float, side: float
 ) -> tuple[list[am.Pressure], list[am.Support]]:
+    """Return the loads and supports of the two blocks, under ``pressure`` on the head and ``side`` on
+    the sides. In 3D the first boundary of ``depth`` is held, the second loaded."""
     if sloping:
         walls = ("right", "shoulder")
         head = "upper.head"
@@ -268,6 +270,8 @@ def incline(
 def _tilted(
     x: float, y: float, width: float, height: float, angle: float, names: tuple[str, ...]
 ) -> am.Polygon:
+    """Return a rectangle with the lower left corner (x, y), turned by an angle in degrees about the
+    origin."""
     c = math.cos(math.radians(angle))
     s = math.sin(math.radians(angle))
     corners = ((x, y), (x + width, y), (x + width, y + height), (x, y + height))

@@ -95,21 +95,15 @@ def bolted_junction(
     preload = checks.quantity("preload", preload, positive=True)
     pressure = checks.quantity("pressure", pressure)
     material = (am.Axisymmetric if dim == 2 else am.Solid)(young=young, poisson=poisson)
-    usual = dim == 2 and (preload, pressure, friction, flanges, young, poisson) == (
-        2.5e6,
-        4e6,
-        0.2,
-        Flanges(),
-        2.1e11,
-        0.3,
-    )
+    parameters = (preload, pressure, friction, flanges, young, poisson)
+    by_default = dim == 2 and parameters == (2.5e6, 4e6, 0.2, Flanges(), 2.1e11, 0.3)
     reference: dict[str, object] = {
         "remark": _REMARK,
         "flanges": flanges,
         "pressure": pressure,
         "thrust": flanges.thrust(pressure),
     }
-    if usual:
+    if by_default:
         reference |= {
             "values": dict(_VALUES),
             "sources": {
@@ -125,11 +119,11 @@ def bolted_junction(
     ]
     # each bolt contracts towards its own axis, not towards that of the vessels
     ring = {"upper": material, "lower": material, "bolt": am.Axisymmetric(young=young, poisson=0.0)}
-    before = (0.0,) * (dim - 1)
+    # components of vectors along the axis: the last one
+    across = (0.0,) * (dim - 1)
     wall = math.pi * ((flanges.bore + flanges.wall) ** 2 - flanges.bore**2)
-    strain = (*before, -flanges.shortening(preload, material.young, dim) / flanges.clamped)
-    plane = dim == 2
-    supports = [am.Support("lower.pipe", y=0.0) if plane else am.Support("lower.pipe", z=0.0)]
+    strain = (*across, -flanges.shortening(preload, material.young, dim) / flanges.clamped)
+    supports = [am.Support("lower.pipe", y=0.0) if dim == 2 else am.Support("lower.pipe", z=0.0)]
     if dim == 3:
         supports += [
             support
@@ -148,12 +142,13 @@ def bolted_junction(
             *(am.InitialStrain(name, strain) for name in bolts),
             am.Pressure("upper.bore", pressure),
             am.Pressure("lower.bore", pressure),
-            am.Traction("upper.pipe", (*before, flanges.thrust(pressure) / wall)),
+            am.Traction("upper.pipe", (*across, flanges.thrust(pressure) / wall)),
         ),
     )
 
 
 def _law(friction: float, flanges: Flanges, dim: int) -> Law:
+    """Return the law of the joint and of the heads, whose friction is another one."""
     friction = checks.nonnegative("friction", friction)
     heads = 0.0 if dim == 2 else 0.2
     if heads == friction:
@@ -162,11 +157,13 @@ def _law(friction: float, flanges: Flanges, dim: int) -> Law:
 
 
 def _friction(joint: float, heads: float, reach: float, points: np.ndarray) -> np.ndarray:
-    """Friction (n,) of the joint near z = 0, of the heads elsewhere."""
+    """Return the friction (n,) at points: of the joint within ``reach`` of z = 0, of the heads
+    elsewhere."""
     return np.where(np.abs(points[:, -1]) < reach, joint, heads)
 
 
 def _parts(flanges: Flanges, dim: int) -> dict[str, am.Polygon | SolidDomain]:
+    """Return the flanges and bolts by name: sections in axisymmetry, solids in space."""
     upper = _flange_section(flanges, flanges.upper, dim)
     lower = _mirrored(_flange_section(flanges, flanges.lower, dim))
     if dim == 2:
@@ -221,15 +218,12 @@ class Flanges:
             "seat",
         )
         checks.integer("n_bolts", self.n_bolts, 1)
-        wide = 0.5 * max(1.2 * self.seat, self.head_diameter)
-        if (
-            not self.bore + self.wall
-            < self.bolt_circle - wide
-            < self.bolt_circle + wide
-            < self.outer
-        ):
+        half = 0.5 * max(1.2 * self.seat, self.head_diameter)
+        inner = self.bolt_circle - half
+        outer = self.bolt_circle + half
+        if not self.bore + self.wall < inner < outer < self.outer:
             raise ValueError(
-                f"bolt_circle must leave room for heads and seats, {wide:g} m to each side, between "
+                f"bolt_circle must leave room for heads and seats, {half:g} m to each side, between "
                 f"{self.bore + self.wall:g} and {self.outer:g}, got {self.bolt_circle!r}"
             )
         if not max(self.upper, self.lower) < self.length:
@@ -293,19 +287,17 @@ class Flanges:
 
 
 def _flange_section(flanges: Flanges, thickness: float, dim: int) -> am.Polygon:
-    """The upper flange, the joint at z = 0."""
+    """Return the section of the upper flange, with the joint at z = 0."""
     f = flanges
     wall = flanges.bore + flanges.wall
-    # the seat of a ring is a little wider than its heads
-    half = 0.6 * f.seat
-    seat = (
-        []
-        if dim == 3
-        else [
+    seat = []
+    if dim == 2:
+        # the seat of a ring is a little wider than its heads
+        half = 0.6 * f.seat
+        seat = [
             ((f.bolt_circle + half, thickness), "seat"),
             ((f.bolt_circle - half, thickness), "face"),
         ]
-    )
     corners = [
         ((f.bore, 0.0), "joint"),
         ((f.outer, 0.0), "rim"),
@@ -321,32 +313,35 @@ def _flange_section(flanges: Flanges, thickness: float, dim: int) -> am.Polygon:
 
 
 def _mirrored(profile: am.Polygon) -> am.Polygon:
+    """Return a section mirrored at z = 0."""
     vertices = tuple((r, -z) for r, z in reversed(profile.vertices))
     names = tuple(reversed(profile.boundaries))
+    # an edge is named at its first vertex, which was its last one
     return am.Polygon(vertices=vertices, boundaries=names[1:] + names[:1])
 
 
 def _ring_section(flanges: Flanges) -> am.Polygon:
+    """Return the I-shaped section of the ring that stands for all bolts."""
     f = flanges
     head = 0.5 * flanges.seat
     shank = 0.5 * flanges.shank
     tip = f.upper + f.head_height
     top = f.upper
-    low = -f.lower
+    bottom = -f.lower
     end = -f.lower - f.head_height
     corners = [
         ((-head, end), "tip"),
         ((head, end), "side"),
-        ((head, low), "lower_head"),
-        ((shank, low), "side"),
+        ((head, bottom), "lower_head"),
+        ((shank, bottom), "side"),
         ((shank, top), "upper_head"),
         ((head, top), "side"),
         ((head, tip), "tip"),
         ((-head, tip), "side"),
         ((-head, top), "upper_head"),
         ((-shank, top), "side"),
-        ((-shank, low), "lower_head"),
-        ((-head, low), "side"),
+        ((-shank, bottom), "lower_head"),
+        ((-head, bottom), "side"),
     ]
     return am.Polygon(
         vertices=tuple((f.bolt_circle + r, z) for (r, z), _ in corners),
@@ -355,7 +350,7 @@ def _ring_section(flanges: Flanges) -> am.Polygon:
 
 
 def _bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
-    """Axes of the bolts in the sector of 90 degrees, m."""
+    """Return the points (x, y), m, of the axes of the bolts in the sector of 90 degrees."""
     n = flanges.n_bolts
     if n % 4:
         raise ValueError(
@@ -368,6 +363,7 @@ def _bolt_places(flanges: Flanges) -> list[tuple[float, float]]:
 def _drilled(
     profile: am.Polygon, flanges: Flanges, places: list[tuple[float, float]]
 ) -> SolidDomain:
+    """Return a flange as a solid with a hole for each bolt."""
     solid: SolidDomain = am.Revolution(profile, angle=90.0)
     reach = 2 * flanges.clamped
     for x, y in places:
@@ -380,7 +376,8 @@ def _drilled(
 
 
 def _bolt_solid(flanges: Flanges, place: tuple[float, float]) -> SolidDomain:
-    """A bolt: the shank reaches half into both heads, so that their undersides stay whole."""
+    """Return a bolt. Its shank reaches half into both heads, so that their undersides are cut by its
+    side only."""
     x, y = place
     inside = 0.5 * flanges.head_height
     solid: SolidDomain = am.Cylinder(

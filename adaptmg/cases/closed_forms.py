@@ -99,7 +99,7 @@ class HertzContact:
 def _form(
     load: float, radius: float, lower_radius: float | None, material: Elastic, point: bool
 ) -> HertzContact:
-    """The closed form for two bodies of one material; ValueError where it does not hold."""
+    """Return the closed form for two bodies of one material; ValueError where it does not hold."""
     radii = [checks.quantity("radius", radius, positive=True)]
     if lower_radius is not None:
         radii.append(checks.quantity("lower_radius", lower_radius, positive=True))
@@ -118,6 +118,7 @@ def _form(
 
 
 def _reference(form: HertzContact) -> dict[str, object]:
+    """Return the reference values of a contact after Hertz."""
     width, spaces = (
         ("radius of contact", "half-spaces") if form.point else ("half-width", "half-planes")
     )
@@ -229,6 +230,8 @@ def _posed(
     sections: dict[str, am.Outline | am.Polygon],
     pressure: float,
 ) -> am.ContactProblem:
+    """Return the problem of two bodies with these sections, under a pressure on the upper one; in
+    space a quarter of their revolutions."""
     supports = [am.Support("upper.symmetry", x=0.0), am.Support("lower.symmetry", x=0.0)]
     parts = sections
     if material.dim == 3:
@@ -258,6 +261,8 @@ def _posed(
 def _sections(
     radius: float, lower_radius: float | None, a: float
 ) -> dict[str, am.Outline | am.Polygon]:
+    """Return the sections of a round body and of the body below it, for a contact of half-width a;
+    the lower one is a block where ``lower_radius`` is None."""
     if lower_radius is not None:
         lower = quarter_cylinder(lower_radius, MASTER_REACH * a, above=False)
     else:
@@ -275,7 +280,7 @@ def _sections(
 
 
 def _block_contact(size: float, a: float) -> float:
-    """The x at which the contact boundary on a block ends: 7 half-widths a, at most 3/4 of the
+    """Return the x at which the contact boundary on a block ends: 7 half-widths a, at most 3/4 of the
     block."""
     return min(MASTER_REACH * a, 0.75 * size)
 
@@ -298,7 +303,8 @@ def quarter_cylinder(radius: float, contact: float, *, above: bool) -> am.Outlin
 
 
 def _on_circle(radius: float, contact: float) -> tuple[float, float]:
-    """The point of the circle on the origin at x = contact, at most at 45 degrees."""
+    """Return the point at x = contact, at most at 45 degrees, of the circle that touches the origin
+    from above."""
     turn = math.asin(min(contact / radius, math.sqrt(0.5)))
     return radius * math.sin(turn), 2 * radius * math.sin(0.5 * turn) ** 2
 
@@ -322,10 +328,10 @@ class PartialSlip:
     def __post_init__(self) -> None:
         checks.convert(self, checks.positive, "friction")
         checks.convert(self, checks.nonnegative, "tangential")
-        most = self.friction * checks.instance("normal", self.normal, HertzContact).load
-        if not self.tangential < most:
+        limit = self.friction * checks.instance("normal", self.normal, HertzContact).load
+        if not self.tangential < limit:
             raise ValueError(
-                f"tangential must be below friction times load = {most:g} N/m, got {self.tangential!r}: "
+                f"tangential must be below friction times load = {limit:g} N/m, got {self.tangential!r}: "
                 "beyond, the cylinder slides off"
             )
 
@@ -434,7 +440,7 @@ _SIZE = 40.0
 
 
 def _punch_pressure(load: float, a: float, x: np.ndarray) -> np.ndarray:
-    """Pressure at |x| < a, Pa."""
+    """Return the pressure, Pa, at x, |x| < a."""
     return load / (math.pi * np.sqrt(a**2 - np.asarray(x) ** 2))
 
 

@@ -114,7 +114,7 @@ def coulomb_transition(
 def _field(
     kind: str, away: bool, friction: float, pressure: float, material: am.PlaneStrain
 ) -> TransitionField:
-    """The mode with a sign, a size and a uniform part that make all states admissible."""
+    """Return the mode with a size, a sign and a uniform part that make all states admissible."""
     poisson = material.poisson
     direction = 1.0 if away else -1.0
     beta = (1 - 2 * poisson) / (2 * (1 - poisson))
@@ -142,8 +142,9 @@ def _field(
 def _mode(
     kind: str, friction: float, poisson: float, exponent: float, direction: float
 ) -> tuple[complex, complex]:
-    """The coefficients a and b: the null vector of the conditions on both sides of the
+    """Return the coefficients a and b: the null vector of the conditions on both sides of the
     transition."""
+    # conditions at x = 1, which slips, and at x = -1, for each unit coefficient
     ends = np.array([1.0 + 0.0j, -1.0 + 0.0j])
     columns = []
     for a, b in ((1, 0), (1j, 0), (0, 1), (0, 1j)):
@@ -195,20 +196,18 @@ class TransitionField:
 
         mesh = need_mesh(result)
         rule, weights = simplex_rule(2, points)
-        at = quadrature_points(mesh.points, mesh.elements, rule)
-        exact = self.stress(at.reshape(-1, 2)).reshape(*at.shape[:2], 3)
-        wrong = (
-            exact
-            - full_stress(mesh, self.material, result.displacement)[:, None, (0, 1, 0), (0, 1, 1)]
-        )
+        positions = quadrature_points(mesh.points, mesh.elements, rule)
+        exact = self.stress(positions.reshape(-1, 2)).reshape(*positions.shape[:2], 3)
+        tensors = full_stress(mesh, self.material, result.displacement)
+        difference = exact - tensors[:, None, (0, 1, 0), (0, 1, 1)]
         error, energy = (
             float(np.sum(mesh.volumes[:, None] * weights * self._density(stress)))
-            for stress in (wrong, exact)
+            for stress in (difference, exact)
         )
         return EnergyError(math.sqrt(error), math.sqrt(error / energy), math.sqrt(energy), 0.0)
 
     def _density(self, stress: np.ndarray) -> np.ndarray:
-        """Sigma : C^-1 sigma of xx, yy, xy in plane strain."""
+        """Return sigma : C^-1 sigma of stresses (..., 3), xx, yy, xy, in plane strain."""
         xx, yy, xy = np.moveaxis(stress, -1, 0)
         return (xx**2 + yy**2 + 2 * xy**2 - self.material.poisson * (xx + yy) ** 2) / (
             2 * self.material.shear_modulus
@@ -216,12 +215,12 @@ class TransitionField:
 
 
 def _displaced(field: TransitionField, component: int, points: np.ndarray) -> np.ndarray:
-    """A component of the displacement (n,), m, for a Support."""
+    """Return a component (n,) of the displacement, m, for a Support."""
     return field.displacement(points)[:, component]
 
 
 def _sheared(field: TransitionField, normal: float, points: np.ndarray) -> np.ndarray:
-    """The shear traction (n,), Pa, on a side with the normal (normal, 0), for a Traction."""
+    """Return the shear traction (n,), Pa, on a side with the normal (normal, 0), for a Traction."""
     return normal * field.stress(points)[:, 2]
 
 
@@ -229,7 +228,7 @@ _Complex = NDArray[np.complexfloating]
 
 
 def _complex(points: np.ndarray) -> _Complex:
-    """Complex coordinates (n,); points below the plane by rounding are moved onto it, where the
+    """Return complex coordinates (n,); points below the plane by rounding are moved onto it, where the
     fields have a cut."""
     points = np.asarray(points, dtype=np.float64)
     return points[:, 0] + 1j * (np.maximum(points[:, 1], 0.0) + 0.0)
@@ -238,21 +237,21 @@ def _complex(points: np.ndarray) -> _Complex:
 def _derivatives(
     z: _Complex, exponent: float, a: complex, b: complex
 ) -> tuple[_Complex, _Complex, _Complex]:
-    """Phi', conj(z) phi'' and psi'."""
+    """Return phi', conj(z) phi'' and psi' (n,)."""
     slope = exponent * z ** (exponent - 1)
-    # conj(z) / z as a turn, which is finite at z = 0
+    # conj(z) / z as a rotation, which is finite at z = 0
     return a * slope, a * (exponent - 1) * slope * np.exp(-2j * np.angle(z)), b * slope
 
 
 def _displacement(z: _Complex, exponent: float, a: complex, b: complex, poisson: float) -> _Complex:
-    """2 mu (u_x + i u_y)."""
-    first = _derivatives(z, exponent, a, b)[0]
-    return (3 - 4 * poisson) * a * z**exponent - z * np.conj(first) - np.conj(b * z**exponent)
+    """Return 2 mu (u_x + i u_y) (n,)."""
+    phi_slope = _derivatives(z, exponent, a, b)[0]
+    return (3 - 4 * poisson) * a * z**exponent - z * np.conj(phi_slope) - np.conj(b * z**exponent)
 
 
 def _stress(z: _Complex, exponent: float, a: complex, b: complex) -> np.ndarray:
-    """xx, yy, xy (n, 3)."""
-    first, second, other = _derivatives(z, exponent, a, b)
-    mean = 2 * first.real
-    rest = second + other
-    return np.column_stack([mean - rest.real, mean + rest.real, rest.imag])
+    """Return the stresses xx, yy, xy (n, 3)."""
+    phi_slope, phi_curvature, psi_slope = _derivatives(z, exponent, a, b)
+    mean = 2 * phi_slope.real
+    deviation = phi_curvature + psi_slope
+    return np.column_stack([mean - deviation.real, mean + deviation.real, deviation.imag])

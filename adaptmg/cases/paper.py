@@ -153,18 +153,12 @@ def greco_bar(
 def _patch_test(
     material: am.PlaneStrain, top_pressure: float, side_pressure: float, size: float
 ) -> dict[str, object]:
+    """Return the reference values of the bar without friction: uniform stress."""
     nu = material.poisson
     strain = (-(1 - nu**2) * side_pressure + nu * (1 + nu) * top_pressure) / material.young
-    exact = {
-        name: -(1 - fraction) * size * strain
-        for name, fraction in (
-            ("A", 0.0),
-            ("B", 1.25 / 40),
-            ("C", 5 / 40),
-            ("D", 7.5 / 40),
-            ("E", 11.25 / 40),
-        )
-    }
+    # where the points lie along the bottom, over its length
+    fractions = {"A": 0.0, "B": 1.25 / 40, "C": 5 / 40, "D": 7.5 / 40, "E": 11.25 / 40}
+    exact = {name: -(1 - fraction) * size * strain for name, fraction in fractions.items()}
     return {
         "quantity": _REFERENCE["quantity"],
         "points": {name: tuple(np.array(point) * size / 40e-3) for name, point in _POINTS.items()},
@@ -234,7 +228,7 @@ def greco_block(
 
 
 def _parabolic_gap(position: float, radius: float, points: np.ndarray) -> np.ndarray:
-    """Gaps (n,) at points (n, dim), m, to an obstacle that touches at x = position."""
+    """Return the gaps (n,), m, at points (n, dim) to an obstacle that touches at x = position."""
     return (position - points[:, 0]) ** 2 / (2 * radius)
 
 
@@ -427,6 +421,7 @@ def dovetail(
 
 
 def _checked_angle(angle: float) -> float:
+    """Return the angle of the flanks in radians; ValueError where the notch leaves no wall."""
     angle = checks.number("angle", angle)
     least = math.degrees(math.atan2(_DEPTH, _SIDE - _LEAST_WALL - _NECK))
     if not least <= angle < 90:
@@ -437,6 +432,7 @@ def _checked_angle(angle: float) -> float:
 
 
 def _tongue(angle: float) -> am.Polygon:
+    """Return the tongue with flanks at an angle in radians."""
     foot = _NECK + (_DEPTH - _CHAMFER) / math.tan(angle)
     return _polygon(
         [
@@ -452,6 +448,7 @@ def _tongue(angle: float) -> am.Polygon:
 
 
 def _block(angle: float) -> am.Polygon:
+    """Return the block with the notch of the same flanks."""
     root = _NECK + _DEPTH / math.tan(angle)
     return _polygon(
         [
@@ -467,6 +464,7 @@ def _block(angle: float) -> am.Polygon:
 
 
 def _polygon(corners: list[tuple[float, float]], names: tuple[str, ...]) -> am.Polygon:
+    """Return a polygon with corners in mm."""
     return am.Polygon(vertices=tuple((x * _MM, y * _MM) for x, y in corners), boundaries=names)
 
 

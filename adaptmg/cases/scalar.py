@@ -68,26 +68,22 @@ def obstacle_problem(
     >>> round(am.cases.obstacle_problem().reference["contact_radius"], 4)
     0.5025
     """
-    r, k, q, d = (
-        checks.positive(name, value)
-        for name, value in (
-            ("radius", radius),
-            ("tension", tension),
-            ("load", load),
-            ("depth", depth),
-        )
-    )
+    r = checks.positive("radius", radius)
+    k = checks.positive("tension", tension)
+    q = checks.positive("load", load)
+    d = checks.positive("depth", depth)
     if not d < q * r**2 / (4 * k):
         raise ValueError(
             f"depth must be below {q * r**2 / (4 * k):.6g}, the deflection without a floor, got {d:g}"
         )
 
-    def above_floor(a: float) -> float:
+    def edge_height(a: float) -> float:
+        """Return the height of the edge over 0 if the membrane lies on the floor for r <= a."""
         return q / (4 * k) * (r**2 - a**2 - 2 * a**2 * math.log(r / a)) - d
 
     from scipy.optimize import brentq  # takes long to import
 
-    a = float(brentq(above_floor, 1e-9 * r, r))
+    a = float(brentq(edge_height, 1e-9 * r, r))
 
     def deflection(points: np.ndarray) -> np.ndarray:
         s = np.maximum(np.linalg.norm(points, axis=1), a)
@@ -136,17 +132,13 @@ def elastic_plastic_torsion(
     0.5
     """
     checks.choice("section", section, ("disc", "square"))
-    half, g, theta, k = (
-        checks.positive(name, value)
-        for name, value in (
-            ("size", size),
-            ("shear", shear),
-            ("twist", twist),
-            ("yield_stress", yield_stress),
-        )
-    )
+    half = checks.positive("size", size)
+    g = checks.positive("shear", shear)
+    theta = checks.positive("twist", twist)
+    k = checks.positive("yield_stress", yield_stress)
 
     def roof(sign: float) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the limit sign k dist as a function of points (n, 2)."""
         order = None if section == "disc" else np.inf
         return lambda x: sign * k * np.maximum(half - np.linalg.norm(x, order, axis=1), 0.0)
 

@@ -80,6 +80,7 @@ def name_of(kind: type) -> str:
 
 
 def _class_of(argument: str, name: object, kinds: Sequence[type]) -> type:
+    """Return the class of a name in settings; ValueError if it is none of ``kinds``."""
     by_name = {name_of(kind): kind for kind in kinds}
     if name not in by_name:
         raise ValueError(
@@ -91,18 +92,22 @@ def _class_of(argument: str, name: object, kinds: Sequence[type]) -> type:
 
 @cache
 def _parameters(function: Maker) -> dict[str, tuple[inspect.Parameter, tuple[type, ...]]]:
-    """The arguments that settings can give, each with the classes that it may be."""
-    found = {
-        name: (item, () if str(item.annotation).startswith(_PLAIN) else OBJECTS.get(name))
-        for name, item in inspect.signature(function).parameters.items()
-        if name != "store"
-    }
-    return {name: (item, kinds) for name, (item, kinds) in found.items() if kinds is not None}
+    """Return the arguments that settings can give, each with the classes that it may be an object of:
+    () for numbers and texts."""
+    result = {}
+    for name, item in inspect.signature(function).parameters.items():
+        if name == "store":
+            continue
+        if str(item.annotation).startswith(_PLAIN):
+            result[name] = (item, ())
+        elif name in OBJECTS:
+            result[name] = (item, OBJECTS[name])
+    return result
 
 
 def _default_class(name: str, item: inspect.Parameter, kinds: Sequence[type]) -> type | None:
-    """The class of an object that is not named; None for a required one, and where the default
-    depends on others."""
+    """Return the class of an object that settings do not name; None for a required argument, and
+    where the default depends on other arguments."""
     if item.default is item.empty or name == "correction":
         return None
     return next((kind for kind in kinds if type(item.default) is kind), kinds[0])
@@ -113,7 +118,7 @@ def keys_of(function: Maker) -> dict[str, Key]:
     """Return the keys of a class or function: its arguments, and those of the objects that these
     may be."""
     keys = {}
-    nested = {}
+    keys_of_objects = {}
     for name, (item, kinds) in _parameters(function).items():
         if kinds[1:]:
             default = _default_class(name, item, kinds)
@@ -127,20 +132,21 @@ def keys_of(function: Maker) -> dict[str, Key]:
             for key, value in keys_of(kind).items():
                 if type(item.default) is kind and hasattr(item.default, key):
                     value = Key(value.values, _default(getattr(item.default, key)))
-                nested.setdefault(key, value)
-    return nested | keys
+                keys_of_objects.setdefault(key, value)
+    return keys_of_objects | keys
 
 
 def _default(value: object) -> str:
+    """Return a default as text; "" for objects and None."""
     if isinstance(value, bool | str):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, int | float) else ""
 
 
-def arguments_of(function: Maker, values: Arguments, before: str, what: str) -> Arguments:
+def arguments_of(function: Maker, values: Arguments, prefix: str, what: str) -> Arguments:
     """Return keyword arguments of a class or function, and remove them from ``values``; objects
-    take what it does not take itself. In messages keys begin with ``before``, such as "solver.",
-    and ``what`` names the function."""
+    take the keys that it does not take itself. In messages keys begin with ``prefix``, such as
+    "solver.", and ``what`` names the function."""
     parameters = _parameters(function)
     arguments = {
         name: values.pop(name)
@@ -149,45 +155,41 @@ def arguments_of(function: Maker, values: Arguments, before: str, what: str) -> 
     }
     for name, (item, kinds) in parameters.items():
         if kinds:
-            word = values.pop(name, None)
-            kind = (
-                _default_class(name, item, kinds)
-                if word is None
-                else _class_of(before + name, word, kinds)
-            )
-            if kind is not None and (word is not None or set(keys_of(kind)) & set(values)):
-                arguments[name] = kind(
-                    **arguments_of(kind, values, before, f"{before}{name} {name_of(kind)}")
-                )
+            class_name = values.pop(name, None)
+            if class_name is None:
+                kind = _default_class(name, item, kinds)
+                # by default only an object of which a field is given
+                kind = kind if kind and set(keys_of(kind)) & set(values) else None
+            else:
+                kind = _class_of(prefix + name, class_name, kinds)
+            if kind is not None:
+                named = f"{prefix}{name} {name_of(kind)}"
+                arguments[name] = kind(**arguments_of(kind, values, prefix, named))
         if item.default is item.empty and name not in arguments:
-            raise ValueError(f"{what} needs {before}{name}")
+            raise ValueError(f"{what} needs {prefix}{name}")
     return arguments
 
 
-def _made(function: Maker, values: Arguments, before: str, what: str) -> Any:
+def _made(function: Maker, values: Arguments, prefix: str, what: str) -> Any:
     """Call a class or function with settings; ValueError for settings that it does not take."""
-    arguments = arguments_of(function, values, before, what)
+    arguments = arguments_of(function, values, prefix, what)
     for key in values:
         owners = [
-            f"{before}{name} {name_of(kind)}"
+            f"{prefix}{name} {name_of(kind)}"
             for name, (_, kinds) in _parameters(function).items()
             for kind in kinds
             if key in keys_of(kind)
         ]
-        raise ValueError(
-            f"{before}{key} has no meaning for {what}"
-            + (
-                f": it belongs to {' or '.join(owners)}"
-                if owners
-                else f"; it takes {', '.join(keys_of(function))}"
-            )
-        )
+        remedy = f"; it takes {', '.join(keys_of(function))}"
+        if owners:
+            remedy = f": it belongs to {' or '.join(owners)}"
+        raise ValueError(f"{prefix}{key} has no meaning for {what}{remedy}")
     return function(**arguments)
 
 
 def problem_of(values: Arguments) -> am.ContactProblem:
-    """Return the problem of a case with its arguments and elements; friction or limit alone choose
-    the law."""
+    """Return the problem of a case with its arguments and elements. Where no law is named, friction
+    means Coulomb's and limit Tresca's."""
     name = values.pop("case")
     elements = values.pop("elements", ELEMENTS[0])
     case = get(name)
@@ -197,11 +199,8 @@ def problem_of(values: Arguments) -> am.ContactProblem:
             f"the command line does not solve the case {name!r}: in Python, "
             f"problem = am.cases.{name}() is solved by {case.call}"
         )
-    if (
-        "law" not in values
-        and "law" in _parameters(function)
-        and {"friction", "limit"} & set(values)
-    ):
+    has_law = "law" in _parameters(function)
+    if has_law and "law" not in values and {"friction", "limit"} & set(values):
         values["law"] = "coulomb" if "friction" in values else "tresca"
     return dataclasses.replace(
         _made(function, values, "case.", f"the case {name}"), elements=elements
@@ -250,15 +249,16 @@ def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> d
         kind = tables[part][key].values
         if kind.startswith("Sequence") and not isinstance(value, tuple):
             value = (value,)
-        settings[part][key] = (
-            float(value) if type(value) is int and kind.startswith("float") else value
-        )
+        if type(value) is int and kind.startswith("float"):
+            value = float(value)
+        settings[part][key] = value
     if adaptive and not {"tolerance", "max_nodes", "max_seconds"} & set(settings["adapt"]):
         settings["adapt"]["max_nodes"] = _NODES
     return settings
 
 
 def _value_of(text: str) -> object:
+    """Return a number, truth value or tuple of these that a text stands for, else the text."""
     if "," in text:
         return tuple(_value_of(part.strip()) for part in text.split(","))
     if text in ("true", "false"):
@@ -276,9 +276,8 @@ def solver_of(values: Arguments) -> Solver:
     name = values.pop("method", name_of(am.FullMultigrid))
     kind = _class_of("solver.method", name, METHODS)
     if "max_cycles" in values:
-        values[next(key for key in _parameters(kind) if key.startswith("max_"))] = values.pop(
-            "max_cycles"
-        )
+        limit = next(key for key in _parameters(kind) if key.startswith("max_"))
+        values[limit] = values.pop("max_cycles")
     return _made(kind, values, "solver.", f"solver.method {name}")
 
 
@@ -327,12 +326,12 @@ def forecast(settings: Mapping[str, Arguments]) -> am.Forecast:
 def solved(
     settings: Mapping[str, Arguments],
     callback: Callable[[dict], None] | None = None,
-    each: Callable[[am.Step], None] | None = None,
+    on_step: Callable[[am.Step], None] | None = None,
     store: str | os.PathLike[str] | None = None,
 ) -> tuple[Result, am.Hierarchy, list[am.Step]]:
     """Solve once, or on meshes that follow the error; return the last result, its grids, and the
-    steps of the loop. ``callback`` is given the progress, ``each`` every step, which ``store``
-    keeps."""
+    steps of the loop. ``callback`` is called with the progress, ``on_step`` with every step;
+    ``store`` keeps the steps."""
     problem = problem_of(settings["case"])
     if not settings["adapt"]:
         # the method first: what is refused is refused before anything is meshed
@@ -340,15 +339,11 @@ def solved(
         levels = grids(problem, settings["hierarchy"])
         return am.solve(levels, solver, throw=False, callback=callback), levels, []
     steps = []
-    for step in _made(
-        partial(am.adapt, problem, progress=callback, store=store),
-        settings["adapt"],
-        "adapt.",
-        "this loop",
-    ):
+    loop = partial(am.adapt, problem, progress=callback, store=store)
+    for step in _made(loop, settings["adapt"], "adapt.", "this loop"):
         steps.append(step)
-        if each is not None:
-            each(step)
+        if on_step is not None:
+            on_step(step)
     return steps[-1].result, steps[-1].hierarchy, steps
 
 
@@ -370,8 +365,7 @@ def case_facts(name: str) -> dict[str, Any]:
 
 
 def about_case(name: str) -> str:
-    """Return arguments, boundaries and loads of a case as text, and what its function says of
-    itself."""
+    """Return arguments, boundaries and loads of a case, and the docstring of its function, as text."""
     facts = case_facts(name)
     words = inspect.getdoc(get(name).function) or ""
     if "call" in facts:

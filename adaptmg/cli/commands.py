@@ -39,7 +39,7 @@ _SECTIONS = {"solve": ("case", "hierarchy", "solver"), "adapt": ("case", "adapt"
 
 
 class _Parser(argparse.ArgumentParser):
-    """Bad input raises ValueError."""
+    """A parser that raises ValueError for bad input."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         raise ValueError(f"{message} (see '{self.prog} --help')")
@@ -64,7 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parser(command: str) -> _Parser:
-    """Return the parser; only of ``command`` it has the options that need the classes."""
+    """Return the parser of all commands. Options that need the classes of the package, which load
+    slowly, are added for ``command`` only."""
     parser = _Parser(
         "adaptmg",
         description="Multigrid for frictional contact on adaptively refined meshes.",
@@ -80,6 +81,7 @@ def _parser(command: str) -> _Parser:
     def made(
         run: Callable[[Namespace], int | None], purpose: str, example: str, *more: str
     ) -> Callable[..., object]:
+        """Add a command, which ``run`` does, and return the function that adds its options."""
         name = run.__name__[1:]
         parser = commands.add_parser(
             name,
@@ -146,6 +148,7 @@ def _parser(command: str) -> _Parser:
 
 
 def _add_json(add: Callable[..., object]) -> None:
+    """Add the option --json."""
     add("--json", action="store_true", help="print JSON")
 
 
@@ -200,6 +203,7 @@ def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
 
 
 def _add_settings(parser: _Parser, command: str) -> None:
+    """Add the case, and an option for each key of the sections of a command."""
     from adaptmg.cli.build import PURPOSE, sections
 
     parser.add_argument("case", metavar="CASE", help="name of a case, see 'adaptmg cases'")
@@ -213,10 +217,9 @@ def _add_settings(parser: _Parser, command: str) -> None:
     for section in _SECTIONS[command]:
         group = parser.add_argument_group(f"{section}: {PURPOSE[section]}".replace("%", "%%"))
         for key, about in sections()[section].items():
-            names = [
-                f"--{name.replace('_', '-')}"
-                for name in {"method": ("solver", key), "shape": ("cycle", key)}.get(key, (key,))
-            ]
+            # two keys have a further name
+            keys = {"method": ("solver", key), "shape": ("cycle", key)}.get(key, (key,))
+            names = [f"--{name.replace('_', '-')}" for name in keys]
             if key != "case" and not set(names) & set(parser._option_string_actions):
                 default = f", default {about.default}" if about.default else ""
                 group.add_argument(
@@ -229,6 +232,7 @@ def _add_settings(parser: _Parser, command: str) -> None:
 
 
 def _settings(parsed: Namespace) -> dict[str, dict[str, object]]:
+    """Return the settings that the options give, by section."""
     from adaptmg.cli import build
 
     texts = {name: text for name, text in vars(parsed).items() if "." in name}
@@ -240,26 +244,26 @@ def _settings(parsed: Namespace) -> dict[str, dict[str, object]]:
     return build.from_texts(parsed.case, texts, adaptive=parsed.run is _adapt)
 
 
-def _print_json(value: object) -> None:
-    _say(json.dumps(value, indent=2, allow_nan=False))
+def _as_json(value: object) -> str:
+    """Return a value as JSON."""
+    return json.dumps(value, indent=2, allow_nan=False)
 
 
 def _cases(parsed: Namespace) -> None:
+    """List the cases, or explain one."""
     from adaptmg.cases import CASES, FROM_PYTHON
 
     if parsed.case is not None:
         from adaptmg.cli import build
 
-        _print_json(build.case_facts(parsed.case)) if parsed.json else _say(
-            build.about_case(parsed.case)
-        )
+        name = parsed.case
+        _say(_as_json(build.case_facts(name)) if parsed.json else build.about_case(name))
     elif parsed.json:
-        _print_json(
-            [
-                {"name": name, "description": case.description, "call": case.call}
-                for name, case in {**CASES, **FROM_PYTHON}.items()
-            ]
-        )
+        rows = [
+            {"name": name, "description": case.description, "call": case.call}
+            for name, case in {**CASES, **FROM_PYTHON}.items()
+        ]
+        _say(_as_json(rows))
     else:
         width = max(map(len, [*CASES, *FROM_PYTHON]))
         for title, cases in (
@@ -271,19 +275,20 @@ def _cases(parsed: Namespace) -> None:
 
 
 def _solve(parsed: Namespace) -> int:
+    """Solve a case, and return the exit code."""
     from adaptmg.cli import build, output
 
     settings = _settings(parsed)
     if parsed.dry_run:
         costs = build.forecast(settings)
-        _print_json(costs._asdict()) if parsed.json else _say(str(costs))
+        _say(_as_json(costs._asdict()) if parsed.json else str(costs))
         return 0
     folder = output.folder(parsed.out)
     with output.watched() as callback:
         result, grids, _ = build.solved(settings, callback)
     files = output.write(folder, result, grids, [])
     if parsed.json:
-        _print_json(output.summary(result, files))
+        _say(_as_json(output.summary(result, files)))
     else:
         _say("\n".join([str(grids), "", str(result), *(f"wrote {file}" for file in files)]))
     if not result.status.ok:
@@ -292,6 +297,7 @@ def _solve(parsed: Namespace) -> int:
 
 
 def _adapt(parsed: Namespace) -> None:
+    """Solve a case on meshes that follow the error."""
     from adaptmg.cli import build, output
 
     settings = _settings(parsed)
@@ -301,11 +307,11 @@ def _adapt(parsed: Namespace) -> None:
         # lines would run into the bar: they wait until it ends
         say = waiting.append if parsed.json or progress is not None else _say
         result, grids, steps = build.solved(
-            settings, progress, each=lambda step: say(repr(step)), store=parsed.store
+            settings, progress, on_step=lambda step: say(repr(step)), store=parsed.store
         )
     files = output.write(folder, result, grids, steps)
     if parsed.json:
-        _print_json(output.loop_summary(steps, files))
+        _say(_as_json(output.loop_summary(steps, files)))
     else:
         _say(
             "\n".join(
@@ -315,6 +321,7 @@ def _adapt(parsed: Namespace) -> None:
 
 
 def _warm(parsed: Namespace) -> None:
+    """Compile all kernels."""
     from rich.console import Console
     from rich.progress import track
 
@@ -329,6 +336,7 @@ def _warm(parsed: Namespace) -> None:
 
 
 def _study(parsed: Namespace) -> int:
+    """Run the study of a script, and return the exit code."""
     from adaptmg.cli.output import finite, logged
     from adaptmg.study import as_text
 
@@ -338,12 +346,9 @@ def _study(parsed: Namespace) -> int:
             name: getattr(parsed, name)
             for name in ("workers", "scheduler", "limit_s", "memory_limit", "rerun", "retry_failed")
         }
-        # failures only on a terminal, else a line for each run
-        level = (
-            logging.INFO
-            if sys.stderr and not (parsed.quiet or sys.stderr.isatty())
-            else logging.WARNING
-        )
+        # a line for each run; on a terminal, which shows a bar, of failures only
+        line_for_each = sys.stderr and not (parsed.quiet or sys.stderr.isatty())
+        level = logging.INFO if line_for_each else logging.WARNING
         with logged("adaptmg.study", level, logging.StreamHandler()):
             study.run(progress=False if parsed.quiet else None, **options)
     table = study.table(details=parsed.json)
@@ -351,9 +356,8 @@ def _study(parsed: Namespace) -> int:
     columns = table.attrs["columns"]
     if parsed.json:
         rows = {} if parsed.dry_run else {"rows": finite(table.to_dict("records"))}
-        _print_json(
-            {"study": study.name, "runs": status.total, **dataclasses.asdict(status), **rows}
-        )
+        about = {"study": study.name, "runs": status.total, **dataclasses.asdict(status)}
+        _say(_as_json(about | rows))
     elif parsed.dry_run:
         shown = table[[*study.parameters, columns["status"]]].head(_SHOWN)
         _say(f"{as_text(shown)}\n\n{study!r}\n{status!r}")
@@ -362,15 +366,17 @@ def _study(parsed: Namespace) -> int:
         _say(f"{as_text(shown, units={columns['seconds']: 's'})}\n\n{status!r}")
     if parsed.dry_run:
         return 0
-    failed = status.failed
-    missed = int((table["outcome"].dropna() != "CONVERGED").sum()) if "outcome" in table else 0
-    for count, words in (
-        (failed, "failed: --retry-failed runs them again"),
-        (missed, "did not converge, see the column outcome"),
-    ):
+    not_converged = 0
+    if "outcome" in table:
+        not_converged = int((table["outcome"].dropna() != "CONVERGED").sum())
+    counts = {
+        "failed: --retry-failed runs them again": status.failed,
+        "did not converge, see the column outcome": not_converged,
+    }
+    for text, count in counts.items():
         if count:
-            _say(f"adaptmg: {count} of {len(table)} runs {words}", err=True)
-    return int(bool(failed or missed))
+            _say(f"adaptmg: {count} of {len(table)} runs {text}", err=True)
+    return int(any(counts.values()))
 
 
 def _study_of(path: Path, store: Path | None) -> Study:
@@ -389,10 +395,10 @@ def _study_of(path: Path, store: Path | None) -> Study:
             f"FILE must be a Python script that makes an am.Study, got {checks.shown(os.fspath(path))}"
         )
     file_size("FILE", file)
-    # as Python does for a script, so that it finds its neighbours; workers get it by value
+    # as Python does for a script, so that it can import files next to it
     sys.path.insert(0, os.fspath(file.resolve().parent))
     spec = importlib.util.spec_from_file_location(file.stem, file)
-    # a file whose name ends with .py has both
+    # a file whose name ends with .py has a spec and a loader
     spec = cast("ModuleSpec", spec)
     loader = cast("Loader", spec.loader)
     module = sys.modules[file.stem] = importlib.util.module_from_spec(spec)
@@ -400,10 +406,10 @@ def _study_of(path: Path, store: Path | None) -> Study:
         loader.exec_module(module)
     except Exception as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    # workers cannot import it
     cloudpickle.register_pickle_by_value(module)
-    studies = list(
-        {id(value): value for value in vars(module).values() if isinstance(value, Study)}.values()
-    )
+    by_identity = {id(value): value for value in vars(module).values() if isinstance(value, Study)}
+    studies = list(by_identity.values())
     if len(studies) == 1:
         if store is not None:
             raise ValueError(
@@ -416,10 +422,11 @@ def _study_of(path: Path, store: Path | None) -> Study:
         raise ValueError(
             f"{file} must make one am.Study, or have run and parameters; it makes {len(studies)} studies"
         )
+    default_store = Path("results", f"{file.stem}.sqlite")
     return Study(
         run,
         parameters,
-        Path("results", f"{file.stem}.sqlite") if store is None else store,
+        default_store if store is None else store,
         name=file.stem,
         fixed=getattr(module, "fixed", None),
         depends=getattr(module, "depends", None),
@@ -427,6 +434,7 @@ def _study_of(path: Path, store: Path | None) -> Study:
 
 
 def _report(parsed: Namespace) -> None:
+    """Write a page on a study in a store."""
     from adaptmg import _checks as checks
     from adaptmg._files import file_size, write_bytes
     from adaptmg.export import study_report
@@ -449,13 +457,14 @@ def _report(parsed: Namespace) -> None:
         )
     records = list(store.get(name).values())
     csv = page.with_suffix(".csv")
-    names = dict.fromkeys(key for record in records for key in record.parameters)
+    parameters = dict.fromkeys(key for record in records for key in record.parameters)
+    # parameters with the same value in all runs
     fixed = {
         key: value
         for key, value in records[0].parameters.items()
         if len(records) > 1 and len({repr(record.parameters.get(key)) for record in records}) == 1
     }
-    varied = [key for key in names if key not in fixed]
+    varied = [key for key in parameters if key not in fixed]
     table = frame(varied, [(record.parameters, record, record.status) for record in records])
     table.attrs |= {"study": name, "fixed": fixed}
     study_report(
@@ -482,8 +491,8 @@ def _origin(records: Sequence[Record]) -> dict[str, str]:
 
 @contextmanager
 def _errors(texts: Sequence[str]) -> Iterator[None]:
-    """Bad input and files that cannot be written become a line on standard error and exit code 2;
-    Ctrl-C is 130."""
+    """Turn errors inside a with statement into a line on standard error and an exit code; see
+    :func:`main`."""
     as_json = "--json" in texts
     command = texts[0] if texts else ""
     try:
@@ -500,16 +509,16 @@ def _errors(texts: Sequence[str]) -> Iterator[None]:
         raise SystemExit(130) from None
     except (ValueError, TypeError, OSError, MemoryError, ArithmeticError, RuntimeError) as error:
         # by its name: solvers may not be loaded
-        missed = "NotConverged" in {kind.__name__ for kind in type(error).__mro__}
-        text = " ".join(_words(error).split())
+        not_converged = "NotConverged" in {kind.__name__ for kind in type(error).__mro__}
+        text = " ".join(_message(error).split())
         if command in _SECTIONS:  # keys of settings are options here
             text = re.sub(
                 rf"\b(?:{'|'.join(_SECTIONS[command])})\.([\w.]+)",
                 lambda match: f"--{match[1].replace('_', '-')}",
                 text,
             )
-        _fail(f"{'not converged: ' * missed}{text}", as_json)
-        raise SystemExit(1 if missed else 2) from None
+        _fail(f"{'not converged: ' * not_converged}{text}", as_json)
+        raise SystemExit(1 if not_converged else 2) from None
 
 
 def _warn(
@@ -520,16 +529,19 @@ def _warn(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
+    """Write a warning as a line; the arguments are those of ``warnings.showwarning``."""
     _say(f"adaptmg: warning: {' '.join(str(message).split())}", err=True)
 
 
 def _fail(text: str, as_json: bool) -> None:
+    """Write an error as a line, and as JSON where that is asked for."""
     if as_json:
         _say(json.dumps({"error": text}))
     _say(f"adaptmg: {text}", err=True)
 
 
-def _words(error: Exception) -> str:
+def _message(error: Exception) -> str:
+    """Return the message of an error as a user should read it."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror if error.filename is None else f"{error.strerror}: {error.filename!r}"
     if isinstance(error, MemoryError):
@@ -539,6 +551,7 @@ def _words(error: Exception) -> str:
 
 
 def _say(text: str, err: bool = False) -> None:
+    """Write a line to standard output, or to standard error, in the encoding that it takes."""
     stream = sys.stderr if err else sys.stdout
     if stream is not None:
         code = getattr(stream, "encoding", None) or "utf-8"

@@ -26,9 +26,9 @@ def finite(value: object) -> object: ...
 def finite(value: object) -> object:
     """Return plain values for JSON: numbers that are not finite become None, tuples lists."""
     if isinstance(value, dict):
-        return {key: finite(v) for key, v in value.items()}
+        return {key: finite(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(v) for v in value]
+        return [finite(part) for part in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -63,6 +63,7 @@ def watched() -> Iterator[Callable[[dict], None] | None]:
 
 
 def _described(row: dict) -> str:
+    """Return a row of progress, of a solve or of an adaptive loop, as text."""
     if "phase" not in row:
         return f"cycle {row['cycle']}, error {row.get('error_estimate', row.get('residual', math.nan)):.1e}"
     text = f"step {row['step']}: {row['phase']}, {row['nodes']} nodes"
@@ -73,7 +74,7 @@ def _described(row: dict) -> str:
 
 @contextmanager
 def logged(name: str, level: int, handler: logging.Handler) -> Iterator[None]:
-    """Send a log to a handler inside."""
+    """Send a log, from a level on, to a handler, inside a with statement."""
     logger = logging.getLogger(name)
     before = logger.level
     logger.addHandler(handler)

@@ -26,6 +26,7 @@ def _solved(problem: am.ContactProblem, *methods: Any, size: float = 0.25) -> No
 
 
 def _methods(problem: am.ContactProblem) -> None:
+    """Solve a problem by every method."""
     monotone = am.FullMultigrid(correction=am.Monotone())
     paper = am.FullMultigrid(correction=am.PaperCorrection(), max_cycles=3)
     methods = (am.FullMultigrid(), monotone, paper, am.SingleGrid(max_sweeps=20))
@@ -33,23 +34,26 @@ def _methods(problem: am.ContactProblem) -> None:
 
 
 def _transfers() -> None:
+    """Build every transfer in the plane and in space."""
     for transfer in (am.L2(), am.LumpedL2(), am.PseudoL2(), am.QuasiInterpolation()):
         for problem, size in ((PLANE, 0.01), (SOLID, 0.02)):
             am.Hierarchy.graded(problem, (size, 0.6 * size), transfer=transfer)
 
 
 def _adapted(problem: am.ContactProblem, nodes: int) -> None:
+    """Solve a problem on adapted meshes of at most this number of nodes, by both engines."""
     for engine in (am.Bisect(), am.Remesh()):
         list(am.adapt(problem, max_nodes=nodes, engine=engine, indicator=am.Residual()))
 
 
 def _pictures() -> None:
+    """Draw a picture of a solid."""
     grids = am.Hierarchy.uniform(SOLID, (2, 4))
     with tempfile.TemporaryFile() as file:
         am.plot.deformation(am.solve(grids)).savefig(file)
 
 
-#: what is done, by its name on the bar
+#: the solves by their names on the bar
 STEPS: Mapping[str, Callable[[], object]] = {
     "plane bodies, every method": lambda: _methods(PLANE),
     "solids, every method": lambda: _methods(SOLID),

@@ -440,7 +440,7 @@ class Cracked(SolidDomain):
             ends = []
             for end in (path[0], path[-1]):
                 body = with_vertex(body, end, arcs=True)
-                places = list(body.vertices)
+                places: list[tuple[float, ...]] = list(body.vertices)
                 for other, points in self.cracks.items():
                     if other != name:
                         places += paths.get(other, points[1:-1])
