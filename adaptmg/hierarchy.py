@@ -23,6 +23,7 @@ from adaptmg.discrete.scalar import ScalarProblem
 from adaptmg.level import (
     Level,
     check_coarse_to_fine,
+    check_problem,
     joined,
     level_of,
     level_under,
@@ -91,7 +92,7 @@ class Hierarchy:
     Attributes
     ----------
     levels : tuple of Level
-    problem : ContactProblem or None
+    problem : ContactProblem, ScalarProblem or None
     origin : str
         How they were made, as text.
     timings : dict of str to float
@@ -112,7 +113,7 @@ class Hierarchy:
 
     levels: tuple[Level, ...]
     problem: ContactProblem | Any = (
-        None  # Any: only hierarchies of a given matrix need the test for None
+        None  # Any: a ScalarProblem; only hierarchies of a given matrix need the test for None
     )
     origin: str = "levels"
     timings: dict[str, float] = field(default_factory=dict)
@@ -124,7 +125,7 @@ class Hierarchy:
         if not levels:
             raise ValueError("levels is empty: a hierarchy needs at least one level")
         if self.problem is not None:
-            checks.instance("problem", self.problem, ContactProblem, "a ContactProblem")
+            check_problem(self.problem)
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
             shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
@@ -170,13 +171,12 @@ class Hierarchy:
         begin = clock()
         from adaptmg.mesh.structured import lattices, warn_of_stretched
 
-        need_domain(problem)
+        domain = cast("Rectangle | Box | Assembly", need_domain(problem))
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))
         if len(divisions) > _MOST_LEVELS:
             raise ValueError(
                 f"divisions must be at most {_MOST_LEVELS} levels, got {len(divisions)}"
             )
-        domain = cast("Rectangle | Box | Assembly", problem.domain)
         warn_of_stretched(domain, divisions[-1])
         return cls._build(
             problem,
@@ -189,7 +189,7 @@ class Hierarchy:
     @classmethod
     def graded(
         cls,
-        problem: ContactProblem,
+        problem: ContactProblem | ScalarProblem,
         sizes: Sequence[float | Mapping[str, float]] | None = None,
         contact_ratio: float | Mapping[str, float] | None = None,
         transfer: Transfer | None = None,
@@ -206,7 +206,7 @@ class Hierarchy:
 
         Parameters
         ----------
-        problem : ContactProblem
+        problem : ContactProblem or ScalarProblem
             With a domain.
         sizes : sequence of float or mapping, optional
             Element size away from contact, coarse to fine, m; of several bodies also body name ->
@@ -270,7 +270,11 @@ class Hierarchy:
                 from adaptmg.estimate.contact_sizes import finer_at_contact
 
                 coarsest, finer = finer_at_contact(
-                    problem, coarsest, lambda field: mesh(0, field), sizes[-1] / sizes[0], grading
+                    cast("ContactProblem", problem),
+                    coarsest,
+                    lambda field: mesh(0, field),
+                    sizes[-1] / sizes[0],
+                    grading,
                 )
             return [coarsest, *(mesh(level, finer) for level in range(1, len(sizes)))]
 
@@ -302,9 +306,7 @@ class Hierarchy:
         begin = clock()
         from adaptmg.mesh import as_mesh
 
-        checks.instance(
-            "problem", problem, (ContactProblem, ScalarProblem), "a ContactProblem or ScalarProblem"
-        )
+        check_problem(problem)
         is_single = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
         arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if is_single else meshes, ())]
         return cls._build(problem, lambda: arrays, transfer, "given meshes", begin, contact_rows)
@@ -396,10 +398,9 @@ class Hierarchy:
         caller began."""
         compiled = compiling_seconds()
         meshes = mesh()
-        posed = None
         if isinstance(problem, ContactProblem):
-            problem = posed = Posed.of(problem, meshes[-1]).problem
-            for message in (*_elsewhere(posed, meshes[-1]), *_overlaps(posed, meshes[-1])):
+            problem = Posed.of(problem, meshes[-1]).problem
+            for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
                 warn_user(message)
         checks.flag("contact_rows", contact_rows)
         builder = the_transfer(transfer)
@@ -416,7 +417,7 @@ class Hierarchy:
         }
         if compiling_seconds() > compiled:
             timings["compiling"] = compiling_seconds() - compiled
-        return cls(tuple(levels), posed, origin, timings, transfer, contact_rows)
+        return cls(tuple(levels), problem, origin, timings, transfer, contact_rows)
 
     def __len__(self) -> int:
         return len(self.levels)
@@ -431,13 +432,18 @@ class Hierarchy:
 
     @property
     def posed(self) -> Posed | None:
-        """Return the problem on the finest mesh; None of a hierarchy that comes from matrices."""
+        """Return the contact problem on the finest mesh; None of scalar problems, and of a
+        hierarchy that comes from matrices."""
         return self.posed_on(self.finest)
 
     def posed_on(self, level: Level) -> Posed | None:
         """Return the problem on the mesh of one of the levels, if there are both."""
         mesh = level.mesh
-        if self.problem is None or mesh is None or level.discrete_or_none is None:
+        if (
+            not isinstance(self.problem, ContactProblem)
+            or mesh is None
+            or level.discrete_or_none is None
+        ):
             return None
         posed = level.posed
         alike = posed is not None and posed.problem is self.problem
@@ -514,18 +520,18 @@ class Hierarchy:
         return Forecast(nodes, unknowns, _BYTES[dim] * cost, _SECONDS[dim] * cost)
 
     @one_blas_thread()
-    def with_problem(self, problem: ContactProblem) -> Hierarchy:
+    def with_problem(self, problem: ContactProblem | ScalarProblem) -> Hierarchy:
         """Return the same meshes with another law, friction, load, material or support.
 
         It is, bit for bit, what :meth:`from_meshes` makes of the same meshes. Of another law, or
         other loads, matrices and prolongations are shared with this hierarchy; for other material,
-        supports or obstacles matrices are assembled again.
+        supports or obstacles, and of scalar problems, matrices are assembled again.
 
         ValueError if domain or contact boundaries are others, or the levels are not made of meshes.
 
         Parameters
         ----------
-        problem : ContactProblem
+        problem : ContactProblem or ScalarProblem
             On the same domain, with contact on the same boundaries.
 
         Examples
@@ -537,7 +543,7 @@ class Hierarchy:
         """
         begin = clock()
         self._need_meshes("with_problem")
-        checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+        check_problem(problem)
         domain = self.problem.domain
         other = problem.domain
         if (
@@ -550,17 +556,15 @@ class Hierarchy:
                 f"problem has another domain, {checks.shown(other)}, than these meshes, "
                 f"{checks.shown(domain)}: mesh it with Hierarchy.graded or uniform"
             )
+        if isinstance(problem, ScalarProblem) or isinstance(self.problem, ScalarProblem):
+            return self._assembled_again(problem)
         problem = Posed.of(problem, need_mesh(self.finest)).problem
         boundaries, asked = (
             (*posed.contact_boundaries, *posed.masters, *posed.tied_boundaries)
             for posed in (self.problem, problem)
         )
         if boundaries != asked and _exchanged(self.problem) == _exchanged(problem):
-            meshes = [need_mesh(level) for level in self.levels]
-            return replace(
-                self.from_meshes(problem, meshes, self.transfer, self.contact_rows),
-                origin=self.origin,
-            )
+            return self._assembled_again(problem)
         if boundaries != asked:
             raise ValueError(
                 f"problem has contact on {', '.join(filter(None, asked))}, but these meshes were made for "
@@ -579,6 +583,13 @@ class Hierarchy:
                 )
         spent = {"mesh": 0.0, "assembly": assembled - begin, "transfer": clock() - assembled}
         return replace(self, levels=tuple(levels), problem=problem, timings=spent)
+
+    def _assembled_again(self, problem: ContactProblem | ScalarProblem) -> Hierarchy:
+        """Return a problem on the same meshes, with nothing taken over."""
+        meshes = [need_mesh(level) for level in self.levels]
+        return replace(
+            self.from_meshes(problem, meshes, self.transfer, self.contact_rows), origin=self.origin
+        )
 
     @one_blas_thread()
     def without(self, level: int) -> Self:
@@ -617,7 +628,7 @@ class Hierarchy:
             level.mesh is None or level.discrete_or_none is None for level in self.levels
         ):
             raise ValueError(
-                f"{what}: these levels ({self.origin}) are not made of meshes of a ContactProblem; make "
+                f"{what}: these levels ({self.origin}) are not made of meshes of a problem; make "
                 "them with Hierarchy.from_meshes, graded or uniform"
             )
 

@@ -272,20 +272,25 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
     )
 
 
-POSED = "a ContactProblem, or for uniform and from_meshes a ScalarProblem"
+def check_problem(problem: object) -> None:
+    """Raise TypeError unless it is a problem to be posed on meshes."""
+    checks.instance(
+        "problem", problem, (ContactProblem, ScalarProblem), "a ContactProblem or ScalarProblem"
+    )
 
 
-def need_domain(problem: ContactProblem | ScalarProblem) -> None:
-    """Raise ValueError unless the problem has a domain to mesh."""
-    checks.instance("problem", problem, (ContactProblem, ScalarProblem), POSED)
+def need_domain(problem: ContactProblem | ScalarProblem) -> Domain:
+    """Return the domain of a problem; ValueError if it has none to mesh."""
+    check_problem(problem)
     if problem.domain is None:
         raise ValueError(
             "problem.domain is None: give the problem a domain, or meshes with Hierarchy.from_meshes "
             "(in an adaptive loop engine=am.Bisect())"
         )
+    return problem.domain
 
 
-def meshed_domain(problem: ContactProblem) -> Domain:
+def meshed_domain(problem: ContactProblem | ScalarProblem) -> Domain:
     """Return the domain of a problem, with a vertex where a point support, spring or force
     lies on a straight plane edge."""
 
@@ -303,14 +308,10 @@ def meshed_domain(problem: ContactProblem) -> Domain:
                 )
         return domain
 
-    checks.instance("problem", problem, ContactProblem, POSED)
-    need_domain(problem)
-    if isinstance(problem.domain, Assembly):
-        return replace(
-            problem.domain,
-            parts={name: cut(part, name) for name, part in problem.domain.parts.items()},
-        )
-    return cut(problem.domain, None)
+    whole = need_domain(problem)
+    if isinstance(whole, Assembly):
+        return replace(whole, parts={name: cut(part, name) for name, part in whole.parts.items()})
+    return cut(whole, None)
 
 
 def check_coarse_to_fine(meshes: Sequence[MeshArrays]) -> None:

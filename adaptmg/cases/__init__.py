@@ -150,14 +150,12 @@ FROM_PYTHON: Mapping[str, Case] = MappingProxyType(
         "obstacle_problem": Case(
             obstacle_problem,
             "a round membrane pressed on a floor, closed form (scalar)",
-            "am.solve(am.Hierarchy.from_meshes(problem, "
-            "[am.mesh.graded(problem.domain, size) for size in (0.2, 0.1, 0.05)]))",
+            "am.solve(am.Hierarchy.graded(problem, (0.2, 0.1, 0.05)))",
         ),
         "elastic_plastic_torsion": Case(
             elastic_plastic_torsion,
             "a twisted bar that yields, round (closed form) or square (scalar)",
-            "am.solve(am.Hierarchy.from_meshes(problem, "
-            "[am.mesh.graded(problem.domain, size) for size in (0.2, 0.1, 0.05)]))",
+            "am.solve(am.Hierarchy.graded(problem, (0.2, 0.1, 0.05)))",
         ),
     }
 )

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -31,12 +31,12 @@ from adaptmg.problem.plane_domains import Domain
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScalarProblem(checks.Checked):
-    """A scalar problem between obstacles, for :meth:`adaptmg.Hierarchy.from_meshes` and ``uniform``.
+    """A scalar problem between obstacles, for hierarchies of meshes and :func:`adaptmg.adapt`.
 
     Parameters
     ----------
     domain : Domain, optional
-        For ``uniform``; meshes may be given instead.
+        What is meshed; meshes may be given instead.
     conductivity : float or callable
         k > 0, number or function of position, taken at the centroids of elements.
     load : float or callable
@@ -72,8 +72,36 @@ class ScalarProblem(checks.Checked):
         field(default_factory=dict)
     )
 
+    # what only bodies have, for code that meshes and solves both
+    contact: ClassVar[tuple[()]] = ()
+    supports: ClassVar[tuple[()]] = ()
+    loads: ClassVar[tuple[()]] = ()
+    pair_boundaries: ClassVar[tuple[str, ...]] = ()
+    tied_boundaries: ClassVar[tuple[str, ...]] = ()
+
     __repr__ = brief
     _repr_html_ = html_fields
+
+    def conductivity_on(self, mesh: MeshArrays) -> np.ndarray:
+        """Return the conductivity (n_elements,) at the centroids of elements."""
+        centroids = mesh.points[mesh.elements].mean(axis=1)
+        k = checks.field("conductivity", self.conductivity, centroids)
+        if not (k > 0).all():
+            raise ValueError(f"conductivity must be > 0, got {k.min():.6g}")
+        return k
+
+    def limits_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the lower and the upper limit (2, n) at points (n, dim), infinite where there is
+        none."""
+        return np.stack(
+            [
+                np.full(len(points), none) if limit is None else checks.field(name, limit, points)
+                for name, limit, none in (
+                    ("lower", self.lower, -np.inf),
+                    ("upper", self.upper, np.inf),
+                )
+            ]
+        )
 
     def on(self, mesh: MeshArrays) -> DiscreteProblem:
         """Return the problem discretised on a mesh of triangles or tetrahedra.
@@ -86,27 +114,21 @@ class ScalarProblem(checks.Checked):
             fixed[mesh.boundary_nodes(boundary)] = True
         values = np.zeros(mesh.n_nodes)
         values[fixed] = checks.field("value", self.value, mesh.points[fixed])
-        limits = {
-            name: None if limit is None else checks.field(name, limit, mesh.points)
-            for name, limit in (("lower", self.lower), ("upper", self.upper))
-        }
-        for name, sign in (("lower", 1.0), ("upper", -1.0)):
-            limit = limits[name]
-            beyond = np.zeros(1) if limit is None else sign * (limit - values)[fixed]
+        lower, upper = self.limits_at(mesh.points)
+        for name, excess in (("lower", lower - values), ("upper", values - upper)):
+            beyond = excess[fixed]
             if beyond.max(initial=0.0) > 0.0:
                 raise ValueError(
                     f"{name} must leave the values of held boundaries room, but one lies {beyond.max():.6g} beyond it"
                 )
-        cells = mesh.elements
-        masses = np.bincount(
-            cells.reshape(-1), np.repeat(mesh.volumes / cells.shape[1], cells.shape[1])
-        )
+        corners = np.repeat(mesh.volumes / (mesh.dim + 1), mesh.dim + 1)
+        masses = np.bincount(mesh.elements.reshape(-1), corners)
         return DiscreteProblem(
             matrix=self._stiffness(mesh),
             load=self._load(mesh),
             fixed=fixed,
             fixed_values=values,
-            bounds=Bounds(**limits, weights=masses),
+            bounds=Bounds(lower=lower, upper=upper, weights=masses),
             coordinates=mesh.points,
             name=f"{self.name}, {mesh.n_nodes} nodes",
         )
@@ -114,11 +136,9 @@ class ScalarProblem(checks.Checked):
     def _stiffness(self, mesh: MeshArrays) -> sparse.csr_array:
         """Return the matrix (n_nodes, n_nodes) of the conductivity."""
         slopes, measures = shape_gradients(mesh)
-        centroids = mesh.points[mesh.elements].mean(axis=1)
-        k = checks.field("conductivity", self.conductivity, centroids)
-        if not (k > 0).all():
-            raise ValueError(f"conductivity must be > 0, got {k.min():.6g}")
-        entries = (k * measures)[:, None, None] * (slopes @ slopes.swapaxes(1, 2))
+        entries = (self.conductivity_on(mesh) * measures)[:, None, None] * (
+            slopes @ slopes.swapaxes(1, 2)
+        )
         row = np.broadcast_to(mesh.elements[:, :, None], entries.shape).reshape(-1)
         column = np.broadcast_to(mesh.elements[:, None], entries.shape).reshape(-1)
         shape = (mesh.n_nodes, mesh.n_nodes)

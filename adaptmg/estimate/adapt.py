@@ -18,8 +18,16 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._text import say
+from adaptmg.discrete.scalar import ScalarProblem
 from adaptmg.estimate.engines import Bisect, Engine, sound_mesh
-from adaptmg.estimate.estimate import AnyEstimate, Doerfler, Indicator, Mark, Residual
+from adaptmg.estimate.estimate import (
+    AnyEstimate,
+    Doerfler,
+    Indicator,
+    Mark,
+    Recovery,
+    Residual,
+)
 from adaptmg.estimate.goal import Goal, need_linear
 from adaptmg.estimate.loop import (
     LOOP_KINDS,
@@ -31,7 +39,7 @@ from adaptmg.estimate.loop import (
     loop_fingerprint,
 )
 from adaptmg.hierarchy import Hierarchy
-from adaptmg.level import need_domain
+from adaptmg.level import check_problem, need_domain
 from adaptmg.mesh.grading import measures
 from adaptmg.problem import ContactProblem, LoadPath
 from adaptmg.problem.load_path import obstacles_in_path
@@ -47,7 +55,7 @@ if TYPE_CHECKING:
 
 
 def adapt(
-    problem: ContactProblem,
+    problem: ContactProblem | ScalarProblem,
     start: float | MeshLike | Hierarchy | None = None,
     indicator: Indicator[AnyEstimate] | None = None,
     mark: Mark | None = None,
@@ -73,10 +81,11 @@ def adapt(
 
     Parameters
     ----------
-    problem : ContactProblem
-        Its ``elements`` are linear unless it says otherwise. Smoothed ones need fewer nodes: the
-        deflection of a pressed cylinder is off by .14 % at 3405 nodes with linear elements, by
-        .11 % at 1516 with smoothed ones. ``Goal`` estimates linear elements only.
+    problem : ContactProblem or ScalarProblem
+        A ScalarProblem takes ``Residual`` and no load path. The ``elements`` of a ContactProblem are
+        linear unless it says otherwise. Smoothed ones need fewer nodes: the deflection of a pressed
+        cylinder is off by .14 % at 3405 nodes with linear elements, by .11 % at 1516 with smoothed
+        ones. ``Goal`` estimates linear elements only.
     start : float, MeshArrays, ngsolve.Mesh, path of a mesh file or Hierarchy, optional
         The first mesh, or its element size in m. Of a hierarchy, which is not changed, the finest
         mesh. Default: an eighth of the square root of the mean area of the bodies (3D: a quarter of
@@ -144,7 +153,7 @@ def adapt(
     >>> steps[-1].estimate.relative < steps[0].estimate.relative
     True
     """
-    checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+    check_problem(problem)
     if tolerance is None and max_nodes is None and max_seconds is None:
         max_nodes = _NODES
     limits = Limits(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds)
@@ -164,9 +173,12 @@ def adapt(
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
     if depends is not None:
         checks.mapping("depends", depends, "names to what stands for them")
-    _check_obstacles(problem, parts)
-    if problem.elements != "linear" and isinstance(parts.indicator, Goal):
-        need_linear(problem)
+    if not isinstance(problem, ScalarProblem):
+        _check_obstacles(problem, parts)
+    elif load_path is not None or isinstance(indicator, Recovery | Goal):
+        raise ValueError(
+            "a ScalarProblem takes no load_path, and as indicator am.Residual() or a user-defined one"
+        )
     first = _first_hierarchy(problem, start, transfer, engine, limits)
     steps = None
     if store is not None:
@@ -190,8 +202,11 @@ def adapt(
 
 
 def _check_obstacles(problem: ContactProblem, parts: LoopParts) -> None:
-    """Raise ValueError if the estimates do not account for obstacles, preloads or plastic bodies."""
+    """Raise ValueError if the estimates do not account for elements, obstacles, preloads or plastic
+    bodies."""
     path = parts.load_path
+    if problem.elements != "linear" and isinstance(parts.indicator, Goal):
+        need_linear(problem)
     if problem.by_force:
         raise ValueError(
             "problem has a Rigid obstacle or a Preload, which the estimates do not account for: give "
@@ -259,7 +274,11 @@ _SURELY = 1.5
 
 
 def _first_hierarchy(
-    problem: ContactProblem, start: Start, transfer: Transfer | None, engine: Engine, limits: Limits
+    problem: ContactProblem | ScalarProblem,
+    start: Start,
+    transfer: Transfer | None,
+    engine: Engine,
+    limits: Limits,
 ) -> Hierarchy:
     """Return the hierarchy that the loop begins with; ValueError if it exceeds the limits."""
     if isinstance(start, Hierarchy):
@@ -279,7 +298,7 @@ def _first_hierarchy(
 
 
 def _given_hierarchy(
-    problem: ContactProblem, start: Hierarchy, transfer: Transfer | None
+    problem: ContactProblem | ScalarProblem, start: Hierarchy, transfer: Transfer | None
 ) -> Hierarchy:
     """Return a hierarchy given as start; ValueError unless it is of the problem and has meshes."""
     if start.problem is not problem:
@@ -298,7 +317,7 @@ def _given_hierarchy(
 
 
 def _hierarchy_of_size(
-    problem: ContactProblem,
+    problem: ContactProblem | ScalarProblem,
     start: Real | None,
     transfer: Transfer | None,
     engine: Engine,
@@ -309,9 +328,9 @@ def _hierarchy_of_size(
     from adaptmg.mesh.sizes import NODES_PER_CELL
 
     size = None if start is None else checks.positive("start", start)
-    need_domain(problem)
-    volumes, lengths = measures(problem.domain)
-    dim = problem.dim
+    domain = need_domain(problem)
+    volumes, lengths = measures(domain)
+    dim = domain.dim
     ratio = 1.0
     if size is None:
         extent = (sum(volumes) / len(volumes)) ** (1 / dim)

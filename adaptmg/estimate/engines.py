@@ -46,9 +46,10 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.scalar import ScalarProblem
 from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.geometry.location import SimplexLocator
-from adaptmg.level import meshed_domain, need_domain
+from adaptmg.level import check_problem, meshed_domain, need_domain
 from adaptmg.mesh.arrays import MeshArrays, Surface, pair_keys
 from adaptmg.mesh.bisection import check_marked, refined
 from adaptmg.mesh.onto_domain import onto_domain
@@ -66,7 +67,7 @@ class Engine(Protocol):
 
     def refine(
         self,
-        problem: ContactProblem,
+        problem: ContactProblem | ScalarProblem,
         mesh: MeshArrays,
         estimate: Estimate,
         marked: np.ndarray,
@@ -78,7 +79,7 @@ class Engine(Protocol):
 def sound_mesh(
     engine: Engine,
     method: str,
-    problem: ContactProblem,
+    problem: ContactProblem | ScalarProblem,
     made: object,
     like: MeshArrays | None = None,
 ) -> MeshArrays:
@@ -88,9 +89,10 @@ def sound_mesh(
     made = checks.instance(name, made, MeshArrays, "MeshArrays")
     try:
         check_mesh(made)
-        if made.dim != problem.dim:
-            raise ValueError(f"it is {made.dim}D, the problem {problem.dim}D")
-        problem.check_boundaries(made.boundaries)
+        if like is not None and made.dim != like.dim:
+            raise ValueError(f"it is {made.dim}D, not {like.dim}D")
+        if isinstance(problem, ContactProblem):
+            problem.check_boundaries(made.boundaries)
         if like is not None and set(made.bodies) != set(like.bodies):
             raise ValueError(
                 f"its bodies are {', '.join(made.bodies)}, not {', '.join(like.bodies)}"
@@ -137,7 +139,7 @@ class Bisect:
     0
     """
 
-    def first(self, problem: ContactProblem, size: float) -> MeshArrays | None:
+    def first(self, problem: ContactProblem | ScalarProblem, size: float) -> MeshArrays | None:
         """Return the regular mesh to begin with, of an element size in m; None for domains that
         have no such mesh."""
         domain = meshed_domain(problem)
@@ -153,7 +155,7 @@ class Bisect:
 
     def refine(
         self,
-        problem: ContactProblem,
+        problem: ContactProblem | ScalarProblem,
         mesh: MeshArrays,
         estimate: Estimate,
         marked: np.ndarray,
@@ -166,7 +168,7 @@ class Bisect:
         (n_elements,) elements with the largest squares are refined. The same mesh is returned where
         nothing is marked, ``max_nodes`` leaves no room, or coordinates do not resolve smaller
         elements than those that are marked."""
-        checks.instance("problem", problem, ContactProblem, "a ContactProblem")
+        check_problem(problem)
         marked = check_marked(check_mesh(mesh), marked)
         squares = estimate_for(mesh, estimate).squares
         limit = np.inf if max_nodes is None else checks.integer("max_nodes", max_nodes, 1)
@@ -272,7 +274,7 @@ class Remesh:
 
     def refine(
         self,
-        problem: ContactProblem,
+        problem: ContactProblem | ScalarProblem,
         mesh: MeshArrays,
         estimate: Estimate,
         marked: object = None,
@@ -301,7 +303,11 @@ class Remesh:
         return self.mesh(problem, SizeField(mesh, sizes))
 
     def _equilibrated(
-        self, problem: ContactProblem, mesh: MeshArrays, estimate: Estimate, aim: float
+        self,
+        problem: ContactProblem | ScalarProblem,
+        mesh: MeshArrays,
+        estimate: Estimate,
+        aim: float,
     ) -> np.ndarray:
         """Return sizes (n_nodes,), m, for a mesh of about ``aim`` nodes, with at least four edges along
         a contact boundary."""
@@ -313,16 +319,15 @@ class Remesh:
         return graded_sizes(mesh, sizes, GRADING)
 
     def intermediate(
-        self, problem: ContactProblem, coarse: MeshArrays, fine: MeshArrays
+        self, problem: ContactProblem | ScalarProblem, coarse: MeshArrays, fine: MeshArrays
     ) -> MeshArrays:
         """Return a mesh between two neighbouring levels, of the geometric mean of both sizes.
 
         A size ratio of q between the two becomes about the root of q to either side.
         """
-        need_domain(problem)
         return self.mesh(problem, mean_sizes(coarse, fine, GRADING))
 
-    def mesh(self, problem: ContactProblem, field: SizeField) -> MeshArrays:
+    def mesh(self, problem: ContactProblem | ScalarProblem, field: SizeField) -> MeshArrays:
         """Mesh the problem's domain by a size field."""
         from adaptmg.mesh.grading import sized_by
 

@@ -32,7 +32,8 @@ all diagonals alike), and nearly constant on the meshes of one family; it is not
 error. Where body forces, or the hoop stress of smooth axisymmetric fields, rule the error it is 5.7
 to 8.8 times the error; where a contact zone between curved bodies has one or two nodes up to 30
 times, nearly all of it complementarity, until meshes resolve the zone. Of smoothed elements, on the
-meshes of four adaptive loops, it is 2 to 2.7 times the error of their stress.
+meshes of four adaptive loops, it is 2 to 2.7 times the error of their stress. Scalar problems:
+:mod:`adaptmg.estimate.scalar_residual`.
 
 The recovered estimate (Zienkiewicz and Zhu) is that of a smoother stress,
 
@@ -58,7 +59,9 @@ from adaptmg._text import shortened
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.loads import body_elements, foundation, load_density
+from adaptmg.discrete.scalar import ScalarProblem
 from adaptmg.discrete.stress import displacement_gradient, recovered
+from adaptmg.estimate.scalar_residual import scalar_squares
 from adaptmg.estimate.stress_fields import ElementStress, Solved, contact_tractions, solved
 from adaptmg.geometry.quadrature import integration
 from adaptmg.hierarchy import Hierarchy
@@ -348,27 +351,32 @@ class Residual:
         :func:`adaptmg.solve` on it.
 
         The terms of the estimate are "element residual", "jumps inside", "traction on boundaries",
-        "traction in contact", "complementarity" and "friction"; squares of energies, N m (plane:
-        per metre of thickness); elements at a :class:`adaptmg.PointForce`, whose energy is
+        "traction in contact", "complementarity" and "friction", of scalar problems "element
+        residual", "jumps inside", "flux on boundaries", "complementarity" and "obstacle"; squares of
+        energies, N m (plane: per metre of thickness); elements at a :class:`adaptmg.PointForce`, whose energy is
         infinite, are left out. TypeError or ValueError without problem, mesh or materials, for a
         result of another mesh, other loads, or not finite."""
-        state = solved(hierarchy, result)
-        volume = volume_squares(state.stress, state.problem.loads, state.young)
-        free, touching = boundary_squares(state)
-        complementarity, friction = condition_squares(state)
-        jumps = jump_squares(state)
-        parts = {
-            "element residual": volume,
-            "jumps inside": jumps,
-            "traction on boundaries": free,
-            "traction in contact": touching,
-            "complementarity": complementarity,
-            "friction": friction,
-        }
-        parts = {name: part * state.regular for name, part in parts.items() if part is not None}
+        checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
+        if isinstance(hierarchy.problem, ScalarProblem):
+            parts, norm = scalar_squares(hierarchy.problem, hierarchy.finest, result)
+        else:
+            state = solved(hierarchy, result)
+            volume = volume_squares(state.stress, state.problem.loads, state.young)
+            free, touching = boundary_squares(state)
+            complementarity, friction = condition_squares(state)
+            parts = {
+                "element residual": volume,
+                "jumps inside": jump_squares(state),
+                "traction on boundaries": free,
+                "traction in contact": touching,
+                "complementarity": complementarity,
+                "friction": friction,
+            }
+            parts = {name: part * state.regular for name, part in parts.items() if part is not None}
+            norm = state.norm
         return Estimate(
             squares=sum(parts.values()),
-            norm=state.norm,
+            norm=norm,
             indicator="residuals",
             terms={name: part.sum() for name, part in parts.items()},
         )

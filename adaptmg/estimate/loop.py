@@ -35,7 +35,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.named_loads import load_steps
+from adaptmg.discrete.named_loads import load_steps, whole_load
 from adaptmg.discrete.posed import Posed
 from adaptmg.estimate.engines import Engine, divisible, sound_mesh
 from adaptmg.estimate.estimate import AnyEstimate, Estimate, Indicator, Mark, estimate_of, marks_of
@@ -689,7 +689,8 @@ def loop_fingerprint(
     """Return the fingerprint of a loop that begins with a hierarchy, with its options by name:
     indicator, mark, engine, ..."""
     loads = [
-        load_steps(cast("Posed", start.posed_on(level)), level.discrete) for level in start.levels
+        whole_load(level.discrete) if posed is None else load_steps(posed, level.discrete)
+        for level, posed in zip(start.levels, map(start.posed_on, start.levels), strict=True)
     ]
     factors = {} if load_path is None else load_path.resolved(start.problem)
     # the problem itself, since another law or gap may differ only between the nodes of the first

@@ -293,14 +293,26 @@ def solved(hierarchy: Hierarchy, result: Result, plastic: bool = False) -> Solve
     """Return a result on the finest mesh of a hierarchy, checked to belong to it; ``plastic``: also
     one of plastic bodies, with the stress that the whole strain would have."""
     checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
-    checks.instance("result", result, Result, "a Result")
     posed = hierarchy.posed
     if posed is None:
         raise ValueError(
-            "hierarchy has no ContactProblem or no mesh (it comes from matrices): make it by "
-            "Hierarchy.uniform, graded or from_meshes"
+            "hierarchy must have meshes and a ContactProblem (am.Residual() also estimates a "
+            "ScalarProblem): make it by Hierarchy.uniform, graded or from_meshes"
         )
-    mesh = posed.mesh
+    check_result(posed.mesh, result)
+    data = result.stress_data
+    if plastic and data is not None and data.plastic is not None:
+        # loads are not checked: the elastic matrix does not hold the forces of these bodies
+        result = replace(result, stress_data=replace(data, plastic=None))
+        return Solved(posed, hierarchy.finest.discrete, result)
+    state = Solved(posed, hierarchy.finest.discrete, result)
+    state.check_loads()
+    return state
+
+
+def check_result(mesh: MeshArrays, result: Result) -> None:
+    """Raise ValueError unless a result is one on the finest mesh of a hierarchy, and finite."""
+    checks.instance("result", result, Result, "a Result")
     result_mesh = need_mesh(result)
     if result_mesh is not mesh and not (
         np.array_equal(result_mesh.elements, mesh.elements)
@@ -316,14 +328,6 @@ def solved(hierarchy: Hierarchy, result: Result, plastic: bool = False) -> Solve
             f"result.displacement must be finite, got {result.displacement[i]} at node {i}: the solver "
             f"ended with {result.status.name}"
         )
-    data = result.stress_data
-    if plastic and data is not None and data.plastic is not None:
-        # loads are not checked: the elastic matrix does not hold the forces of these bodies
-        result = replace(result, stress_data=replace(data, plastic=None))
-        return Solved(posed, hierarchy.finest.discrete, result)
-    state = Solved(posed, hierarchy.finest.discrete, result)
-    state.check_loads()
-    return state
 
 
 @dataclass(frozen=True, eq=False)

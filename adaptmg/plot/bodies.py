@@ -334,7 +334,8 @@ def state_marks(mesh: MeshArrays, contact: ContactResult) -> Marks:
         state = np.full(mesh.n_nodes, -1)
         rows = contact.boundary == k
         state[contact.node[rows]] = contact.state[rows]
-        facets = mesh.facet_labels == mesh.boundaries.index(name)
+        # of scalar problems there is none
+        facets = np.array(mesh.boundaries)[mesh.facet_labels] == name
         codes[facets] = state[mesh.facets[facets]]
     codes[codes.min(axis=1) < 0] = -1
     return Marks(codes, list(style.STATE_INKS.values()))

@@ -246,7 +246,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
         raise ValueError("steps is empty: give the steps of am.adapt, as in list(am.adapt(...))")
     last = steps[-1]
     present = set()
-    dim = last.result.dim
+    dim = need_mesh(last.result).dim
     goal = last.estimate.signed is not None
     columns = style.columns_of(6, 3, 3.3)
     rows = {3: 2, 2: 4, 1: 6}[columns]

@@ -115,7 +115,7 @@ def solve(
     checks.flag("progress", progress)
     checks.optional_callable("callback", callback, "a row of the history")
     inelastic = grids.finest.discrete.inelastic
-    if inelastic or (grids.problem is not None and grids.problem.by_force):
+    if inelastic or (grids.posed is not None and grids.posed.problem.by_force):
         from adaptmg.evolution.load_path import solve_path  # else a first solve does without it
 
         for name, value in (("start", start), ("reference", reference)):

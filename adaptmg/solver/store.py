@@ -408,6 +408,7 @@ def fingerprint(
                 contact.nodes,
                 contact.normals,
                 contact.gaps,
+                contact.opposite_gaps,
                 contact.weights,
                 contact.compliance,
             )
@@ -428,7 +429,8 @@ def fingerprint(
 
 def _sums(values: np.ndarray) -> list[float]:
     """Return the length of an array, its norm, and its product with a fixed wave."""
-    flat = np.asarray(values, dtype=np.float64).reshape(-1)
+    # gaps are infinite where there is no limit
+    flat = np.nan_to_num(np.asarray(values, dtype=np.float64).reshape(-1), posinf=0.0)
     # not through BLAS, whose sums depend on the number of threads
     return [
         float(flat.size),

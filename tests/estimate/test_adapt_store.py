@@ -80,6 +80,7 @@ KINDS = {
         2,
         {"problem": UPSET, "start": am.Hierarchy.uniform(UPSET, (2, 3, 6)), "max_nodes": 200},
     ),
+    "scalar": (1, {"problem": am.cases.obstacle_problem(), "start": 0.3}),
     "goal": (
         1,
         {"start": 10e-3, "indicator": am.Goal(am.Displacement((0.0, 0.02), "x")), "max_nodes": 90},

@@ -60,6 +60,7 @@ PICTURES = {
         [*steps_of(PLANE), PLANE], (*FACTORS, 1.0), QUANTITIES
     ),
     "adaptation 2D": lambda: plot.adaptation(adapted("dovetail", 10e-3, 100)),
+    "adaptation scalar": lambda: plot.adaptation(adapted("obstacle_problem", 0.3, 100)),
     "adaptation 3D": lambda: plot.adaptation(adapted("greco_block", 20e-3, 60)),
 }
 

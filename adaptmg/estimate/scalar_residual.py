@@ -1,0 +1,144 @@
+r"""Residual estimate of scalar problems between obstacles.
+
+With the contact force :math:`\lambda_h` per area, linear between nodal forces over lumped masses,
+
+.. math:: \eta_T^2 = \frac1k \Big\{ h_T^2 \|f + \nabla\cdot(k \nabla u_h) + \lambda_h\|^2 +
+   \frac12 \sum_{\mathrm{interior}} h_F \|[k\,\partial_n u_h]\|^2 +
+   \sum_{\mathrm{free}} h_F \|k\,\partial_n u_h\|^2 \Big\}
+   + \int |\lambda_h|\, g_h + k \sum_e d_e^2 \|\nabla b_e\|^2
+
+in the notation of :class:`adaptmg.Residual`; k is constant on an element, :math:`g_h` the linear
+interpolant of the distances to the obstacle.
+
+An element is in full contact if all its nodes lie on the same obstacle. There the obstacle bears
+whatever the equation leaves, as long as it presses: of f, and of the fluxes on facets between such
+elements, only what pulls off the obstacle counts (A. Veeser, SIAM J. Numer. Anal. 39, 2001,
+doi:10.1137/S0036142900370812). Otherwise an obstacle with a fold, whose contact force is a line
+load, would have an estimate that falls too slowly.
+
+The last term is the error of the obstacle: at the middle of edge e, :math:`d_e` is the distance
+between solution and obstacle in full contact, elsewhere the part by which one penetrates the other;
+:math:`b_e = 4 \varphi_i \varphi_j` is the quadratic bubble of the edge. Values at held boundaries
+are taken as those of the mesh.
+
+D. Braess, C. Carstensen, R. H. W. Hoppe, Numer. Math. 107, 2007, doi:10.1007/s00211-007-0098-1,
+prove convergence of an adaptive loop with such an estimate for affine obstacles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adaptmg import _checks as checks
+from adaptmg.discrete.elasticity import shape_gradients
+from adaptmg.discrete.scalar import ScalarProblem
+from adaptmg.estimate.stress_fields import check_result, neighbours
+from adaptmg.geometry.quadrature import integration
+from adaptmg.level import Level
+from adaptmg.mesh.arrays import MeshArrays, Surface, need_mesh
+from adaptmg.solver.examine import energy_norm
+from adaptmg.solver.result import Result
+
+#: directions in which the lower and the upper obstacle press
+_PRESSING = np.array([[1.0], [-1.0]])
+
+
+def scalar_squares(
+    problem: ScalarProblem, level: Level, result: Result
+) -> tuple[dict[str, np.ndarray], float]:
+    """Return the parts of the squares (n_elements,) by name, and the energy norm of a result."""
+    mesh = need_mesh(level)
+    check_result(mesh, result)
+    values = result.displacement[:, 0]
+    forces = level.discrete.matrix @ values
+    contact = result.contact
+    # from the lower and from the upper limit (2, n_nodes)
+    distances = _PRESSING * (values - problem.limits_at(mesh.points))
+    for name, difference, sizes in (
+        ("loads", forces - result.reaction[:, 0] - level.discrete.load, (forces, result.reaction)),
+        ("limits", distances.min(axis=0)[contact.node] - contact.gap, (values, contact.gap)),
+    ):
+        allowed = checks.SIX_DIGITS * max(np.abs(part).max(initial=0.0) for part in sizes)
+        if not (np.abs(difference) <= allowed).all():
+            raise ValueError(
+                f"result has other {name} than the problem of hierarchy: give the hierarchy it was "
+                "solved on"
+            )
+    pressures = np.zeros(distances.shape)
+    pressures[:, contact.node] = contact.pressure * (contact.normal[:, 0] == -_PRESSING)
+    # held nodes have no contact, but may lie on an obstacle
+    on_limit = level.discrete.fixed & (distances <= checks.ROUNDING * np.abs(values).max())
+    lower, upper = ((pressures > 0) | on_limit)[:, mesh.elements].all(axis=2).astype(int)
+    full_contact = lower - upper  # 1 with the lower obstacle, -1 with the upper one, else 0
+    equation, complementarity = _integrals(problem, mesh, distances, pressures, full_contact)
+    slopes, _ = shape_gradients(mesh)
+    k = problem.conductivity_on(mesh)
+    flux = k[:, None] * np.einsum("ekd,ek->ed", slopes, values[mesh.elements])
+    return {
+        "element residual": mesh.element_sizes**2 / k * equation,
+        "flux jumps": _flux_squares(mesh, flux, level.discrete.fixed, full_contact) / k,
+        "complementarity": complementarity,
+        "obstacle": k * _obstacle_squares(problem, mesh, values, slopes, full_contact),
+    }, energy_norm(values, forces)
+
+
+def _integrals(
+    problem: ScalarProblem,
+    mesh: MeshArrays,
+    distances: np.ndarray,
+    pressures: np.ndarray,
+    full_contact: np.ndarray,
+) -> np.ndarray:
+    """Return integrals over elements (2, n_elements): of the square of what is left of the equation,
+    and of contact force times distance."""
+    rule, at, weights = integration(mesh.points, mesh.elements, mesh.volumes, False)
+    load = checks.field("load", problem.load, at.reshape(-1, mesh.dim)).reshape(weights.shape)
+    force = pressures[:, mesh.elements] @ rule.T
+    contact = full_contact[:, None]
+    left = np.where(contact == 0, load + force[0] - force[1], np.maximum(contact * load, 0.0))
+    # at the nodes pressure or distance is taken as zero: what a solver leaves is not an error of the mesh
+    is_apart = (pressures == 0) & np.isfinite(distances)
+    gaps = np.where(is_apart, np.maximum(distances, 0.0), 0.0)[:, mesh.elements] @ rule.T
+    return np.einsum("eq,neq->ne", weights, np.stack([left**2, (force * gaps).sum(axis=0)]))
+
+
+def _flux_squares(
+    mesh: MeshArrays, flux: np.ndarray, fixed: np.ndarray, full_contact: np.ndarray
+) -> np.ndarray:
+    """Return h_F times the integrals (n_elements,) of squares of fluxes that do not continue, half of
+    each facet to each of its elements, and of those through boundaries that are not held."""
+    near = neighbours(mesh)
+    free = near.outer & ~fixed[mesh.facets].all(axis=1)
+    # the facets of free boundaries have the same element on both sides
+    sides = np.hstack([near.pairs, np.tile(near.owner[free], (2, 1))])
+    surface = Surface(mesh.points, np.vstack([near.facets, mesh.facets[free]]))
+    leaving = np.vstack([flux[near.pairs[0]] - flux[near.pairs[1]], flux[near.owner[free]]])
+    jump = np.einsum("fd,fd->f", surface.normals, leaving)
+    first, second = full_contact[sides]
+    contact = np.where(first == second, first, 0)
+    jump = np.where(contact == 0, jump, np.maximum(-contact * jump, 0.0))
+    sizes = surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures)
+    halves = 0.5 * sizes * surface.measures * jump**2
+    return np.bincount(sides.ravel(), np.tile(halves, 2), len(mesh.elements))
+
+
+def _obstacle_squares(
+    problem: ScalarProblem,
+    mesh: MeshArrays,
+    values: np.ndarray,
+    slopes: np.ndarray,
+    full_contact: np.ndarray,
+) -> np.ndarray:
+    """Return the sums (n_elements,) over edges of the squares of distances from the obstacle, times
+    the integral of the square of the gradient of the edge's bubble."""
+    start, end = np.triu_indices(mesh.dim + 1, 1)
+    edges = mesh.elements[:, np.stack([start, end])]
+    middles = mesh.points[edges].mean(axis=1)
+    limits = problem.limits_at(middles.reshape(-1, mesh.dim)).reshape(2, *middles.shape[:2])
+    lower, upper = limits - values[edges].mean(axis=1)
+    contact = full_contact[:, None]
+    distance = np.where(contact == 1, lower, np.maximum(lower, 0.0))
+    distance += np.where(contact == -1, upper, np.minimum(upper, 0.0))
+    products = slopes @ slopes.swapaxes(1, 2)
+    integrals = products[:, start, start] + products[:, end, end] + products[:, start, end]
+    factor = 32 / ((mesh.dim + 1) * (mesh.dim + 2)) * mesh.volumes
+    return factor * np.einsum("em,em->e", integrals, distance**2)
