@@ -63,12 +63,12 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces, covered_parts
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.mesh.surfaces import Curved, Revolved
 from adaptmg.problem.surfaces import ContactPair
 
 if TYPE_CHECKING:
+    from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces
     from adaptmg.discrete.posed import Posed
 
 NEVER_FACING = "the surfaces never face each other"
@@ -166,6 +166,8 @@ def pair_interface(
             slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), no_rows, np.empty(0)
         )
     named_pair = f"contact pair {pair.slave!r} on {pair.master!r}"
+    from adaptmg.discrete.mortar_parts import Surfaces  # what has no pair does without it
+
     try:
         normals = slave_normals(slave, posed)
         surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
@@ -354,6 +356,8 @@ def _with_partners(
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     """Couple the nodes of a slave surface to a master surface by dual mortar functions."""
+    from adaptmg.discrete.mortar_parts import covered_parts
+
     carries = surfaces.carries[surfaces.slave]  # (n_slave, k): corners that have a multiplier
     n_nodes = len(surfaces.points)
     covered = covered_parts(surfaces, reach)

@@ -59,7 +59,6 @@ from adaptmg.discrete.supports import (
 )
 from adaptmg.discrete.ties import jump_of, tie_interfaces
 from adaptmg.mesh.arrays import MeshArrays, Surface
-from adaptmg.mesh.step import exact_surfaces
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Elastic, FollowsState, Law, NodalLaw, NodalStateLaw, check_law
 from adaptmg.problem.surfaces import ContactPair
@@ -135,7 +134,11 @@ class Posed:
             if isinstance(contact, ContactPair)
         }
         names = [name for pair in pairs.values() for name in pair]
-        exact = exact_surfaces(self.problem.domain, names) if names else {}
+        exact = {}
+        if names:
+            from adaptmg.mesh.step import exact_surfaces
+
+            exact = exact_surfaces(self.problem.domain, names)
         return {
             k: curved(
                 self.mesh,

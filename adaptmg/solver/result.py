@@ -24,7 +24,6 @@ from adaptmg.solver.examine import ContactResult, advice_on_patches
 from adaptmg.solver.quantities import Quantities
 from adaptmg.solver.quantities import Resultant as Resultant
 from adaptmg.solver.record import Status
-from adaptmg.solver.store import packed, read
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,6 +244,8 @@ class Result(Quantities):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write to an ``.npz`` file, whole or not at all; see :mod:`adaptmg.solver.store`."""
+        from adaptmg.solver.store import packed
+
         write_bytes(checks.file_path("path", path), packed(self, KINDS))
 
     @classmethod
@@ -255,6 +256,8 @@ class Result(Quantities):
             raise ValueError(
                 f"path must be a file, got the folder {os.fspath(path)}: PathResult.load reads load paths"
             )
+        from adaptmg.solver.store import read
+
         stored = read(path, KINDS)
         step = stored.part_of.get("step")
         if step and stored.value.mesh is None:
