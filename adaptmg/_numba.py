@@ -102,8 +102,8 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 class _Compiling(Listener):
-    """Adds up the seconds of each thread, and says that it takes long; numba compiles in one thread
-    at a time."""
+    """A listener that adds up the seconds of compilations in each thread, and announces long ones;
+    numba compiles in one thread at a time."""
 
     def __init__(self) -> None:
         self.depth = 0
@@ -113,6 +113,7 @@ class _Compiling(Listener):
         self.here = threading.local()
 
     def on_start(self, event: Event) -> None:
+        """Begin to time the compilation of a kernel, unless it is part of another one."""
         self.depth += 1
         if self.depth == 1:
             data = cast("dict[str, Any]", event.data)  # numba infers None from its default
@@ -127,6 +128,7 @@ class _Compiling(Listener):
             self.begin = time.perf_counter()
 
     def on_end(self, event: Event) -> None:
+        """Add the seconds of a compilation that has ended."""
         self.depth -= 1
         if self.depth == 0:
             if self.collecting:

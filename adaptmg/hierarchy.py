@@ -252,6 +252,7 @@ class Hierarchy:
         gradings = gradings_of(sizes, grading)
 
         def mesh(level: int, finer: SizeField | None = None) -> MeshArrays:
+            """Return the mesh of a level; ``finer``: sizes at contact on the coarsest one."""
             size = sizes[level]
             return graded(
                 domain,
@@ -264,6 +265,7 @@ class Hierarchy:
             )
 
         def meshes() -> list[MeshArrays]:
+            """Return the meshes of all levels."""
             coarsest = mesh(0)
             finer = None
             if by_default:

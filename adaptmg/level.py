@@ -238,6 +238,7 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
     are the same."""
 
     def parts(problem: DiscreteProblem) -> list:
+        """Return the data that prolongations depend on."""
         contact = problem.contact
         coupling = problem.coupling
         result: list = [contact.names, contact.masters, contact.nodes, contact.boundary]
@@ -295,6 +296,7 @@ def meshed_domain(problem: ContactProblem | ScalarProblem) -> Domain:
     lies on a straight plane edge."""
 
     def cut(domain: Domain, body: str | None) -> Domain:
+        """Return the domain of a body with these vertices."""
         for part in (*problem.supports, *problem.loads):
             if (
                 isinstance(part, PointSupport | PointSpring | PointForce)

@@ -418,11 +418,13 @@ def equilibrated_sizes(
     edges = _edges(mesh)
 
     def sizes(log_c: float) -> np.ndarray:
+        """Return the sizes (n_nodes,) for the constant c of the module."""
         new = old * np.clip(math.exp(log_c) * factors, _FINEST_SIZE, _COARSEST_SIZE)
         return graded_sizes(mesh, nodal_sizes(mesh, new), growth, edges)
 
     @cache
     def excess(log_c: float) -> float:
+        """Return the logarithm of the number of nodes over that asked for."""
         return math.log(count(sizes(log_c)) / n_nodes)
 
     low = math.log(_FINEST_SIZE / factors.max())

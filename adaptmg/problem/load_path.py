@@ -65,12 +65,11 @@ class LoadPath:
         factors = checks.mapping(
             "factors", self.factors, "names of boundaries or bodies to factors"
         )
-        values = {
-            checks.boundary_name("the names in factors", name): _factors(
-                f"factors[{name!r}]", value
-            )
-            for name, value in factors.items()
-        } | {None: _factors("default", self.default)}
+        values: dict[str | None, np.ndarray] = {}
+        for name, value in factors.items():
+            checks.boundary_name("the names in factors", name)
+            values[name] = _factors(f"factors[{name!r}]", value)
+        values[None] = _factors("default", self.default)
         lengths = {name: value.size for name, value in values.items() if value.ndim}
         steps = max(lengths.values(), default=1)
         if set(lengths.values()) - {steps} or not steps:
@@ -115,15 +114,16 @@ class LoadPath:
 def _acting(problem: ContactProblem) -> Sequence[Acting]:
     """Return what a path scales: loads, prescribed displacements and jumps other than zero, and
     moving obstacles."""
-    held = [
+    prescribed = [
         support
         for support in (*problem.supports, *problem.ties)
         if isinstance(support, Acting) and support.acts
     ]
-    return [*problem.loads, *held, *_obstacles(problem)]
+    return [*problem.loads, *prescribed, *_obstacles(problem)]
 
 
 def _obstacles(problem: ContactProblem) -> list[Moving | Rigid]:
+    """Return the moving parts of all obstacles."""
     return [
         part
         for contact in problem.contact
@@ -153,11 +153,9 @@ def obstacles_in_path(problem: ContactProblem) -> list[str]:
 
 
 def _factors(name: str, value: ArrayLike) -> np.ndarray:
-    if (
-        isinstance(value, (str, bytes))
-        or not isinstance(value, Iterable)
-        or getattr(value, "ndim", 1) == 0
-    ):
+    """Return a factor, or factors of all steps, checked; factors that are rounding become 0."""
+    is_sequence = isinstance(value, Iterable) and getattr(value, "ndim", 1) > 0
+    if isinstance(value, (str, bytes)) or not is_sequence:
         return np.array(checks.quantity(name, value))
     result = np.array(checks.vector(name, value))
     if not (np.abs(result) <= checks.VAST).all():
@@ -208,6 +206,7 @@ def step_problem(
 
 
 def _check_names(what: str, factors: Mapping[str, object], names: tuple[str, ...]) -> None:
+    """Raise ValueError if factors have other names than ``names``."""
     for name in factors:
         if name not in names:
             raise ValueError(

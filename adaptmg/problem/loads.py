@@ -19,6 +19,7 @@ BODY_FORCE = "body force"  # name of body forces that act on all bodies
 
 
 def _components(name: str, values: Sequence[FieldLike]) -> tuple[FieldLike, ...]:
+    """Return 2 or 3 numbers or functions of position, checked."""
     entries = checks.listed(name, values, "numbers or functions, one a component")
     if len(entries) not in (2, 3):
         raise ValueError(f"{name} must have 2 or 3 components, got {len(entries)}")
@@ -34,6 +35,7 @@ def point(name: str, value: object) -> np.ndarray:
 
 
 def _nonnegative(name: str, value: object) -> float:
+    """Return a quantity; ValueError unless it is >= 0."""
     result = checks.quantity(name, value)
     if not result >= 0:
         raise ValueError(f"{name} must be >= 0, got {result!r}")
@@ -73,7 +75,7 @@ def times(value: Any, factor: float) -> Any:
 
 
 class Acting(checks.Checked):
-    """The base class of what a load path scales: of loads, supports, periodic sides and moving
+    """The base class of all that a load path scales: loads, supports, periodic sides and moving
     obstacles."""
 
     name: str | None = None
@@ -89,7 +91,7 @@ class Acting(checks.Checked):
 
     @property
     def path_name(self) -> str:
-        """Return the name in load paths: its own, or that of the place."""
+        """Return the name in load paths: ``name``, or the place if there is none."""
         return self.name or self.place
 
     @property
@@ -103,7 +105,7 @@ class Acting(checks.Checked):
         return any(np.any(getattr(self, name)) for name in self._amounts)
 
     def scaled(self, factor: float) -> Self:
-        """Return the same, multiplied by a factor."""
+        """Return the load, support or motion times a factor."""
         changed = {name: times(getattr(self, name), factor) for name in self._amounts}
         return replace(cast("Any", self), **changed)  # all subclasses are dataclasses
 
@@ -290,18 +292,14 @@ class InitialStrain(Acting):
         entries = cast("Sequence[FieldLike]", expansion)
         if callable(expansion) or not isinstance(expansion, Sequence | np.ndarray):
             entries = (expansion,) * 3
-        each = _components("expansion", entries)
         rise = checks.function_or("temperature", temperature)
-        return cls(
-            body,
-            tuple(
-                Product(expansion_along, rise)
-                if callable(expansion_along) or callable(rise)
-                else float(expansion_along) * float(rise)
-                for expansion_along in each
-            ),
-            name=name,
+        strains = tuple(
+            Product(coefficient, rise)
+            if callable(coefficient) or callable(rise)
+            else float(coefficient) * float(rise)
+            for coefficient in _components("expansion", entries)
         )
+        return cls(body, strains, name=name)
 
 
 @dataclass(frozen=True, kw_only=True)

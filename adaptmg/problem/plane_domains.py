@@ -43,9 +43,8 @@ class Domain(checks.Checked):
     dim: int
     boundaries: tuple[str, ...] | None
     outline: Outline  # of plane domains only
-    _extremes: Callable[
-        [], np.ndarray
-    ]  # points (n, dim), m, whose bounding box contains the domain
+    #: points (n, dim), m, whose bounding box contains the domain
+    _extremes: Callable[[], np.ndarray]
 
     @property
     def bodies(self) -> tuple[str, ...] | None:
@@ -141,6 +140,7 @@ class Box(Domain):
 
 
 def _vertices(name: str, value: object) -> tuple[tuple[float, float], ...]:
+    """Return two or more points, checked."""
     points = checks.array(name, value, (None, 2))
     if len(points) < 2:
         raise ValueError(f"{name} must be at least 2 pairs of numbers, got {checks.shown(value)}")
@@ -150,6 +150,7 @@ def _vertices(name: str, value: object) -> tuple[tuple[float, float], ...]:
 
 
 def _arcs(name: str, value: Mapping[int, tuple[float, float]]) -> dict[int, tuple[float, float]]:
+    """Return the centres of arcs by the number of the edge, in ascending order, checked."""
     arcs = {
         checks.integer("the edge number in arcs", i): corner(f"arcs[{i}]", centre, 2)
         for i, centre in checks.mapping(name, value, "edge numbers to centres").items()
@@ -221,13 +222,16 @@ class Outline(Domain):
         for i in self.arcs:
             self._check_arc(i)
         for (first, _), area in zip(ends, self._areas(), strict=True):
-            if not (area < 0 if first else area > 0):
-                way = (
-                    "of a hole must run clockwise around it"
-                    if first
-                    else ("must run counter-clockwise around a positive area")
+            # the outer edge begins at vertex 0
+            if first == 0 and not area > 0:
+                raise ValueError(
+                    "vertices must run counter-clockwise around a positive area, got a signed area of "
+                    f"{area}"
                 )
-                raise ValueError(f"vertices {way}, got a signed area of {area}")
+            if first > 0 and not area < 0:
+                raise ValueError(
+                    f"vertices of a hole must run clockwise around it, got a signed area of {area}"
+                )
         check_simple(self.edges, self.boundaries, np.arange(n), self.following)
         for first, last in ends[1:]:
             if self.winding(self.vertices[first], np.r_[0:first, last:n]) != 1:
@@ -237,11 +241,11 @@ class Outline(Domain):
                 )
 
     def _loops(self) -> list[tuple[int, int]]:
-        """The vertices from a to before b of the outer edge, and of each hole."""
+        """Return the first vertex, and the one after the last, of the outer edge and of each hole."""
         return list(pairwise((0, *self.holes, len(self.vertices))))
 
     def _areas(self) -> list[float]:
-        """The signed areas of these, m^2; negative for a hole."""
+        """Return the signed areas of these loops, m^2; negative for a hole."""
         result = []
         for first, last in self._loops():
             x, y = (np.array(self.vertices[first:last]) - self.vertices[first]).T
@@ -292,10 +296,9 @@ class Outline(Domain):
         """Return edge i, one of ``arcs``."""
         center = self.arcs[i]
         (ax, ay), (bx, by) = (np.array(p) - np.array(center) for p in self._ends(i))
+        radius = 0.5 * (math.hypot(ax, ay) + math.hypot(bx, by))
         angle = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
-        return Arc(
-            center, 0.5 * (math.hypot(ax, ay) + math.hypot(bx, by)), math.atan2(ay, ax), angle
-        )
+        return Arc(center, radius, math.atan2(ay, ax), angle)
 
     @cached_property
     def edges(self) -> tuple[Arc | Segment, ...]:
@@ -310,14 +313,14 @@ class Outline(Domain):
         none: 1 inside."""
         edges = np.arange(len(self.vertices)) if edges is None else edges
         a, b = (np.array(self.vertices)[ends] - x for ends in (edges, self.following[edges]))
+        # angles at which the straight edges are seen from the point
         turns = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
         for k, arc in enumerate(map(self.arc, edges.tolist())):
-            # between the chord and the arc
-            if (
-                arc is not None
-                and turns[k] * arc.angle < 0
-                and np.linalg.norm(x - np.array(arc.center)) < arc.radius
-            ):
+            if arc is None:
+                continue
+            in_circle = np.linalg.norm(x - np.array(arc.center)) < arc.radius
+            between_chord_and_arc = in_circle and turns[k] * arc.angle < 0
+            if between_chord_and_arc:
                 turns[k] += math.copysign(2 * math.pi, arc.angle)
         return round(float(turns.sum()) / (2 * math.pi))
 
@@ -332,8 +335,8 @@ class Outline(Domain):
         return tuple(edge.length for edge in self.edges)
 
     def chords(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return points (n, 2), m, in order, arcs cut every 3 degrees; for each its edge, and the
-        next one's number."""
+        """Return points (n, 2), m, on the edges in order, every 3 degrees of an arc; and for each point
+        the number of its edge (n,), and that of the next point on its loop (n,)."""
         counts = np.array(
             [
                 math.ceil(abs(edge.angle) / _CHORD) if isinstance(edge, Arc) else 1
@@ -344,8 +347,9 @@ class Outline(Domain):
             [edge.at(np.arange(n) / n) for edge, n in zip(self.edges, counts.tolist(), strict=True)]
         )
         last = np.cumsum(counts) - 1
+        first = last - counts + 1
         following = np.arange(1, len(points) + 1)
-        following[last] = (last - counts + 1)[self.following]
+        following[last] = first[self.following]
         return points, np.repeat(np.arange(len(counts)), counts), following
 
     @property
@@ -356,6 +360,7 @@ class Outline(Domain):
     def _extremes(self) -> np.ndarray:
         points = [np.array(self.vertices)]
         for i in self.arcs:
+            # points of the arc farthest along the axes, at multiples of a quarter turn
             arc = self._arc(i)
             fractions = (0.5 * math.pi * np.arange(-6, 7) - arc.start) / arc.angle
             points.append(arc.at(fractions[(fractions > 0) & (fractions < 1)]))
@@ -447,11 +452,10 @@ def with_vertex(
         for i in range(len(outline.vertices))
     ]
     i = int(np.argmin(distances))
-    if (
-        distances[i] > tolerance
-        or np.linalg.norm(np.array(outline.vertices) - point, axis=1).min() <= tolerance
-    ):
+    to_vertices = np.linalg.norm(np.array(outline.vertices) - point, axis=1)
+    if distances[i] > tolerance or to_vertices.min() <= tolerance:
         return domain
+    # edge i is cut in two, and the numbers of later edges and vertices grow by 1
     centres = {k + (k > i): centre for k, centre in outline.arcs.items()}
     if (arc := outline.arc(i)) is not None:
         x, y = arc.at(np.array(arc.along(np.array(point)))).tolist()

@@ -11,7 +11,8 @@ import numpy as np
 
 from adaptmg import _checks as checks
 
-# points at which neighbours meet again are known to 1e-9 of the extent, as vertices of arcs are
+#: distance below which points at which neighbours meet are one, over the tolerance of meetings: they are known to
+#: 1e-9 of the extent, as vertices of arcs are
 _SAME = 10 * checks.ALIKE / checks.ROUNDING
 
 
@@ -93,11 +94,10 @@ class Arc:
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the distance (n,) of points (n, 2) to the arc, m."""
         offset = points - np.array(self.center)
+        # coordinates along the direction to the middle of the arc, and across it
         middle = self.start + 0.5 * self.angle
-        along, across = (
-            offset @ np.array(d)
-            for d in ((math.cos(middle), math.sin(middle)), (-math.sin(middle), math.cos(middle)))
-        )
+        along = offset @ np.array([math.cos(middle), math.sin(middle)])
+        across = offset @ np.array([-math.sin(middle), math.cos(middle)])
         in_sector = np.abs(np.arctan2(across, along)) <= 0.5 * abs(self.angle)
         ends = np.min([np.linalg.norm(points - end, axis=1) for end in self.ends], axis=0)
         return np.where(in_sector, np.abs(np.hypot(along, across) - self.radius), ends)
@@ -158,10 +158,12 @@ def _circles(e: Arc, f: Arc, tol: float) -> list[np.ndarray]:
 def _both_sides(
     foot: np.ndarray, along: np.ndarray, radius: float, distance: float, tol: float
 ) -> list[np.ndarray]:
+    """Return the points where a circle meets a line with the unit vector ``along``; ``foot`` is the
+    point of the line nearest to the centre, at this distance from it."""
     if distance > radius - tol:
         return [foot] if distance <= radius + tol else []
-    half = math.sqrt((radius - distance) * (radius + distance))
-    return [foot - half * along, foot + half * along]
+    half_chord = math.sqrt((radius - distance) * (radius + distance))
+    return [foot - half_chord * along, foot + half_chord * along]
 
 
 def check_simple(
@@ -205,16 +207,16 @@ def check_simple(
 
 def _meet(e: Segment | Arc, f: Segment | Arc, shared: list[np.ndarray], tiny: float) -> bool:
     """Return whether two edges meet elsewhere than at the vertices they share."""
-    points = (
-        meetings(e, f, tiny)
-        if not shared
-        else on_both(e, f, [*e.ends, *f.ends, *(p for v in shared for p in _again(e, f, v))], tiny)
-    )
+    if shared:
+        candidates = [*e.ends, *f.ends, *(p for v in shared for p in _second_meeting(e, f, v))]
+        points = on_both(e, f, candidates, tiny)
+    else:
+        points = meetings(e, f, tiny)
     return any(all(np.linalg.norm(p - v) > _SAME * tiny for v in shared) for p in points)
 
 
-def _again(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[np.ndarray]:
-    """Return the second point where the lines or circles of two edges meet, which meet at v."""
+def _second_meeting(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[np.ndarray]:
+    """Return the second point, if any, where the lines or circles of two edges meet that meet at v."""
     if isinstance(e, Arc):
         arc = e
         other = f
@@ -224,10 +226,12 @@ def _again(e: Segment | Arc, f: Segment | Arc, v: np.ndarray) -> list[np.ndarray
     else:
         return []
     centre = np.array(arc.center)
-    # mirrored at the line of both centres, or at the normal of the line through the centre
+    # v mirrored at the line of both centres, or at the normal through the centre of the other line
     along = np.array(other.center) - centre if isinstance(other, Arc) else other.end - other.start
     if not np.linalg.norm(along) > 0:
         return []
     along = along / np.linalg.norm(along)
     part = ((v - centre) @ along) * along
-    return [centre + 2 * part - (v - centre) if isinstance(other, Arc) else v - 2 * part]
+    if isinstance(other, Arc):
+        return [centre + 2 * part - (v - centre)]
+    return [v - 2 * part]

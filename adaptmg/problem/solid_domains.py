@@ -37,6 +37,7 @@ def _direction(name: str, value: object) -> tuple[float, ...]:
 
 
 def _profile(name: str, value: Domain) -> Outline:
+    """Return the outline of a plane domain without holes; TypeError or ValueError for others."""
     if not isinstance(value, Domain) or value.dim != 2 or not hasattr(value, "outline"):
         raise TypeError(f"{name} must be {_PROFILE}, got {checks.described(value)}")
     if value.outline.holes:
@@ -77,6 +78,7 @@ class Cylinder(SolidDomain):
 
     def _extremes(self) -> np.ndarray:
         ends = np.array(self.point) + np.outer([0.0, self.height], self.axis)
+        # how far the end discs extend along each axis
         reach = self.radius * np.sqrt(np.maximum(0.0, 1.0 - np.square(self.axis)))
         return np.concatenate([ends - reach, ends + reach])
 
@@ -157,12 +159,15 @@ class Revolution(SolidDomain):
     def boundaries(self) -> tuple[str, ...]:
         """Return the distinct names, in the order of the edges."""
         r = np.array(self.polygon.vertices)[:, 0]
+        # edges with an end off the axis
         swept = (r > _ON_AXIS * r.max()) | (np.roll(r, -1) > _ON_AXIS * r.max())
         names = np.array(self.polygon.boundaries)[swept].tolist()
         return tuple(dict.fromkeys(names)) + (("start", "end") if self.angle < 360 else ())
 
     def _extremes(self) -> np.ndarray:
-        turns = np.radians([a for a in (0, 90, 180, 270, 360) if a < self.angle] + [self.angle])
+        # the bounding box is reached at quarter turns and at the end
+        quarters = [degrees for degrees in (0, 90, 180, 270, 360) if degrees < self.angle]
+        turns = np.radians([*quarters, self.angle])
         # rounded so that quarter turns are exact
         directions = np.round(np.stack([np.cos(turns), np.sin(turns)], axis=1), 15)
         ends = self.polygon.lower, self.polygon.upper
@@ -276,6 +281,7 @@ class Moved(SolidDomain):
 
 
 def _names(name: str, value: Mapping[str, str]) -> dict[str, str]:
+    """Return new names by old ones, checked."""
     result = checks.mapping(name, value, "names to names")
     for old, new in result.items():
         checks.boundary_name(f"the keys of {name}", old)

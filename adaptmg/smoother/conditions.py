@@ -142,7 +142,7 @@ class Linearised:
 
     @property
     def key(self) -> bytes:
-        """The contact status: the codes of :mod:`adaptmg.smoother.system`."""
+        """Return the contact status: the codes of :mod:`adaptmg.smoother.system`, as bytes."""
         backwards = ~(self.direction[:, 0] > 0) if self.direction.shape[1] == 1 else False
         return contact_codes(self.active, ~self.slip, backwards).tobytes()
 

@@ -82,6 +82,7 @@ class OrderedFactors:
         return cls(lu, order, permuted.diagonal())
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Return the solution for a right-hand side."""
         result = np.empty_like(rhs)
         result[self.order] = self.lu.solve(rhs[self.order])
         return result
@@ -96,6 +97,7 @@ class DenseFactors:
     order: np.ndarray
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Return the solution for a right-hand side, 0 at other dofs than ``order``."""
         result = np.zeros_like(rhs)
         result[self.order] = linalg.lapack.dpotrs(self.lower, rhs[self.order], lower=1)[0]
         return result
