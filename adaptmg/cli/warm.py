@@ -46,6 +46,11 @@ def _adapted(problem: am.ContactProblem, nodes: int) -> None:
         list(am.adapt(problem, max_nodes=nodes, engine=engine, indicator=am.Residual()))
 
 
+def _spaces() -> None:
+    discrete = am.Hierarchy.uniform(PLANE, (8,)).finest.discrete
+    am.solve(am.Hierarchy.algebraic(discrete, max_coarse=60), am.Multigrid())
+
+
 def _pictures() -> None:
     """Draw a picture of a solid."""
     grids = am.Hierarchy.uniform(SOLID, (2, 4))
@@ -71,5 +76,6 @@ STEPS: Mapping[str, Callable[[], object]] = {
     "load path": lambda: am.solve_path(
         am.Hierarchy.uniform(PLANE, (4, 8)), am.LoadPath({"left": [0.5, 1.0]})
     ),
+    "coarse spaces of a matrix": _spaces,
     "pictures of solids": _pictures,
 }

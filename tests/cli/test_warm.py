@@ -30,7 +30,7 @@ def kernels() -> dict[str, CPUDispatcher]:
 
 
 @pytest.mark.slow
-def test_warm_calls_most_kernels():
+def test_warm_calls_every_kernel():
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from adaptmg.cli import main\n"
         "import test_warm\n"
@@ -45,4 +45,4 @@ def test_warm_calls_most_kernels():
         check=True,
     )
     assert "plane bodies" in run.stderr
-    assert len(run.stdout.split()) <= 2 < len(kernels()), run.stdout
+    assert kernels() and not run.stdout.split()
