@@ -93,6 +93,12 @@ def test_bodies_up_to_a_ratio_of_two_fifths_have_no_groups(poisson):
     assert len(volume_groups(glued(2), am.PlaneStrain(young=1e6, poisson=poisson))) == 0
 
 
+@pytest.mark.parametrize("divisions", [(1, 1), (2, 1)])
+def test_a_body_too_small_for_two_groups_is_one_group(divisions):
+    mesh = am.mesh.structured(am.Rectangle(width=2.0, height=1.0), divisions)
+    assert len(volume_groups(mesh, am.PlaneStrain(young=1e6, poisson=0.5))) == 1
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_groups_do_not_depend_on_the_numbers_of_nodes(dim):
     material = three(am.PlaneStrain if dim == 2 else am.Solid)
