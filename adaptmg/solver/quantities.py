@@ -16,6 +16,7 @@ from adaptmg.discrete.loads import moment
 from adaptmg.discrete.moduli import as_tensors
 from adaptmg.discrete.stress import PlasticState, StressData, von_mises
 from adaptmg.discrete.stress import recovered as fitted
+from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
 from adaptmg.discrete.ties import TieForces
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.solver.examine import ContactResult
@@ -23,7 +24,6 @@ from adaptmg.solver.examine import ContactResult
 if TYPE_CHECKING:
     import pandas
 
-    from adaptmg.discrete.stress_intensity import StressIntensity
     from adaptmg.geometry.location import Location
     from adaptmg.solver.certificate import Certificate
 
@@ -155,8 +155,6 @@ class Quantities:
             For other than plane problems and cracks; for a tip between two materials; where the mesh
             is too coarse at the tip.
         """
-        from adaptmg.discrete.stress_intensity import stress_intensity
-
         data = self._data()
         if self.dim != 2 or data.axisymmetric or data.moduli is not None:
             raise ValueError(
