@@ -288,7 +288,9 @@ class MeshArrays:
     @cached_property
     def element_sizes(self) -> np.ndarray:
         """Return the longest edge of each element (n_elements,), m."""
-        return longest_edges(self.points.take(self.elements, axis=0))
+        result = np.empty(len(self.elements))
+        _longest(read_only(self.points), read_only(self.elements), result)
+        return np.sqrt(result)
 
     @cached_property
     def volumes(self) -> np.ndarray:
@@ -494,6 +496,25 @@ def longest_edges(corners: np.ndarray) -> np.ndarray:
     return edge_lengths(corners).max(axis=0)
 
 
+@kernel
+def _longest(points, elements, squares):
+    """Write the square of the longest edge of each element into ``squares`` (n_elements,)."""
+    for e in range(len(elements)):
+        squares[e] = 0.0
+        for i in range(elements.shape[1]):
+            for j in range(i):
+                square = 0.0
+                for c in range(points.shape[1]):
+                    square += (points[elements[e, i], c] - points[elements[e, j], c]) ** 2
+                squares[e] = max(squares[e], square)
+
+
+def centroids(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Return the means (n, dim) of the corners of elements or facets; ``mean`` over all corners at
+    the same time takes fifteen times as long (143 000 triangles 10.5 ms, here .7)."""
+    return sum(points.take(nodes, axis=0) for nodes in cells.T) / cells.shape[1]
+
+
 class HasMesh(Protocol):
     """A level of a hierarchy, or a result: its mesh is None if it comes from matrices."""
 
@@ -531,20 +552,41 @@ def swept(mesh: MeshArrays) -> MeshArrays:
     box, elements in that of their first nodes. Gauss-Seidel takes a fifth more cycles in the order
     that refinement leaves behind, where new nodes come last, and where bodies come one after the
     other."""
-    order = np.argsort(mesh.points[:, np.argmax(mesh.sides)], kind="stable")
-    number = np.empty(len(order), dtype=np.int32)
-    number[order] = np.arange(len(order), dtype=np.int32)
-    elements = number[mesh.elements]
-    rows = np.argsort(np.min(list(elements.T), axis=0), kind="stable")
+    order, number, rows, elements = sweep(mesh.points, mesh.elements)
     return sound_by_construction(
         replace(
             mesh,
             points=mesh.points[order],
-            elements=elements[rows],
+            elements=elements,
             facets=number[mesh.facets],
             element_body=mesh.element_body[rows],
         )
     )
+
+
+def sweep(
+    points: np.ndarray, elements: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the order (n,) of nodes along the longest side of their bounding box, their new numbers
+    (n,), the order (m,) of elements by their first nodes, and these in the new numbers."""
+    n = len(points)
+    order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
+    number = np.empty(n, dtype=np.int32)
+    number[order] = np.arange(n, dtype=np.int32)
+    elements = number[elements]
+    rows = occurrences(np.min(list(elements.T), axis=0), n)[1]
+    return order, number, rows, elements[rows]
+
+
+def occurrences(numbers: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return compressed rows of the places at which each number below ``n`` occurs in an array, by
+    counting: 160 000 take .7 ms, a stable sort 10.9."""
+    size = numbers.size
+    rows = sparse.csc_array(
+        (np.ones(size, dtype=bool), numbers.ravel(), np.arange(size + 1, dtype=np.int32)),
+        shape=(n, size),
+    ).tocsr()
+    return rows.indptr, rows.indices
 
 
 def sound_by_construction(

@@ -27,13 +27,10 @@ class Untriangulated(ValueError):
     """A domain whose boundary the triangulation does not hold."""
 
 
-def of_boundary(
-    places: np.ndarray, edges: np.ndarray, spread: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def of_boundary(places: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the triangles (m, 3) inside a boundary of directed edges (n, 2) between places, their
     neighbours (m, 3), and a mask (n,) of the edges that they have; if one is missing, all triangles,
-    which are not yet cut off at the boundary. If ``spread``, every second node comes last, and so
-    on: one after the other around a thin ring each would swap all the edges across it."""
+    which are not yet cut off at the boundary."""
     # two triangles of a square far around the domain; its corners are the last four nodes
     n = len(places)
     low = places.min(axis=0)
@@ -52,8 +49,10 @@ def of_boundary(
     count = 2
     e = 0
     order = np.arange(n)
-    if spread:
-        order = order[np.argsort(-(order & -order), kind="stable")]
+    # every second node last, of the others again, and so on: in their order along the boundary each
+    # swaps the edges that those before have to a far corner (27 a node, six times as long), and
+    # around a thin ring all the edges across it
+    order = order[np.argsort(-(order & -order), kind="stable")]
     for begin in range(0, n, BATCH):
         count, e = _put(points, elements, across, order[begin : begin + BATCH], count, e)
         if e < 0:
@@ -83,10 +82,8 @@ def of_boundary(
         present[rows] = ~missing
         return elements, across, present
     elements, across, present[rows] = _inside(elements[:count], across[:count], n + 4, tails, heads)
-    while swap_all(
-        points, elements, across
-    ):  # as long as any edge that was swapped for others is not Delaunay
-        pass
+    # edges that were swapped for others may not be Delaunay
+    swap_all(points, elements, across, np.ones(len(elements), dtype=bool))
     return elements, across, present
 
 
@@ -193,15 +190,24 @@ def _swap(elements, across, e, k):
 
 
 @kernel
-def swap_all(points, elements, across):
-    """Swap edges once through the mesh; returns how many."""
+def swap_all(points, elements, across, suspect):
+    """Swap edges of ``suspect`` triangles until all are Delaunay; returns how many."""
     swapped = 0
-    for e in range(len(elements)):
-        for k in range(3):
-            # each edge is looked at from one side
-            if across[e, k] > e and _swap_edge(points, elements, across, e, k):
-                swapped += 1
-                break
+    before = -1
+    while swapped > before:
+        before = swapped
+        for e in range(len(elements)):
+            # a swap makes its two triangles suspect again
+            while suspect[e]:
+                suspect[e] = False
+                for k in range(3):
+                    # an edge of two suspect triangles is looked at from the later one
+                    f = across[e, k]
+                    if f >= 0 and not suspect[f] and _swap_edge(points, elements, across, e, k):
+                        suspect[e] = True
+                        suspect[f] = True
+                        swapped += 1
+                        break
     return swapped
 
 

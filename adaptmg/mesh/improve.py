@@ -36,10 +36,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.mesh.arrays import MeshArrays, edge_lengths, facet_keys, trusted
+from adaptmg.mesh.arrays import MeshArrays, edge_lengths, facet_keys, occurrences, trusted
 from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.delaunay import swap_all
 from adaptmg.mesh.sizes import (
@@ -63,8 +62,6 @@ EQUILATERAL = math.sqrt(2) / 12
 KEPT = 0.25
 # nodes after which kernels come back, so that Ctrl-C ends them
 _BATCH = 100_000
-# passes of swaps in a round at most
-_SWAPS = 8
 
 
 def drafted(
@@ -172,7 +169,7 @@ def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
     held = np.zeros(mesh.n_nodes, dtype=bool)
     points = np.array(mesh.points)
     held[mesh.facets] = True
-    around = _corners_at(mesh.elements, mesh.n_nodes)
+    around = occurrences(mesh.elements, mesh.n_nodes)
     for _ in range(rounds):
         _move(points, mesh.elements, around, held)
     # moves turn no element over
@@ -182,25 +179,14 @@ def improved(mesh: MeshArrays, rounds: int) -> MeshArrays:
 def improve_triangles(
     points: np.ndarray, elements: np.ndarray, across: np.ndarray, held: np.ndarray, rounds: int
 ) -> None:
-    """Swap edges of triangles with the neighbours ``across`` and move the nodes that are not held,
-    in place."""
-    around = None
-    for _ in range(rounds):
-        swaps = 0
-        while swap_all(points, elements, across) and swaps < _SWAPS:
-            swaps += 1
-        if around is None or swaps:
-            around = _corners_at(elements, len(points))
+    """Move the nodes of Delaunay triangles with the neighbours ``across`` that are not held, and
+    swap edges between the moves, in place."""
+    around = occurrences(elements, len(points))
+    for _ in range(rounds - 1):
         _move(points, elements, around, held)
-
-
-def _corners_at(elements: np.ndarray, n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return compressed rows of the corners at each node, by their places in ``elements``."""
-    size = elements.size
-    rows = sparse.csc_array(
-        (np.ones(size, dtype=bool), elements.ravel(), np.arange(size + 1)), shape=(n_nodes, size)
-    ).tocsr()
-    return rows.indptr, rows.indices
+        if swap_all(points, elements, across, np.ones(len(elements), dtype=bool)):
+            around = occurrences(elements, len(points))
+    _move(points, elements, around, held)
 
 
 def _move(
@@ -319,7 +305,7 @@ def _solve(zero, hessian, step):
 @kernel
 def _move_nodes(zero, points, cells, start, items, held, begin, end):
     """Move each node that is not ``held`` once, in place; ``start``, ``items`` as
-    :func:`_corners_at` has them."""
+    :func:`occurrences` has the corners at each."""
     dim = len(zero)
     x = np.empty(dim)
     y = np.empty(dim)
@@ -328,6 +314,7 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end):
     normal = np.empty(dim)
     hessian = np.empty((dim, dim))
     spokes = np.empty((dim, dim))
+    measures = np.empty(np.diff(start).max())
     for i in range(begin, end):
         if held[i]:
             continue
@@ -340,13 +327,13 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end):
                 hessian[c, d] = 0.0
         for s in range(start[i], start[i + 1]):
             measure = _spokes(zero, points, cells, items[s], x, spokes)
+            measures[s - start[i]] = measure
             shape = _shape(zero, spokes, measure, total)
             before += shape
             _add_derivatives(zero, spokes, measure, shape, total, normal, step, hessian)
         if not _solve(zero, hessian, step):
             continue
-        # a Newton step, halved until the sum falls and every element keeps enough of its measure;
-        # the hessian is scratch from here on
+        # a Newton step, halved until the sum falls and every element keeps enough of its measure
         share = -1.0
         for _ in range(5):
             after = 0.0
@@ -354,7 +341,7 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end):
                 y[c] = x[c] + share * step[c]
             for s in range(start[i], start[i + 1]):
                 measure = _spokes(zero, points, cells, items[s], y, spokes)
-                if not measure > KEPT * _spokes(zero, points, cells, items[s], x, hessian):
+                if not measure > KEPT * measures[s - start[i]]:
                     after = np.inf
                     break
                 after += _shape(zero, spokes, measure, total)

@@ -261,6 +261,11 @@ def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
     checked."""
     mesh = swept(check_mesh(mesh))
     names = tuple(dict.fromkeys(domain.boundaries))
+    labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
+    # other names leave a mesh sound
+    mesh = sound_by_construction(
+        replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names)
+    )
     if (flat := float((mesh.volumes / mesh.element_sizes**2).min())) < _FLAT:
         warnings.warn(
             f"triangles are up to {0.5 / flat:.0f} times as long as high: {domain!r} is thin or has a sharp "
@@ -268,11 +273,7 @@ def finished(domain: Outline, mesh: MeshArrays) -> MeshArrays:
             UserWarning,
             stacklevel=2,
         )
-    labels = np.array([names.index(domain.boundaries[int(edge)]) for edge in mesh.boundaries])
-    # other names leave a mesh sound
-    return sound_by_construction(
-        replace(mesh, facet_labels=labels[mesh.facet_labels], boundaries=names)
-    )
+    return mesh
 
 
 @dataclass(frozen=True, repr=False)

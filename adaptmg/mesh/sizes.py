@@ -18,6 +18,7 @@ from adaptmg._text import brief
 from adaptmg.mesh.arrays import (
     MeshArrays,
     Surface,
+    centroids,
     edge_lengths,
     facet_keys,
     facet_table,
@@ -244,11 +245,11 @@ def refuse_too_many(nodes: float, domain: Domain) -> float:
 def too_large(mesh: MeshArrays, field: SizeField) -> tuple[np.ndarray, np.ndarray]:
     """Return the mask of the elements to bisect, by their own size, their longest edge or the size
     of a boundary facet (centroids lie off the boundary); the field at their centroids."""
-    sizes = field(mesh.points[mesh.elements].mean(axis=1))
+    sizes = field(centroids(mesh.points, mesh.elements))
     large = equilateral_sizes(mesh.points, mesh.elements) > TOO_LARGE * sizes
     large |= overlong(mesh, sizes)
     facets_large = equilateral_sizes(mesh.points, mesh.facets) > TOO_LARGE * field(
-        mesh.points[mesh.facets].mean(axis=1)
+        centroids(mesh.points, mesh.facets)
     )
     large[facet_elements(mesh, mesh.facets[facets_large])] = True
     return large, sizes
@@ -268,12 +269,12 @@ def overlong(mesh: MeshArrays, sizes: np.ndarray) -> np.ndarray:
 def check_sizes(mesh: MeshArrays, field: SizeField) -> MeshArrays:
     """Return the mesh if its element edges are as short as the field at the centroids asks for;
     Unfit otherwise. Shorter ones are not judged: thin parts and short edges need them."""
-    centroids = mesh.points.take(mesh.elements, axis=0).mean(axis=1)
-    sizes = field(centroids)
+    middles = centroids(mesh.points, mesh.elements)
+    sizes = field(middles)
     relative = mesh.element_sizes / sizes
     if relative.max() > _LONG and (long := overlong(mesh, sizes)).any():
         worst = int(np.argmax(relative))
-        place = ", ".join(f"{x:.6g}" for x in centroids[worst])
+        place = ", ".join(f"{x:.6g}" for x in middles[worst])
         raise Unfit(
             f"{long.mean():.0%} of the elements have edges more than {_LONG:g} times as long as the "
             f"sizes ask for, {relative[worst]:.3g} times at ({place})"

@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.predicates import turn
-from adaptmg.mesh.arrays import MeshArrays, signed_measures, trusted
+from adaptmg.mesh.arrays import MeshArrays, centroids, signed_measures, sweep, trusted
 from adaptmg.mesh.delaunay import BATCH, Untriangulated, insert, of_boundary, walk
 from adaptmg.mesh.improve import improve_triangles
 from adaptmg.mesh.sizes import (
@@ -69,6 +69,8 @@ _PASSES = 8
 # digits of coordinates that the shortest edge of the boundary must leave: of 200 random outlines,
 # of which 67 lie far away, half refuses 6, this 5 and twice 3
 _RESOLVED = 1e-4
+# eight bytes of 1: hundreds of passes go over triangles that are settled but for a few
+_EIGHT_SETTLED = 0x0101010101010101
 # rounds of improvement
 _ROUNDS = 3
 
@@ -85,10 +87,8 @@ def triangulated(
     scale = 2.0 ** math.frexp((domain.upper - domain.lower).max())[1]
     # lay nodes along the boundary; again with smaller sizes next to thin parts until there are none
     least = field
-    for k in range(_PASSES):
-        places, facets, labels, elements, across = _laid(
-            domain, field, growth, middle, scale, spread=k > 0 or len(domain.holes) > 0
-        )
+    for _ in range(_PASSES):
+        places, facets, labels, elements, across = _laid(domain, field, growth, middle, scale)
         feet, sizes = _thin_parts(places, elements, across)
         thin = sizes > least(feet) / _DEEPEST
         if not thin.any():
@@ -102,9 +102,17 @@ def triangulated(
         lambda x: field(middle + scale * x) / scale,
         growth,
     )
-    improve_triangles(points, elements, across, np.arange(len(points)) < len(places), _ROUNDS)
+    # nodes and triangles that are near each other stand near each other in memory: moves and swaps
+    # of 80 000 nodes take .7 of the time that they take in the order of insertion
+    order, number, rows, elements = sweep(points, elements)
+    place = np.full(len(rows) + 1, -1, dtype=np.int32)
+    place[rows] = np.arange(len(rows))
+    points = points[order]
+    improve_triangles(points, elements, place[across[rows]], order < len(places), _ROUNDS)
+    points = middle + scale * points
     # the boundary bit for bit
-    points = np.concatenate([places, middle + scale * points[len(places) :]])
+    points[number[: len(places)]] = places
+    facets = number[facets]
     return _mesh(domain, points, elements, facets, labels)
 
 
@@ -114,7 +122,6 @@ def _laid(
     growth: float | None,
     middle: np.ndarray,
     scale: float,
-    spread: bool,
 ) -> tuple[np.ndarray, ...]:
     """Lay nodes along the edges and triangulate them. Returns the nodes (n, 2), the facets (n, 2)
     from each to the next, the edge that each facet is a part of, the triangles and their
@@ -144,7 +151,7 @@ def _laid(
         labels = np.repeat(np.arange(len(counts)), counts)
         if domain.twins:
             places, facets = _joined(places, facets)
-        elements, across, found = of_boundary((places - middle) / scale, facets, spread)
+        elements, across, found = of_boundary((places - middle) / scale, facets)
         if found.all() and domain.twins:
             elements, facets, is_open, origin = opened(elements, facets, len(places))
             return places[origin], facets[is_open], labels[is_open], elements, across
@@ -301,7 +308,7 @@ def _filled(
             # every triangle that is new holds a node that is new
             new = (elements[:n_elements] >= n_read).any(axis=1)
             dips = np.full(n_elements, np.inf)
-            dips[new] = field(points[elements[:n_elements][new]].mean(axis=1))
+            dips[new] = field(centroids(points, elements[:n_elements][new]))
             # sizes come from one node: a path of edges, at most through all nodes
             for _ in range(n):
                 if not _limit(points, elements[:n_elements], sizes, growth):
@@ -311,7 +318,7 @@ def _filled(
         # many cells they are read there, too
         if n_read > 0 and NODES_PER_CELL[2] * cells > MAX_NODES[2]:
             corners = elements[:n_elements]
-            inside = field(points[corners].mean(axis=1))
+            inside = field(centroids(points, corners))
             cells = float(np.sum(signed_measures(points, corners) / inside**2))
             refuse_too_many(NODES_PER_CELL[2] * cells, domain)
         # fill up to four times as many nodes, in batches that Ctrl-C can end
@@ -465,6 +472,7 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
     ``most`` nodes. Sizes at nodes from ``n_read`` on are interpolated; ``dips`` are sizes at
     centroids. Returns the numbers of nodes and triangles."""
     place = np.empty(2)
+    eights = settled[: len(settled) // 8 * 8].view(np.uint64)
     before = np.int64(-1)
     # each pass but the last adds nodes, and there are ``most``
     while before < n < most:
@@ -474,7 +482,7 @@ def _fill(points, sizes, elements, across, n, count, most, n_read, settled, dips
         while e < count and n < most:
             # after a node the same triangle, or what came in its place, is next
             if settled[e]:
-                e += 1
+                e += 8 if e % 8 == 0 and eights[e // 8] == _EIGHT_SETTLED else 1
                 continue
             settled[e] = True
             a = elements[e, 0]
