@@ -138,9 +138,10 @@ def times(blocks, at, v):
     if len(v) == 1:
         return (blocks[at] * v[0],)
     if len(v) == 2:
-        return blocks[at] * v[0] + blocks[at + ONE] * v[1], blocks[at + TWO] * v[0] + blocks[
-            at + THREE
-        ] * v[1]
+        return (
+            blocks[at] * v[0] + blocks[at + ONE] * v[1],
+            blocks[at + TWO] * v[0] + blocks[at + THREE] * v[1],
+        )
     return (
         blocks[at] * v[0] + blocks[at + ONE] * v[1] + blocks[at + TWO] * v[2],
         blocks[at + THREE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + FIVE] * v[2],
@@ -165,9 +166,10 @@ def transposed_times(blocks, at, v):
     if len(v) == 1:
         return (blocks[at] * v[0],)
     if len(v) == 2:
-        return blocks[at] * v[0] + blocks[at + TWO] * v[1], blocks[at + ONE] * v[0] + blocks[
-            at + THREE
-        ] * v[1]
+        return (
+            blocks[at] * v[0] + blocks[at + TWO] * v[1],
+            blocks[at + ONE] * v[0] + blocks[at + THREE] * v[1],
+        )
     return (
         blocks[at] * v[0] + blocks[at + THREE] * v[1] + blocks[at + SIX] * v[2],
         blocks[at + ONE] * v[0] + blocks[at + FOUR] * v[1] + blocks[at + SEVEN] * v[2],
@@ -194,7 +196,7 @@ def upper(blocks, at, like):
 
 @in_loop
 def read_upper(triangles, k, like):
-    """Return the k-th of the upper triangles of symmetric blocks."""
+    """Return the k-th of the upper triangles of symmetric blocks, stored row by row."""
     if len(like) == 1:
         return (triangles[k],)
     if len(like) == 2:
@@ -213,7 +215,7 @@ def read_upper(triangles, k, like):
 
 @in_loop
 def over(m, divisor):
-    """Return an upper triangle over a number."""
+    """Return an upper triangle divided by a number."""
     if len(m) == 1:
         return (m[0] / divisor,)
     if len(m) == 3:
@@ -252,6 +254,7 @@ def inverse_square(blocks, at, v):
         return (m[2] * v[0] * v[0] - 2.0 * m[1] * v[0] * v[1] + m[0] * v[1] * v[1]) / (
             m[0] * m[2] - m[1] * m[1]
         )
+    # cofactors
     c_00 = m[3] * m[5] - m[4] * m[4]
     c_01 = m[2] * m[4] - m[1] * m[5]
     c_02 = m[1] * m[4] - m[2] * m[3]
@@ -269,12 +272,13 @@ def inverse_square(blocks, at, v):
 
 @in_loop
 def minus_row(i, step, indptr, indices, data, w, r):
-    """Return r minus row i of a matrix (or half of one) times w. ``step``, 1 or -1, is the
-    direction in which the matrix is read."""
+    """Return r minus row i of a matrix (or half of one) times w. ``step`` says whether the blocks of
+    the row are read forwards (1) or backwards (-1)."""
     dim = np.uint64(len(r))
     begin = np.int64(indptr[i])
     end = np.int64(indptr[i + ONE])
     first = begin if step > 0 else end - np.int64(1)
+    # address of the data that is fetched before it is read
     ahead = np.int64(data.ctypes.data) + step * AHEAD
     for entry in range(end - begin):
         k = np.uint64(first + step * entry)

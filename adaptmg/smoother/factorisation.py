@@ -187,22 +187,25 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
 def _halves(coordinates: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return two masks of nodes (n,): which lie behind the median of their part along its longest
     extent, and which are in a part that is not cut."""
-    # of each part: extent, lowest and median coordinate along each axis
     _, index, size = np.unique(part, return_inverse=True, return_counts=True)
     first = np.r_[0, np.cumsum(size)[:-1]]
+    # extent, lowest and median coordinate of each part along each axis
     extent, low, middle = (np.empty((len(size), coordinates.shape[1])) for _ in range(3))
     for k, x in enumerate(coordinates.T):
-        ordered = x[np.lexsort((x, index))]
-        low[:, k] = ordered[first]
-        middle[:, k] = ordered[first + size // 2]
-        extent[:, k] = ordered[first + size - 1] - low[:, k]
+        by_part = x[np.lexsort((x, index))]
+        low[:, k] = by_part[first]
+        middle[:, k] = by_part[first + size // 2]
+        extent[:, k] = by_part[first + size - 1] - low[:, k]
+    # the same along the axis of the longest extent
     axis = np.argmax(extent, axis=1)
-    longest = np.arange(len(size)), axis
+    extent, low, middle = (
+        np.take_along_axis(values, axis[:, None], axis=1)[:, 0] for values in (extent, low, middle)
+    )
     x = np.take_along_axis(coordinates, axis[index][:, None], axis=1)[:, 0]
     # many equal values, as distances have, may put the median on the lowest: cut above it then
-    above = (middle[longest] == low[longest])[index]
-    behind = np.where(above, x > middle[longest][index], x >= middle[longest][index])
-    is_leaf = ((size <= _LEAF) | (extent[longest] == 0))[index]
+    cut_above = (middle == low)[index]
+    behind = np.where(cut_above, x > middle[index], x >= middle[index])
+    is_leaf = ((size <= _LEAF) | (extent == 0))[index]
     return behind & ~is_leaf, is_leaf
 
 
@@ -396,9 +399,9 @@ def _eliminate(
         raise _Singular
     inverse = np.empty_like(order)
     inverse[order] = np.arange(len(order))
-    at = place[inverse[contact]]
-    lower, upper = (part[:, at].tocsr()[at].toarray() for part in (lu.L, upper))
-    return factors, lower @ upper
+    last = place[inverse[contact]]
+    lower_cc, upper_cc = (part[:, last].tocsr()[last].toarray() for part in (lu.L, upper))
+    return factors, lower_cc @ upper_cc
 
 
 def _eliminate_dense(
@@ -408,10 +411,10 @@ def _eliminate_dense(
     find the rank of the interior matrix."""
     n = system.n_nodes
     dim = system.dim
+    # the matrix by node and component
     matrix = np.zeros((n, dim, n, dim))
-    matrix[np.repeat(np.arange(n), np.diff(system.indptr)), :, system.indices] = (
-        system.data.reshape(-1, dim, dim)
-    )
+    block_rows = np.repeat(np.arange(n), np.diff(system.indptr))
+    matrix[block_rows, :, system.indices] = system.data.reshape(-1, dim, dim)
     matrix = matrix.reshape(n * dim, n * dim)
     interior = np.flatnonzero(np.repeat(system.contact_of < 0, dim))
     size = np.sqrt(matrix.diagonal()[interior])
@@ -423,13 +426,14 @@ def _eliminate_dense(
         lower, pivots, rank, _ = linalg.lapack.dpstrf(scaled, tol=checks.ROUNDING, lower=1)
     if rank < len(interior) and not lenient:
         raise _Singular
-    # LAPACK counts from 1
+    # interior dofs that do not depend on others, in the order of elimination; LAPACK counts from 1
     independent = pivots[:rank] - 1
     lower = np.tril(lower[:rank, :rank]) * size[independent, None]
     order = np.append(interior[independent], contact)
     coupling = linalg.solve_triangular(
         lower, matrix[np.ix_(interior[independent], contact)], lower=True, check_finite=False
     )
+    # what elimination leaves on the contact dofs, and the factor of both together
     schur = matrix[np.ix_(contact, contact)] + np.diag(shift) - coupling.T @ coupling
     whole = np.block(
         [[lower, np.zeros((rank, len(contact)))], [coupling.T, np.linalg.cholesky(schur)]]

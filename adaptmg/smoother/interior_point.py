@@ -30,6 +30,8 @@ from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.system import NodalContact
 
+#: columns of the pressure, the gap and the bound on the slip in a state
+_PRESSURE, _GAP, _SLIP_BOUND = 3, 4, 5
 #: steps in a row without a better iterate, after which a slack below SIX_DIGITS is at rounding: a hundredth and
 #: a hundred times of that slack change none of 119 solves, paths and loops (campaign constants)
 _IDLE = 4
@@ -208,10 +210,12 @@ class _Method:
         mean_pressure, mean_gap, mean_slip = (
             np.abs(sizes).sum() / max(len(sizes), 1) for sizes in (pressures, gaps, slips)
         )
-        state[:, 4:6] = 1.0
-        state[has_obstacle, 3] = np.maximum(pressures, mean_pressure)
-        state[has_obstacle, 4] = np.maximum(gaps, mean_gap)
-        state[rough, 5] = 1.1 * slips + (mean_slip if mean_slip > 0 else max(mean_gap, 1e-300))
+        # nodes without an obstacle, or without friction, have any positive value
+        state[:, [_GAP, _SLIP_BOUND]] = 1.0
+        state[has_obstacle, _PRESSURE] = np.maximum(pressures, mean_pressure)
+        state[has_obstacle, _GAP] = np.maximum(gaps, mean_gap)
+        distance = mean_slip if mean_slip > 0 else max(mean_gap, 1e-300)
+        state[rough, _SLIP_BOUND] = 1.1 * slips + distance
 
     def _factorise(self) -> Callable[[np.ndarray], np.ndarray] | None:
         """Factor S with the blocks; see :meth:`Span.factors`."""
@@ -220,7 +224,8 @@ class _Method:
     def iterate(self) -> Interior:
         """Return the present iterate with its slack."""
         product = self.span.product(self.unknowns)
-        forces = self.state[:, [3, 6, 7][: self.dim]]
+        # the columns p, q_1, q_2
+        forces = self.state[:, [_PRESSURE, 6, 7][: self.dim]]
         self.rest = self.load - product - self.span.restricted(forces)
         self.total, gap_error, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
@@ -406,8 +411,10 @@ def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
         t_2 = w_2 - reference[i, 1]
         mu = friction[i]
         b = limit[i] + mu * p
+        # the pair p, y
         if np.isfinite(gap[i]):
             blocks[i, 0, 0] = p / (y + compliance[i] * p)
+        # the cones B >= |q_t| and v >= |tau|
         if limit[i] > 0 or mu > 0:
             # columns of w_1 and w_2, then that of w, on which q depends by p
             for j, e, e_1, e_2 in ((1, q_1, b, 0.0), (2, q_2, 0.0, b)):
@@ -434,11 +441,13 @@ def _right_sides(
         t_2 = w_2 - reference[i, 1]
         mu = friction[i]
         b = limit[i] + mu * p
+        # the pair p, y
         shift = 0.0
         if np.isfinite(gap[i]):
             gap_error = gap[i] - w + compliance[i] * p - y
             shift = (target - p * y - weight * dp * dy - p * gap_error) / (y + compliance[i] * p)
         sides[i, 0] = terms[i, 0] = -shift
+        # the cones B >= |q_t| and v >= |tau|
         if limit[i] > 0 or mu > 0:
             e = (
                 target
@@ -479,17 +488,19 @@ def _complete_change(state, gap, reference, limit, friction, compliance, terms, 
         d_1 = change[i, 1]
         d_2 = change[i, 2]
         b = limit[i] + mu * p
+        # the pair p, y
         dp = 0.0
         if np.isfinite(gap[i]):
             e = compliance[i]
             dp = p / (y + e * p) * d - terms[i, 0]
             dy = gap[i] - w + e * p - y - d + e * dp
-            change[i, 3] = dp
-            change[i, 4] = dy
+            change[i, _PRESSURE] = dp
+            change[i, _GAP] = dy
             if dp < 0:
                 longest = min(longest, -p / dp)
             if dy < 0:
                 longest = min(longest, -y / dy)
+        # the cones B >= |q_t| and v >= |tau|
         if limit[i] > 0 or mu > 0:
             dv, dq_1, dq_2 = _solve_cone(
                 b,
@@ -502,7 +513,7 @@ def _complete_change(state, gap, reference, limit, friction, compliance, terms, 
                 terms[i, 2] + b * d_1 + t_1 * mu * dp,
                 terms[i, 3] + b * d_2 + t_2 * mu * dp,
             )
-            change[i, 5] = dv
+            change[i, _SLIP_BOUND] = dv
             change[i, 6] = dq_1
             change[i, 7] = dq_2
             longest = min(

@@ -127,6 +127,7 @@ def solve_2d(
     # from here on the tangential unknown is the slip
     c_n -= m_nt * reference
     c_t -= m_tt * reference
+    # open: w_n is eliminated with p = 0
     ratio = m_nt / m_nn
     slip = _shrink(c_t - ratio * c_n, limit) / (m_tt - ratio * m_nt)
     w_n = c_n / m_nn - ratio * slip
@@ -206,6 +207,7 @@ def solve_3d(
     c_n -= m_n1 * reference_1 + m_n2 * reference_2
     c_1 -= m_11 * reference_1 + m_12 * reference_2
     c_2 -= m_12 * reference_1 + m_22 * reference_2
+    # open: w_n is eliminated with p = 0
     ratio_1 = m_n1 / m_nn
     ratio_2 = m_n2 / m_nn
     slip_1, slip_2 = slip_3d(
@@ -222,6 +224,7 @@ def solve_3d(
     )
     w_n = c_n / m_nn - ratio_1 * slip_1 - ratio_2 * slip_2
     if not w_n <= gap:
+        # closed: w_n = gap + compliance p; soft p_stick is how far the surface gives way without slip
         p_stick = c_n - m_nn * gap
         share = 1.0 / (1.0 + compliance * m_nn)
         soft = compliance * share
@@ -260,10 +263,12 @@ def _solve_held(
     which a support holds."""
     c_n -= m_nt * reference
     c_t -= m_tt * reference
+    # open: w_n is eliminated with p = 0
     ratio = m_nt / m_nn
     slip = _slip_held(m_tt - ratio * m_nt, c_t - ratio * c_n, 0.0, 0.0, held_slip, limit, 0.0)
     w_n = c_n / m_nn - ratio * slip
     if not w_n <= gap:
+        # closed: w_n = gap + compliance p
         p_stick = c_n - m_nn * gap
         share = 1.0 / (1.0 + compliance * m_nn)
         soft = compliance * share

@@ -108,6 +108,7 @@ def _bounds(last: np.ndarray) -> list[int]:
     shortest = -(-n // (2 * threads.PARTS))
     bounds = [0]
     while bounds[-1] < n:
+        # two layers of neighbours: the next strip does not reach those before this one
         two_layers = int(reach[reach[bounds[-1]]])
         bounds.append(min(max(two_layers, bounds[-1] + shortest), n))
     return bounds
