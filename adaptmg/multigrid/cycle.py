@@ -190,7 +190,6 @@ def local_prolongations(
     >>> [P.shape for P in am.multigrid.local_prolongations(grids, problems)]
     [(50, 18)]
     """
-    hierarchy.need_discretised("a prolongation in contact frames")
     return [
         sparse.csr_array(local_prolongation(level.contact_prolongation, fine, coarse))
         for level, coarse, fine in zip(

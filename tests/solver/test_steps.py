@@ -170,10 +170,12 @@ def test_memory_goes_from_step_to_step_and_starts_empty_on_each_level(bar):
         def step(self, state):
             seen.append(state.memory)
             count = 0 if state.memory is None else state.memory
-            return am.State(unknowns=super().step(state).unknowns, memory=count + 1)
+            return replace(state, unknowns=super().step(state).unknowns, memory=count + 1)
 
     result = am.solve(bar, Counting())
     assert seen[0] is None and seen[1:] == [None, *range(1, result.cycles)]
+    # a step that names no passes has none: the residual after it is one
+    np.testing.assert_allclose(np.diff(result.history["work_units"]), 1.0)
 
 
 def test_a_method_that_converges_to_something_else_is_found_out(bar):

@@ -75,7 +75,7 @@ def test_adaptmg_and_packages_count_where_they_are_used():
 
 def test_sources_edited_after_they_were_loaded_are_refused(tmp_path):
     """By their times alone, whatever the clock says: a copy whose files are dated in the future
-    runs."""
+    runs. Pictures are not numerical."""
     package = tmp_path / "adaptmg"
     shutil.copytree(Path(am.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
     source = package / "hierarchy.py"
@@ -84,9 +84,13 @@ def test_sources_edited_after_they_were_loaded_are_refused(tmp_path):
         [
             sys.executable,
             "-c",
-            "import os, adaptmg as am; am.Study(lambda n: {'m': len(am.cases.__name__)}, {'n': [1]})\n"
-            "print('sound'); os.utime(os.path.join(am.__path__[0], 'hierarchy.py'), (5e9, 5e9))\n"
-            "from adaptmg.solver.fingerprint import _sources\n_sources.cache_clear(); _sources()",
+            "import os, adaptmg as am, adaptmg.plot.style\n"
+            "from adaptmg.solver.fingerprint import _sources\n"
+            "def edit(*names):\n"
+            "    os.utime(os.path.join(am.__path__[0], *names), (5e9, 5e9))\n"
+            "    _sources.cache_clear()\n    _sources()\n"
+            "am.Study(lambda n: {'m': len(am.cases.__name__)}, {'n': [1]})\n"
+            "edit('plot', 'style.py')\nprint('sound')\nedit('hierarchy.py')",
         ],
         cwd=tmp_path,
         env=os.environ | {"PYTHONPATH": str(tmp_path)},
