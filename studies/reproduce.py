@@ -48,7 +48,7 @@ STUDIES = {
     "flexible": 7,
     "parts": 60,
     "accuracy": 20,
-    "obstacle": 40,
+    "obstacle": 27,
     "crack": 35,
     "impact": 29,
     "plastic": 27,
