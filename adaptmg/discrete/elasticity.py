@@ -73,6 +73,7 @@ class Tangents:
 
     patches: np.ndarray  # (n,) int: their numbers
     table: np.ndarray  # (n, k, k): Pa
+    volumes: sparse.bsr_array  # (n_dofs, n_dofs): what groups of nodes add to them, N/m
 
 
 @one_blas_thread()

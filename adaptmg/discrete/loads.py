@@ -45,7 +45,7 @@ from adaptmg.discrete.moduli import (
     moduli,
 )
 from adaptmg.discrete.supports import node_at
-from adaptmg.discrete.volumes import formed_volumes
+from adaptmg.discrete.volumes import formed_volumes, volume_groups
 from adaptmg.geometry.quadrature import integration, quadrature_points
 from adaptmg.mesh.arrays import MeshArrays, pair_keys
 from adaptmg.mesh.soundness import check_mesh
@@ -303,7 +303,11 @@ def supported_stiffness(
     matrix = stiffness(mesh, material, elements, tangents)
     materials = body_materials(mesh, material)
     if elements == "smoothed" and inelastic_bodies(materials).any():
-        matrix = sparse.bsr_array(matrix + formed_volumes(mesh, materials)).sorted_indices()
+        if tangents is None:
+            volumes = formed_volumes(volume_groups(mesh, materials, inelastic=True), mesh.dim)
+        else:
+            volumes = tangents.volumes
+        matrix = sparse.bsr_array(matrix + volumes).sorted_indices()
     springs = [support for support in supports if isinstance(support, Spring | PointSpring)]
     if springs:
         block_rows = np.repeat(np.arange(mesh.n_nodes), np.diff(matrix.indptr))

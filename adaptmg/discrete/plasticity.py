@@ -23,6 +23,7 @@ K'_b)\,\mathrm{tr}\,\varepsilon\, I` on the patches and what is elastic on the g
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -40,7 +41,7 @@ from adaptmg.discrete.moduli import PAIRS, as_tensors, inelastic_bodies, moduli
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import PlasticState, StressData
-from adaptmg.discrete.volumes import Volumes, volume_groups
+from adaptmg.discrete.volumes import Volumes, formed_volumes, volume_groups
 
 if TYPE_CHECKING:
     from adaptmg.problem.plastic import Inelastic
@@ -103,6 +104,11 @@ class InelasticBodies:
             else Volumes.none(mesh.n_nodes, mesh.dim),
         )
 
+    @cached_property
+    def volumes(self) -> sparse.bsr_array:
+        """What groups of nodes add to the stiffness (n_dofs, n_dofs), N/m."""
+        return formed_volumes(self.groups, self.posed.mesh.dim)
+
     @property
     def unloaded(self) -> np.ndarray:
         """Return the states of bodies that nothing has loaded."""
@@ -134,7 +140,7 @@ class InelasticBodies:
             posed.materials,
             posed.problem.supports,
             posed.problem.elements,
-            Tangents(self.numbers, at.tangent),
+            Tangents(self.numbers, at.tangent, self.volumes),
         )
         if problem.coupling is not None:
             matrix = problem.coupling.transformed(matrix)

@@ -49,7 +49,6 @@ from adaptmg.discrete.moduli import (
 )
 from adaptmg.geometry.search import morton_order
 from adaptmg.mesh.arrays import MeshArrays
-from adaptmg.problem.laws import Elastic
 
 #: nodes of a group, by dimension
 GROUP = {2: 4, 3: 8}
@@ -157,14 +156,13 @@ class Volumes:
         return np.append(pressures, 0.0)[self.corners].mean(axis=1)
 
 
-def formed_volumes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> sparse.bsr_array:
-    """Return what the mean volume strains of plastic bodies add to the stiffness (n_dofs, n_dofs),
-    bitwise symmetric. The volume loop of the multigrid is slow where the rest yields: 1507 cycles
-    for 232 of Prandtl's punch on 2667 nodes."""
-    groups = volume_groups(mesh, materials, inelastic=True)
+def formed_volumes(groups: Volumes, dim: int) -> sparse.bsr_array:
+    """Return what the mean volume strains over groups of nodes add to the stiffness (n_dofs,
+    n_dofs), bitwise symmetric. The volume loop of the multigrid is slow where the rest yields: 1507
+    cycles for 232 of Prandtl's punch on 2667 nodes."""
     factors = 1 / np.sqrt(groups.areas * groups.compliance)
     half = sparse.csr_array(sparse.diags_array(factors) @ groups.rows)
-    return sparse.bsr_array(half.T @ half, blocksize=(mesh.dim, mesh.dim))
+    return sparse.bsr_array(half.T @ half, blocksize=(dim, dim))
 
 
 def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False) -> Volumes:
