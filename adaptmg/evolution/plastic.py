@@ -31,6 +31,8 @@ from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.evolution.load_steps import without_nested_start
 from adaptmg.evolution.path_loop import PathLoop
 from adaptmg.hierarchy import Hierarchy
+from adaptmg.multigrid.cycle import Cycle
+from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
@@ -49,8 +51,14 @@ _FIRST = 1e-2
 # cycles; a constant share takes 124 and 374 (2482 nodes), a share of .05 67 and 315 for 69 and 308
 _SHARE = 0.2
 # of multigrid on a contact problem that is not the last: Prandtl's punch in 8 load steps, 10 357 nodes linear and 5463
-# smoothed, 49 and 58 Newton steps, 348 and 492 cycles; half 55 and 61, 380 and 482; twice 49 and 55, 363 and 514
-_CYCLES = 10
+# smoothed, 49 and 54 Newton steps, 363 and 359 cycles, at most 55 and 66 a load step; half 49 and 56, 348 and 360, 53
+# and 82; twice 49 and 53, 363 and 360, 55 and 67
+_CYCLES = 20
+# of multigrid on tangents of smoothed elements, whose condition near a limit load is 550 after a V-cycle and 60 after
+# exact coarse solves: the punch on 5463 and 10 357 nodes takes 359 and 340 cycles, at most 66 and 72 a load step, with
+# V-cycles 514 and 604, 129 and 174, and a sixth and a third more seconds; one sweep 420, three 344, at most 77 and 74.
+# Linear elements, 10 357 nodes: 264 for 363, but thrice the work
+_SMOOTHED = Cycle(shape="W", pre=2, post=2)
 # |phi'| that ends the search, over that at 0; two paths of a punch take 64 Newton steps and 202 cycles, with half 65
 # and 207, with twice 65 and 203
 _SLOPE = 0.3
@@ -222,9 +230,16 @@ class _Newton:
         if isinstance(solver, FullMultigrid) and not (unloaded and grids.discretised):
             solver = without_nested_start(solver)
         if is_dataclass(solver) and hasattr(solver, "rtol"):
-            changed: dict[str, float] = {"rtol": tolerance}
+            changed: dict[str, object] = {"rtol": tolerance}
             if isinstance(solver, Multigrid) and not last:
                 changed["max_cycles"] = min(_CYCLES, solver.max_cycles)
+            correction = getattr(solver, "correction", None)
+            if (
+                len(self.plastic.groups)
+                and isinstance(correction, Truncated)
+                and correction.correct is None
+            ):
+                changed["correction"] = replace(correction, correct=_SMOOTHED)
             solver = replace(cast("Any", solver), **changed)
         run = self.recorder
         run.first_cycle = self.cycles

@@ -214,7 +214,7 @@ def test_the_punch_meets_its_limit_load(punch):
         last = results[-1]
         force = last.resultant("contact").force[1]
         found[elements] = -force / problem.reference["half_width"] / problem.reference["limit"]
-        assert max(result.cycles for result in results) <= 50
+        assert max(result.cycles for result in results) <= 45
         steps = [np.isfinite(result.history["newton_change"]).sum() for result in results]
         assert steps[0] <= 10
         # towards the same motion the bodies go on as before
