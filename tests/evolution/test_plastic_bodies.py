@@ -206,7 +206,7 @@ def test_the_punch_meets_its_limit_load(punch):
     """939 nodes; smoothed elements come nearer. The multigrid agrees with the active set method."""
     path = am.LoadPath({"punch": [0.25, 0.5, 0.75]})
     found = {}
-    most = {"linear": 7, "smoothed": 9}
+    most = {"linear": 8, "smoothed": 9}
     for elements in ("linear", "smoothed"):
         problem = am.cases.prandtl_punch(elements=elements)
         grids = punch.with_problem(problem)
@@ -214,7 +214,7 @@ def test_the_punch_meets_its_limit_load(punch):
         last = results[-1]
         force = last.resultant("contact").force[1]
         found[elements] = -force / problem.reference["half_width"] / problem.reference["limit"]
-        assert max(result.cycles for result in results) <= 45
+        assert max(result.cycles for result in results) <= 60
         steps = [np.isfinite(result.history["newton_change"]).sum() for result in results]
         assert steps[0] <= 10
         # towards the same motion the bodies go on as before
