@@ -57,6 +57,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -171,13 +172,14 @@ def pair_interface(
     try:
         normals = slave_normals(slave, posed)
         surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
-        interface = _coupled(pair, surfaces)
+        couple = node_to_node if pair.coupling == "nodes" else partial(mortar, reach=pair.reach)
+        interface = couple(surfaces)
         # slave nodes of which the master covers too little
         hanging = interface.nodes[
             interface.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[interface.nodes]
         ]
         if 0 < len(hanging) < len(interface) and pair.coupling == "mortar":
-            interface = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
+            interface = couple(replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
         raise ValueError(f"{named_pair}: {error}") from error
     gaps = interface.gaps.copy()
@@ -243,13 +245,6 @@ def taken_over(
     result = sparse.csr_array(share.T @ sparse.diags_array(given, format="csr"))
     result.eliminate_zeros()
     return result
-
-
-def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
-    """Return the interface of two surfaces, coupled as the pair asks: by nodes or by mortar."""
-    if pair.coupling == "nodes":
-        return node_to_node(surfaces)
-    return mortar(surfaces, pair.reach)
 
 
 def _edge_lengths(surface: Surface) -> np.ndarray:

@@ -444,6 +444,10 @@ class Cycle:
             )
 
 
+#: shapes of the cycles on a level in one visit from the next finer one
+VISITS = {"V": "V", "W": "WW", "F": "FV"}
+
+
 @dataclass(eq=False)
 class MultigridCycle:
     """Cycles on the levels of a coarse correction; unknowns are changed in place."""
@@ -479,7 +483,7 @@ class MultigridCycle:
         elif shape == "complete":
             self._complete(level, contact, load, unknowns)
         else:
-            for shape_of_visit in {"V": "V", "W": "WW", "F": "FV"}[shape]:
+            for shape_of_visit in VISITS[shape]:
                 self.cycle(level, contact, load, unknowns, shape_of_visit)
 
     def correct(

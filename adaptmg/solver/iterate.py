@@ -400,8 +400,7 @@ class Measure:
         self.local = local
         self.run = run
         self.reference = reference
-        blocks = local.system.diagonal.reshape(-1, local.system.dim, local.system.dim)
-        self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
+        self._diagonal = local.system.matrix.diagonal()
         self._last_iterate: tuple[np.ndarray, np.ndarray] | None = None
 
     def __call__(
