@@ -385,6 +385,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
     # the matrix of slave nodes is ``diagonal`` at nodes with a multiplier, ``taken_over_rows`` at others
     mass_without_multiplier = share * np.where(carries, 0.0, shape_mass)[:, None, :]
+    # summed over facets: the matrices of master nodes and of slave nodes, and the gaps
     slave = surfaces.slave[parts.slave]
     products = np.einsum("piq,pqk->pik", tests, parts.shapes)
     facing = _assembled(products, slave, surfaces.master[parts.master], n_nodes)
@@ -406,6 +407,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         facing = sparse.csr_array(node_share @ facing)
         taken_over_rows = sparse.csr_array(node_share @ taken_over_rows)
         gaps = node_share @ gaps
+    # over the diagonal, what the nodes with a multiplier face
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
     over_diagonal = sparse.diags_array(1 / diagonal[nodes], format="csr")
