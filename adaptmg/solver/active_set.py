@@ -403,8 +403,9 @@ class CondensedSteps:
             return self.condensed.recover(interior.values.reshape(-1))
 
     def solve(self, equations: Linearised, particular: np.ndarray) -> np.ndarray:
-        """Return the change (n_dofs,) for a residual; LinAlgError if the equations are
-        singular or an iterative linear solver does not converge."""
+        """Return the change (n_dofs,) of a Newton step; ``particular`` is the second result of
+        :meth:`contact_residual`. LinAlgError if the equations are singular or an iterative linear
+        solver does not converge."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
             matrix = self.condensed.matrix.copy().reshape(n, dim, n, dim)

@@ -508,9 +508,10 @@ def _critical(stiffness: np.ndarray) -> np.ndarray:
 
 
 def warn_of_several_solutions(grids: Hierarchy) -> None:
-    """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is
-    not cheap, or bodies are held by contact, the one with all other nodes of the finest held, which
-    is larger."""
+    """Warn where the friction of a node exceeds the critical one, estimated on the coarsest grid.
+
+    Where that is not cheap, or only contact holds bodies, the estimate is that of the finest grid
+    with all other nodes held, which is larger."""
     finest = grids.finest.discrete
     if not finest.law.bounds(len(finest.contact))[1].any():
         return
@@ -521,9 +522,8 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
         and examined.n_dofs <= _SMALL
         and 0 < len(examined.contact) * examined.dim <= _SMALL_CONTACT
     ):
-        with suppress(
-            ValueError, np.linalg.LinAlgError
-        ):  # a singular interior is refused elsewhere
+        # a singular interior is refused elsewhere
+        with suppress(ValueError, np.linalg.LinAlgError):
             critical = critical_friction(examined)
     if examined is None or np.isnan(critical).any():
         examined = finest
