@@ -87,6 +87,7 @@ class ActiveSet:
     nested_start: bool = False
 
     def __post_init__(self) -> None:
+        """Check the options, and fill in the defaults that depend on others."""
         checks.offers("linear", self.linear, "setup", "Direct(), AMG(...) or offer setup()")
         if self.condensed is None:
             object.__setattr__(self, "condensed", isinstance(self.linear, Direct))
@@ -448,6 +449,7 @@ class SparseSteps:
     RTOL = 1e-2
 
     def __init__(self, local: LocalProblem, linear: LinearSolver, run: Run) -> None:
+        """Prepare steps for a problem in contact frames; ``linear`` solves each."""
         self.local = local
         self.linear = linear
         self.run = run
@@ -473,6 +475,8 @@ class SparseSteps:
         return interior.unknowns
 
     def solve(self, equations: Linearised, residual: np.ndarray) -> np.ndarray:
+        """Return the change (n_dofs,) of a Newton step from a residual (n_dofs,); see
+        :meth:`CondensedSteps.solve`."""
         system = self.local.system
         # the equations of contact nodes take the place of theirs
         prescribed = np.zeros((system.n_nodes, system.dim), dtype=bool)

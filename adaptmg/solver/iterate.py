@@ -394,6 +394,8 @@ class Measure:
         reference: np.ndarray | None = None,
         sizes: Sizes | None = None,
     ) -> None:
+        """Prepare norms of iterates of a problem in contact frames, by default with its own
+        sizes."""
         self.sizes = Sizes(local.discrete, local.frames) if sizes is None else sizes
         if reference is None and run is not None and run.reference is not None:
             reference = local.to_local(run.reference)

@@ -419,6 +419,7 @@ def _plain_motions(body: _Body) -> np.ndarray:
             field[nodes] = motion.reshape(len(nodes), -1)
             columns.append(problem.relative(field)[body.nodes].reshape(-1))
     motions = np.stack(columns, axis=1)
+    # the columns of body.motions are orthogonal, of length sqrt(n_nodes)
     coefficients = body.motions.T @ motions / len(body.nodes)
     free = np.abs(body.motions @ coefficients - motions).max(axis=0) <= 1e-8
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])

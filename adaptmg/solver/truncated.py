@@ -160,6 +160,7 @@ class TruncatedCycles:
         run: Run,
         nested: np.ndarray | None,
     ) -> None:
+        """Prepare cycles with the steps ``parts`` of the level of a problem."""
         self.parts = parts
         self.problem = problem
         self.origin = origin
