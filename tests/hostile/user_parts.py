@@ -160,6 +160,13 @@ def _methods():
         counts,
         ("negative",),
     )
+    yield from each(
+        "the unknowns that smooth leaves",
+        lambda v: _truncated(
+            smooth=SimpleNamespace(smooth=lambda system, contact, load, u, sweeps: u.fill(v) or 1.0)
+        ),
+        {"nan": np.nan, "inf": np.inf},
+    )
     values = {
         "None": lambda after: None,
         "short": lambda after: after[1:],
