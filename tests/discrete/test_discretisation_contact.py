@@ -53,6 +53,16 @@ class TestContactNodes:
         assert nodes.weights @ mesh.points[nodes.nodes, 0] == pytest.approx(measure)
         assert not nodes.gaps.any() and nodes.names == ("bottom",) and not nodes.boundary.any()
 
+    @pytest.mark.parametrize("scale", [1e-4, 1e4])
+    def test_rounding_of_turned_points_is_no_overlap(self, scale):
+        turn = scale * np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
+        mesh = replace(PLATE, points=PLATE.points @ turn.T)
+        plane = am.Plane(turn @ [0.3, 0.0], turn @ [0.0, 1.0])
+        problem = plane_problem(contact=am.Contact("bottom", plane), supports=())
+        nodes = Posed.of(problem, mesh).contact
+        assert len(nodes) == 5
+        np.testing.assert_allclose(nodes.gaps, 0.0, atol=1e-12 * scale)
+
     def test_gaps(self):
         # the plane through (0, -1) rising at 45 degrees is met along its own normal
         plane = am.Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))

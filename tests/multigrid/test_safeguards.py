@@ -249,13 +249,13 @@ def discrete(dim, law=None, **changes):
 class Body:
     """A body near its obstacle with random displacements, motions settled once."""
 
-    def __init__(self, problem, seed=0, opening=0.0):
+    def __init__(self, problem, seed=0, opening=0.0, size=1e-6):
         rng = np.random.default_rng(seed)
         self.problem, self.contact = (
             problem,
             TruncatedContact.of(problem, split(problem.matrix, problem.fixed)),
         )
-        self.unknowns = 1e-6 * rng.standard_normal(problem.n_dofs)
+        self.unknowns = size * rng.standard_normal(problem.n_dofs)
         self.unknowns[problem.dim * problem.contact.nodes + problem.dim - 1] = opening * rng.random(
             len(problem.contact.nodes)
         )
@@ -315,6 +315,20 @@ def test_friction_that_cannot_hold_yet_moves_nothing_far(dim):
     # in 2D a node holds the body all the same
     assert dim == 3 or (body.contact.values[1::2] == 0.0).any()
     assert np.abs(body.unknowns).max() < 1e2 * np.abs(body.before).max()
+
+
+def test_a_body_without_friction_slides_to_the_wall():
+    distance = 1e-5
+    floor, wall = (
+        am.Contact(boundary, am.Plane(point, normal))
+        for boundary, point, normal in (
+            ("bottom", (0.0, 0.0), (0.0, 1.0)),
+            ("right", (40e-3 + distance, 0.0), (-1.0, 0.0)),
+        )
+    )
+    problem = discrete(2, am.Frictionless(), contact=(floor, wall), loads=ALL_ROUND[:2])
+    motion = problem.physical(Body(problem, size=0.0).settle())
+    np.testing.assert_allclose(motion, np.tile([distance, 0.0], (len(motion), 1)), atol=1e-15)
 
 
 def test_motions_that_strain_the_body_are_given_up():
