@@ -298,6 +298,19 @@ AXIAL = am.Axisymmetric(young=1e11, poisson=0.3)
 NAMED = r"'upper.bottom' on 'lower.top'"
 
 
+FAINT = (am.Pressure("top", 1e-150),)
+test_loads_whose_energies_underflow_are_refused = refused(
+    (
+        lambda: am.discretise(plane_problem(loads=FAINT), PLATE),
+        "load: its largest entry .* is out of range",
+    ),
+    (
+        lambda: am.Hierarchy.from_meshes(plane_problem(), [PLATE]).with_problem(
+            plane_problem(loads=FAINT)
+        ),
+        "load: its largest entry .* is out of range",
+    ),
+)
 test_refusals_of_bodies = refused(
     # places
     (
