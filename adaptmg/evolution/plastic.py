@@ -36,6 +36,7 @@ from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
+from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid, handed_over
 from adaptmg.solver.outcome import checked_outcome, result_of
 from adaptmg.solver.record import Outcome, Run, Solver, Status
@@ -79,6 +80,7 @@ class PlasticLoop(PathLoop):
             )
         if isinstance(getattr(solver, "rtol", None), str):
             raise ValueError("rtol must be a number where bodies are plastic, got 'discretisation'")
+        self.rtol = cast("float", getattr(solver, "rtol", 1e-8))
         self.plastic = InelasticBodies.of(cast("Posed", self.posed[-1]))
         self.state = self.plastic.unloaded
 
@@ -133,10 +135,8 @@ class PlasticLoop(PathLoop):
             at = self.plastic.respond(problem, np.zeros(problem.n_dofs), self.state)
             data = self.plastic.result(problem, at, cast("StressData", data))
             return replace(result, stress_data=data), (grids, None)
-        # where the load turns round, bodies are elastic, as they are at the last solution
-        start = self._start(k, None) if self._ratio(k) > 0 else self.recent[-1][0]
         with run.phase("tangent"):
-            at = self.plastic.respond(problem, start, self.state)
+            at = self._start_response(k, problem)
         newton = _Newton(self, grids, run)
         outcome, last = newton.run(at)
         at = newton.at
@@ -151,6 +151,20 @@ class PlasticLoop(PathLoop):
                 data,
             )
         return result, (grids, None)
+
+    def _start_response(self, k: int, problem: DiscreteProblem) -> Response:
+        """Return the response at the start of step k: at the solution of the step before where the
+        load turns round, as bodies are elastic there, and where it solves this step, too, as where
+        contact has been lost; else at the extrapolation."""
+        last = problem.with_prescribed(problem.from_prescribed(self.recent[-1][0]))
+        at = self.plastic.respond(problem, last, self.state)
+        if self._ratio(k) <= 0:
+            return at
+        tangent = self.plastic.linearised(problem, at)
+        missed = Examiner(tangent, certified=False).relative_residual(last)
+        if missed <= StopTest.RESIDUAL_FACTOR * self.rtol:
+            return at
+        return self.plastic.respond(problem, self._start(k, None), self.state)
 
 
 def _state_of(result: Result) -> np.ndarray:
@@ -169,7 +183,7 @@ class _Newton:
         self.grids = grids
         self.recorder = run
         self.problem = grids.finest.discrete
-        self.rtol = cast("float", getattr(loop.solver, "rtol", 1e-8))
+        self.rtol = loop.rtol
         self.cycles = 0
 
     def run(self, at: Response) -> tuple[Outcome, Hierarchy]:

@@ -228,6 +228,21 @@ def test_the_punch_meets_its_limit_load(punch):
     assert last.certificate()["equilibrium"].relative < 1e-5
 
 
+@pytest.mark.parametrize("elements", ["linear", "smoothed"])
+def test_bodies_stay_as_they_are_after_contact_is_lost(punch, elements):
+    """A punch that goes further away changes nothing, which takes one Newton step."""
+    grids = punch.with_problem(am.cases.prandtl_punch(elements=elements)).truncated(finest=1)
+    path = am.LoadPath({"punch": [0.5, 0.9, 0.3, 0.2, 0.0]})
+    *_, lost, second, third = am.solve_path(grids, path, am.FullMultigrid(rtol=1e-6))
+    force = np.linalg.norm(lost.reaction, axis=1).max()
+    for result in (second, third):
+        assert np.isfinite(result.history["newton_change"]).sum() == 1
+        assert result.cycles <= 2
+        moved = result.displacement - lost.displacement
+        assert np.abs(moved).max() < 1e-4 * np.abs(lost.displacement).max()
+        assert np.abs(result.resultant("contact").force).max() < 1e-3 * force
+
+
 @pytest.mark.parametrize(("radius", "law"), [(3e-3, am.Coulomb(0.3)), (8e-3, am.Frictionless())])
 def test_a_plate_with_a_hole_bears_what_the_rest_of_its_section_bears(radius, law):
     """In plane strain 2 / sqrt(3) of the yield stress, which two bounds give; smoothed elements are
