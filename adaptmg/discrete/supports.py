@@ -185,7 +185,6 @@ class Inclined:
         not be what supports prescribe."""
         if not len(self):
             return residual
-        # b' - A' u counts from the prescribed values: add A times what u is short of them
         short_of_prescribed = self.prescribed({}) - self.along(unknowns)
         forces = (residual + self.rows.T @ short_of_prescribed.reshape(-1)).reshape(
             -1, self.spans.shape[1]

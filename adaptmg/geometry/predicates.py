@@ -101,53 +101,37 @@ def _add(terms, n, value):
 
 
 @inner_kernel
-def _add_product(terms, n, factors, sign, work):
-    """Add a signed product of factors, each of two terms, to the sum of n terms; returns how many
-    they are then."""
-    work[0, 0] = sign
-    count = 1
-    for f in factors:
-        size = np.int64(0)
-        for i in range(count):
-            for value in f:
-                product, error = _product(work[0, i], value)
-                size = _add(work[1], _add(work[1], size, error), product)
-        count = size
-        for i in range(count):
-            work[0, i] = work[1, i]
-    for i in range(count):
-        n = _add(terms, n, work[0, i])
-    return n
-
-
-@inner_kernel
 def _exact(points, a, b, c, d):
     """Return the value of ``in_circle``, or for d < 0 of ``turn``, with the right sign: all products
     in the formulas above are added up without error, each difference as a sum of two terms."""
-    terms = np.empty(8 * _TERMS)
-    work = np.empty((2, _TERMS))
-    factors = np.empty((4, 2))
+    # each kernel that calls this one compiles it again: so arrays have one dimension, there is one loop,
+    # and its bounds are unknown to the compiler, which would unroll it
+    sums = np.empty(8 * _TERMS)
+    old = np.empty(_TERMS)
+    new = np.empty(_TERMS)
     n = np.int64(0)
-    sides = np.empty((2, 2, 2, 2))  # from a and from d to b and to c, component, terms
-    for k in range(2):
-        for i in range(2):
-            for j in range(2):
-                start = d if i == 1 and d >= 0 else a
-                end = c if j == 1 else b
-                sides[i, j, k, 0], sides[i, j, k, 1] = _sum(points[end, k], -points[start, k])
-    for k in range(2):
-        sign = 1.0 - 2.0 * k
-        if d < 0:
-            for t in range(2):  # whole rows would compile the text of numpy's error: a second more
-                factors[0, t], factors[1, t] = sides[0, 0, k, t], sides[0, 1, 1 - k, t]
-            n = _add_product(terms, n, factors[:2], sign, work)
-            continue
+    two = points.shape[1]
+    of_turn = d < 0
+    for product in range(two if of_turn else 4 * two):
         # det(from d) dot(from a) - det(from a) dot(from d): component k of one side and 1 - k of
         # the other make the determinant, components m of both the scalar product
-        for m in range(2):
-            for i in range(2):
-                for t in range(2):
-                    factors[0, t], factors[1, t] = sides[i, 0, k, t], sides[i, 1, 1 - k, t]
-                    factors[2, t], factors[3, t] = sides[1 - i, 0, m, t], sides[1 - i, 1, m, t]
-                n = _add_product(terms, n, factors, sign * (2.0 * i - 1.0), work)
-    return terms[n - 1] if n > 0 else 0.0
+        k = product if of_turn else product // 4
+        m = product // 2 % 2
+        from_d = not of_turn and product % 2 == 1
+        old[0] = 1.0 - 2.0 * k if of_turn or from_d else 2.0 * k - 1.0
+        count = 1
+        for f in range(two if of_turn else 2 * two):
+            end = b if f % 2 == 0 else c
+            start = d if from_d == (f < 2) and not of_turn else a
+            component = m if f > 1 else (k if f == 0 else 1 - k)
+            value, other = _sum(points[end, component], -points[start, component])
+            size = np.int64(0)
+            for i in range(count * two):
+                rounded, error = _product(old[i // 2], value if i % 2 == 0 else other)
+                size = _add(new, _add(new, size, error), rounded)
+            count = size
+            for i in range(count):
+                old[i] = new[i]
+        for i in range(count):
+            n = _add(sums, n, old[i])
+    return sums[n - 1] if n > 0 else 0.0

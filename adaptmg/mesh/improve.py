@@ -196,6 +196,7 @@ def _move(
     held: np.ndarray,
 ) -> None:
     """Move the nodes that are not held once, in place."""
+    measures = np.empty(np.diff(around[0]).max())
     for begin in range(0, len(points), _BATCH):
         _move_nodes(
             (0.0,) * points.shape[1],
@@ -205,6 +206,7 @@ def _move(
             held,
             begin,
             min(begin + _BATCH, len(points)),
+            measures,
         )
 
 
@@ -303,9 +305,10 @@ def _solve(zero, hessian, step):
 
 
 @kernel
-def _move_nodes(zero, points, cells, start, items, held, begin, end):
+def _move_nodes(zero, points, cells, start, items, held, begin, end, measures):
     """Move each node that is not ``held`` once, in place; ``start``, ``items`` as
-    :func:`occurrences` has the corners at each."""
+    :func:`occurrences` has the corners at each; ``measures``, as many as corners are at a node, is
+    overwritten (made here, it takes 3 s to compile)."""
     dim = len(zero)
     x = np.empty(dim)
     y = np.empty(dim)
@@ -314,7 +317,6 @@ def _move_nodes(zero, points, cells, start, items, held, begin, end):
     normal = np.empty(dim)
     hessian = np.empty((dim, dim))
     spokes = np.empty((dim, dim))
-    measures = np.empty(np.diff(start).max())
     for i in range(begin, end):
         if held[i]:
             continue

@@ -444,10 +444,6 @@ class Cycle:
             )
 
 
-#: shapes of the cycles on a level in one visit from the next finer one
-VISITS = {"V": "V", "W": "WW", "F": "FV"}
-
-
 @dataclass(eq=False)
 class MultigridCycle:
     """Cycles on the levels of a coarse correction; unknowns are changed in place."""
@@ -483,7 +479,7 @@ class MultigridCycle:
         elif shape == "complete":
             self._complete(level, contact, load, unknowns)
         else:
-            for shape_of_visit in VISITS[shape]:
+            for shape_of_visit in {"V": "V", "W": "WW", "F": "FV"}[shape]:
                 self.cycle(level, contact, load, unknowns, shape_of_visit)
 
     def correct(

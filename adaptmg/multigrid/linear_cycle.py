@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
-from adaptmg.multigrid.cycle import VISITS, Cycle, Recorder
+from adaptmg.multigrid.cycle import Cycle, Recorder
 from adaptmg.multigrid.split_matrix import (
     SplitMatrix,
     add_prolonged,
@@ -290,6 +290,10 @@ class LinearCycle:
         return solution
 
 
+#: shapes of the cycles on a level in one visit from the next finer one
+VISITS = {"V": "V", "W": "WW", "F": "FV"}
+
+
 def _by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
     """Return a prolongation of nodal values as one of dofs; one of dofs unchanged."""
     size = n_dofs // prolongation.shape[0]
@@ -298,7 +302,8 @@ def _by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
 
 def _sizes(level: SplitMatrix) -> np.ndarray:
     """Return the largest entry of the diagonal, for each dof."""
-    return np.full(level.n_dofs, level.diagonal_sizes.max())
+    blocks = level.diagonal.reshape(-1, level.dim, level.dim)
+    return np.full(level.n_dofs, np.abs(blocks.diagonal(axis1=1, axis2=2)).max())
 
 
 class CoarseFactors:
@@ -316,8 +321,10 @@ class CoarseFactors:
         """Prepare for the matrices of the coarsest level; ``custom`` replaces the factors."""
         self.level = level
         self.custom = custom
-        sizes = level.diagonal_sizes
-        self._scale = np.where(sizes > 0, sizes, sizes.max() or 1.0)
+        scale = np.abs(
+            level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
+        ).reshape(-1)
+        self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self.forget()
         self._probe = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
         # Any: made by renew before it is read

@@ -379,12 +379,13 @@ class Interface:
         self.dim = dim
         ones = np.ones(len(level.lower_indices))
         # numbers of the entries of L, from 1, row by row of the nodes
-        lower_entries = sparse.csr_array(
+        lower_pattern = sparse.csr_array(
             (np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
             shape=(n, n),
         )[level.strips.rank]
+        lower_entries = lower_pattern
         lower_pattern = sparse.csr_array(
-            (ones, lower_entries.indices, lower_entries.indptr), shape=(n, n)
+            (ones, lower_pattern.indices, lower_pattern.indptr), shape=(n, n)
         )
         is_near = (np.diff(coupling.weights.indptr) > 0).astype(float)
         for _ in range(self.LAYERS):
@@ -417,7 +418,7 @@ class Interface:
 
     def _follow(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
         """Set the followers of each node that can stay where they are, with their weights; nodes that
-        follow others have none. ``place`` (n_nodes,): numbers among the nodes near contact."""
+        follow others have none."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         follows = np.diff(coupling.weights.indptr)[self.nodes] > 0
         counts = ~np.repeat(follows, np.diff(by_master.indptr))
@@ -434,7 +435,6 @@ class Interface:
         they are: 1 at the node, minus the weight at each follower."""
         n = len(self.nodes)
         dim = self.dim
-        # the rows with their diagonal, in the columns of the nodes near contact
         columns = place[self.indices]
         inside = columns >= 0
         indptr = np.append(0, np.cumsum(inside))[self.indptr]
@@ -459,7 +459,6 @@ class Interface:
         )
         forces = sparse.csc_array(rows @ motion)
         motion = sparse.csc_array(motion)
-        # the products of columns that belong to one node
         result = np.empty((n, dim, dim))
         for a, b in np.ndindex(dim, dim):
             result[:, a, b] = motion[:, a::dim].multiply(forces[:, b::dim]).sum(axis=0)

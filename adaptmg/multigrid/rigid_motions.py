@@ -121,8 +121,8 @@ class RigidMotions:
     def settle(
         self, contact: TruncatedContact, unknowns: np.ndarray, residual: np.ndarray
     ) -> np.ndarray | None:
-        """Move unknowns (n_dofs,) and the local values of the contact nodes to the least energy, in
-        place; return the motion (n_dofs,), None if there is none."""
+        """Move unknowns (n_dofs,) and the values of the contact nodes, which are theirs, to the
+        least energy, in place; returns the motion (n_dofs,), None if there is none."""
         descent = _Descent(self, contact, residual)
         total = np.zeros(self.at_contact.shape[2])
         steps = 0

@@ -62,12 +62,6 @@ class SplitMatrix:
         return self.n_nodes * self.dim
 
     @property
-    def diagonal_sizes(self) -> np.ndarray:
-        """Return the magnitudes (n_dofs,) of the entries on the diagonal; needs ``diagonal``."""
-        blocks = self.diagonal.reshape(-1, self.dim, self.dim)
-        return np.abs(blocks.diagonal(axis1=1, axis2=2)).reshape(-1)
-
-    @property
     def symmetric(self) -> bool:
         """Return whether U is not stored, being the transpose of L."""
         return len(self.upper_indptr) == 0
@@ -185,7 +179,6 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     size = len(data)
     lower_indptr = np.zeros(n + 1, dtype=np.int32)
     upper_indptr = np.zeros(n + 1, dtype=np.int32)
-    # row pointers of both halves from the number of blocks in a row
     in_parts(count, n, size, strips.order, indptr, indices, strips.rank, lower_indptr, upper_indptr)
     for counts in (lower_indptr, upper_indptr):
         np.cumsum(counts, out=counts)
@@ -195,7 +188,6 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     if symmetric:
         upper_indptr = upper_indptr[:0].copy()
         above = 0
-    # room for the halves and the diagonal, which the kernel fills
     lower_indices = np.empty(below, dtype=np.uint32)
     upper_indices = np.empty(above, dtype=np.uint32)
     lower = np.empty(below * dim * dim)

@@ -179,7 +179,8 @@ class FrameSmoother:
     def __init__(self, smoother: Smoother, problem: DiscreteProblem, level: SplitMatrix) -> None:
         """Prepare the smoother for the matrix of a level, in contact frames."""
         self.smoother = smoother
-        sizes = level.diagonal_sizes
+        blocks = level.diagonal.reshape(-1, level.dim, level.dim)
+        sizes = np.abs(blocks.diagonal(axis1=1, axis2=2)).reshape(-1)
         # on levels below the finest the Galerkin matrix
         matrix = regular_matrix(level, np.where(sizes > 0, sizes, 1.0))
         local = local_system(problem.restructured(matrix=matrix))

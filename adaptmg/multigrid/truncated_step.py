@@ -45,12 +45,12 @@ from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import LinearCycle, least_weights, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.truncated_contact import UPPER, TruncatedContact
+from adaptmg.multigrid.truncated_contact import TruncatedContact
 from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.multigrid.volume_pressures import VolumePressures
 from adaptmg.smoother.blocks import ZERO
-from adaptmg.smoother.factorisation import Eliminated, eliminate
+from adaptmg.smoother.factorisation import Eliminated, dofs_of, eliminate
 from adaptmg.smoother.interior_point import dense_factors, interior_point
 from adaptmg.smoother.system import LocalSystem
 
@@ -306,8 +306,10 @@ class TruncatedStep:
         """Return the matrix of a coarser level without truncation."""
         self.restore()
         level = self.cycle.levels[number].matrix
-        sizes = level.diagonal_sizes
-        return regular_matrix(level, np.where(sizes > 0, sizes, 1.0))
+        scale = np.abs(
+            level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
+        ).reshape(-1)
+        return regular_matrix(level, np.where(scale > 0, scale, 1.0))
 
     def restore(self) -> None:
         """Put the coarse matrices back that are truncated."""
@@ -333,8 +335,7 @@ class TruncatedStep:
         truncated: np.ndarray,
         pressures: np.ndarray,
     ) -> Recombinable:
-        """Return the pressures (n_groups,), and what they add to the restricted residual and to what
-        volumes miss; ``whole`` and ``truncated`` (n_dofs,): the residual before and after truncation."""
+        """Return the pressures, and what they add to the restricted residual and to what volumes miss."""
         volumes = self.pressures.volumes
         changed = whole - volumes.forces(pressures)
         restricted = np.empty(self.coarse.n_dofs)
@@ -453,7 +454,6 @@ class TruncatedStep:
         def slope(part: float) -> float:
             return part * curvature - gain + (of_friction(part) - slope_at_begin)
 
-        # the energy rises at the end of the step: halve to where its slope vanishes
         if not slope(1.0) <= 0.0:
             accepted = 0.0
             rejected = 1.0
@@ -534,9 +534,9 @@ class CoarseContact:
         fixed[levels[self.number].matrix.fixed] = True
         self.eliminated = _eliminated(matrix, fixed, nodes, coordinates[self.number])
         self.unknowns = _CoarseSpan(self.eliminated.matrix, rows[:, self.eliminated.contact], dim)
-        row, column = UPPER[dim]
-        triangles = contact.blocks.reshape(len(contact.nodes), -1)
-        self.stiffness = np.abs(triangles[:, row == column])
+        block = np.zeros((len(contact.nodes), dim, dim))
+        block[(slice(None), *np.triu_indices(dim))] = contact.blocks.reshape(len(block), -1)
+        self.stiffness = np.abs(block.diagonal(axis1=1, axis2=2))
 
     def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:
         """Yield the levels that may serve, finest first: the number, B, which is the prolongation from
@@ -544,9 +544,14 @@ class CoarseContact:
         step = self.step
         dim = self.step.contact.dim
         n = len(step.contact.nodes)
-        # a row of frames at each contact node, then the prolongations from level to level
-        blocks = (step.contact.frames.reshape(n, dim, dim), step.contact.nodes, np.arange(n + 1))
-        rows = sparse.csr_array(sparse.bsr_array(blocks, shape=(n * dim, step.matrix.n_dofs)))
+        dofs = dofs_of(step.contact.nodes, dim)
+        frames = step.contact.frames.reshape(n, dim, dim)
+        rows = sparse.csr_array(
+            sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
+        )
+        rows = sparse.csr_array(
+            (rows.data, dofs[rows.indices], rows.indptr), shape=(n * dim, step.matrix.n_dofs)
+        )
         for number in reversed(range(step.number)):
             finer = step.cycle.levels[number + 1]
             coarse = step.cycle.levels[number].matrix

@@ -219,8 +219,7 @@ class NodalUpdate(_Update[_ChangedBlocks]):
 def _products(
     level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray
 ) -> _ChangedBlocks:
-    """Find where the blocks of a finer level at nodes ``rows`` and ``columns`` (n_blocks,) go on this
-    one."""
+    """Find where the blocks of a finer level go on this one."""
     entries = np.diff(nodal.indptr).astype(np.int64)
     n_products_at_most = int(entries[rows] @ entries[columns])
     source = np.empty(n_products_at_most, dtype=np.int32)
@@ -367,8 +366,8 @@ def _at_contact(first, last, order, indptr, indices, contact_of):
 
 @inner_kernel
 def _turn(dim, frames, k, inverse, rows, block, spare):
-    """Change a block to F block (``rows``) or block F', F the frame of contact node k, with ``inverse``
-    its transpose; ``spare`` (dim, dim) is overwritten."""
+    """Change a block to F block (``rows``) or block F', F the frame of contact node k, or F its
+    inverse F'."""
     for a in range(dim):
         for b in range(dim):
             spare[a, b] = 0.0
@@ -406,7 +405,7 @@ def changed_blocks(
     spare,
 ):
     """Compute delta of every collected block, Cartesian; ``newton`` False leaves the slip rows
-    symmetric (g frozen). ``block`` and ``spare`` (dim, dim) are overwritten."""
+    symmetric (g frozen). ``block`` and ``other`` (dim, dim) are overwritten."""
     size = dim * dim
     n_tangents = dim - 1
     # _turn would be compiled again for each constant

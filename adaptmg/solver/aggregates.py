@@ -96,9 +96,7 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
 def _joined(
     graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray
 ) -> np.ndarray:
-    """Return the labels (n_nodes,) after small remnants have joined the smallest neighbour of their
-    group; ``group`` (n_nodes,) is -1 at nodes that belong to none, ``sizes`` (n_groups,) are those of
-    aggregates."""
+    """Return the labels after small remnants have joined the smallest neighbour of their group."""
     inside = label >= 0
     members = np.bincount(label[inside])
     group_of = np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
@@ -247,7 +245,7 @@ def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, ba
             if other_aggregate != summed_aggregate:
                 _project(basis_row, motions, aggregate, summed_aggregate, zero, forces, band)
                 summed_aggregate = other_aggregate
-            half_of_diagonal = 0.5 if j == i else 1.0  # _project adds the transposed, too
+            half_of_diagonal = 0.5 if j == i else 1.0
             for q in range(modes):
                 v = scale(half_of_diagonal, read(motions, dim * (modes * other_row + q), zero))
                 increase(forces, dim * q, times(data, dim * dim * p, v))
@@ -282,10 +280,10 @@ def _transfer(down, starts, label, motions, place, zero, vector, values):
     dim = np.uint64(len(zero))
     modes = len(zero) * (len(zero) + 1) // 2
     for i in range(len(starts) - 1):
-        for basis_row in range(starts[i], starts[i + 1]):
+        for at in range(starts[i], starts[i + 1]):
             for q in range(modes):
-                place_of_motion = modes * place[label[basis_row]] + q
-                motion = read(motions, dim * np.uint64(modes * basis_row + q), zero)
+                place_of_motion = modes * place[label[at]] + q
+                motion = read(motions, dim * np.uint64(modes * at + q), zero)
                 if down:
                     values[place_of_motion] += inner(motion, read(vector, dim * np.uint64(i), zero))
                 else:
@@ -409,8 +407,7 @@ class _Smoothed:
         coarse = coarse + sparse.diags_array(raised(coarse.diagonal()), format="csc")
         self.frames = frames_of(problem.contact, problem.fixed.reshape(-1, dim))
         dofs = (dim * problem.contact.nodes[:, None] + np.arange(dim)).reshape(-1)
-        to_frames_of_nodes = at_nodes(np.arange(len(self.frames)), self.frames, len(dofs))
-        at_contact = sparse.csr_array(to_frames_of_nodes @ self.span[dofs])
+        at_contact = sparse.csr_array(_by_node(self.frames) @ self.span[dofs])
         touched = np.isin(np.arange(self.span.shape[1]), at_contact.indices)
         self.near = np.flatnonzero(touched)
         self.far = np.flatnonzero(~touched)
@@ -435,8 +432,7 @@ class _Smoothed:
         return self.rows.T @ forces.reshape(-1)
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        of_nodes = at_nodes(np.arange(len(blocks)), blocks, self.rows.shape[0])
-        return dense_factors(self.matrix + (self.rows.T @ (of_nodes @ self.rows)).toarray())
+        return dense_factors(self.matrix + (self.rows.T @ (_by_node(blocks) @ self.rows)).toarray())
 
     def condense(self, load: np.ndarray) -> np.ndarray:
         """Return what the condensed equations take of forces (n_coarse,)."""
@@ -451,6 +447,13 @@ class _Smoothed:
 
 
 _smoothed_of = remembered_of_structure(_Smoothed)
+
+
+def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
+    """Return the block-diagonal matrix of blocks (n, dim, dim)."""
+    n = len(blocks)
+    dim = blocks.shape[1]
+    return sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
 
 
 def changed_status(

@@ -263,8 +263,6 @@ class Examiner:
     def __init__(
         self, discrete: DiscreteProblem, posed: Posed | None = None, certified: bool = True
     ) -> None:
-        """Prepare for displacements of a problem; ``posed`` makes the lines of the certificate that
-        follow from the mesh."""
         self.discrete = discrete
         self.posed = posed
         self.certified = certified
@@ -301,7 +299,6 @@ class Examiner:
         self.contact.follow(values, at_contact)
         natural = natural_at_nodes(self.contact, self.blocks, values, at_contact)
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
-        # relative to the forces that act: loads, contact forces, reactions
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
         exerted = euclidean_norm(at_contact.reshape(-1))
         scale = self.sizes.forces(unknowns, exerted)

@@ -394,15 +394,14 @@ class Measure:
         reference: np.ndarray | None = None,
         sizes: Sizes | None = None,
     ) -> None:
-        """Prepare norms of iterates of a problem in contact frames, by default with its own
-        sizes."""
         self.sizes = Sizes(local.discrete, local.frames) if sizes is None else sizes
         if reference is None and run is not None and run.reference is not None:
             reference = local.to_local(run.reference)
         self.local = local
         self.run = run
         self.reference = reference
-        self._diagonal = local.system.matrix.diagonal()
+        blocks = local.system.diagonal.reshape(-1, local.system.dim, local.system.dim)
+        self._diagonal = np.diagonal(blocks, axis1=1, axis2=2).reshape(-1)
         self._last_iterate: tuple[np.ndarray, np.ndarray] | None = None
 
     def __call__(

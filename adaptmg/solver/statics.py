@@ -419,7 +419,6 @@ def _plain_motions(body: _Body) -> np.ndarray:
             field[nodes] = motion.reshape(len(nodes), -1)
             columns.append(problem.relative(field)[body.nodes].reshape(-1))
     motions = np.stack(columns, axis=1)
-    # the columns of body.motions are orthogonal, of length sqrt(n_nodes)
     coefficients = body.motions.T @ motions / len(body.nodes)
     free = np.abs(body.motions @ coefficients - motions).max(axis=0) <= 1e-8
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
@@ -509,10 +508,9 @@ def _critical(stiffness: np.ndarray) -> np.ndarray:
 
 
 def warn_of_several_solutions(grids: Hierarchy) -> None:
-    """Warn where the friction of a node exceeds the critical one, estimated on the coarsest grid.
-
-    Where that is not cheap, or only contact holds bodies, the estimate is that of the finest grid
-    with all other nodes held, which is larger."""
+    """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is
+    not cheap, or bodies are held by contact, the one with all other nodes of the finest held, which
+    is larger."""
     finest = grids.finest.discrete
     if not finest.law.bounds(len(finest.contact))[1].any():
         return
@@ -523,8 +521,9 @@ def warn_of_several_solutions(grids: Hierarchy) -> None:
         and examined.n_dofs <= _SMALL
         and 0 < len(examined.contact) * examined.dim <= _SMALL_CONTACT
     ):
-        # a singular interior is refused elsewhere
-        with suppress(ValueError, np.linalg.LinAlgError):
+        with suppress(
+            ValueError, np.linalg.LinAlgError
+        ):  # a singular interior is refused elsewhere
             critical = critical_friction(examined)
     if examined is None or np.isnan(critical).any():
         examined = finest

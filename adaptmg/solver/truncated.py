@@ -160,7 +160,6 @@ class TruncatedCycles:
         run: Run,
         nested: np.ndarray | None,
     ) -> None:
-        """Prepare cycles with the steps ``parts`` of the level of a problem."""
         self.parts = parts
         self.problem = problem
         self.origin = origin
@@ -352,8 +351,6 @@ class TruncatedRun:
         coarse = self.problems[number - 1]
         fine = self.problems[number]
         fine_level = self.cycle.levels[number]
-        # what is prolonged is the change since the last load step, or else the whole solution with a
-        # share of its change since the level below
         change, pressures = coarse.parts(solutions[-1])
         displacement = np.zeros(fine.n_dofs)
         extrapolated_share = self._extrapolation(number - 1)
@@ -449,8 +446,8 @@ class TruncatedRun:
         return self._coarse
 
     def _coarsest(self, start: NestedStart, past: list[np.ndarray] | None) -> list[np.ndarray]:
-        """Return the solution of the coarsest level by semismooth Newton steps, which begin at that of the last
-        load step, if there is one. Each counts a pass, its factorisation as seconds."""
+        """Solve the coarsest level by semismooth Newton steps, of load steps from the step before;
+        each counts a pass, its factorisation as seconds."""
         problem = self.problems[0]
         near = None if past is None or not past[0].any() else past[0]
         try:
