@@ -115,7 +115,7 @@ class ActiveSet:
                 start = level.prolongation @ start.reshape(-1, level.discrete.dim)
                 run.visit(number, "start")
             if self.condensed:
-                # the matrix, its change by a step and its factors, of 8 bytes an entry each
+                # the matrix, its change by a step and the factors of that, of 8 bytes an entry
                 entries = (level.discrete.dim * len(level.discrete.contact)) ** 2
                 content = "the dense matrix of the contact nodes (condensed=False does without)"
                 checks.fits("condensed", 24.0 * entries, content)
