@@ -56,6 +56,9 @@ class ContactNodes:
         Default none.
     compliance : (n_contact,) array, optional
         Penetration of the surface over nodal force, m/N. Default 0.
+    exponent : (n_contact,) array, optional
+        m >= 1 of surfaces that yield by ``compliance * force**(1 / m)``; their compliance is in
+        m/N^(1/m). Default 1.
 
     Examples
     --------
@@ -77,6 +80,7 @@ class ContactNodes:
     taken_over: sparse.csr_array
     opposite_gaps: np.ndarray
     compliance: np.ndarray
+    exponent: np.ndarray
 
     def __init__(
         self,
@@ -94,6 +98,7 @@ class ContactNodes:
         taken_over: sparse.sparray | sparse.spmatrix | None = None,
         opposite_gaps: ArrayLike | None = None,
         compliance: ArrayLike | None = None,
+        exponent: ArrayLike | None = None,
     ) -> None:
         """Check the arrays, and keep read-only copies of them."""
         nodes = checks.array("nodes", nodes, (None,), integer=True)
@@ -120,8 +125,8 @@ class ContactNodes:
             slip_reference = _uniform(0.0, normals.shape)
         else:
             slip_reference = bounded("slip_reference", slip_reference, normals.shape, checks.VAST)
-        accumulated_slip = _nonnegative("accumulated_slip", accumulated_slip, n)
-        compliance = _nonnegative("compliance", compliance, n)
+        accumulated_slip = _at_least(0.0, "accumulated_slip", accumulated_slip, n)
+        compliance = _at_least(0.0, "compliance", compliance, n)
         if scalar and compliance.any():
             raise ValueError("compliance must be 0 in scalar problems")
         if boundary is None:
@@ -151,6 +156,7 @@ class ContactNodes:
             taken_over=shares,
             opposite_gaps=opposite_gaps,
             compliance=compliance,
+            exponent=_at_least(1.0, "exponent", exponent, n),
         )
 
     __repr__ = brief
@@ -207,13 +213,13 @@ def _uniform(value: float, shape: int | tuple[int, ...]) -> np.ndarray:
     return result
 
 
-def _nonnegative(name: str, value: ArrayLike | None, n: int) -> np.ndarray:
-    """Return numbers (n,) >= 0, read-only; 0 where none are given."""
+def _at_least(least: float, name: str, value: ArrayLike | None, n: int) -> np.ndarray:
+    """Return numbers (n,) >= ``least``, read-only; these where none are given."""
     if value is None:
-        return _uniform(0.0, n)
+        return _uniform(least, n)
     result = bounded(name, value, (n,), checks.VAST)
-    if not result.min(initial=0.0) >= 0:
-        raise ValueError(f"{name} must be >= 0, got {result.min():.6g}")
+    if not result.min(initial=least) >= least:
+        raise ValueError(f"{name} must be >= {least:g}, got {result.min():.6g}")
     return result
 
 

@@ -361,18 +361,31 @@ class Posed:
             names=problem.contact_boundaries,
             masters=problem.masters,
             taken_over=taken,
-            compliance=self._compliance(nodes, owner, rows.weights[touching]),
+            **self._layers(nodes, owner, rows.weights[touching], taken),
         )
 
-    def _compliance(self, nodes: np.ndarray, owner: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the compliances (n,) of the surfaces at contact nodes, m/N."""
-        result = np.zeros(len(nodes))
+    def _layers(
+        self,
+        nodes: np.ndarray,
+        owner: np.ndarray,
+        weights: np.ndarray,
+        taken: sparse.csr_array | None,
+    ) -> dict[str, np.ndarray]:
+        """Return the compliances (n,) of the surfaces at contact nodes, m/N^(1/m), and the exponents m
+        (n,)."""
+        compliance = np.zeros(len(nodes))
+        exponent = np.ones(len(nodes))
+        measures = weights if taken is None else weights * (1 + taken.sum(axis=1))
         for k, contact_part in enumerate(self.problem.contact):
-            if contact_part.compliance is not None:
+            layer = contact_part.compliance
+            if layer is not None:
                 on_boundary = owner == k
-                per_area = contact_part.compliance.at_points(self.mesh.points[nodes[on_boundary]])
-                result[on_boundary] = per_area / weights[on_boundary]
-        return result
+                per_area = layer.at_points(self.mesh.points[nodes[on_boundary]])
+                # displacements are sums over the measure, in units of the weight
+                of_sums = measures[on_boundary] ** (1 - 1 / layer.exponent)
+                compliance[on_boundary] = per_area / weights[on_boundary] * of_sums
+                exponent[on_boundary] = layer.exponent
+        return {"compliance": compliance, "exponent": exponent}
 
     @cached_property
     def contact(self) -> ContactNodes:

@@ -358,10 +358,14 @@ class DiscreteProblem(Unknowns):
             )
 
     def need_given_friction(self, what: str, instead: str) -> None:
-        """Raise ValueError if the coefficient depends on pressure or slip, which ``what`` cannot
-        follow, but what is named ``instead`` can."""
+        """Raise ValueError if the coefficient depends on pressure or slip, or the compliance on the
+        pressure, which ``what`` cannot follow, but what is named ``instead`` can."""
         if isinstance(self.law, FollowsState):
             raise ValueError(f"law: {what} cannot follow a StateLaw; use {instead}")
+        if (self.contact.exponent > 1).any():
+            raise ValueError(
+                f"contact: {what} cannot follow a NormalCompliance with an exponent above 1; use {instead}"
+            )
 
     def _complete(self) -> None:
         """Check what the user's functions return, and start a structure; see

@@ -33,6 +33,7 @@ from adaptmg.smoother.system import (
     SLIPS,
     TANGENTIAL,
     FrictionAt,
+    Layer,
     NodalContact,
     friction_bound,
     local_contact,
@@ -77,6 +78,7 @@ class TruncatedContact:
     compliance: np.ndarray  # (n_contact,): what surfaces give way by, m/N
     spring: np.ndarray  # (n_contact,): of those in linear problems, N/m; 0 of rigid ones
     driven: np.ndarray  # (k,) int: nodes that slip along a first tangent which a support holds
+    layer: Layer | None  # of surfaces that yield by a power of the force
 
     @classmethod
     def of(cls, problem: DiscreteProblem, level: SplitMatrix) -> TruncatedContact:
@@ -91,8 +93,7 @@ class TruncatedContact:
         turn_held(local, np.arange(len(nodes)), contact)
         row, column = UPPER[dim]
         n = len(nodes)
-        soft = contact.compliances * local[:, 0, 0] > cls.RIGID
-        return cls(
+        result = cls(
             dim,
             nodes,
             contact_of,
@@ -111,9 +112,24 @@ class TruncatedContact:
             contact.friction_at,
             np.zeros(n),
             contact.compliances,
-            np.divide(1.0, contact.compliances, out=np.zeros(n), where=soft),
+            np.zeros(n),
             contact.driven,
+            contact.layer,
         )
+        result._set_springs()
+        return result
+
+    def _set_springs(self) -> None:
+        """Take the springs of linear problems from the compliances."""
+        stiffness = self.blocks.reshape(len(self.nodes), -1)[:, 0]
+        soft = self.compliance * stiffness > self.RIGID
+        # new arrays: copies share the old ones
+        self.spring = np.divide(1.0, self.compliance, out=np.zeros_like(stiffness), where=soft)
+
+    def _press(self, layer: Layer, forces: np.ndarray, normal: np.ndarray) -> None:
+        """Take gaps and compliances near forces and normal displacements (n_contact,)."""
+        self.gap, self.compliance = layer.linearised(forces, normal)
+        self._set_springs()
 
     def posed(self, problem: DiscreteProblem) -> TruncatedContact:
         """Return the same with gaps and slips of another load step; its status is not yet known."""
@@ -124,6 +140,7 @@ class TruncatedContact:
             reference=contact.reference,
             friction=contact.friction,
             friction_at=contact.friction_at,
+            layer=contact.layer,
             driven=contact.driven,
             codes=np.full_like(self.codes, -1),
         )
@@ -163,7 +180,13 @@ class TruncatedContact:
             held[self.driven] = True
         reference = self.reference.reshape(n, self.dim - 1)
         return NodalContact(
-            self.gap, reference, self.limit, self.friction, held, compliance=self.compliance
+            self.gap,
+            reference,
+            self.limit,
+            self.friction,
+            held,
+            compliance=self.compliance,
+            layer=self.layer,
         )
 
     def start(self, unknowns: np.ndarray) -> None:
@@ -174,6 +197,8 @@ class TruncatedContact:
         # pressures may follow the displacements
         dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
         normal_displacement = np.einsum("nd,nd->n", normals, unknowns[dofs])
+        if self.layer is not None:
+            self._press(self.layer, np.zeros_like(normal_displacement), normal_displacement)
         penetrates_spring = (self.spring > 0) & (normal_displacement > self.gap)
         self.codes = np.where(penetrates_spring, CLOSED, 0).astype(np.int8)
         self.project(unknowns)
@@ -198,20 +223,25 @@ class TruncatedContact:
         """Find the status after a sweep; ``residual`` is f - A u (n_dofs,). Returns what
         :func:`classify` does."""
         missed = 0.0
+        if self.layer is not None:
+            normal = self.values.reshape(-1, self.dim)[:, 0]
+            self._press(self.layer, self._normal_forces(residual), normal)
         if self.friction_at is not None:
-            missed = self._follow(self.friction_at, residual)
+            forces = np.maximum(self._normal_forces(residual), 0.0)
+            missed = self._follow(self.friction_at, forces)
         changed, natural, reactions = classify(
             ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes, self.pressure
         )
         return changed, natural + missed, reactions
 
-    def _follow(self, friction_at: FrictionAt, residual: np.ndarray) -> float:
+    def _normal_forces(self, residual: np.ndarray) -> np.ndarray:
+        normals = self.frames.reshape(-1, self.dim, self.dim)[:, 0]
+        return np.einsum("nd,nd->n", normals, residual.reshape(-1, self.dim)[self.nodes])
+
+    def _follow(self, friction_at: FrictionAt, forces: np.ndarray) -> float:
         """Take the coefficients of friction at the present unknowns and forces, where friction rises
         with the slip in part; returns the sum of squares of what the friction then misses."""
         n = len(self.nodes)
-        normals = self.frames.reshape(n, self.dim, self.dim)[:, 0]
-        forces = np.einsum("nd,nd->n", normals, residual.reshape(-1, self.dim)[self.nodes])
-        forces = np.maximum(forces, 0.0)
         slip = self.values.reshape(n, -1)[:, 1:] - self.reference.reshape(n, -1)
         size = np.linalg.norm(slip, axis=1)
         bound, _, slope_of_slip = friction_bound(friction_at, forces, size)

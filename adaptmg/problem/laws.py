@@ -676,12 +676,26 @@ class StateLaw(checks.Checked):
         return friction
 
 
+def _exponent(name: str, value: object) -> float:
+    exponent = checks.quantity(name, value)
+    if not exponent >= 1:
+        raise ValueError(
+            f"{name} must be >= 1, got {checks.shown(value)}: a layer with a smaller one becomes softer "
+            "the more it is pressed"
+        )
+    return exponent
+
+
 @dataclass(frozen=True, eq=False)
 class NormalCompliance(checks.Checked):
-    """Give a contact boundary a layer that yields in proportion to the pressure: a rough surface.
+    """Give a contact boundary a layer that yields to the pressure: a rough surface.
 
-    In place of no penetration, u_n - g0 = compliance * pressure where bodies touch: the peaks of
-    rough surfaces are pressed flat. It goes with every law of friction:
+    In place of no penetration, d = u_n - g0 = compliance * pressure**(1 / exponent) where bodies
+    touch, or p = (d / compliance)**exponent: the peaks of rough surfaces are pressed flat. With the
+    exponent 1 the layer yields in proportion to the pressure; with a larger one it is soft at first
+    and becomes stiffer (J. T. Oden, J. A. C. Martins, Comput. Methods Appl. Mech. Engrg. 52, 1985,
+    doi:10.1016/0045-7825(85)90009-X; V. A. Yastrebov, Numerical Methods in Contact Mechanics, 2013,
+    doi:10.1002/9781118647974). It goes with every law of friction:
     ``am.Contact(..., law=am.Coulomb(0.3), compliance=am.NormalCompliance(1e-13))``. The gap of a
     result is negative where the layer is pressed.
 
@@ -689,7 +703,10 @@ class NormalCompliance(checks.Checked):
     ----------
     compliance : float or callable
         m/Pa, >= 0 (a number or a function of position). Machined surfaces of steel have
-        some 1e-14 to 1e-12; 0 is a rigid surface.
+        some 1e-14 to 1e-12; 0 is a rigid surface. With an exponent m the unit is m/Pa^(1/m): a layer
+        that yields by d at the pressure p has d / p**(1 / m).
+    exponent : float
+        m >= 1, without unit. Default 1.
 
     Examples
     --------
@@ -700,13 +717,16 @@ class NormalCompliance(checks.Checked):
     >>> contact = am.solve(grids).contact
     >>> bool(np.allclose(-contact.gap, 1e-13 * contact.pressure))
     True
+    >>> am.NormalCompliance(1e-10, exponent=2).exponent     # 1 um at 100 MPa, .5 um at 25 MPa
+    2.0
     """
 
     compliance: Annotated[FieldLike, partial(checks.function_or, check=checks.nonnegative)]
+    exponent: Annotated[float, _exponent] = 1.0
 
     __repr__ = brief
     _repr_html_ = html_fields
 
     def at_points(self, points: np.ndarray) -> np.ndarray:
-        """Return the compliances (n,) at points (n, dim), m/Pa."""
+        """Return the compliances (n,) at points (n, dim), m/Pa^(1 / exponent)."""
         return checks.field("compliance", self.compliance, points, minimum=0.0)

@@ -28,7 +28,7 @@ from scipy import linalg
 
 from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.smoother.system import NodalContact
+from adaptmg.smoother.system import Layer, NodalContact
 
 #: columns of the pressure, the gap and the bound on the slip in a state
 _PRESSURE, _GAP, _SLIP_BOUND = 3, 4, 5
@@ -60,6 +60,7 @@ class Conditions:
     friction: np.ndarray
     lowest: np.ndarray | None = None
     compliance: np.ndarray | None = None
+    layer: Layer | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +179,7 @@ class _Method:
         self.span = unknowns
         friction = np.where(np.isfinite(contact.gap), contact.friction, 0.0)
         compliance = np.zeros(n) if contact.compliance is None else contact.compliance
+        self.layer = contact.layer
         reference = np.zeros((n, 2))
         reference[:, : dim - 1] = contact.slip_reference
         #: the arrays of contact conditions that kernels read
@@ -227,6 +229,9 @@ class _Method:
         # the columns p, q_1, q_2
         forces = self.state[:, [_PRESSURE, 6, 7][: self.dim]]
         self.rest = self.load - product - self.span.restricted(forces)
+        if self.layer is not None:
+            gap, compliance = self.layer.tangent(self.state[:, 3])
+            self.nodes = gap, *self.nodes[1:4], compliance
         self.total, gap_error, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
         force_size = np.abs([self.load, product]).max(initial=0.0)

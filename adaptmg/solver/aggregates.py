@@ -463,11 +463,13 @@ def changed_status(
     stiffness: np.ndarray,
     limit: np.ndarray,
     friction: np.ndarray,
+    compliance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces
     (n_contact, dim) that it ends with; None if it is not found, or of a scalar problem.
     ``stiffness`` (n_contact,) is that of the nodes, N/m, ``limit`` (n_contact,) the bound of
-    friction without pressure, N, ``friction`` (n_contact,) its coefficient."""
+    friction without pressure, N, ``friction`` (n_contact,) its coefficient,
+    ``compliance`` (n_contact,) that of the surfaces, m/N."""
     if problem.dim == 1:
         return None
     coarse = _smoothed_of(problem)
@@ -476,7 +478,6 @@ def changed_status(
     # where a support holds a tangent its reaction takes the place of friction
     without_support = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     slip = to_frames(coarse.frames, claims.slip)[:, 1:]
-    compliance = problem.contact.compliance
     gap = claims.gap - compliance * np.maximum(claims.pressure, 0.0)
     conditions = Conditions(
         gap, -slip, limit * without_support, friction * without_support, compliance=compliance

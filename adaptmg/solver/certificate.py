@@ -303,7 +303,8 @@ class Evidence:
         self._set_scales()
 
     def _measure_contact(self) -> None:
-        """Compute the claimed forces, the gaps, the slips and the bounds of friction."""
+        """Compute the claimed forces, the gaps to surfaces that give way, the slips and the bounds of
+        friction."""
         contact = self.contact
         problem = self.problem
         self.claimed = from_frames(
@@ -312,9 +313,9 @@ class Evidence:
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
         self.gap, self.slip = self._kinematics()
-        # the surface gives way under the pressure
-        self.compliance = problem.contact.compliance
-        self.gap += self.compliance * np.maximum(self.pressure, 0.0)
+        blocks = nodal_blocks(problem)[self.nodes]
+        self.stiffness = np.einsum("nii->ni", blocks).max(axis=1)
+        self.compliance = self._give_way()
         self.limit, _ = problem.law.bounds(len(self.nodes))
         slip = np.linalg.norm(self.slip, axis=1)
         self.coefficient = problem.friction_at(self.pressure, slip)
@@ -340,7 +341,6 @@ class Evidence:
         """Compute the scales of forces and displacements, and what rounding leaves."""
         problem = self.problem
         diagonal = np.einsum("nii->ni", nodal_blocks(problem))
-        self.stiffness = diagonal[self.nodes].max(axis=1)
         self.internal = _norm(problem.load - self.residual)
         # with ties: in a periodic cell no other forces act, and these are not rounding
         acting = (
@@ -401,6 +401,34 @@ class Evidence:
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
         return problem.contact.gaps - u_n, slip
 
+    def _give_way(self) -> np.ndarray:
+        """Add to the gap, in place, what surfaces yield by, e p^(1/m), and return its derivative (n,) by
+        the pressure. Where a surface is softer than the node both are those near the depth: there a
+        force of rounding moves the surface far."""
+        scale = self.problem.contact.compliance
+        exponent = self.problem.contact.exponent
+        pressure = np.maximum(self.pressure, 0.0)
+        least = checks.ROUNDING * (pressure.max(initial=0.0) or 1.0)
+
+        def derivative(force: np.ndarray) -> np.ndarray:
+            return scale * np.maximum(force, least) ** (1 / exponent - 1) / exponent
+
+        depth = np.maximum(-self.gap, 0.0)
+        soft = (derivative(pressure) * self.stiffness > 1) & (depth > 0)
+        required = np.divide(depth, scale, out=np.zeros_like(depth), where=soft) ** exponent
+        slope = derivative(np.where(soft, required, pressure))
+        of_force = self.gap + scale * pressure ** (1 / exponent)
+        self.gap[:] = np.where(soft, slope * (pressure - required), of_force)
+        return slope
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """Return the gaps (n,), m, or in front of surfaces that yield by a power of the force the length
+        of the force that closes them, if this is shorter."""
+        length = self.length or 1.0
+        share = length / np.maximum(length, self.force * self.compliance)
+        return np.where(self.problem.contact.exponent > 1, share * self.gap, self.gap)
+
     def _forces(self, name: str, forces: np.ndarray) -> Condition:
         total = float(np.linalg.norm(forces))
         return Condition(
@@ -452,11 +480,12 @@ class Evidence:
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Return penetration, tension, complementarity."""
+        beyond = self.beyond
         pulling = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
         # each in its scale: a force of rounding times a gap of a thousand displacements is not work
         # of contact
         both = np.maximum(
-            np.minimum(self.pressure / (self.force or 1.0), self.gap / (self.length or 1.0)), 0.0
+            np.minimum(self.pressure / (self.force or 1.0), beyond / (self.length or 1.0)), 0.0
         )
         complementarity = Condition(
             "complementarity",
@@ -467,7 +496,7 @@ class Evidence:
             _over(self.rounding, self.force) + 16 * _EPSILON,
         )
         return (
-            self._lengths("penetration", np.maximum(-self.gap, 0.0)),
+            self._lengths("penetration", np.maximum(-beyond, 0.0)),
             self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
             complementarity,
         )
@@ -497,7 +526,7 @@ class Evidence:
                 "open, touching", np.where(state == _OPEN, np.maximum(self.pressure, 0.0), 0.0)
             ),
             self._lengths(
-                "touching, open", np.where(state != _OPEN, np.maximum(self.gap, 0.0), 0.0)
+                "touching, open", np.where(state != _OPEN, np.maximum(self.beyond, 0.0), 0.0)
             ),
             self._lengths("slip, sticking", np.where(state == _STICK, slip, 0.0)),
         )
@@ -602,7 +631,13 @@ class Evidence:
         matrix = self.problem.matrix
         residual = problem.residual(np.append(self.unknowns, self.pressures))
         solution = changed_status(
-            problem, residual, conditions, self.stiffness, self.limit, self.coefficient
+            problem,
+            residual,
+            conditions,
+            self.stiffness,
+            self.limit,
+            self.coefficient,
+            self.compliance,
         )
         if solution is None:
             return held
@@ -649,8 +684,9 @@ class Evidence:
         d = self.stiffness
         gap = conditions.gap
         pressing = np.maximum(conditions.pressure, 0.0)
-        closed = d * gap**2 < pressing**2 / d + d * np.minimum(gap, 0.0) ** 2
-        closed |= gap < 0
+        # a small force closes the gap to a soft surface
+        to_close = gap / (1 + self.compliance * d)
+        closed = (gap < 0) | (d * to_close**2 < pressing**2 / d)
         on_spring = closed & (self.compliance * d > _STIFF)
         on_rigid = closed & ~on_spring
         spring = np.divide(1.0, self.compliance, out=np.zeros_like(gap), where=on_spring)

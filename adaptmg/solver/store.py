@@ -411,6 +411,7 @@ def fingerprint(
                 contact.opposite_gaps,
                 contact.weights,
                 contact.compliance,
+                contact.exponent,
             )
         ],
         "law": [

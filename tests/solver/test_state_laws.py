@@ -1,5 +1,5 @@
-"""Friction that depends on pressure and slip, and surfaces that give way in proportion to the
-pressure."""
+"""Friction that depends on pressure and slip, and surfaces that give way to the pressure, in
+proportion or by a power law."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from bodies import EXACT, bar_hierarchy, bar_on_block, rotation, turned
 from refused import refused
+from scipy.optimize import root
 from scipy.sparse import bsr_array
 from scipy.sparse.linalg import spsolve
 
@@ -18,6 +19,11 @@ METHODS = (FINE, EXACT, am.SingleGrid(omega=1.7, rtol=1e-10))
 IDS = ("full", "active set", "single grid")
 SOFT = am.NormalCompliance(2e-13)
 PRESSURE, YOUNG = 5e7, 1e11
+#: yield as SOFT does at PRESSURE, by its square root, and by a higher root
+CURVED, STIFFENING = (
+    am.NormalCompliance(2e-13 * PRESSURE ** (1 - 1 / m), exponent=m) for m in (2, 7.5)
+)
+LAYERS = pytest.mark.parametrize("layer", [SOFT, CURVED, STIFFENING], ids=("1", "2", "7.5"))
 #: dimension, turn and shift
 PLANE, SPACE = (2, 0.4, (0.3, -0.2)), (3, (0.2, -0.3, 0.5), (0.1, 0.2, -0.1))
 
@@ -145,14 +151,16 @@ def test_stored_paths_go_on_with_the_slips_so_far(tmp_path):
 
 @pytest.mark.parametrize("method", METHODS, ids=IDS)
 @pytest.mark.parametrize("place", [PLANE, SPACE], ids=("plane", "space"))
-def test_column_sinks_by_its_shortening_and_the_layer(place, method):
-    grids = block(am.Frictionless(), place, SOFT, push=0.0, poisson=0.0)
-    result = am.solve(grids, method)
+@LAYERS
+def test_column_sinks_by_its_shortening_and_the_layer(place, method, layer):
+    grids = block(am.Frictionless(), place, layer, push=0.0, poisson=0.0)
+    result = am.solve(grids, replace(method, rtol=1e-12))
     mesh = grids.finest.mesh
     top = result.displacement[mesh.boundary_nodes("top")] @ result.contact.normal[0]
     height = (0.04, 0.02)[place[0] - 2]
-    np.testing.assert_allclose(top, PRESSURE * (height / YOUNG + SOFT.compliance), rtol=1e-7)
-    np.testing.assert_allclose(-result.contact.gap, SOFT.compliance * PRESSURE, rtol=1e-6)
+    depth = SOFT.compliance * PRESSURE
+    np.testing.assert_allclose(top, PRESSURE * height / YOUNG + depth, rtol=1e-9)
+    np.testing.assert_allclose(-result.contact.gap, depth, rtol=1e-9)
 
 
 def test_frictionless_bodies_stand_on_springs():
@@ -182,29 +190,74 @@ def layered(body, compliance, method, law=am.Coulomb(0.4)):
 
 
 @pytest.mark.parametrize("body", ["obstacle", "pair"])
-def test_stiffer_layers_tend_to_rigid_surfaces_to_first_order(body):
+@LAYERS
+def test_stiffer_layers_tend_to_rigid_surfaces_to_first_order(body, layer):
     rigid = layered(body, None, EXACT).displacement
     far = [
-        np.linalg.norm(layered(body, am.NormalCompliance(c), EXACT).displacement - rigid)
-        for c in (1e-16, 1e-17)
+        layered(body, replace(layer, compliance=c * layer.compliance), EXACT).displacement - rigid
+        for c in (5e-4, 5e-5)
     ]
-    assert far[0] == pytest.approx(10 * far[1], rel=0.05)
-    found = layered(body, SOFT, FINE)
-    expected = layered(body, SOFT, EXACT).displacement
+    assert np.linalg.norm(far[0]) == pytest.approx(10 * np.linalg.norm(far[1]), rel=0.05)
+    found = layered(body, layer, FINE)
+    expected = layered(body, layer, EXACT).displacement
     size = np.abs(expected).max()
     np.testing.assert_allclose(found.displacement, expected, atol=1e-8 * size)
     assert found.cycles <= layered(body, None, FINE).cycles + 2
     assert not found.certificate().contradictions(1e-9)
 
 
-def test_a_punch_without_other_loads_slides_on_a_layer():
+def on_a_dome(place, layer, law):
+    """Return grids of a block pressed on a dome, which touches it in part."""
+    grids = block(law, place, layer, push=2e7, poisson=0.3)
+    part = grids.problem.contact[0]
+    along = rotation(place[1]) @ np.eye(place[0])[0]
+    obstacle = am.GapFunction(lambda x: ((x - place[2]) @ along - 0.02) ** 2 / 10)
+    return grids.with_problem(replace(grids.problem, contact=replace(part, obstacle=obstacle)))
+
+
+@pytest.mark.parametrize("place", [PLANE, SPACE], ids=("plane", "space"))
+@pytest.mark.parametrize("layer", [CURVED, STIFFENING], ids=("2", "7.5"))
+def test_power_law_agrees_with_a_dense_solve(place, layer):
+    grids = on_a_dome(place, layer, am.Frictionless())
+    discrete = grids.finest.discrete
+    contact = discrete.contact
+    dofs = discrete.dim * contact.nodes[:, None] + np.arange(discrete.dim)
+    inside = np.setdiff1d(np.flatnonzero(~discrete.fixed), dofs)
+    near = np.setdiff1d(np.flatnonzero(~discrete.fixed), inside)
+    # the inside follows what is near the surface
+    matrix = discrete.matrix.toarray()
+    follows = np.linalg.solve(matrix[np.ix_(inside, inside)], matrix[np.ix_(inside, near)])
+    load = discrete.load[near] - discrete.load[inside] @ follows
+    matrix = matrix[np.ix_(near, near)] - matrix[np.ix_(near, inside)] @ follows
+    rows = np.zeros((len(contact), discrete.n_dofs))
+    np.put_along_axis(rows, dofs, contact.normals, axis=1)
+    rows = rows[:, near]
+
+    def residual(u):
+        depth = np.maximum(rows @ u - contact.gaps, 0) / layer.compliance
+        forces = contact.weights * depth**layer.exponent
+        slopes = layer.exponent * depth ** (layer.exponent - 1) / layer.compliance
+        tangent = matrix + rows.T @ ((contact.weights * slopes)[:, None] * rows)
+        return matrix @ u + rows.T @ forces - load, tangent
+
+    start = am.solve(on_a_dome(place, SOFT, am.Frictionless()), EXACT).displacement.reshape(-1)
+    solution = root(residual, start[near], jac=True, options={"xtol": 1e-14})
+    expected = contact.gaps - rows @ solution.x
+    found = am.solve(grids, FINE)
+    assert found.contact.counts()["open"] and found.contact.closed.sum() > 4
+    np.testing.assert_allclose(found.contact.gap, expected, atol=1e-8 * np.abs(expected).max())
+    assert found.cycles <= am.solve(on_a_dome(place, SOFT, am.Frictionless()), FINE).cycles + 2
+
+
+@pytest.mark.parametrize("layer", [am.NormalCompliance(2e-14), am.NormalCompliance(2e-10, 2)])
+def test_a_punch_without_other_loads_slides_on_a_layer(layer):
     shape = am.GapFunction(lambda x: (x[:, 0] - 0.02) ** 2 / 0.1)
     slide = am.Moving(shape, displacement=(4e-6, 0), name="slide")
     punch = am.Rigid(slide, force=(None, -1e6), moment=None, name="punch")
     problem = am.ContactProblem(
         domain=am.Rectangle(width=0.04, height=0.04),
         material=am.PlaneStrain(young=2.1e11, poisson=0.3),
-        contact=am.Contact("top", punch, compliance=am.NormalCompliance(2e-14)),
+        contact=am.Contact("top", punch, compliance=layer),
         law=am.Coulomb(0.3),
         supports=[am.Support("bottom", x=0, y=0)],
     )
@@ -216,16 +269,43 @@ def test_a_punch_without_other_loads_slides_on_a_layer():
     np.testing.assert_allclose(forces[0], forces[1], rtol=1e-6)
 
 
-def test_layers_go_with_friction_that_depends_on_pressure():
-    contact = layered("obstacle", SOFT, FINE, am.StateLaw(falling)).contact
-    np.testing.assert_allclose(-contact.gap, SOFT.compliance * contact.pressure, rtol=1e-6)
+def test_stored_paths_go_on_with_the_layer(tmp_path):
+    def stop(k, result):
+        if k == 1:
+            raise KeyboardInterrupt
+
+    grids = on_a_dome(PLANE, CURVED, am.Coulomb(0.4))
+    pressed = [replace(load, name=load.boundary) for load in grids.problem.loads]
+    grids = grids.with_problem(replace(grids.problem, loads=pressed))
+    path = am.LoadPath({"top": [0.2, 1, 1, 0.3], "left": [0, 0.5, 1, 0]})
+    with pytest.raises(KeyboardInterrupt):
+        am.solve_path(grids, path, FINE, store=tmp_path, callback=stop)
+    results = am.solve_path(grids, path, FINE, store=tmp_path)
+    for one, other in zip(am.solve_path(grids, path, FINE), results, strict=True):
+        np.testing.assert_array_equal(one.displacement, other.displacement)
+        pressure = (np.minimum(other.contact.gap, 0) / CURVED.compliance) ** 2
+        np.testing.assert_allclose(other.contact.pressure, pressure, atol=1e-8 * PRESSURE)
+        assert not other.certificate().contradictions(1e-9)
+    contact = replace(grids.problem.contact[0], compliance=replace(CURVED, exponent=2.1))
+    other = grids.with_problem(replace(grids.problem, contact=contact))
+    with pytest.raises(ValueError, match="contact differs"):
+        am.solve_path(other, path, FINE, store=tmp_path)
+
+
+@LAYERS
+def test_layers_go_with_friction_that_depends_on_pressure(layer):
+    contact = layered("obstacle", layer, FINE, am.StateLaw(falling)).contact
+    depth = layer.compliance * contact.pressure ** (1 / layer.exponent)
+    np.testing.assert_allclose(-contact.gap, depth, rtol=1e-6)
     expected = falling(contact.pressure, np.linalg.norm(contact.slip, axis=1)) * contact.force_n
     np.testing.assert_allclose(contact.limit, expected, rtol=1e-6)
 
 
-def test_certificate_refuses_the_solution_of_another_layer():
-    other = layered("obstacle", am.NormalCompliance(4e-13), EXACT)
-    discrete = block(am.Coulomb(0.4), PLANE, SOFT, 3e7).finest.discrete
+@pytest.mark.parametrize("layer", [am.NormalCompliance(4e-13), replace(CURVED, exponent=1.999)])
+def test_certificate_refuses_the_solution_of_another_layer(layer):
+    other = layered("obstacle", layer, EXACT)
+    layer = SOFT if layer.exponent == 1 else CURVED
+    discrete = block(am.Coulomb(0.4), PLANE, layer, 3e7).finest.discrete
     checked = certify(discrete, other.displacement, other.contact)
     assert "penetration" in checked.contradictions(1e-8)
 
@@ -263,5 +343,14 @@ test_refused = refused(
     (solved(UserDefined()), "user-defined method cannot follow a StateLaw; use"),
     (solved(am.SingleGrid(stop="change")), 'stop="error"'),
     (lambda: am.NormalCompliance(-1e-13), "compliance must be"),
+    (lambda: am.NormalCompliance(1e-9, exponent=0.5), "exponent must be >= 1, got 0.5: a layer"),
+    (
+        lambda: am.ContactNodes(nodes=[0], normals=[[0, 1]], gaps=[0], exponent=[np.nan]),
+        "exponent must be",
+    ),
+    (
+        lambda: am.solve(on_a_dome(PLANE, CURVED, am.Coulomb(0.3)), UserDefined()),
+        "user-defined method cannot follow a NormalCompliance with an exponent above 1; use",
+    ),
     (solved(am.Multigrid(correction=am.Monotone()), compliance=SOFT), "correction=am.Truncated"),
 )
