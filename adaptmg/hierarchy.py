@@ -213,7 +213,7 @@ class Hierarchy:
             size. Default: a quarter, an eighth and a sixteenth (3D: a third and a sixth) of the
             bodies' mean extent. Without ``contact_ratio`` the problem is then solved on the
             coarsest mesh, and where only a part of a boundary touches, all meshes are made finer
-            there, until about 12 nodes (3D: 30) touch in each patch of the finest; where six solves
+            there, until about 12 nodes (3D: 60) touch in each patch of the finest; where six solves
             do not reach that, or one of them fails, the meshes stay as they were. Small patches in
             space may take long: give ``sizes`` or ``contact_ratio`` to leave these solves out.
         contact_ratio : float or mapping, optional
