@@ -133,7 +133,7 @@ def stiffness(
         indices,
         data,
     )
-    _mirror((0.0,) * dim, indptr, indices, data)
+    in_parts(_mirror, mesh.n_nodes, data.size, (0.0,) * dim, indptr, indices, data)
     if len(indices) < 2**31:
         indptr = indptr.astype(np.int32)
     for array in (indices, indptr):
@@ -566,18 +566,30 @@ def _add_patches(
 
 
 @kernel
-def _mirror(zero, indptr, indices, data):
+def _mirror(first, last, zero, indptr, indices, data):
     """Write the lower half of rows, diagonal blocks included: the transposes of the upper one."""
-    # the next block of each row: those before the diagonal come in the order of their columns
-    next_block = indptr.copy()
-    for i in range(len(indptr) - 1):
-        for at in range(np.uint64(next_block[i]), np.uint64(indptr[i + 1])):
+    # the next block of each row, 0 if none was read: those beyond the diagonal are read in the order of
+    # their columns
+    next_block = np.zeros(last, dtype=np.int64)
+    for i in range(first, last):
+        at = np.uint64(indptr[i])
+        while indices[at] < i:
             column = np.uint64(indices[at])
+            if next_block[column] == 0:
+                # a row above this part, or the first one to be read
+                next_block[column] = indptr[column]
+                while indices[next_block[column]] < i:
+                    next_block[column] += 1
             mirrored = np.uint64(next_block[column])
             next_block[column] += 1
             for k in range(len(zero)):
-                for m in range(k if mirrored == at else len(zero)):
-                    data[mirrored, k, m] = data[at, m, k]
+                for m in range(len(zero)):
+                    data[at, k, m] = data[mirrored, m, k]
+            at += np.uint64(1)
+        for k in range(len(zero)):
+            for m in range(k):
+                data[at, k, m] = data[at, m, k]
+        next_block[i] = np.int64(at) + 1
 
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
