@@ -289,8 +289,10 @@ class HalvedError:
     def of_functional(
         self, coarse: Functional, finer: Functional, dual: AdjointSolution
     ) -> tuple[float, np.ndarray]:
-        """Return the signed error of a quantity, and the parts (n_nodes,) of the new nodes that
-        mark."""
+        """Return the signed error of a quantity, and the parts (n_nodes,) of the nodes of the halved
+        mesh by which elements are marked.
+
+        ``coarse`` and ``finer`` are the quantity on the mesh and on the halved one."""
         contact = self.fine.contact
         reaction = finer.vector - self.fine.discrete.matrix @ self.fine.interpolated(dual.field)
         weighted = contact.local(reaction)[self.new]
@@ -307,11 +309,11 @@ class HalvedError:
             parts = shares * self.energy * largest_change
         dim = contact.discrete.dim
         nodal = np.bincount(self.new // dim, parts, minlength=contact.discrete.n_nodes)
-        # the error of the chords, at the new nodes: an edge of length h changes a mean by h^3, a facet
-        # by h^4
-        first_new = self.view.mesh.n_nodes
-        share = np.linalg.norm(finer.vector.reshape(-1, dim), axis=1) ** ((dim + 1) / (dim - 1))
-        share[:first_new] = 0.0
+        # the error of the chords is shared out among the new nodes: at an edge of length h, whose node
+        # has a weight of the order h in a mean, it is of the order h^3, at a facet h^4 with h^2
+        weights = np.linalg.norm(finer.vector.reshape(-1, dim), axis=1)
+        share = weights ** ((dim + 1) / (dim - 1))
+        share[: self.view.mesh.n_nodes] = 0.0
         return signed, nodal + abs(geometry) * share / max(float(share.sum()), np.finfo(float).tiny)
 
 
@@ -335,14 +337,11 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
     """
     contact = view.contact
     discrete = view.discrete
-    reaction = contact.local(discrete.matrix @ dual.field - functional.vector).reshape(
-        -1, discrete.dim
-    )[contact.nodes]
+    dual_reaction = contact.local(discrete.matrix @ dual.field - functional.vector)
+    reaction = dual_reaction.reshape(-1, discrete.dim)[contact.nodes]
     part = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))
     part += float(contact.fixed_friction @ contact.local(dual.field))
-    touches = contact.state != State.OPEN
+    touches = (contact.state != State.OPEN) & np.isfinite(contact.gap)
     sticks = contact.sticks[:, None] & ~contact.held
-    part -= float(
-        np.sum(np.where(touches & np.isfinite(contact.gap), reaction[:, 0] * contact.gap, 0.0))
-    )
+    part -= float(np.sum(np.where(touches, reaction[:, 0] * contact.gap, 0.0)))
     return part + float(np.sum(np.where(sticks, reaction[:, 1:] * contact.slip, 0.0)))

@@ -342,7 +342,6 @@ class AdaptiveLoop:
     def _reached(self, last: Step) -> str:
         """Return as text which limit a step has reached; empty if none."""
         limits = self.limits
-        relative = last.estimate.relative
         accurate = [
             limits.tolerance is not None and step.estimate.relative <= limits.tolerance
             for step in self.done[-2:]
@@ -350,7 +349,8 @@ class AdaptiveLoop:
         # signs of goals may be chance on every mesh: twice in a row is enough
         if accurate[-1] and (last.settled is not False or accurate == [True, True]):
             return (
-                f"tolerance met: the estimate is {relative:.3g}, the tolerance {limits.tolerance:g}"
+                f"tolerance met: the estimate is {last.estimate.relative:.3g}, the tolerance "
+                f"{limits.tolerance:g}"
             )
         # of a goal on two meshes in a row: with one node in contact, the load alone gives its pressure
         without_error = [_is_exact(step.estimate) for step in self.done[-2:]]
@@ -422,73 +422,72 @@ class AdaptiveLoop:
         number = len(self.done)
         last = self.done[-1] if self.done else None
         parts = self.parts
+        path = None
         self._report("solve", hierarchy.finest.n_nodes)
         with once(self.said), self.clock.phase("solve"):
             if parts.load_path is None:
-                path = None
                 result = solved(hierarchy, parts.solver, start, parts.rtol)
             else:
-                default = FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
-                solver = default if parts.solver is None else parts.solver
-                solver = solver if _applies(solver, hierarchy) else None
-                rtol = parts.rtol if solver is None else None
-                begin = None
-                if last is not None and parts.remesh_every is not None:
-                    reached = cast("PathResult", last.path)[-1]
-                    begin = transfer_state(last.hierarchy, reached, hierarchy)
-                load_path = parts.path_of(number)
-                path = solve_path(hierarchy, load_path, solver, rtol=rtol, start=begin)
-                result = None
+                path = self._solve_path(hierarchy, number, last)
+                result = path[-1]
         self._report("estimate", hierarchy.finest.n_nodes)
         with self.clock.phase("estimate"):
             if path is None:
-                result = cast("Result", result)
                 estimate = estimate_of(parts.indicator, hierarchy, result)
             else:
                 k, estimate, self.steering = _path_estimate(hierarchy, parts, path, number)
                 result = path[k]
         work = result.work_units if path is None else sum(step.work_units for step in path)
-        nonzeros = hierarchy.finest.matrix.nnz
         timings = self.clock.timings
         self.clock.timings = {}
-        before = (
-            0.0
-            if last is None
-            else last.total_work_units * last.hierarchy.finest.matrix.nnz / nonzeros
-        )
+        total_seconds = sum(timings.values())
+        total_work = work
+        if last is not None:
+            total_seconds += last.total_seconds
+            # in passes over the finest matrix of this step
+            entries = last.total_work_units * last.hierarchy.finest.matrix.nnz
+            total_work += entries / hierarchy.finest.matrix.nnz
         step = Step(
-            number,
-            hierarchy,
-            result,
-            estimate,
-            timings,
-            sum(timings.values()) + (0.0 if last is None else last.total_seconds),
-            work,
-            work + before,
-            path,
-            settled(estimate, None if last is None else last.estimate),
+            number=number,
+            hierarchy=hierarchy,
+            result=result,
+            estimate=estimate,
+            timings=timings,
+            total_seconds=total_seconds,
+            work_units=work,
+            total_work_units=total_work,
+            path=path,
+            settled=settled(estimate, None if last is None else last.estimate),
         )
         with self.clock.phase("store"):
             if self.store is not None:
-                numbers = {
-                    "total_seconds": step.total_seconds,
-                    "work_units": step.work_units,
-                    "total_work_units": step.total_work_units,
-                }
-                self.store.put(
-                    number,
-                    result,
-                    StoredStep(
-                        estimate,
-                        [need_mesh(level) for level in hierarchy.levels],
-                        need_mesh(result).refinement,
-                        numbers,
-                        timings,
-                        path,
-                    ),
+                names = ("total_seconds", "work_units", "total_work_units")
+                record = StoredStep(
+                    estimate,
+                    levels=[need_mesh(level) for level in hierarchy.levels],
+                    history=need_mesh(result).refinement,
+                    numbers={name: getattr(step, name) for name in names},
+                    timings=timings,
+                    path=path,
                 )
+                self.store.put(number, result, record)
         self._remember(step)
         return step
+
+    def _solve_path(self, hierarchy: Hierarchy, number: int, last: Step | None) -> PathResult:
+        """Return the load steps of mesh ``number``, from the state of the last one if the path goes
+        on from mesh to mesh."""
+        parts = self.parts
+        solver = parts.solver
+        if solver is None:
+            solver = FullMultigrid(rtol=RTOL if parts.rtol is None else parts.rtol)
+        solver = solver if _applies(solver, hierarchy) else None
+        rtol = parts.rtol if solver is None else None
+        start = None
+        if last is not None and parts.remesh_every is not None:
+            reached = cast("PathResult", last.path)[-1]
+            start = transfer_state(last.hierarchy, reached, hierarchy)
+        return solve_path(hierarchy, parts.path_of(number), solver, rtol=rtol, start=start)
 
     def _steering(self, last: Step) -> Estimate:
         """Return the estimate by which the next mesh is made: that of the last step, or one for all load
@@ -628,20 +627,17 @@ def carried(hierarchy: Hierarchy, below: int, result: Result) -> Result:
 def posed_at(hierarchy: Hierarchy, path: LoadPath, results: PathResult, k: int) -> Hierarchy:
     """Return the hierarchy with the problem of load step ``k`` on the finest level, slips counted
     from the step before."""
-    problem = hierarchy.problem
-    finest = hierarchy.finest
-    factors = {name: float(values[k]) for name, values in path.resolved(problem).items()}
-    discrete = finest.discrete
+    factors = {name: float(values[k]) for name, values in path.resolved(hierarchy.problem).items()}
+    discrete = hierarchy.finest.discrete
     loads = load_steps(cast("Posed", hierarchy.posed), discrete)
     reference = discrete.contact.slip_reference
     slips = discrete.contact.accumulated_slip
     if k > 0:
         slips = results[k - 1].contact.accumulated_slip
         reference = discrete.at_contact(discrete.relative(results[k - 1].displacement).reshape(-1))
-    step = step_problem(problem, factors)
-    discrete = loads.step(discrete, factors, reference, slips)
-    levels = (*hierarchy.levels[:-1], finest.posing(discrete=discrete))
-    return replace(hierarchy, levels=levels, problem=step)
+    finest = hierarchy.finest.posing(discrete=loads.step(discrete, factors, reference, slips))
+    problem = step_problem(hierarchy.problem, factors)
+    return replace(hierarchy, levels=(*hierarchy.levels[:-1], finest), problem=problem)
 
 
 def _path_estimate(

@@ -313,10 +313,9 @@ class PathLoop:
         self, k: int, grids: Hierarchy, result: Result, coarse: list[np.ndarray] | None
     ) -> None:
         """Keep what the next step needs of the result of step k."""
-        discrete = grids.finest.discrete
         self.coarse = coarse
         # from the result, as a path that goes on from its store has it
-        displacement = discrete.relative(result.displacement).reshape(-1)
+        displacement = grids.finest.discrete.relative(result.displacement).reshape(-1)
         self.accumulated_slip = result.contact.accumulated_slip
         solution = np.append(displacement, result.pressures)
         self.recent = [*self.recent[-1:], (solution, self._factor_array(k))]

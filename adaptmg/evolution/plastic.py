@@ -97,17 +97,18 @@ class PlasticLoop(PathLoop):
         }
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
+        """Solve step k, in smaller parts where Newton's method fails."""
         done = 0.0
         part = 1.0
         while True:
-            before = dict(vars(self), controls=copy.copy(self.controls))
+            state_before = dict(vars(self), controls=copy.copy(self.controls))
             self.share = min(done + part, 1.0)
             result = super().step(k, progress)
             if result.status.ok:
                 done = self.share
                 self.state = _state_of(result)
             elif part > _SMALLEST and not (k == 0 and self.continued):
-                vars(self).update(before)
+                vars(self).update(state_before)
                 part /= 2
                 _LOG.info("step %d: Newton's method fails; going on in parts of %g", k, part)
                 continue
@@ -266,16 +267,17 @@ class _Newton:
         return outcome
 
     def _go(self, tangent: DiscreteProblem, solution: np.ndarray) -> float:
-        """Go towards the solution of a contact problem, and return the change in the energy norm,
-        relative to it."""
-        start = self.at.displacement
-        direction = solution - start
-        borne = tangent.fixed.copy()
-        borne.reshape(-1, tangent.dim)[tangent.contact.nodes] = True
-        forces = np.where(borne, -tangent.residual(solution), 0.0)
+        """Go towards the solution of a contact problem, and return the change over the solution, in
+        the energy norm of the tangent."""
+        direction = solution - self.at.displacement
+        # forces of contact and supports
+        has_forces = tangent.fixed.copy()
+        has_forces.reshape(-1, tangent.dim)[tangent.contact.nodes] = True
+        forces = np.where(has_forces, -tangent.residual(solution), 0.0)
         forces += tangent.inclined.reaction(solution, NO_PRESSURES)
 
         def slope(response: Response) -> float:
+            """Return phi' of the module."""
             return -float(direction @ (response.missed + forces))
 
         with self.recorder.phase("tangent"):
@@ -287,24 +289,27 @@ class _Newton:
     def _searched(
         self, direction: np.ndarray, slope: Callable[[Response], float]
     ) -> tuple[Response, float]:
-        """Return the response after a part of a direction, and this part: 1, or where the slope is
-        small (the rule of Illinois: an end that stays twice counts half)."""
-        start = self.at.displacement
-        places = [0.0, 1.0]
+        """Return the response after a part of a direction, and this part: 1 if the slope is still
+        negative there, else one where it is small.
+
+        Regula falsi keeps the slope negative at the first end of an interval and positive at the
+        second; the slope of an end that stays twice counts half (the rule of Illinois)."""
+        ends = [0.0, 1.0]
         slopes = [slope(self.at), np.nan]
-        most = _SLOPE * abs(slopes[0])
+        small = _SLOPE * abs(slopes[0])
         part = 1.0
-        moved = -1
+        last_end = -1
         for _ in range(_TRIALS):
-            response = self.plastic.respond(self.problem, start + part * direction, self.state)
-            found = slope(response)
-            end = int(found > 0)
-            if abs(found) <= most or (part == 1.0 and not end):
+            displacement = self.at.displacement + part * direction
+            response = self.plastic.respond(self.problem, displacement, self.state)
+            present = slope(response)
+            end = int(present > 0)
+            if abs(present) <= small or (part == 1.0 and not end):
                 break
-            if end == moved:
+            if end == last_end:
                 slopes[1 - end] *= 0.5
-            moved = end
-            places[end] = part
-            slopes[end] = found
-            part = places[0] - slopes[0] * (places[1] - places[0]) / (slopes[1] - slopes[0])
+            last_end = end
+            ends[end] = part
+            slopes[end] = present
+            part = ends[0] - slopes[0] * (ends[1] - ends[0]) / (slopes[1] - slopes[0])
         return response, part

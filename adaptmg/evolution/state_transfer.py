@@ -139,6 +139,7 @@ class _Side:
 
     @classmethod
     def of(cls, name: str, grids: Hierarchy) -> _Side:
+        """Return the finest mesh of a hierarchy as a side; ValueError without a problem on it."""
         checks.instance(name, grids, Hierarchy, "a Hierarchy")
         if grids.posed is None:
             raise ValueError(f"{name} must be the Hierarchy of a ContactProblem, with its meshes")
@@ -146,7 +147,7 @@ class _Side:
 
     @cached_property
     def bodies(self) -> InelasticBodies | None:
-        """The plastic bodies, if there are any."""
+        """Return the plastic bodies, if there are any."""
         inelastic = inelastic_bodies(self.posed.materials).any()
         return InelasticBodies.of(self.posed) if inelastic else None
 
@@ -156,6 +157,7 @@ class _Side:
 
     @cached_property
     def cells(self) -> MeshArrays:
+        """Return the cells as the elements of a mesh, in the order of the elements that they lie in."""
         mesh = self.posed.mesh
         corners = _corners(mesh.dim) if self.smoothed else np.eye(mesh.dim + 1)[None]
         points = np.einsum("cvk,ekd->ecvd", corners, mesh.points[mesh.elements])
@@ -172,13 +174,13 @@ class _Side:
 
     @property
     def elements(self) -> sparse.csr_array:
-        """The cells of each element (n_elements, n_cells), as ones."""
+        """Return a matrix (n_elements, n_cells) with ones at the cells of each element."""
         n = len(self.posed.mesh.elements)
         return _members(np.repeat(np.arange(n), len(self.cells.elements) // n), n)
 
     @property
     def patches(self) -> sparse.csr_array:
-        """The cells of each plastic patch (n_patches, n_cells), as ones."""
+        """Return a matrix (n_patches, n_cells) with ones at the cells of each plastic patch."""
         if not self.smoothed:
             return self.elements[cast("InelasticBodies", self.bodies).numbers]
         number = edges_of_elements(self.posed.mesh)
@@ -188,22 +190,26 @@ class _Side:
 
 
 def _corners(dim: int) -> np.ndarray:
-    """Return the shares (n, dim + 1, dim + 1) of the corners of an element in those of its cells,
-    edge by edge."""
+    """Return the corners of the cells of an element, edge by edge, in barycentric coordinates
+    (n_cells, dim + 1, dim + 1)."""
     unit = np.eye(dim + 1)
     cells = []
     for a, b in EDGES[dim].tolist():
-        others = [c for c in range(dim + 1) if c not in (a, b)]
-        faces = [(unit[a] + unit[b] + unit[c]) / 3 for c in others] if dim == 3 else []
+        # a cell has the ends of the edge, in space the centroid of a face at it, and that of the element
         centroid = np.full(dim + 1, 1 / (dim + 1))
-        for rest in [(face, centroid) for face in faces] or [(centroid,)]:
-            cell = np.array([unit[a], unit[b], *rest])
-            cells.append(cell if np.linalg.det(cell) > 0 else cell[[1, 0, *range(2, dim + 1)]])
+        further_corners = [[centroid]]
+        if dim == 3:
+            others = [c for c in range(4) if c not in (a, b)]
+            further_corners = [[(unit[a] + unit[b] + unit[c]) / 3, centroid] for c in others]
+        for corners in further_corners:
+            cell = np.array([unit[a], unit[b], *corners])
+            is_positive = np.linalg.det(cell) > 0
+            cells.append(cell if is_positive else cell[[1, 0, *range(2, dim + 1)]])
     return np.array(cells)
 
 
 def _members(owner: np.ndarray, n: int) -> sparse.csr_array:
-    """Return the members (n, len(owner)) of each owner, as ones."""
+    """Return a matrix (n, len(owner)) with a one in column k at the row ``owner[k]``."""
     ones = np.ones(len(owner))
     return sparse.csr_array((ones, (owner, np.arange(len(owner)))), shape=(n, len(owner)))
 
@@ -230,14 +236,14 @@ def _check(before: _Side, result: Result, after: _Side) -> None:
         )
     for k, name in enumerate(names):
         other = new_names.index(name)
-        sizes = [
+        size, new_size = (
             None if material.inelastic is None else material.inelastic.state_size
             for material in (before.posed.materials[k], after.posed.materials[other])
-        ]
-        if sizes[0] != sizes[1]:
+        )
+        if size != new_size:
             raise ValueError(
                 f"new_grids: the material of body {name!r} must have states as in old_grids, of "
-                f"{sizes[0]} numbers (None: elastic), got {sizes[1]}"
+                f"{size} numbers (None: elastic), got {new_size}"
             )
     plastic = cast("StressData", result.stress_data).plastic
     if (plastic is None) != (before.bodies is None):
@@ -245,7 +251,8 @@ def _check(before: _Side, result: Result, after: _Side) -> None:
 
 
 def _means(volumes: sparse.csr_array, values: np.ndarray) -> np.ndarray:
-    """Return the means (n_new, ...) of values (n_old, ...)."""
+    """Return the means (n_new, ...) of values (n_old, ...), weighted with the volumes (n_new, n_old) that
+    new and old patches share."""
     total = np.asarray(volumes.sum(axis=1)).reshape(-1, 1)
     means = (volumes @ values.reshape(len(values), -1)) / total
     return means.reshape(-1, *values.shape[1:])
@@ -254,8 +261,7 @@ def _means(volumes: sparse.csr_array, values: np.ndarray) -> np.ndarray:
 def _stress_data(before: _Side, data: StressData, after: _Side) -> StressData:
     """Return the stress data of the new mesh, with means of the old."""
     posed = after.posed
-    mesh = posed.mesh
-    result = StressData.of(mesh, posed.materials, (), posed.problem.elements)
+    result = StressData.of(posed.mesh, posed.materials, (), posed.problem.elements)
     if after.bodies is None and not len(data.initial_strain):
         return result
     cells = after.cells
@@ -275,22 +281,24 @@ def _stress_data(before: _Side, data: StressData, after: _Side) -> StressData:
 def _slips(
     old_mesh: MeshArrays, old: ContactResult, mesh: MeshArrays, new: ContactResult
 ) -> np.ndarray:
-    """Return the accumulated slip of new contact nodes (n,): that of the old boundary next to
-    them."""
+    """Return the accumulated slip (n,), m, of new contact nodes, interpolated on the old boundary of
+    the same name."""
     result = np.zeros(len(new))
     for k, name in enumerate(new.names):
         if name not in old.names:
             continue
-        at = new.boundary == k
+        on_boundary = new.boundary == k
         source = old.boundary == old.names.index(name)
         facets = old_mesh.boundary_facets(name)
-        rows = surface_interpolation(old_mesh, mesh, facets, new.node[at])
-        slips = np.zeros((old_mesh.n_nodes, 2))
-        slips[old.node[source], 0] = old.accumulated_slip[source]
+        rows = surface_interpolation(old_mesh, mesh, facets, new.node[on_boundary])
+        slips = np.zeros(old_mesh.n_nodes)
+        slips[old.node[source]] = old.accumulated_slip[source]
         # nodes of the boundary that belong to another one, or that a support holds, have no slip
-        slips[old.node[source], 1] = 1.0
-        total, share = (rows @ slips).T
-        result[at] = np.divide(total, share, out=np.zeros_like(total), where=share > 0)
+        has_slip = np.zeros(old_mesh.n_nodes)
+        has_slip[old.node[source]] = 1.0
+        total = rows @ slips
+        share = rows @ has_slip
+        result[on_boundary] = np.divide(total, share, out=np.zeros_like(total), where=share > 0)
     return result
 
 

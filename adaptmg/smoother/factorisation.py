@@ -42,11 +42,10 @@ _ENTRIES = {1: 7, 2: 15, 3: 45}
 def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED) -> bool:
     """Return whether factors of the matrix take at most the work of ``most[dim]`` dofs of linear
     elements."""
-    n = problem.n_dofs
     # half of the entries that the rows of volumes would add to the matrix are there already
     added = 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
     entries = problem.matrix.nnz + added
-    return bool(max(entries / _ENTRIES[problem.dim], n) <= most[problem.dim])
+    return bool(max(entries / _ENTRIES[problem.dim], problem.n_dofs) <= most[problem.dim])
 
 
 def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
