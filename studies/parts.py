@@ -84,8 +84,13 @@ def random_body(seed: int) -> am.Hierarchy:
 
 @lru_cache(maxsize=4)
 def grids(case: str) -> am.Hierarchy:
-    """The grids of a case by its name, or of a random body by its number."""
-    return random_body(int(case)) if case.isdigit() else HARD[case]()
+    """The grids of a case by its name, or of a random body by its number, with what all variants
+    share."""
+    hierarchy = random_body(int(case)) if case.isdigit() else HARD[case]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        am.solve(hierarchy, am.FullMultigrid(rtol=0.1), throw=False)
+    return hierarchy
 
 
 def run(case: str, variant: str) -> dict:
@@ -94,7 +99,6 @@ def run(case: str, variant: str) -> dict:
     row: dict = {"nodes": grids(case).finest.n_nodes, "handed_over": 0}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        am.solve(grids(case), am.FullMultigrid(rtol=0.1), throw=False)  # what all variants share
         begin = time.process_time()
         for start, method in {"nested": am.FullMultigrid, "zero": am.Multigrid}.items():
             solver = method(correction=correction, rtol=1e-6)
