@@ -121,7 +121,7 @@ class TruncatedContact:
 
     def _set_springs(self) -> None:
         """Take the springs of linear problems from the compliances."""
-        stiffness = self.blocks.reshape(len(self.nodes), -1)[:, 0]
+        stiffness = self.blocks[:: self.dim * (self.dim + 1) // 2]
         soft = self.compliance * stiffness > self.RIGID
         # new arrays: copies share the old ones
         self.spring = np.divide(1.0, self.compliance, out=np.zeros_like(stiffness), where=soft)
