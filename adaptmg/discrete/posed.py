@@ -375,15 +375,15 @@ class Posed:
         (n,)."""
         compliance = np.zeros(len(nodes))
         exponent = np.ones(len(nodes))
-        measures = weights if taken is None else weights * (1 + taken.sum(axis=1))
+        # gaps of nodes that take over a part of others are sums
+        share = np.ones(len(nodes)) if taken is None else 1 + taken.sum(axis=1)
         for k, contact_part in enumerate(self.problem.contact):
             layer = contact_part.compliance
             if layer is not None:
                 on_boundary = owner == k
                 per_area = layer.at_points(self.mesh.points[nodes[on_boundary]])
-                # displacements are sums over the measure, in units of the weight
-                of_sums = measures[on_boundary] ** (1 - 1 / layer.exponent)
-                compliance[on_boundary] = per_area / weights[on_boundary] * of_sums
+                of_unit_force = weights[on_boundary] ** (1 / layer.exponent)
+                compliance[on_boundary] = per_area * share[on_boundary] / of_unit_force
                 exponent[on_boundary] = layer.exponent
         return {"compliance": compliance, "exponent": exponent}
 

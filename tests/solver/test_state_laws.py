@@ -293,6 +293,22 @@ def test_stored_paths_go_on_with_the_layer(tmp_path):
 
 
 @LAYERS
+def test_layers_meet_at_a_corner(layer):
+    grids = block(am.Coulomb(0.3), PLANE, layer, push=5e7, poisson=0.3)
+    turn = rotation(PLANE[1])
+    wall = am.Plane(tuple(PLANE[2] + turn @ (0.04, 0)), tuple(turn @ (-1, 0)))
+    contacts = (*grids.problem.contact, am.Contact("right", wall, compliance=SOFT))
+    posed = replace(grids.problem, contact=contacts, supports=())
+    again = am.Hierarchy.from_meshes(posed, [level.mesh for level in grids.levels])
+    contact = am.solve(again, FINE).contact
+    assert (contact.measures > 1.1 * contact.weights).any()  # next to the corner
+    for k, of_boundary in enumerate((layer, SOFT)):
+        at = contact.closed & (contact.boundary == k)
+        depth = of_boundary.compliance * contact.pressure[at] ** (1 / of_boundary.exponent)
+        np.testing.assert_allclose(-contact.gap[at], depth, atol=1e-8 * depth.max())
+
+
+@LAYERS
 def test_layers_go_with_friction_that_depends_on_pressure(layer):
     contact = layered("obstacle", layer, FINE, am.StateLaw(falling)).contact
     depth = layer.compliance * contact.pressure ** (1 / layer.exponent)
