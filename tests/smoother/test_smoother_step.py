@@ -302,9 +302,11 @@ def assert_conditions(w, block, force, gap, reference, limit, friction, relative
 
 
 @EXAMPLES
-@given(dims, seeds, laws, exponents, st.floats(0.05, 1.95))
-def test_optimality_conditions(dim, seed, law, exponent, omega):
+@given(dims, seeds, laws, exponents, st.floats(0.05, 1.95), st.sampled_from([0.0, 1.0]))
+def test_optimality_conditions(dim, seed, law, exponent, omega, coupling):
     block, *rest = problem(dim, seed, law, exponent)
+    block[0, 1:] *= coupling
+    block[1:, 0] *= coupling
     assert_conditions(solve(block / omega, *rest), block / omega, *rest)
 
 
