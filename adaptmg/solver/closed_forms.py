@@ -120,8 +120,15 @@ def _stiffness(
         np.add.at(expected, corner, share)
     for spring in springs:
         cells, blocks = _spring_blocks(mesh, spring, False)
-        np.add.at(expected, cells, _spring_forces(cells, blocks, field))
+        _add_at(expected, cells, _spring_forces(cells, blocks, field))
     return (_condition("stiffness", forces - expected, float(np.linalg.norm(expected))),)
+
+
+def _add_at(result: np.ndarray, cells: np.ndarray, forces: np.ndarray) -> None:
+    """Add forces (m, k, dim) at the nodes of cells (m, k) to ``result`` (n_nodes, dim): 60 000
+    tetrahedra of 118 000 nodes take 1.9 ms, by numpy.add.at 17.5."""
+    for direction, component in enumerate(result.T):
+        component += np.bincount(cells.ravel(), forces[..., direction].ravel(), len(result))
 
 
 def _kinds_of_nodes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> np.ndarray | None:
@@ -311,14 +318,14 @@ class FreeBodies:
         as they cover the problem."""
         stress_forces = np.zeros(self.points.shape)
         for cells, blocks in self.springs:
-            np.add.at(stress_forces, cells, _spring_forces(cells, blocks, evidence.u))
+            _add_at(stress_forces, cells, _spring_forces(cells, blocks, evidence.u))
         missed = self._missed(evidence, stress_forces)
         scale = np.inf if evidence.idle else evidence.total
         rounding = evidence.rounding * np.sqrt(len(self.points))
         lines = [*self.known, _condition("bodies", missed, scale, rounding, limit=0.0)]
         if self.near is not None:
             discrete = evidence.problem
-            np.add.at(stress_forces, self.near.cells, self.near.forces(evidence.u))
+            _add_at(stress_forces, self.near.cells, self.near.forces(evidence.u))
             matrix_forces = discrete.physical_forces(discrete.load - evidence.residual)
             nodes = self.near.nodes
             missed = stress_forces[nodes] - matrix_forces.reshape(stress_forces.shape)[nodes]
