@@ -207,3 +207,23 @@ def test_a_linear_solver_that_does_not_converge_spoils_no_result(caplog):
     result = am.solve(grids("bar, Tresca"), solver, throw=False)
     assert not result.status.ok
     assert "take Direct()" in caplog.text
+
+
+@pytest.mark.parametrize("friction", [0.3, 3.0])
+def test_a_block_wedged_between_walls_needs_no_load(friction):
+    """Nothing slips before it is pressed; walls balance each other."""
+    walls = {
+        "bottom": am.Plane((0.0, 1e-4), (0.1, 1.0)),
+        "top": am.Plane((0.0, 1 - 1e-4), (0.1, -1.0)),
+        "left": am.Plane((1e-5, 0.0), (1.0, 0.0)),
+    }
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=1.0, height=1.0),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        law=am.Coulomb(friction),
+        contact=[am.Contact(name, wall, allow_interference=True) for name, wall in walls.items()],
+    )
+    result = am.solve(am.Hierarchy.uniform(problem, (8,)), am.ActiveSet())
+    forces = [result.resultant(name).force for name in walls]
+    np.testing.assert_allclose(sum(forces), 0.0, atol=1e-9 * np.abs(forces).max())
+    assert np.abs(forces).max() > 1e3
