@@ -428,7 +428,9 @@ class Elements:
         strain[:, :dim, :dim] = 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
         if self.radii is not None:
             strain[:, 2, 2] = moved[:, :, 0].mean(axis=1) / self.radii
-        tensors = self.moduli.table[self.moduli.rows]
+        tensors = self.moduli.table
+        if len(tensors) > 1:
+            tensors = tensors[self.moduli.rows]
         of_strain = columns(strain, tensors.shape[1])
         stress = as_tensors(np.einsum("nij,nj->ni", tensors, of_strain))
         forces = self.sides @ stress[:, :dim, :dim]
