@@ -601,10 +601,8 @@ def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
             break
         finer = hierarchy[level + 1]
         middle = hierarchy[level]
-        if (
-            finer.n_nodes < CLOSE * middle.n_nodes
-            and size_ratio(need_mesh(hierarchy[level - 1]), need_mesh(finer)) <= RATIO
-        ):
+        too_close = finer.n_nodes < CLOSE * middle.n_nodes
+        if too_close and size_ratio(need_mesh(hierarchy[level - 1]), need_mesh(finer)) <= RATIO:
             hierarchy = hierarchy.without(level)
     return hierarchy
 
@@ -667,8 +665,8 @@ def _path_estimate(
     shares = []
     for step_estimate in estimates.values():
         # a quantity that is zero has no relative error: above 1 all steps count alike
-        relative = min(step_estimate.relative, 1.0) ** 2
-        shares.append(relative / (step_estimate.squares.sum() or 1.0) * step_estimate.squares)
+        weight = min(step_estimate.relative, 1.0) ** 2
+        shares.append(weight / (step_estimate.squares.sum() or 1.0) * step_estimate.squares)
     return k, estimates[k], replace(estimates[k], squares=np.max(shares, axis=0))
 
 

@@ -356,18 +356,14 @@ def solve_path(
     parts: dict[str, object] = {"solver": solver}
     if grids.finest.discrete.inelastic:
         parts["material"] = grids.problem.material
-    mark = (
-        {}
-        if store is None
-        else fingerprint(grids, loop.loads, loop.factors, len(path), parts, depends, start_state)
-    )
-    if store is not None and (obstacles := loop.controls.prescribed_numbers()):
-        mark["obstacles and preloads"] = obstacles
-    steps = (
-        None
-        if store is None
-        else StepStore.resumed(store, _HEAD, _head(loop.factors, len(path), mark), KINDS)
-    )
+    mark: dict[str, object] = {}
+    steps = None
+    if store is not None:
+        n_steps = len(path)
+        mark |= fingerprint(grids, loop.loads, loop.factors, n_steps, parts, depends, start_state)
+        if obstacles := loop.controls.prescribed_numbers():
+            mark["obstacles and preloads"] = obstacles
+        steps = StepStore.resumed(store, _HEAD, _head(loop.factors, n_steps, mark), KINDS)
     if start is not None:
         loop.continue_from(start)
     results: list[Result] = []

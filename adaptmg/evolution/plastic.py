@@ -45,11 +45,12 @@ from adaptmg.solver.result import Result
 _LOG = logging.getLogger(__name__)
 
 _MOST = 40  # Newton steps
-# tolerance of the first contact problem; .05: the same cycles, one Newton step in 72 more (Prandtl's punch, 2528
-# nodes, 8 load steps, as below)
+# tolerance of the first contact problem. Counts here and of _SHARE and _SLOPE: five paths (Prandtl's punch on 884
+# nodes, linear and smoothed, a pierced plate, Hill's tube, a billet) with 38 load steps take 215 Newton steps and 1112
+# cycles; half 212 and 1107, twice and .05 215 and 1108
 _FIRST = 1e-2
-# tolerance of a contact problem over the last change, which is less where that is small: 64 Newton steps and 267
-# cycles; a constant share takes 124 and 374 (2482 nodes), a share of .05 67 and 315 for 69 and 308
+# tolerance of a contact problem over the last change, which is less where that is small: half and twice the same
+# counts, .05 213 and 1075; a constant share takes 495 and 1299
 _SHARE = 0.2
 # of multigrid on a contact problem that is not the last: Prandtl's punch in 8 load steps, 10 357 nodes linear and 5463
 # smoothed, 49 and 54 Newton steps, 363 and 359 cycles, at most 55 and 66 a load step; half 49 and 56, 348 and 360, 53
@@ -60,8 +61,7 @@ _CYCLES = 20
 # V-cycles 514 and 604, 129 and 174, and a sixth and a third more seconds; one sweep 420, three 344, at most 77 and 74.
 # Linear elements, 10 357 nodes: 264 for 363, but thrice the work
 _SMOOTHED = Cycle(shape="W", pre=2, post=2)
-# |phi'| that ends the search, over that at 0; two paths of a punch take 64 Newton steps and 202 cycles, with half 65
-# and 207, with twice 65 and 203
+# |phi'| that ends the search, over that at 0: half 215 and 1089, twice 215 and 1094
 _SLOPE = 0.3
 _TRIALS = 10  # of the search
 _SMALLEST = 1 / 64  # part of a load step
@@ -85,6 +85,7 @@ class PlasticLoop(PathLoop):
         self.state = self.plastic.unloaded
 
     def _factors_at(self, k: int) -> dict[str, float]:
+        """Return the factors of the part of step k that is being solved."""
         factors = super()._factors_at(k)
         if self.share == 1.0:
             return factors
@@ -97,26 +98,28 @@ class PlasticLoop(PathLoop):
         }
 
     def step(self, k: int, progress: Callable[[int, dict[str, float]], None] | None) -> Result:
-        """Solve step k, in smaller parts where Newton's method fails."""
-        done = 0.0
+        """Solve step k, as a whole or, where Newton's method fails, part by part: ``reached`` is the share
+        of its loads that is solved, ``part`` the size of the next part."""
+        reached = 0.0
         part = 1.0
         while True:
             state_before = dict(vars(self), controls=copy.copy(self.controls))
-            self.share = min(done + part, 1.0)
+            self.share = min(reached + part, 1.0)
             result = super().step(k, progress)
             if result.status.ok:
-                done = self.share
+                reached = self.share
                 self.state = _state_of(result)
             elif part > _SMALLEST and not (k == 0 and self.continued):
                 vars(self).update(state_before)
                 part /= 2
                 _LOG.info("step %d: Newton's method fails; going on in parts of %g", k, part)
                 continue
-            if done == 1.0 or not result.status.ok:
+            if reached == 1.0 or not result.status.ok:
                 self.share = 1.0
                 return result
 
     def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
+        """Continue after a step that was solved before, with its plastic state too."""
         super().take_over(k, result, coarse)
         self.state = _state_of(result)
 
@@ -211,11 +214,11 @@ class _Newton:
             if outcome.status in (Status.DIVERGED, Status.STALLED, Status.CYCLING):
                 status = outcome.status
                 break
-            before = self.at.tangent
+            tangent_before = self.at.tangent
             change = self._go(tangent, outcome.solution)
             tolerance = min(tolerance, min(_SHARE, change) * change)
-            if np.array_equal(before, self.at.tangent):
-                # nothing else changes
+            # the tangent stays: the next contact problem is the last one
+            if np.array_equal(tangent_before, self.at.tangent):
                 tolerance = min(tolerance, self.rtol)
             self.recorder.record(
                 cycle=0, newton_step=number + 1, newton_change=change, newton_part=self.part
