@@ -417,6 +417,7 @@ def equilibrated_sizes(
     count = NodeCount(mesh)
     edges = _edges(mesh)
 
+    @cache
     def sizes(log_c: float) -> np.ndarray:
         """Return the sizes (n_nodes,) for the constant c of the module."""
         new = old * np.clip(math.exp(log_c) * factors, _FINEST_SIZE, _COARSEST_SIZE)
