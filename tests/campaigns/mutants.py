@@ -6,9 +6,9 @@ A mutant is one change of one place: another comparison, another number, another
 left out, two arguments exchanged. Places in messages, annotations and decorators are not changed.
 Each seed draws a module (default: those of solver, multigrid, smoother, discrete and transfer), a
 place and a change; the tests run on a copy of the package until one fails: those in the folder of
-the module that name it, in a process of their own, then the others there, those of agreement and
-evolution, of the other four folders and of hostile inputs. A mutant that no test fails survives.
-Exit code 1 if more than 12 % survive."""
+the module that name it and those elsewhere that import it, in a process of their own, then the
+others there, those of agreement and evolution, of the other four folders and of hostile inputs. A
+mutant that no test fails survives. Exit code 1 if more than 12 % survive."""
 
 from __future__ import annotations
 
@@ -155,6 +155,7 @@ def killed(module: str, mutant: Mutant) -> bool:
             for cached in (copy / "adaptmg").rglob("*.nbi"):
                 cached.unlink()
         stem = Path(module).stem
+        imported = module.removesuffix(".py").replace("/", ".")
         own_folder = Path(module).parts[1]
         folders = dict.fromkeys((own_folder, "agreement", "evolution", *FOLDERS, "hostile"))
         tests = [
@@ -164,8 +165,13 @@ def killed(module: str, mutant: Mutant) -> bool:
                 (copy / "tests" / name).rglob("test_*.py"), key=lambda path: path.stat().st_size
             )
         ]
-        in_folder = [path for path in tests if path.is_relative_to(copy / "tests" / own_folder)]
-        near = [path for path in in_folder if stem in path.name + path.read_text()]
+        in_folder = copy / "tests" / own_folder
+        near = [
+            path
+            for path in sorted((copy / "tests").rglob("test_*.py"))
+            if (stem if path.is_relative_to(in_folder) else imported)
+            in path.name + path.read_text()
+        ]
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
         environment = {**os.environ, "PYTHONPATH": str(copy), "MPLBACKEND": "Agg"}
         for part in filter(None, (near, [path for path in tests if path not in near])):
