@@ -121,8 +121,10 @@ def _field(
     exponent = 1.5 + direction * math.atan(friction * beta) / math.pi
     a, b = _mode(kind, friction, poisson, exponent, direction)
     mode = TransitionField(material=material, exponent=exponent, a=a, b=b)
-    right, left = (mode.stress(np.array([[x, 0.0]]))[0] for x in (1.0, -1.0))
+    # xx, yy and xy at x = 1, which slips, and at x = -1
+    right, left = mode.stress(np.array([[1.0, 0.0], [-1.0, 0.0]]))
     if kind == "open":
+        # the pressure at x = 1 is that asked for
         scale = pressure / -right[1]
         uniform = 0.0
         shear = 0.0
@@ -135,6 +137,8 @@ def _field(
     field = replace(mode, a=scale * a, b=scale * b, pressure=uniform, shear=shear)
     if kind == "stick":
         return field
+    # shifted along the plane by twice the slip at x = 1, rounded up to micrometres, so that all nodes
+    # slip in one direction
     slip = abs(float(field.displacement(np.array([[1.0, 0.0]]))[0, 0]))
     return replace(field, shift=direction * math.ceil(2e6 * slip) * 1e-6)
 

@@ -166,6 +166,7 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
     part = np.zeros(len(path), dtype=np.int64)
     behind = np.zeros(len(path), dtype=bool)
     separator = np.zeros(len(path), dtype=bool)
+    # place value of the digit of each depth
     for digit in 3 ** np.arange(_DEPTH, -1, -1, dtype=np.int64):
         nodes = np.flatnonzero(active)
         if not len(nodes):
@@ -176,10 +177,14 @@ def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> 
         column = column[inside_part]
         cut = behind[row] != behind[column]
         separator[:] = False
+        # of the edges that are cut, the end behind the cut is on the separator
         separator[np.where(behind[row], row, column)[cut]] = True
         separator[nodes[is_leaf]] = False
-        path[nodes] += digit * np.where(is_leaf, 0, np.where(separator[nodes], 2, behind[nodes]))
-        part[nodes] = 2 * np.unique(part[nodes], return_inverse=True)[1] + behind[nodes]
+        side = np.where(separator[nodes], 2, behind[nodes])
+        path[nodes] += digit * np.where(is_leaf, 0, side)
+        # both halves of part k get the numbers 2 k and 2 k + 1
+        numbered = np.unique(part[nodes], return_inverse=True)[1]
+        part[nodes] = 2 * numbered + behind[nodes]
         active[nodes[separator[nodes] | is_leaf]] = False
 
 
