@@ -199,12 +199,12 @@ def result_of(
     examiner: Examiner,
     run: Run,
     outcome: Outcome,
-    solver: Solver,
+    solver: Solver | None,
     stress_data: StressData | None,
     choice: str = "",
 ) -> Result:
     """Return the Result on the finest level; the certificate and the natural residual confirm the
-    status."""
+    status. ``solver`` None: no solver made it."""
     with run.phase("certificate"):
         examined = examiner(outcome.solution, outcome.rtol)
     volumes = grids.finest.discrete.volumes
@@ -267,7 +267,7 @@ def result_of(
         path=run.path,
         levels=grids.table(),
         problem_name=problem_name(grids),
-        solver_name=label(solver),
+        solver_name="" if solver is None else label(solver),
         fallback=run.fallback,
         choice=choice,
         mesh=mesh,

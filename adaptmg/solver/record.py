@@ -53,6 +53,10 @@ class Status(Enum):
         "the residual is rounding: in double precision no smaller error than the estimated one can be reached; "
         "take an rtol above it"
     )
+    TRANSFERRED = (
+        "carried over from another mesh by am.transfer_state, and not in equilibrium: the first load step of "
+        "am.solve_path(grids, path, start=result) restores that"
+    )
     DIVERGED = "the iterates grow without bound: take am.ActiveSet(), correction=am.Monotone(), or omega <= 1"
 
     @property

@@ -22,5 +22,15 @@ moved = {"u_x of the corner [µm]": lambda step: 1e6 * step.probe([(0.0, 0.0)])[
 am.plot.load_history(steps, push, moved, against="factor of the push", steps=4)
 
 # %%
+# A path may go on on another mesh, which need not be nested in the first one. Its first step repeats
+# the loads, and restores equilibrium there.
+
+finer = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(8e-3, 4e-3, 2e-3), contact_ratio=4)
+start = am.transfer_state(grids, steps[4], finer)
+rest = am.solve_path(finer, am.LoadPath({"left": push[4:]}), start=start)
+forces = [(path[-1].resultant("contact").force / 1e6).round(3) for path in (steps, rest)]
+forces  # MN/m, at the end of both
+
+# %%
 # **Next:** ``store="folder"`` keeps each finished step, and an interrupted path goes on there;
 # ``am.export.vtk_series`` writes all steps for ParaView. **It depends on** the bar in ten lines.

@@ -132,6 +132,8 @@ def test_a_path_on_the_same_mesh_goes_on_as_if_nothing_had_happened(elements, tm
     grids = am.Hierarchy.from_meshes(problem, blocks("plane", [4, 8], 0.7))
     whole = am.solve_path(grids, am.LoadPath({"press": [0.4, 0.8, 1.0, 0.2]}), TIGHT)
     start = am.transfer_state(grids, whole[1], grids)
+    assert start.status is am.Status.TRANSFERRED
+    assert "TRANSFERRED" in str(start)
     start.save(tmp_path / "start.npz")
     start = am.Result.load(tmp_path / "start.npz")
     assert start.accumulated_plastic_strain.max() > 1e-3
@@ -288,6 +290,7 @@ def test_what_is_refused():
         replace(plain, material=am.PlaneStrain(young=E, poisson=NU)), meshes[1:]
     )
     other = am.Hierarchy.from_meshes(pressed("plane", material=Memory), meshes[1:])
+    stressed = replace(plain, material=am.PlaneStress(young=E, poisson=NU))
     far = replace(meshes[1], points=meshes[1].points + 1.0)
     part = replace(meshes[1], points=meshes[1].points * 0.5)
     for arguments, words in (
@@ -295,6 +298,8 @@ def test_what_is_refused():
         ((old, result, elastic), "states as in old_grids"),
         ((old, result, other), "of 5 numbers .* got 2"),
         ((old, replace(result, status=am.Status.LIMIT), new), "converged"),
+        ((old, am.transfer_state(old, result, old), new), "converged .* TRANSFERRED"),
+        ((old, result, new.with_problem(stressed)), "of PlaneStrain, .* got PlaneStress"),
         ((old, result, am.Hierarchy.single(new.finest.discrete)), "new_grids must be"),
         ((old, result, am.Hierarchy.from_meshes(plain, [far])), "here coarse and fine"),
         ((old, result, am.Hierarchy.from_meshes(plain, [part])), "same body"),
