@@ -199,3 +199,21 @@ def test_rows_that_scatter_at_the_same_time_share_no_column():
 def test_other_numbers_of_threads_are_refused(number):
     with pytest.raises((ValueError, TypeError), match="threads must be"):
         am.set_threads(number)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_stiffness_of_shuffled_nodes_is_the_same_and_symmetric_on_any_threads(dim):
+    case, cells = (am.cases.greco_bar(), 20) if dim == 2 else (am.cases.greco_block(), 7)
+    mesh = am.mesh.structured(case.domain, cells)
+    order = np.random.default_rng(dim).permutation(mesh.n_nodes)
+    number = np.argsort(order)
+    mesh = replace(
+        mesh, points=mesh.points[order], elements=number[mesh.elements], facets=number[mesh.facets]
+    )
+    matrices = []
+    for count in (1, 2, 5):
+        am.set_threads(count)
+        matrices.append(am.discretise(case, mesh).matrix.toarray())
+    for matrix in matrices:
+        np.testing.assert_array_equal(matrix, matrices[0])
+        np.testing.assert_array_equal(matrix, matrix.T)
