@@ -297,17 +297,18 @@ def meshed_domain(problem: ContactProblem | ScalarProblem) -> Domain:
 
     def cut(domain: Domain, body: str | None) -> Domain:
         """Return the domain of a body with these vertices."""
+        if domain.dim != 2:
+            return domain
         for part in (*problem.supports, *problem.loads):
-            if (
-                isinstance(part, PointSupport | PointSpring | PointForce)
-                and body in (None, part.body or body)
-                and domain.dim == 2
-            ):
-                domain = (
-                    replace(domain, domain=with_vertex(domain.domain, part.point))
-                    if isinstance(domain, Cracked)
-                    else with_vertex(domain, part.point)
-                )
+            if not isinstance(part, PointSupport | PointSpring | PointForce):
+                continue
+            # a single body has no name here; a part without a body may be at any of them
+            if body is not None and part.body not in (None, body):
+                continue
+            if isinstance(domain, Cracked):
+                domain = replace(domain, domain=with_vertex(domain.domain, part.point))
+            else:
+                domain = with_vertex(domain, part.point)
         return domain
 
     whole = need_domain(problem)

@@ -170,9 +170,9 @@ def resumed(
     run: Run,
     past: Past,
 ) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
-    """Solve a step by the truncated multigrid; ``multigrid`` is set up for the step before. Returns
-    the outcome, what is set up for the next step, and the displacements of coarse levels, if the
-    solver has a nested start."""
+    """Solve a step by the truncated multigrid, which is set up for the step before (``multigrid``) or
+    else anew. Return the outcome, the set-up for the next step, and the displacements of coarse
+    levels if the solver has a nested start."""
     problem = hierarchy.finest.discrete
     if multigrid is None or not problem.alike(multigrid.problems[-1]):
         multigrid = cast("TruncatedRun", solver.prepared(hierarchy, run, keeps=True))
@@ -194,16 +194,14 @@ def resumed(
         ]
         kind = "given" if past.given else "nested"
         if past.given:
+            # the pressures of the last step, next to the displacement of the nested start
             start[problem.n_dofs :] = past.last[problem.n_dofs :]
         with run.phase("start"):
-            # not where the nested start sets the tolerance
-            if (
-                past.given
-                and solver.rtol != "discretisation"
-                and examiner.relative_residual(past.extrapolated)
-                <= _EXTRAPOLATE * examiner.relative_residual(start)
-            ):
-                start = past.extrapolated
+            # a nested start that sets the tolerance is needed
+            if past.given and solver.rtol != "discretisation":
+                extrapolated_residual = examiner.relative_residual(past.extrapolated)
+                if extrapolated_residual <= _EXTRAPOLATE * examiner.relative_residual(start):
+                    start = past.extrapolated
     elif past.given:
         start = better_start(examiner, past, run)
     else:
