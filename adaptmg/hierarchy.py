@@ -33,7 +33,7 @@ from adaptmg.level import (
     touches_alike,
 )
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
-from adaptmg.problem import Assembly, Box, Common, Contact, ContactProblem, Cut, Rectangle
+from adaptmg.problem import Assembly, Box, Contact, ContactProblem, Rectangle
 
 if TYPE_CHECKING:
     from adaptmg.mesh.read import MeshLike
@@ -714,8 +714,8 @@ def _elsewhere(problem: ContactProblem, mesh: MeshArrays) -> list[str]:
     domain_box = np.stack([problem.domain.lower, problem.domain.upper])
     extent = np.ptp(domain_box, axis=0).max()
     beyond = np.abs(mesh_box - domain_box)
-    if isinstance(problem.domain, Cut | Common):
-        # the box of such a domain is a bound: the body may be a part, but not a thousandth of it
+    if problem.domain.loose_box:
+        # the body may be a part of the box, but not a thousandth of it
         is_part = np.ptp(mesh_box, axis=0).max() > 0.01 * extent
         outwards = (mesh_box - domain_box) * [[-1.0], [1.0]]
         beyond = np.maximum(outwards, 0.0 if is_part else beyond)

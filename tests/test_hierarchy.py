@@ -563,17 +563,19 @@ def test_memory_of_hierarchy_and_solve_in_bytes_a_dof(case, divisions, most):
     assert used < most * grids.finest.discrete.n_dofs
 
 
-def test_body_of_which_half_is_cut_is_not_taken_for_one_in_mm():
+@pytest.mark.parametrize("body", ["", "body."], ids=("alone", "in an assembly"))
+def test_body_of_which_half_is_cut_is_not_taken_for_one_in_mm(body):
     half = am.Cut(
         am.Circle((0.0, 0.0), 0.02), am.Rectangle(width=0.1, height=0.1, origin=(-0.05, 0))
     )
+    steel = am.PlaneStrain(young=2e11, poisson=0.3)
     problem = am.ContactProblem(
-        domain=half,
-        material=am.PlaneStrain(young=2e11, poisson=0.3),
-        contact=am.Contact("circle", am.Plane((0, -0.02), (0, 1))),
+        domain=am.Assembly({"body": half}) if body else half,
+        material={"body": steel} if body else steel,
+        contact=am.Contact(f"{body}circle", am.Plane((0, -0.02), (0, 1))),
         law=am.Frictionless(),
-        loads=am.Pressure("bottom", 1e7),
-        supports=am.Support("bottom", x=0),
+        loads=am.Pressure(f"{body}bottom", 1e7),
+        supports=am.Support(f"{body}bottom", x=0),
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -117,6 +117,11 @@ class Combination(SolidDomain):
         ]
         return combined(type(self).__name__, *parts)
 
+    @property
+    def loose_box(self) -> bool:
+        """Return True: the body may end before the sides of its box."""
+        return True
+
     def renamed(self, part: str, name: str) -> str:
         """Return the name in the result of the boundary ``name`` of ``part``, "a" or "b"."""
         return self.rename.get(f"{part}.{name}", self.rename.get(name, name))
@@ -399,6 +404,11 @@ class Cracked(SolidDomain):
             *(f"{name}.{side}" for name in self.cracks for side in _SIDES),
         )
 
+    @property
+    def loose_box(self) -> bool:
+        """Return whether the body may end before the sides of its box."""
+        return self.domain.loose_box
+
     def _extremes(self) -> np.ndarray:
         return np.stack([self.domain.lower, self.domain.upper])
 
@@ -590,6 +600,11 @@ class Assembly(Domain):
                 for edge in part.boundaries or ()
             )
         )
+
+    @property
+    def loose_box(self) -> bool:
+        """Return whether a body may end before the sides of its box."""
+        return any(part.loose_box for part in self.parts.values())
 
     def _extremes(self) -> np.ndarray:
         return np.stack(

@@ -61,6 +61,11 @@ class Domain(checks.Checked):
         """Return the highest corner (dim,) of a box around the domain, m."""
         return self._extremes().max(axis=0)
 
+    @property
+    def loose_box(self) -> bool:
+        """Return whether the domain may be a part of the box that ends before its sides."""
+        return False
+
 
 @overload
 def corner(name: str, value: object, dim: Literal[2]) -> tuple[float, float]: ...
