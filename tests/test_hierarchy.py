@@ -570,7 +570,7 @@ def test_body_of_which_half_is_cut_is_not_taken_for_one_in_mm(body):
     )
     steel = am.PlaneStrain(young=2e11, poisson=0.3)
     problem = am.ContactProblem(
-        domain=am.Assembly({"body": half}) if body else half,
+        domain=am.Assembly(parts={"body": half}) if body else half,
         material={"body": steel} if body else steel,
         contact=am.Contact(f"{body}circle", am.Plane((0, -0.02), (0, 1))),
         law=am.Frictionless(),
