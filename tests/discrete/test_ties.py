@@ -416,3 +416,28 @@ def test_a_tie_that_ends_at_clamped_nodes_balances_both_bodies(divisions, upper_
         total = result.resultant(f"{body}.left").force + result.resultant(side).force
         np.testing.assert_allclose(total, (0, 1e5 * heights[body]), atol=1e-5)
     assert not result.certificate().contradictions(1e-8)
+
+
+def test_a_boundary_that_is_tied_and_in_contact_bears_both():
+    """Of two blocks on a third one is glued; the pressures on both go down."""
+    blocks = {
+        name: am.Rectangle(width=width, height=1.0, origin=origin)
+        for name, width, origin in (
+            ("base", 2.0, (0.0, -1.0)),
+            ("glued", 1.0, (0.0, 0.0)),
+            ("loose", 1.0, (1.0, 0.0)),
+        )
+    }
+    problem = am.ContactProblem(
+        domain=am.Assembly(parts=blocks),
+        material=am.PlaneStrain(young=1e9, poisson=0.0),
+        law=am.Coulomb(0.3),
+        ties=am.Tied("glued.bottom", "base.top"),
+        contact=am.ContactPair("loose.bottom", "base.top"),
+        loads=[am.Pressure("glued.top", 1e6), am.Pressure("loose.top", 2e6)],
+        supports=am.Support("base.bottom", x=0.0, y=0.0),
+    )
+    grids = am.Hierarchy.uniform(problem, [{"base": (4, 2), "glued": 3, "loose": 3}])
+    result = am.solve(grids, am.ActiveSet(rtol=1e-11)).resultant("base.top", about=(0.0, 0.0))
+    np.testing.assert_allclose(result.force, [0.0, -3e6], atol=1e-2)
+    assert result.moment == pytest.approx(-0.5 * 1e6 - 1.5 * 2e6)
