@@ -283,7 +283,7 @@ def timed(hierarchy: am.Hierarchy, solver: Any, **options: Any) -> tuple[am.Resu
     are warm then. The active set method gets new matrices, so that it factorises, which it would
     not do twice."""
     result, spent = am.solve(hierarchy, solver, throw=False, **options), []
-    while not spent or (len(spent) < 3 and sum(spent) < 0.5):
+    while not spent or (len(spent) < 2 and sum(spent) < 0.5):
         if isinstance(solver, am.ActiveSet):
             hierarchy = am.Hierarchy.from_meshes(
                 hierarchy.problem,
