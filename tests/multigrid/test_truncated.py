@@ -189,6 +189,26 @@ def test_a_direct_solver_gives_the_cycles_of_the_factors(grids, method):
     assert len(matrices) > 1 and all((abs(matrix).sum(axis=1) > 0).all() for matrix in matrices)
 
 
+@pytest.mark.parametrize(("shape", "visits"), [("V", 1), ("W", 2), ("F", 2)])
+def test_cycles_visit_the_coarsest_of_three_levels(shape, visits):
+    solves = []
+
+    class Counted:
+        def setup(self, matrix):
+            self.factors = splu(sparse.csc_array(matrix))
+            return self
+
+        def solve(self, rhs):
+            solves.append(len(rhs))
+            return self.factors.solve(rhs)
+
+    parts = am.Truncated(
+        correct=am.Cycle(shape=shape), coarse_contact=False, coarse_solve=Counted()
+    )
+    result = am.solve(levels("uniform"), am.Multigrid(correction=parts))
+    assert len(solves) == visits * result.cycles
+
+
 def test_an_iterative_one_is_counted():
     uniform = levels("uniform")
     own = am.solve(uniform, am.FullMultigrid(correction=am.Truncated(coarse_solve=Jacobi())))
