@@ -131,6 +131,7 @@ class PlasticLoop(PathLoop):
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
     ) -> tuple[Result, tuple[Hierarchy, list[np.ndarray] | None]]:
+        """Solve step k by Newton's method; see :meth:`PathLoop._solve`."""
         run, grids, forces = self._set_up(k, motions, progress)
         problem = grids.finest.discrete
         data = self._stress_data(k, motions)

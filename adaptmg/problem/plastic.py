@@ -68,6 +68,7 @@ class Inelastic(Protocol):
 
 
 def _hardening(name: str, value: float | Sequence[Sequence[float]]) -> float | tuple:
+    """Return a slope of hardening, or a table of strains and yield stresses, checked."""
     if not np.ndim(value):
         return checks.nonnegative(name, value)
     table = checks.array(name, value, (None, 2))
@@ -139,13 +140,13 @@ class Plastic(checks.Checked):
 
     @property
     def _rows(self) -> np.ndarray:
-        """The table of hardening (n, 2)."""
+        """Return the table of hardening (n, 2): accumulated plastic strains and yield stresses, Pa."""
         if isinstance(self.hardening, tuple):
             return np.array(self.hardening)
         return np.array([[0.0, self.yield_stress]])
 
     def _slopes(self) -> np.ndarray:
-        """The slopes after each row of the table."""
+        """Return the slopes (n,), Pa, of the yield stress after each row of the table."""
         last = 0.0 if isinstance(self.hardening, tuple) else cast("float", self.hardening)
         strains, stresses = self._rows.T
         return np.append(np.diff(stresses) / np.diff(strains), last)
