@@ -224,8 +224,7 @@ class TruncatedContact:
         :func:`classify` does."""
         missed = 0.0
         if self.layer is not None:
-            normal = self.values.reshape(-1, self.dim)[:, 0]
-            self._press(self.layer, self._normal_forces(residual), normal)
+            self._press(self.layer, self._normal_forces(residual), self.values[:: self.dim])
         if self.friction_at is not None:
             forces = np.maximum(self._normal_forces(residual), 0.0)
             missed = self._follow(self.friction_at, forces)
