@@ -43,15 +43,15 @@ STUDIES = {
     "hertz": 6,
     "adaptive_vs_uniform": 38,
     "estimators": 25,
-    "transfers": 27,
+    "transfers": 25,
     "amg": 20,
     "flexible": 7,
     "parts": 42,
     "accuracy": 16,
     "obstacle": 27,
     "crack": 30,
-    "impact": 29,
-    "plastic": 27,
+    "impact": 26,
+    "plastic": 23,
     "laws": 6,
 }
 #: only with --full, or where they are named
