@@ -66,6 +66,7 @@ INSIDE = {
     "Factorised",
     "Functional",
     "Inclined",
+    "Layer",
     "Moduli",
     "Outcome",
     "PlasticState",
