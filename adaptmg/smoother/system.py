@@ -62,9 +62,8 @@ class Layer:
         if not (contact.exponent > 1).any():
             return None
         normals = contact.normals
-        stiffness = np.einsum(
-            "ni,nij,nj->n", normals, nodal_blocks(problem)[contact.nodes], normals
-        )
+        blocks = nodal_blocks(problem, contact.nodes)
+        stiffness = np.einsum("ni,nij,nj->n", normals, blocks, normals)
         return cls(gap, contact.compliance, contact.exponent, stiffness)
 
     def tangent(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -174,7 +174,8 @@ class Aggregates:
         self.offsets = np.empty((0, len(self.label)))  # motions of scalar problems are constant
         if dim > 1:
             points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
-            self.offsets = self._offsets(points[inside])
+            # by a mask of rows 4 times as slow
+            self.offsets = self._offsets(points.take(np.flatnonzero(inside), axis=0))
         # the place of each aggregate in the order of a narrow band, and the width of this in aggregates
         pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
         found = _adjacent(matrix.indptr, matrix.indices, label, *pairs)

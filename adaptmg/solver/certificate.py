@@ -313,7 +313,7 @@ class Evidence:
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
         self.gap, self.slip = self._kinematics()
-        self.stiffness = np.einsum("nii->ni", nodal_blocks(problem)[self.nodes]).max(axis=1)
+        self.stiffness = np.einsum("nii->ni", nodal_blocks(problem, self.nodes)).max(axis=1)
         self.compliance = self._give_way()
         self.limit, _ = problem.law.bounds(len(self.nodes))
         slip = np.linalg.norm(self.slip, axis=1)
