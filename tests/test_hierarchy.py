@@ -563,16 +563,32 @@ def test_memory_of_hierarchy_and_solve_in_bytes_a_dof(case, divisions, most):
     assert used < most * grids.finest.discrete.n_dofs
 
 
-@pytest.mark.parametrize("body", ["", "body."], ids=("alone", "in an assembly"))
-def test_body_of_which_half_is_cut_is_not_taken_for_one_in_mm(body):
-    half = am.Cut(
-        am.Circle((0.0, 0.0), 0.02), am.Rectangle(width=0.1, height=0.1, origin=(-0.05, 0))
-    )
-    steel = am.PlaneStrain(young=2e11, poisson=0.3)
+HALF_DISC = am.Cut(
+    am.Circle((0.0, 0.0), 0.02, "arc"), am.Rectangle(width=0.1, height=0.1, origin=(-0.05, 0))
+)
+HALF_BALL = am.Cut(
+    am.Ball((0.0, 0.0, 0.0), 0.02),
+    am.Box(width=0.1, depth=0.1, height=0.1, origin=(-0.05, -0.05, 0)),
+    rename={"surface": "arc"},
+)
+
+
+@pytest.mark.parametrize(
+    ("domain", "body"),
+    [
+        (HALF_DISC, ""),
+        (am.Assembly(parts={"body": HALF_DISC}), "body."),
+        (am.Moved(HALF_BALL, offset=(0.1, 0.0, 0.0), angle=30), ""),
+    ],
+    ids=("alone", "in an assembly", "moved"),
+)
+def test_body_of_which_half_is_cut_is_not_taken_for_one_in_mm(domain, body):
+    steel = (am.PlaneStrain if domain.dim == 2 else am.Solid)(young=2e11, poisson=0.3)
+    up = np.eye(domain.dim)[-1]
     problem = am.ContactProblem(
-        domain=am.Assembly(parts={"body": half}) if body else half,
+        domain=domain,
         material={"body": steel} if body else steel,
-        contact=am.Contact(f"{body}circle", am.Plane((0, -0.02), (0, 1))),
+        contact=am.Contact(f"{body}arc", am.Plane(-0.02 * up, up)),
         law=am.Frictionless(),
         loads=am.Pressure(f"{body}bottom", 1e7),
         supports=am.Support(f"{body}bottom", x=0),

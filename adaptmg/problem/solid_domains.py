@@ -272,6 +272,11 @@ class Moved(SolidDomain):
         cross = np.cross(np.eye(3), self.axis)
         return np.eye(3) + math.sin(turn) * cross + (1 - math.cos(turn)) * cross @ cross
 
+    @property
+    def loose_box(self) -> bool:
+        """Return True: the box contains the turned corners of the box of the solid."""
+        return True
+
     def _extremes(self) -> np.ndarray:
         ends = np.stack([self.solid.lower, self.solid.upper])
         corners = np.stack(
