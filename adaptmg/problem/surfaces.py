@@ -94,9 +94,10 @@ class Plane(checks.Checked):
         Gaps are measured along the contact normals, which point out of the body; negative behind
         the plane. ValueError if the boundary faces away where it is nearest."""
         gaps = (points - self.point) @ self.normal
-        # the back of a whole ball faces away, far from the plane
+        # the back of a whole ball faces away, far from the plane; a side at a right angle to the plane
+        # does not, but for rounding
         nearest = np.abs(gaps) <= np.abs(gaps).min(initial=np.inf)
-        away = nearest & (normals @ self.normal > 0)
+        away = nearest & (normals @ self.normal > checks.ALIKE)
         if away.any():
             raise ValueError(
                 f"the obstacle's normal must point towards the body; at {points[away][0].tolist()} the "

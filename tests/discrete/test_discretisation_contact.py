@@ -63,6 +63,18 @@ class TestContactNodes:
         assert len(nodes) == 5
         np.testing.assert_allclose(nodes.gaps, 0.0, atol=1e-12 * scale)
 
+    @pytest.mark.parametrize("angle", [0.1, 0.5, 0.9, 2.1, 4.1])
+    def test_a_side_at_a_right_angle_to_a_plane_does_not_face_away(self, angle):
+        """It faces along the plane, but for rounding, which has either sign at turned sides."""
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        mesh = replace(PLATE, points=PLATE.points @ turn.T)
+        plane = am.Plane(turn @ [0.0, -0.5], turn @ [0.0, 1.0])
+        problem = plane_problem(contact=am.Contact("right", plane), supports=())
+        nodes = Posed.of(problem, mesh).contact
+        np.testing.assert_allclose(
+            nodes.gaps, 0.5 + PLATE.points[nodes.nodes, 1], rtol=0, atol=1e-12
+        )
+
     def test_gaps(self):
         # the plane through (0, -1) rising at 45 degrees is met along its own normal
         plane = am.Plane(point=(0.0, -3.0), normal=(-1.0, 1.0))
