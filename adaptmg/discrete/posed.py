@@ -372,18 +372,18 @@ class Posed:
         taken: sparse.csr_array | None,
     ) -> dict[str, np.ndarray]:
         """Return the compliances (n,) of the surfaces at contact nodes, m/N^(1/m), and the exponents m
-        (n,)."""
+        (n,): a surface yields by c (F/w)^(1/m) under the force F of a node of the boundary measure w,
+        and the gap of a node that takes over others is a sum with theirs."""
         compliance = np.zeros(len(nodes))
         exponent = np.ones(len(nodes))
-        # gaps of nodes that take over a part of others are sums
-        share = np.ones(len(nodes)) if taken is None else 1 + taken.sum(axis=1)
+        summed_gaps = np.ones(len(nodes)) if taken is None else 1 + taken.sum(axis=1)
         for k, contact_part in enumerate(self.problem.contact):
             layer = contact_part.compliance
             if layer is not None:
                 on_boundary = owner == k
                 per_area = layer.at_points(self.mesh.points[nodes[on_boundary]])
-                of_unit_force = weights[on_boundary] ** (1 / layer.exponent)
-                compliance[on_boundary] = per_area * share[on_boundary] / of_unit_force
+                per_force = per_area / weights[on_boundary] ** (1 / layer.exponent)
+                compliance[on_boundary] = per_force * summed_gaps[on_boundary]
                 exponent[on_boundary] = layer.exponent
         return {"compliance": compliance, "exponent": exponent}
 

@@ -206,8 +206,9 @@ class StressData:
         return strain
 
     def suppressed(self, mesh: MeshArrays) -> float:
-        """Return the energy of the stresses that suppress the initial strains, N m; in plane bodies
-        only stresses in the plane count."""
+        """Return twice the energy of the stresses that suppress the initial strains, N m: the square
+        of their energy norm. In plane bodies stresses in the plane count, as no displacement changes
+        the others."""
         of_elements = self.of_elements(mesh)
         volume = element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()

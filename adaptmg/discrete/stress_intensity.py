@@ -261,7 +261,8 @@ def _free_strain(mesh: MeshArrays, data: StressData, lame: float, shear: float) 
     if not len(data.initial_strain):
         return np.zeros((len(mesh.elements), 2, 2))
     through = np.where(data.thin[mesh.element_body], 0.0, data.initial_strain[:, 2])
-    plane = data.initial_strain[:, :2] + 0.5 * lame / (lame + shear) * through[:, None]
+    poisson = 0.5 * lame / (lame + shear)
+    plane = data.initial_strain[:, :2] + poisson * through[:, None]
     return plane[:, :, None] * np.eye(2)
 
 

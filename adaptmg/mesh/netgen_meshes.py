@@ -415,8 +415,9 @@ def solid_mesh(domain: SolidDomain | Box, sizes: SolidSizes, mesher: str = "own"
             UserWarning,
             stacklevel=2,
         )
-    # neither names nor rounding makes a sound mesh unsound
-    return swept(trusted(replace(mesh, facet_labels=labels, boundaries=order), mesh.sound))
+    named = replace(mesh, facet_labels=labels, boundaries=order)
+    named = trusted(named, mesh.sound)  # other names make no sound mesh unsound
+    return swept(named)  # sweeps smooth better in an order along the body
 
 
 def _at_rest(
@@ -534,7 +535,7 @@ def _round_nodes(shape: Shape, size: float) -> float:
     nodes = 0.0
     for area, samples in zip(shape.areas, shape.samples, strict=True):
         for surface in (candidates([samples]) or [[]])[0][:1]:
-            is_round = not surface.profile[1] if surface.straight else not surface.profile.any()
+            is_round = surface.cylinder or surface.sphere
             edge = surface.extent / _CURVATURE
             nodes += 0.6 * area / edge**2 if is_round and 0 < edge < size else 0.0
     return nodes

@@ -345,13 +345,10 @@ def _face(shape: Shape, number: int, name: str, triangles: np.ndarray = _NONE) -
     if surfaces := candidates(shape.samples[number : number + 1]):
         surface = surfaces[0][0]
         kind = "cone or torus"
-        if surface.straight and not surface.profile[0]:
+        if surface.plane:
             kind = "plane"
-        elif surface.straight and not surface.profile[1]:
-            kind = "cylinder"
-            radius = surface.extent * shape.scale
-        elif not surface.straight and not surface.profile.any():
-            kind = "sphere"
+        elif surface.cylinder or surface.sphere:
+            kind = "cylinder" if surface.cylinder else "sphere"
             radius = surface.extent * shape.scale
     return _Face(
         number,
@@ -409,7 +406,7 @@ def exact_surfaces(domain: Domain | None, names: Sequence[str]) -> dict[str, lis
 
 
 def _surfaces_of_file(domain: StepFile, names: Sequence[str]) -> dict[str, list[Revolved]]:
-    """Surfaces from the file; none where it is gone, for a mesh may outlive it."""
+    """Return the surfaces of a file by name; none where it is gone, for a mesh may outlive it."""
     bodies = frozenset(name.partition(".")[0] for name in names)
     try:
         return _read_surfaces(domain, Path(domain.path).stat().st_mtime_ns, bodies)

@@ -87,8 +87,18 @@ class Revolved:
 
     @property
     def plane(self) -> bool:
-        """Return whether it is a plane."""
+        """Return whether it is a plane: the normal of the line is the axis."""
         return self.straight and not self.profile[0]
+
+    @property
+    def cylinder(self) -> bool:
+        """Return whether it is a cylinder: the line is parallel to the axis."""
+        return self.straight and not self.profile[1]
+
+    @property
+    def sphere(self) -> bool:
+        """Return whether it is a sphere: the centre of the circle is on the axis, at the origin."""
+        return not self.straight and not self.profile.any()
 
     def moved(self, rotation: np.ndarray, offset: np.ndarray, scale: float = 1.0) -> Revolved:
         """Return the surface after x goes to scale R x + offset."""

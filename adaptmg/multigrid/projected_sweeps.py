@@ -378,14 +378,13 @@ class Interface:
         dim = level.dim
         self.dim = dim
         ones = np.ones(len(level.lower_indices))
-        # numbers of the entries of L, from 1, row by row of the nodes
-        lower_pattern = sparse.csr_array(
+        # the entries of L are numbered from 1 in the order of sweeps; rows here are in that of the nodes
+        lower_entries = sparse.csr_array(
             (np.arange(1, len(ones) + 1), level.lower_indices.astype(np.int32), level.lower_indptr),
             shape=(n, n),
         )[level.strips.rank]
-        lower_entries = lower_pattern
         lower_pattern = sparse.csr_array(
-            (ones, lower_pattern.indices, lower_pattern.indptr), shape=(n, n)
+            (ones, lower_entries.indices, lower_entries.indptr), shape=(n, n)
         )
         is_near = (np.diff(coupling.weights.indptr) > 0).astype(float)
         for _ in range(self.LAYERS):
@@ -410,8 +409,8 @@ class Interface:
         self._follow(coupling, place, fixed)
         # fixed components stay where they are, though followers pull at them
         free = ~fixed.reshape(-1, dim)[self.nodes]
-        blocks = self._master_blocks(place) * (free[:, :, None] & free[:, None, :])
-        self.master_inverse = np.linalg.pinv(blocks, hermitian=True).reshape(-1)
+        master_blocks = self._master_blocks(place) * (free[:, :, None] & free[:, None, :])
+        self.master_inverse = np.linalg.pinv(master_blocks, hermitian=True).reshape(-1)
         self.forward = np.arange(len(self.nodes), dtype=np.int32)
         self.backward = self.forward[::-1].copy()
         self.nonzeros = len(self.blocks) + len(self.diagonal)

@@ -302,11 +302,11 @@ class TruncatedContact:
             np.empty(self.dim),
         )
         # the support takes the friction along what it holds
-        return squares - self._clear(residual)
+        return squares - self._remove_held(residual)
 
-    def _clear(self, vector: np.ndarray) -> float:
-        """Set held tangents of driven nodes to zero in a vector (n_dofs,), in place; returns the
-        squares lost."""
+    def _remove_held(self, vector: np.ndarray) -> float:
+        """Remove from a vector (n_dofs,), in place, the parts along the first tangents that supports
+        hold at driven nodes, which 3D alone has; returns the sum of their squares."""
         if not len(self.driven):
             return 0.0
         at = vector.reshape(-1, 3)
@@ -319,7 +319,7 @@ class TruncatedContact:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be
         cut."""
         cut = self._project(unknowns, True)
-        self._clear(unknowns)
+        self._remove_held(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1:2] = 0.0
         return cut
 

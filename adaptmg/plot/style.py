@@ -142,8 +142,8 @@ def new_figure(
     size: tuple[float, float],
     layout: Literal["compressed", "constrained"] | LayoutEngine = "compressed",
 ) -> Figure:
-    """Return a figure of ``size`` inches that pyplot does not keep, with subfigures "constrained".
-    If the user has chosen a width, it has this one, and the height follows in part: texts do not
+    """Return a figure of ``size`` inches that pyplot does not keep; ``layout`` is "constrained" for
+    subfigures. If the user has chosen a width, it has this one, and the height follows in part: texts do not
     shrink."""
     width = chosen_width()
     figure = _Picture(figsize=size if width is None else fitted(size, width), layout=layout)

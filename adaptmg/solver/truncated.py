@@ -409,7 +409,8 @@ class TruncatedRun:
         )
 
     def steps_on(self, number: int) -> TruncatedStep:
-        """Return the steps on level ``number``."""
+        """Return the steps on level ``number``; once made, those of the finest level leave diagonal
+        blocks in memory only where something reads them again."""
         if number in self._steps:
             return self._steps[number]
         with self.run.phase("setup"):
@@ -429,7 +430,7 @@ class TruncatedRun:
                 levels[number].drop_diagonal()
             step = TruncatedStep(self.cycle, number, problem, contact, parts, interface, smoother)
             if number == len(levels) - 1 and not self.cycle.reads_diagonals:
-                # the last use of the diagonal blocks but on the coarsest level
+                # small levels may become the coarse contact problem, which reads them
                 for level in levels[1:-1]:
                     if level.n_dofs > CoarseContact.MOST and problem.dim > 1:
                         level.drop_diagonal()

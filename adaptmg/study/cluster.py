@@ -409,16 +409,21 @@ class _Runs:
         slots = self._slots()
         while len(self._out) < slots:
             point = next(self._points, _END)
-            if point is None or point is _END:  # or other processes compute those that are left
-                self._open = point is None
+            if point is _END:
+                self._open = False
+                return
+            if point is None:  # other processes compute those that are left
+                self._open = True
                 return
             name = f"{self._name}-{next(self._numbers)}"
+            # workers report the start of runs with a limit
+            topic = self._name if self._limit_s < math.inf else ""
             future = self._client.submit(
                 _on_worker,
                 self._order,
                 point,
                 name,
-                self._name * (self._limit_s < math.inf),
+                topic,
                 key=name,
                 pure=False,
             )

@@ -343,9 +343,9 @@ class Study:
         if name is None and items:
             return {key: unpack(item) for key, item in items.items()}
         if name not in items:
+            asked = "" if name is None else f", not {name}{checks.suggestion(name, items)}"
             raise ValueError(
-                f"the run {checks.shown(canonical(point))} keeps {', '.join(items) or 'nothing'}, not "
-                f"{name}{checks.suggestion(name or '', items)}"
+                f"the run {checks.shown(canonical(point))} keeps {', '.join(items) or 'nothing'}{asked}"
             )
         return unpack(items[name])
 
