@@ -169,7 +169,7 @@ class Hierarchy:
             cycles (a warning).
         """
         begin = clock()
-        from adaptmg.mesh.structured import lattices, warn_of_stretched
+        from adaptmg.mesh.lattices import lattices, warn_of_stretched
 
         domain = cast("Rectangle | Box | Assembly", need_domain(problem))
         divisions = _each("divisions", divisions, (int, np.integer, Mapping))

@@ -2,8 +2,10 @@
 its command."""
 
 import doctest
+import importlib
 import inspect
 import io
+import pkgutil
 import pydoc
 import re
 import subprocess
@@ -168,3 +170,13 @@ def test_modules_list_their_names():
         if not name.startswith("_") and not re.search(rf"\b{name}\b", head)
     }
     assert not missing and len(text.splitlines()) <= 75, (missing, len(text.splitlines()))
+
+
+def test_functions_that_read_packages_can_be_sent_to_workers():
+    """lazy_loader changes the type of a package with a module and a public name that are called
+    alike, and cloudpickle does not know that type."""
+    cloudpickle = pytest.importorskip("cloudpickle")
+    for found in pkgutil.iter_modules(adaptmg.__path__, "adaptmg."):
+        if found.ispkg:
+            package = importlib.import_module(found.name)
+            assert cloudpickle.loads(cloudpickle.dumps(package)) is package

@@ -3,7 +3,7 @@ from .blocks import (
     leaning_strut as leaning_strut,
     two_block_patch as two_block_patch,
 )
-from .bolted_junction import bolted_junction as bolted_junction, Flanges as Flanges
+from .bolts import bolted_junction as bolted_junction, Flanges as Flanges
 from .catalogue import (
     Case as Case,
     CASES as CASES,
@@ -18,7 +18,7 @@ from .closed_forms import (
     HertzContact as HertzContact,
     PartialSlip as PartialSlip,
 )
-from .coulomb_transition import (
+from .transition import (
     coulomb_transition as coulomb_transition,
     TransitionField as TransitionField,
 )

@@ -9,14 +9,13 @@ from typing import Any
 
 from adaptmg import _checks as checks
 from adaptmg.cases.blocks import incline, leaning_strut, two_block_patch
-from adaptmg.cases.bolted_junction import bolted_junction
+from adaptmg.cases.bolts import bolted_junction
 from adaptmg.cases.closed_forms import (
     cattaneo,
     flat_punch,
     hertz_cylinder,
     hertz_sphere,
 )
-from adaptmg.cases.coulomb_transition import coulomb_transition
 from adaptmg.cases.impact import impact_bar
 from adaptmg.cases.paper import curved_obstacle, dovetail, greco_bar, greco_block, upset_block
 from adaptmg.cases.plastic_bodies import (
@@ -24,6 +23,7 @@ from adaptmg.cases.plastic_bodies import (
     prandtl_punch,
 )
 from adaptmg.cases.scalar import elastic_plastic_torsion, obstacle_problem
+from adaptmg.cases.transition import coulomb_transition
 
 
 @dataclass(frozen=True)

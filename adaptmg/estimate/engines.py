@@ -52,10 +52,10 @@ from adaptmg.geometry.location import SimplexLocator
 from adaptmg.level import check_problem, meshed_domain, need_domain
 from adaptmg.mesh.arrays import MeshArrays, Surface, pair_keys
 from adaptmg.mesh.bisection import check_marked, refined
-from adaptmg.mesh.onto_domain import onto_domain
+from adaptmg.mesh.lattices import lattices
+from adaptmg.mesh.projection import onto_domain
 from adaptmg.mesh.sizes import GRADING, NODES_PER_CELL
 from adaptmg.mesh.soundness import check_mesh
-from adaptmg.mesh.structured import lattices
 from adaptmg.problem import Assembly, Box, ContactProblem, Rectangle
 
 

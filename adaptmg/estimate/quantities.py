@@ -30,7 +30,7 @@ from adaptmg.estimate.stress_fields import Solved
 from adaptmg.geometry.search import BoxTree
 from adaptmg.mesh.arrays import MeshArrays, Refinement
 from adaptmg.mesh.bisection import refined
-from adaptmg.mesh.onto_domain import onto_domain
+from adaptmg.mesh.projection import onto_domain
 from adaptmg.problem import ContactProblem
 from adaptmg.smoother.system import ContactState as State
 from adaptmg.transfer import PointLocator

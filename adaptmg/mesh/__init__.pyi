@@ -1,7 +1,7 @@
 from .arrays import MeshArrays as MeshArrays
 from .arrays import need_mesh as need_mesh, Surface as Surface
 from .bisection import bisect as bisect, refine_near as refine_near
-from .onto_domain import onto_domain as onto_domain
+from .projection import onto_domain as onto_domain
 from .grading import graded as graded, sized as sized
 from .read import as_mesh as as_mesh, from_file as from_file
 from .sizes import SizeNear as SizeNear
@@ -12,4 +12,4 @@ from .soundness import (
     quality as quality,
 )
 from .step import step_table as step_table, touching as touching
-from .structured import merged as merged, structured as structured
+from .lattices import merged as merged, structured as structured

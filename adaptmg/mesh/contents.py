@@ -25,9 +25,9 @@ from adaptmg.mesh.arrays import (
     normalised,
     signed_measures,
 )
+from adaptmg.mesh.lattices import merged
 from adaptmg.mesh.shapes import KINDS, around_centres, cut_note, dimension, middles, simplices
 from adaptmg.mesh.soundness import check_stranger
-from adaptmg.mesh.structured import merged
 
 
 @dataclass(eq=False)

@@ -27,6 +27,7 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import MeshArrays, swept
 from adaptmg.mesh.delaunay import Untriangulated
 from adaptmg.mesh.improve import EQUILATERAL, drafted
+from adaptmg.mesh.lattices import body_centred, boundaries_of, merged, of_one_body, per_body
 from adaptmg.mesh.netgen_guard import netgen
 from adaptmg.mesh.netgen_meshes import SolidSizes, built_shape, finished, plane_mesh, solid_mesh
 from adaptmg.mesh.sizes import (
@@ -46,7 +47,6 @@ from adaptmg.mesh.sizes import (
 )
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.mesh.step import step_solids
-from adaptmg.mesh.structured import body_centred, boundaries_of, merged, of_one_body, per_body
 from adaptmg.mesh.triangulate import triangulated
 from adaptmg.problem.combined_domains import Assembly
 from adaptmg.problem.plane_domains import Box, Domain, Outline

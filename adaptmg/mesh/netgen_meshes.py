@@ -43,7 +43,7 @@ from adaptmg.mesh.arrays import (
 from adaptmg.mesh.bisection import refined, with_refinement
 from adaptmg.mesh.improve import drafted, improved, mean_ratios
 from adaptmg.mesh.netgen_guard import Netgen, NetgenFails, NetgenUnfinished, limit_s, netgen, read_s
-from adaptmg.mesh.onto_domain import onto_domain
+from adaptmg.mesh.projection import onto_domain
 from adaptmg.mesh.sizes import (
     GRADING,
     MAX_BISECTIONS,
