@@ -491,11 +491,6 @@ def edge_lengths(corners: np.ndarray) -> np.ndarray:
     )
 
 
-def longest_edges(corners: np.ndarray) -> np.ndarray:
-    """Return the longest edge (n,) of each of some simplices."""
-    return edge_lengths(corners).max(axis=0)
-
-
 @kernel
 def _longest(points, elements, squares):
     """Write the square of the longest edge of each element into ``squares`` (n_elements,)."""

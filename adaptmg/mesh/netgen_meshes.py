@@ -33,8 +33,8 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import (
     MeshArrays,
     Surface,
+    edge_lengths,
     facet_table,
-    longest_edges,
     normalised,
     sound_by_construction,
     swept,
@@ -715,7 +715,7 @@ def _left_by_chords(mesh: MeshArrays) -> float:
     surface = Surface(mesh.points, mesh.facets)
     normals = surface.normals
     areas = surface.measures
-    longest = longest_edges(mesh.points[mesh.facets])
+    longest = edge_lengths(mesh.points[mesh.facets]).max(axis=0)
     edges = facet_table(mesh.facets, mesh.n_nodes)
     # the two triangles at each edge of the boundary
     first = edges.first

@@ -24,7 +24,6 @@ from adaptmg.mesh.arrays import (
     element_facets,
     facet_keys,
     facet_table,
-    longest_edges,
     same_orientation,
     signed_measures,
     sound_by_construction,
@@ -246,7 +245,7 @@ def least_angle(points: np.ndarray, elements: np.ndarray) -> float:
     over."""
     if not (
         signed_measures(points, elements)
-        > checks.ALIKE * longest_edges(points[elements]) ** points.shape[1]
+        > checks.ALIKE * edge_lengths(points[elements]).max(axis=0) ** points.shape[1]
     ).all():
         return 0.0
     return float(_angles(points, elements)[0].min(initial=180.0))

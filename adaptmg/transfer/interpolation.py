@@ -27,7 +27,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.geometry.location import Location, SimplexLocator
-from adaptmg.mesh.arrays import MeshArrays, longest_edges
+from adaptmg.mesh.arrays import MeshArrays, centroids
 
 
 @runtime_checkable
@@ -155,9 +155,7 @@ def locate_nodes(coarse: MeshArrays, fine: MeshArrays) -> Location:
         distance[nodes] = found.distance
     relative = np.zeros(fine.n_nodes)
     outside = np.flatnonzero(distance)
-    relative[outside] = distance[outside] / longest_edges(
-        coarse.points[coarse.elements[element[outside]]]
-    )
+    relative[outside] = distance[outside] / coarse.element_sizes[element[outside]]
     if (relative > OUTSIDE_TOLERANCE).any():
         node = int(np.argmax(relative))
         raise ValueError(
@@ -313,7 +311,7 @@ _SAMPLE = 5000
 
 
 def _size_ratios(coarse: MeshArrays, fine: MeshArrays, step: int) -> np.ndarray:
-    """h_coarse / h_fine at the centroids of every ``step``-th fine element of each body."""
+    """Return h_coarse / h_fine at the centroids of every ``step``-th fine element of each body."""
     ratios = []
     for body, locator in body_locators(coarse, fine):
         elements = (
@@ -321,9 +319,9 @@ def _size_ratios(coarse: MeshArrays, fine: MeshArrays, step: int) -> np.ndarray:
             if body is None
             else np.flatnonzero(fine.element_body == body)
         )
-        corners = fine.points[fine.elements[elements[::step]]]
-        found = locator.locate(corners.mean(axis=1))
-        ratios.append(coarse.element_sizes[found.element] / longest_edges(corners))
+        sample = elements[::step]
+        found = locator.locate(centroids(fine.points, fine.elements[sample]))
+        ratios.append(coarse.element_sizes[found.element] / fine.element_sizes[sample])
     return np.concatenate(ratios)
 
 
