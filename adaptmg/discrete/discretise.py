@@ -22,7 +22,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size
+from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size, largest_entry
 from adaptmg.discrete.coordinates import friction_acts
 from adaptmg.discrete.elasticity import rigid_motions
 from adaptmg.discrete.loads import load_vector, supported_stiffness
@@ -163,6 +163,6 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
         if parts["strain_free"] is not None:
             forces, suppressed = parts["strain_free"]
             parts["strain_free"] = old.relative_forces(forces), suppressed
-        check_size("load", np.abs(load).max())
+        check_size("load", largest_entry(load))
         parts["load"] = bounded("load", load, (old.n_dofs,))
     return old.posing(**parts)

@@ -166,7 +166,7 @@ def pair_interface(
             slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), no_rows, np.empty(0)
         )
     named_pair = f"contact pair {pair.slave!r} on {pair.master!r}"
-    from adaptmg.discrete.mortar_parts import Surfaces  # what has no pair does without it
+    from adaptmg.discrete.mortar_parts import Surfaces  # problems without pairs start sooner
 
     try:
         normals = slave_normals(slave, posed)

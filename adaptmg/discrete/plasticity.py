@@ -106,7 +106,7 @@ class InelasticBodies:
 
     @cached_property
     def volumes(self) -> sparse.bsr_array:
-        """What groups of nodes add to the stiffness (n_dofs, n_dofs), N/m."""
+        """Return the matrix (n_dofs, n_dofs) that groups of nodes add to the stiffness, N/m."""
         return formed_volumes(self.groups, self.posed.mesh.dim)
 
     @property

@@ -133,12 +133,12 @@ class Posed:
             for k, contact in enumerate(self.problem.contact)
             if isinstance(contact, ContactPair)
         }
-        names = [name for pair in pairs.values() for name in pair]
-        exact = {}
-        if names:
-            from adaptmg.mesh.step import exact_surfaces
+        if not pairs:
+            return {}
+        from adaptmg.mesh.step import exact_surfaces  # problems without pairs start sooner
 
-            exact = exact_surfaces(self.problem.domain, names)
+        names = [name for pair in pairs.values() for name in pair]
+        exact = exact_surfaces(self.problem.domain, names)
         return {
             k: curved(
                 self.mesh,
@@ -191,7 +191,7 @@ class Posed:
 
     @cached_property
     def inclined(self) -> Inclined:
-        """Return the nodes that supports hold along directions that are no axes."""
+        """Return the nodes that supports hold along directions that are not axes."""
         return inclined_supports(self.mesh.points, self.holds)
 
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -200,7 +200,8 @@ class Posed:
 
     @cached_property
     def prescribed(self) -> np.ndarray:
-        """Return the displacement (n_nodes, dim) of held components and jump of tied nodes, m; 0 elsewhere."""
+        """Return the displacement (n_nodes, dim) of held components and the jump of tied nodes, m; 0
+        elsewhere."""
         _, values = self._components
         if not self.ties:
             return values
@@ -211,7 +212,7 @@ class Posed:
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """Return the nodes (n,), ascending, of which contacts, ties, supports or springs say something."""
+        """Return the nodes (n,), ascending, of contacts, ties, supports and springs."""
         mentioned = np.zeros(self.mesh.n_nodes, dtype=bool)
         for name in (*self.problem.pair_boundaries, *self.problem.tied_boundaries):
             mentioned[self.surfaces[name].nodes] = True
@@ -243,7 +244,7 @@ class Posed:
 
     @cached_property
     def owner(self) -> np.ndarray:
-        """Return the number of the contact (n_nodes,) that a node may carry a condition of; -1 of none."""
+        """Return the number of the contact (n_nodes,) whose condition a node may carry, or -1."""
         owner = np.full(self.mesh.n_nodes, -1, dtype=np.int32)
         for k, name in reversed([*enumerate(self.problem.contact_boundaries)]):
             owner[self.surfaces[name].nodes] = k

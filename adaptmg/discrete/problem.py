@@ -508,6 +508,8 @@ def diagonal_places(matrix: sparse.bsr_array) -> np.ndarray:
 
 @remembered_of_structure
 def _diagonal_places(problem: DiscreteProblem) -> np.ndarray:
+    """Return the places (n_nodes,) of the diagonal blocks of the matrix, stored with the
+    structure."""
     return diagonal_places(problem.matrix)
 
 
@@ -518,7 +520,7 @@ def nodal_blocks(problem: DiscreteProblem, nodes: np.ndarray | None = None) -> n
 
 
 def near_nullspace_of(problem: DiscreteProblem) -> np.ndarray | None:
-    """Return ``near_nullspace``, which is not stored if it was not."""
+    """Return ``near_nullspace`` without storing it: levels that read it once would all hold it."""
     if "near_nullspace" in vars(problem):
         return problem.near_nullspace
     return _rigid_motions(problem)

@@ -25,7 +25,7 @@ from adaptmg.discrete.contact_nodes import Bounds
 from adaptmg.discrete.elasticity import shape_gradients
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.quadrature import integration
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, centroids
 from adaptmg.problem.plane_domains import Domain
 
 
@@ -36,7 +36,7 @@ class ScalarProblem(checks.Checked):
     Parameters
     ----------
     domain : Domain, optional
-        What is meshed; meshes may be given instead.
+        The domain to mesh; meshes may be given instead.
     conductivity : float or callable
         k > 0, number or function of position, taken at the centroids of elements.
     load : float or callable
@@ -72,7 +72,7 @@ class ScalarProblem(checks.Checked):
         field(default_factory=dict)
     )
 
-    # what only bodies have, for code that meshes and solves both
+    # bodies have these, and code that meshes and solves both reads them
     contact: ClassVar[tuple[()]] = ()
     supports: ClassVar[tuple[()]] = ()
     loads: ClassVar[tuple[()]] = ()
@@ -84,8 +84,8 @@ class ScalarProblem(checks.Checked):
 
     def conductivity_on(self, mesh: MeshArrays) -> np.ndarray:
         """Return the conductivity (n_elements,) at the centroids of elements."""
-        centroids = mesh.points[mesh.elements].mean(axis=1)
-        k = checks.field("conductivity", self.conductivity, centroids)
+        places = centroids(mesh.points, mesh.elements)
+        k = checks.field("conductivity", self.conductivity, places)
         if not (k > 0).all():
             raise ValueError(f"conductivity must be > 0, got {k.min():.6g}")
         return k

@@ -249,7 +249,7 @@ class Moving(_MovingPart):
         return directions, gaps + np.einsum("nd,nd->n", motion, directions)
 
     def _plane(self) -> Plane | None:
-        """Return the plane after the motion; None of other obstacles."""
+        """Return the plane after the motion; None for other obstacles."""
         inner = self.obstacle._plane() if isinstance(self.obstacle, Moving) else self.obstacle
         if not isinstance(inner, Plane):
             return None
