@@ -351,10 +351,10 @@ class Residual:
         :func:`adaptmg.solve` on it.
 
         The terms of the estimate are "element residual", "jumps inside", "traction on boundaries",
-        "traction in contact", "complementarity" and "friction", of scalar problems "element
-        residual", "jumps inside", "flux on boundaries", "complementarity" and "obstacle"; squares of
-        energies, N m (plane: per metre of thickness); elements at a :class:`adaptmg.PointForce`, whose energy is
-        infinite, are left out. TypeError or ValueError without problem, mesh or materials, for a
+        "traction in contact", "complementarity" and "friction", those of scalar problems "element
+        residual", "flux jumps", "complementarity" and "obstacle"; squares of energies, N m (plane: per
+        metre of thickness); elements at a :class:`adaptmg.PointForce`, whose energy is infinite, are
+        left out. TypeError or ValueError without problem, mesh or materials, for a
         result of another mesh, other loads, or not finite."""
         checks.instance("hierarchy", hierarchy, Hierarchy, "a Hierarchy")
         if isinstance(hierarchy.problem, ScalarProblem):

@@ -10,16 +10,16 @@ With the contact force :math:`\lambda_h` per area, linear between nodal forces o
 in the notation of :class:`adaptmg.Residual`; k is constant on an element, :math:`g_h` the linear
 interpolant of the distances to the obstacle.
 
-An element is in full contact if all its nodes lie on the same obstacle. There the obstacle bears
-whatever the equation leaves, as long as it presses: of f, and of the fluxes on facets between such
-elements, only what pulls off the obstacle counts (A. Veeser, SIAM J. Numer. Anal. 39, 2001,
+An element is in full contact if all its nodes lie on the same obstacle. The obstacle bears all that
+presses on it: of f, and of the jumps of fluxes on facets between such elements, only the part that
+pulls off the obstacle counts (A. Veeser, SIAM J. Numer. Anal. 39, 2001,
 doi:10.1137/S0036142900370812). Otherwise an obstacle with a fold, whose contact force is a line
 load, would have an estimate that falls too slowly.
 
 The last term is the error of the obstacle: at the middle of edge e, :math:`d_e` is the distance
-between solution and obstacle in full contact, elsewhere the part by which one penetrates the other;
-:math:`b_e = 4 \varphi_i \varphi_j` is the quadratic bubble of the edge. Values at held boundaries
-are taken as those of the mesh.
+between solution and obstacle in full contact, elsewhere the depth by which the solution penetrates
+the obstacle; :math:`b_e = 4 \varphi_i \varphi_j` is the quadratic bubble of the edge. Prescribed
+values are those that the mesh interpolates.
 
 D. Braess, C. Carstensen, R. H. W. Hoppe, Numer. Math. 107, 2007, doi:10.1007/s00211-007-0098-1,
 prove convergence of an adaptive loop with such an estimate for affine obstacles."""
@@ -88,24 +88,25 @@ def _integrals(
     pressures: np.ndarray,
     full_contact: np.ndarray,
 ) -> np.ndarray:
-    """Return integrals over elements (2, n_elements): of the square of what is left of the equation,
-    and of contact force times distance."""
-    rule, at, weights = integration(mesh.points, mesh.elements, mesh.volumes, False)
-    load = checks.field("load", problem.load, at.reshape(-1, mesh.dim)).reshape(weights.shape)
+    """Return the integrals (2, n_elements) of the square of the residual of the equation, and those of
+    contact force times distance."""
+    rule, points, weights = integration(mesh.points, mesh.elements, mesh.volumes, False)
+    load = checks.field("load", problem.load, points.reshape(-1, mesh.dim)).reshape(weights.shape)
     force = pressures[:, mesh.elements] @ rule.T
     contact = full_contact[:, None]
-    left = np.where(contact == 0, load + force[0] - force[1], np.maximum(contact * load, 0.0))
-    # at the nodes pressure or distance is taken as zero: what a solver leaves is not an error of the mesh
+    residual = np.where(contact == 0, load + force[0] - force[1], np.maximum(contact * load, 0.0))
+    # at each node one of pressure and distance is taken as zero: the error of the solver is not one of
+    # the mesh
     is_apart = (pressures == 0) & np.isfinite(distances)
     gaps = np.where(is_apart, np.maximum(distances, 0.0), 0.0)[:, mesh.elements] @ rule.T
-    return np.einsum("eq,neq->ne", weights, np.stack([left**2, (force * gaps).sum(axis=0)]))
+    return np.einsum("eq,neq->ne", weights, np.stack([residual**2, (force * gaps).sum(axis=0)]))
 
 
 def _flux_squares(
     mesh: MeshArrays, flux: np.ndarray, fixed: np.ndarray, full_contact: np.ndarray
 ) -> np.ndarray:
-    """Return h_F times the integrals (n_elements,) of squares of fluxes that do not continue, half of
-    each facet to each of its elements, and of those through boundaries that are not held."""
+    """Return h_F times the integrals (n_elements,) of the squares of the jumps of fluxes, half of each
+    facet for each of its elements, and of the squares of fluxes through boundaries that are not held."""
     near = neighbours(mesh)
     free = near.outer & ~fixed[mesh.facets].all(axis=1)
     # the facets of free boundaries have the same element on both sides
