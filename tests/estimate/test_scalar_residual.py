@@ -114,3 +114,109 @@ def test_what_an_obstacle_bears_is_not_an_error(domain, divisions, turn):
         # one of 8 rows is pulled on, but its nodes are pressed on by the cells around
         load = lambda x, s=side: s * np.where(np.abs(along(x) - 1.29) < 0.01, 1.0, -50.0)  # noqa: E731
         assert 0 < (estimate(side, load).squares > 1e-12).mean() <= 1 / 8
+
+
+#: bodies of cells of equal sides in the plane and in space, divisions, and a turn
+CELLS = {
+    "2D": (am.Rectangle(width=1.0, height=0.5), (8, 4), 0.7),
+    "3D": (am.Box(width=1.0, depth=0.5, height=0.5), (8, 4, 4), (0.3, -0.8, 0.5)),
+}
+SIDE = 0.125
+
+
+def terms(cells, k, held=None, **functions):
+    """Return the mesh and the terms of the estimate of a problem with the conductivity k, whose
+    functions are given in coordinates along the cells."""
+    domain, divisions, turn = CELLS[cells]
+    mesh = turned(am.mesh.structured(domain, divisions), turn)
+    parts = {name: lambda x, f=f: f(x @ rotation(turn)) for name, f in functions.items()}
+    grids = am.Hierarchy.from_meshes(am.ScalarProblem(conductivity=k, held=held, **parts), [mesh])
+    return mesh, am.Residual().indicate(grids, am.solve(grids)).terms
+
+
+@pytest.mark.parametrize("cells", CELLS)
+def test_fluxes_of_a_parabola_jump_between_cells_and_leave_at_the_free_end(cells):
+    k, f = 3.0, 2.0
+    mesh, found = terms(
+        cells,
+        k,
+        held=("left", "bottom", "top") + ("front", "back") * (cells == "3D"),
+        load=lambda x: np.full(len(x), f),
+        value=lambda x: f / k * (x[:, 0] - 0.5 * x[:, 0] ** 2),
+    )
+    # seven planes inside, and the free end, whose flux is that of half a cell
+    squares = SIDE * 0.5 ** (mesh.dim - 1) * (f * SIDE) ** 2 * (7 + 0.25) / k
+    # in space the shares of the load at nodes of the free end differ
+    assert found["flux jumps"] == pytest.approx(squares, rel=1e-9 if cells == "2D" else 3e-3)
+    assert found["element residual"] == pytest.approx(
+        f**2 / k * mesh.element_sizes**2 @ mesh.volumes
+    )
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["lower", "upper"])
+@pytest.mark.parametrize("cells", CELLS)
+def test_all_of_the_jump_at_the_end_of_full_contact_counts(cells, side):
+    k, slope = 3.0, 2.0
+    mesh, found = terms(
+        cells,
+        k,
+        load=lambda x: np.where(x[:, 0] < 0.5, -side, 0.0),
+        value=lambda x: -side * slope * np.maximum(x[:, 0] - 0.5, 0.0),
+        # it bends away from the function
+        **{"lower" if side > 0 else "upper": lambda x: -side * 9 * np.maximum(x[:, 0] - 0.5, 0.0)},
+    )
+    assert found["flux jumps"] == pytest.approx(SIDE * 0.5 ** (mesh.dim - 1) * k * slope**2)
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["lower", "upper"])
+@pytest.mark.parametrize(
+    ("height", "load"), [(0.01, 0.0), (0.01, -5.0), (-0.01, -5.0)], ids=["open", "in", "off"]
+)
+@pytest.mark.parametrize("cells", CELLS)
+def test_waves_of_the_obstacle_between_nodes_count_by_their_bubbles(cells, height, load, side):
+    """The function is 1, and at nodes the obstacle touches it in contact, else it is off by .02; at the
+    middles of all edges the obstacle penetrates it by ``height``."""
+    k = 3.0
+
+    def obstacle(x):
+        wave = np.abs(np.sin(np.pi * x / SIDE)).max(axis=1).round(9)
+        return 1 + side * (height * wave - (load == 0) * 0.02 * (1 - wave))
+
+    mesh, found = terms(
+        cells,
+        k,
+        load=lambda x: np.full(len(x), side * load),
+        value=lambda x: np.ones(len(x)),
+        **{"lower" if side > 0 else "upper": obstacle},
+    )
+    # integrals of squared gradients of the bubbles of all edges of a triangle, and of a tetrahedron
+    integral = 8.0 if cells == "2D" else 4 * SIDE
+    assert found["obstacle"] == pytest.approx(k * len(mesh.elements) * integral * height**2)
+    others = [square for name, square in found.items() if name != "obstacle"]
+    assert max(others) < 1e-12
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["lower", "upper"])
+def test_pressure_next_to_gaps_counts_in_the_equation_and_as_complementarity(side):
+    """A membrane of eight triangles lies at its only free node on the tip of an obstacle."""
+    k, load, gap = 3.0, 5.0, 0.1
+    problem = am.ScalarProblem(
+        domain=am.Rectangle(width=1.0, height=1.0),
+        conductivity=k,
+        load=-side * load,
+        **{
+            "lower" if side > 0 else "upper": lambda x: (
+                -side * 2 * gap * np.abs(x - 0.5).max(axis=1)
+            )
+        },
+    )
+    grids = am.Hierarchy.uniform(problem, (2,))
+    mesh = grids.finest.mesh
+    found = am.Residual().indicate(grids, am.solve(grids)).terms
+    centre = np.flatnonzero(np.abs(mesh.points - 0.5).max(axis=1) < 1e-9)
+    around = mesh.volumes[(mesh.elements == centre).any(axis=1)].sum()
+    # over the triangles around the node integrals of its hat are 1/3, of the square 1/6 of the area
+    assert found["complementarity"] == pytest.approx(load * gap * around / 6)
+    square = load**2 * (1 - around / 2)
+    assert found["element residual"] == pytest.approx(mesh.element_sizes[0] ** 2 / k * square)
+    assert found["flux jumps"] == found["obstacle"] == 0.0
