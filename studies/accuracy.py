@@ -22,7 +22,7 @@ from functools import lru_cache
 
 import numpy as np
 import pandas as pd
-from common import Output, cpu, drawing, main, processor_time, slope, warm_up
+from common import Output, cpu, drawing, main, processor_time, slope
 from flexible import cantilever
 
 import adaptmg as am
@@ -211,20 +211,27 @@ def bent(count: int) -> float:
     )
 
 
+def solved(case: str, elements: str, meshes: int, most: int) -> am.Result:
+    """Solve a case on the first meshes of a family of ``most``."""
+    problem, of_family, _ = family(case, most)
+    warnings.simplefilter("ignore")  # that linear elements lock is what the table shows
+    return am.solve(
+        am.Hierarchy.from_meshes(replace(problem, elements=elements), of_family[:meshes])
+    )
+
+
+@lru_cache(maxsize=2)
+def warmed(case: str, elements: str, most: int) -> None:
+    """Load the kernels of a case with these elements."""
+    solved(case, elements, 2, most)
+
+
 def run(case: str, elements: str, meshes: int, most: int) -> dict:
     """Error and seconds with the first meshes of a family of ``most``."""
-    warm_up(3 if "3D" in case else 2)
-    problem, of_family, error = family(case, most)
-    posed = replace(problem, elements=elements)
-
-    def solved() -> am.Result:
-        warnings.simplefilter("ignore")  # that linear elements lock is what the table shows
-        return am.solve(am.Hierarchy.from_meshes(posed, of_family[:meshes]))
-
-    if meshes == 2:
-        solved()  # loads kernels
+    _, _, error = family(case, most)
+    warmed(case, elements, most)
     results = []
-    seconds = cpu(lambda: results.append(solved()))
+    seconds = cpu(lambda: results.append(solved(case, elements, meshes, most)))
     result = results[-1]
     return {
         "nodes": len(result.displacement),

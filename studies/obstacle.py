@@ -89,10 +89,9 @@ def grids(case: str, n: int) -> am.Hierarchy:
 
 
 @lru_cache(maxsize=1)
-def warmed(case: str, method: str) -> bool:
+def warmed(case: str, method: str) -> None:
     """Load the kernels of a method."""
     am.solve(grids(case, 16), METHODS[method] or am.SingleGrid(), throw=False)
-    return True
 
 
 def run(case: str, n: int, method: str) -> dict:
