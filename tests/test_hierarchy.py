@@ -136,11 +136,12 @@ def test_default_meshes_resolve_a_small_patch_of_a_long_contact_boundary(scale, 
 
 @pytest.mark.parametrize("name", sorted(am.cases.CASES))
 @pytest.mark.filterwarnings("ignore:friction")
-def test_twelve_nodes_touch_in_each_case_by_default(name):
-    grids = am.Hierarchy.graded(am.cases.CASES[name].function())
-    contact = am.solve(grids).contact
+def test_enough_nodes_touch_in_each_case_by_default(name):
+    problem = am.cases.CASES[name].function()
+    contact = am.solve(am.Hierarchy.graded(problem)).contact
     # the strut may stand or lose contact
-    assert (contact.state != am.OPEN).sum() >= 12 or name == "leaning_strut"
+    enough = 0 if name == "leaning_strut" else {2: 12, 3: 60}[problem.dim]
+    assert (contact.state != am.OPEN).sum() >= enough
 
 
 def test_sizes_that_are_given_are_left_alone(caplog):
