@@ -47,6 +47,7 @@ def _adapted(problem: am.ContactProblem, nodes: int) -> None:
 
 
 def _spaces() -> None:
+    """Solve a problem on coarse spaces that are made from its matrix."""
     discrete = am.Hierarchy.uniform(PLANE, (8,)).finest.discrete
     am.solve(am.Hierarchy.algebraic(discrete, max_coarse=60), am.Multigrid())
 
