@@ -278,7 +278,7 @@ class Unknowns:
         result = nodal[nodes]
         prescribed = self.fixed.reshape(-1, self.dim)[nodes]
         if self.coupling is not None and prescribed.any():
-            # such components are no relative coordinates
+            # such components are not relative coordinates
             displacement = self.physical(nodal)
             result = np.where(
                 prescribed,

@@ -209,7 +209,7 @@ def moved(
         points = posed.mesh.points[nodes]
         facing_normals, facing_gaps = facing_obstacle(obstacle, boundary, points, posed.outward[k])
         place = np.searchsorted(nodes, contact.nodes[rows])
-        # with what these nodes take over of others of the boundary
+        # shares of nodes that supports or ties hold, which these nodes take over
         taken = contact.taken_over[rows]
         taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(rows), len(nodes)))
         free_directions = posed.free_part(contact.nodes[rows], facing_normals[place])

@@ -98,7 +98,7 @@ class DiscreteProblem(Unknowns):
         For tables.
     coupling, bodies, strain_free, inclined, ties, volumes, inelastic
         What :func:`adaptmg.discretise` adds for several bodies (:meth:`coupled` makes the
-        coupling), initial strains, supports along directions that are no axes, ties, nearly
+        coupling), initial strains, supports along directions that are not axes, ties, nearly
         incompressible bodies and bodies that yield.
 
     Examples
@@ -127,7 +127,7 @@ class DiscreteProblem(Unknowns):
     bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
     # of initial strains the part of the load, N, and the energy of suppressing them, N m
     strain_free: tuple[np.ndarray, float] | None = None
-    inclined: Inclined  # supports along no axes, which are eliminated from matrix and load
+    inclined: Inclined  # supports along directions that are not axes, which are eliminated from matrix and load
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
     ties: tuple[tuple[str, str, np.ndarray, np.ndarray], ...] = ()
     volumes: Volumes  # groups of nodes whose mean volume strains add to the stiffness

@@ -1,4 +1,4 @@
-r"""The nodes and dofs that supports and springs hold, also along directions that are no coordinate
+r"""The nodes and dofs that supports and springs hold, also along directions that are not coordinate
 axes.
 
 With the projection :math:`Z_i` onto the directions along which inclined supports hold node i, and
@@ -43,7 +43,7 @@ from adaptmg.problem.loads import (
 
 @dataclass(frozen=True, eq=False)
 class Inclined:
-    """The nodes that supports hold along directions that are no axes. Their fixed components count
+    """The nodes that supports hold along directions that are not axes. Their fixed components count
     among these."""
 
     nodes: np.ndarray  # (k,) int, ascending
@@ -393,7 +393,7 @@ def held_components(points: np.ndarray, holds: Sequence[Held]) -> tuple[np.ndarr
 
 def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.ndarray, np.ndarray]:
     """Return the mask (n_dofs,) and values (n_dofs,), m, zero where free, of the prescribed dofs;
-    without those of nodes that supports hold along directions that are no axes.
+    without those of nodes that supports hold along directions that are not axes.
 
     Where two supports meet, they must agree or prescribe different components. ValueError for a
     boundary or point the mesh does not have, a z component in 2D, two values for one dof, or

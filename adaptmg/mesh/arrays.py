@@ -563,7 +563,8 @@ def sweep(
     points: np.ndarray, elements: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the order (n,) of nodes along the longest side of their bounding box, their new numbers
-    (n,), the order (m,) of elements by their first nodes, and these in the new numbers."""
+    (n,), the order (m,) of elements by their first nodes, and the elements (m, dim + 1) in that order,
+    with the new numbers of their nodes."""
     n = len(points)
     order = np.argsort(points[:, np.argmax(np.ptp(points, axis=0))], kind="stable")
     number = np.empty(n, dtype=np.int32)

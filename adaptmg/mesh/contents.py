@@ -104,7 +104,7 @@ def mesh_of(
 
 
 def _check(contents: Contents) -> None:
-    """ValueError unless all kinds of cells are known, and all nodes exist."""
+    """Raise ValueError unless all kinds of cells are known, and all nodes exist."""
     if other := sorted(
         {kind for kind, nodes in contents.cells if len(nodes) and kind not in KINDS}
     ):

@@ -403,7 +403,8 @@ def _kind(name: str) -> str | None:
 def _faces(
     solid: list[tuple[str, np.ndarray, np.ndarray]], members: np.ndarray, facet: int
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Kinds and nodes of a facet of some elements, of all their facets where it is 0."""
+    """Yield kind and nodes of facet ``facet`` of the elements ``members``, or of all their facets if it
+    is 0."""
     for kind, elements, nodes in solid:
         rows = nodes[np.isin(elements, members)]
         facets = facets_of(kind)

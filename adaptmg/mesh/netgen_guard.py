@@ -131,7 +131,7 @@ class Netgen:
         return answer
 
     def _spent(self) -> float:
-        """Seconds of the processor that the process has taken."""
+        """Return the seconds of the processor that the process has taken."""
         import psutil  # a first solve without it starts sooner
 
         try:

@@ -286,7 +286,7 @@ class StepSolid(SolidDomain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Distinct names of faces."""
+        """Return the distinct names of faces."""
         return tuple(dict.fromkeys(self.faces))
 
     def __repr__(self) -> str:

@@ -678,7 +678,7 @@ def read_meshio(path: str) -> MeshioTables:
 def _groups(
     names: Mapping[int, Sequence[str]], numbers: Sequence[np.ndarray]
 ) -> dict[str, list[tuple[int, np.ndarray]]]:
-    """Blocks and rows of each group, from the groups of a family and the families of rows."""
+    """Return the blocks and rows of each group, from the groups of a family and the families of rows."""
     groups: dict[str, list[tuple[int, np.ndarray]]] = {}
     for family, names_of_family in names.items():
         for name in names_of_family:

@@ -304,7 +304,7 @@ def _shorter(
 
 
 def _first(ring: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Rings of nodes turned so that they begin at a place each."""
+    """Return rings of nodes (n, k) turned to begin at the places ``start`` (n,)."""
     return np.take_along_axis(
         ring, (start[:, None] + np.arange(ring.shape[1])) % ring.shape[1], axis=1
     )

@@ -198,7 +198,7 @@ class SizeNear:
         return replace(self, size=factor * self.size, grading=factor * self.grading)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Sizes (n,) at points (n, dim), m."""
+        """Return the sizes (n,) at points (n, dim), m."""
         if x.shape[1] != len(self.points[0]):
             raise ValueError(
                 f"points of SizeNear are {len(self.points[0])}D, the mesh is {x.shape[1]}D"

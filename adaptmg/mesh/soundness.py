@@ -76,7 +76,7 @@ def check_stranger(mesh: MeshArrays) -> MeshArrays:
 
 
 def _at(points: np.ndarray) -> str:
-    """Position for a message: the mean of some points."""
+    """Return the mean of some points as text for a message."""
     return "(" + ", ".join(f"{c:.6g}" for c in points.mean(axis=0)) + ")"
 
 

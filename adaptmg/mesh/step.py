@@ -183,7 +183,7 @@ class _Face:
 
     @property
     def normals(self) -> np.ndarray:
-        """Area vectors (n, 3) of the triangles."""
+        """Return the area vectors (n, 3) of the triangles."""
         a, b, c = np.moveaxis(self.triangles, 1, 0)
         return 0.5 * np.cross(b - a, c - a)
 
