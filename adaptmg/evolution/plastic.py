@@ -163,13 +163,12 @@ class PlasticLoop(PathLoop):
         contact has been lost; else at the extrapolation."""
         last = problem.with_prescribed(problem.from_prescribed(self.recent[-1][0]))
         at = self.plastic.respond(problem, last, self.state)
-        if self._ratio(k) <= 0:
-            return at
-        tangent = self.plastic.linearised(problem, at)
-        missed = Examiner(tangent, certified=False).relative_residual(last)
-        if missed <= StopTest.RESIDUAL_FACTOR * self.rtol:
-            return at
-        return self.plastic.respond(problem, self._start(k, None), self.state)
+        if self._ratio(k) > 0:
+            tangent = self.plastic.linearised(problem, at)
+            missed = Examiner(tangent, certified=False).relative_residual(last)
+            if missed > StopTest.RESIDUAL_FACTOR * self.rtol:
+                return self.plastic.respond(problem, self._start(k, None), self.state)
+        return at
 
 
 def _state_of(result: Result) -> np.ndarray:
@@ -184,7 +183,12 @@ class _Newton:
     def __init__(self, loop: PlasticLoop, grids: Hierarchy, run: Run) -> None:
         self.plastic = loop.plastic
         self.state = loop.state
-        self.solver = loop.solver
+        solver: Any = loop.solver
+        correction = getattr(solver, "correction", None)
+        smoothed = len(self.plastic.groups) > 0
+        if smoothed and isinstance(correction, Truncated) and correction.correct is None:
+            solver = replace(solver, correction=replace(correction, correct=_SMOOTHED))
+        self.solver: Solver = solver
         self.grids = grids
         self.recorder = run
         self.problem = grids.finest.discrete
@@ -249,16 +253,9 @@ class _Newton:
         if isinstance(solver, FullMultigrid) and not (unloaded and grids.discretised):
             solver = without_nested_start(solver)
         if is_dataclass(solver) and hasattr(solver, "rtol"):
-            changed: dict[str, object] = {"rtol": tolerance}
+            changed: dict[str, float] = {"rtol": tolerance}
             if isinstance(solver, Multigrid) and not last:
                 changed["max_cycles"] = min(_CYCLES, solver.max_cycles)
-            correction = getattr(solver, "correction", None)
-            if (
-                len(self.plastic.groups)
-                and isinstance(correction, Truncated)
-                and correction.correct is None
-            ):
-                changed["correction"] = replace(correction, correct=_SMOOTHED)
             solver = replace(cast("Any", solver), **changed)
         run = self.recorder
         run.first_cycle = self.cycles

@@ -229,7 +229,7 @@ def test_the_punch_meets_its_limit_load(punch):
 
 
 @pytest.mark.parametrize("elements", ["linear", "smoothed"])
-def test_bodies_stay_as_they_are_after_contact_is_lost(punch, elements):
+def test_bodies_stay_unchanged_after_contact_is_lost(punch, elements):
     """A punch that goes further away changes nothing, which takes one Newton step."""
     grids = punch.with_problem(am.cases.prandtl_punch(elements=elements)).truncated(finest=1)
     path = am.LoadPath({"punch": [0.5, 0.9, 0.3, 0.2, 0.0]})
