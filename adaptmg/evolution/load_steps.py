@@ -171,7 +171,7 @@ def resumed(
     past: Past,
 ) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
     """Solve a step by the truncated multigrid, which is set up for the step before (``multigrid``) or
-    else anew. Return the outcome, the set-up for the next step, and the displacements of coarse
+    else from the beginning. Return the outcome, the set-up for the next step, and the displacements of coarse
     levels if the solver has a nested start."""
     problem = hierarchy.finest.discrete
     if multigrid is None or not problem.alike(multigrid.problems[-1]):
@@ -226,7 +226,6 @@ class _Unknowns:
 
     @property
     def indices(self) -> slice:
-        """Return the indices of these unknowns among all."""
         return slice(self.first, self.first + len(self.targets))
 
 
@@ -467,7 +466,7 @@ class Guide:
                 if not self.spent:
                     raise
                 break
-            # a change of so many sizes means that only the soft springs resist
+            # a change of that many sizes means that only the soft springs resist
             if not np.abs(change).max() < 1 / checks.SIX_DIGITS:
                 raise nothing_resists(self.parts)
             values[: self.size] += change

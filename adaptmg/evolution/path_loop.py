@@ -324,7 +324,6 @@ class PathLoop:
         )
 
     def _factor_array(self, k: int) -> np.ndarray:
-        """Return the factors of the loads in step k (n_loads,)."""
         return np.array(list(self._factors_at(k).values()))
 
     def _ratio(self, k: int) -> float:

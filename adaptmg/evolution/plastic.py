@@ -119,7 +119,6 @@ class PlasticLoop(PathLoop):
                 return result
 
     def take_over(self, k: int, result: Result, coarse: list[np.ndarray] | None) -> None:
-        """Continue after a step that was solved before, with its plastic state too."""
         super().take_over(k, result, coarse)
         self.state = _state_of(result)
 

@@ -22,7 +22,6 @@ class CoarseObstacles:
     :class:`~adaptmg.multigrid.truncated_step.CoarseContact`."""
 
     def __init__(self, step: TruncatedStep) -> None:
-        """Prepare the cycles below the level of a step."""
         self.step = step
         levels = _levels(step)
         #: the level below; None where weights at contact nodes are negative, and nothing is safe

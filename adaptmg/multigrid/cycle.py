@@ -596,7 +596,6 @@ class CoarseSolve:
     BATCH = 4
 
     def __post_init__(self) -> None:
-        """Check the options."""
         object.__setattr__(self, "rtol", checks.nonnegative("rtol", self.rtol))
         object.__setattr__(self, "atol", checks.nonnegative("atol", self.atol))
         if not self.rtol < 1:

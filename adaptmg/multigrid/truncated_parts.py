@@ -141,7 +141,6 @@ class Truncated:
     interface_sweeps: int = 2
 
     def __post_init__(self) -> None:
-        """Check the options."""
         checks.convert(self, checks.flag, "coarse_contact", "rigid_motions", "search")
         checks.integer("interface_sweeps", self.interface_sweeps)
         if isinstance(self.smooth, (int, np.integer)):

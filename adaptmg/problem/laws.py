@@ -182,7 +182,6 @@ class Elastic(checks.Checked):
 
     @classmethod
     def _of(cls, anisotropy: Anisotropy) -> Self:
-        """Return the material with an anisotropy."""
         young, poisson = anisotropy.nearest()
         return cls(young=young, poisson=poisson, anisotropy=anisotropy)
 

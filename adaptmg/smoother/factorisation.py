@@ -81,7 +81,6 @@ class OrderedFactors:
         return cls(lu, order, permuted.diagonal())
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Return the solution for a right-hand side."""
         result = np.empty_like(rhs)
         result[self.order] = self.lu.solve(rhs[self.order])
         return result

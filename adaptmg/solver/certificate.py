@@ -324,7 +324,7 @@ class Evidence:
         """Compute the forces (n_nodes, dim) that neither loads nor ties nor claimed contact forces
         explain: at free dofs they must vanish, at the others supports carry them."""
         problem = self.problem
-        # a tie holds with whatever force it needs; its counterpart on the master is no violation
+        # a tie holds with whatever force it needs; its counterpart on the master is not a violation
         self.tying = np.zeros(problem.n_dofs)
         tied = problem.fixed & ~problem.held
         self.tying[tied] = -self.residual[tied]

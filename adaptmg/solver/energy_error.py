@@ -297,7 +297,6 @@ class _Equations:
     def __init__(
         self, problem: DiscreteProblem, status: FrozenStatus, aggregates: Aggregates
     ) -> None:
-        """Prepare the equations and their preconditioner."""
         self.n = problem.n_dofs
         self.status = status
         self.volumes = problem.volumes

@@ -86,7 +86,6 @@ class Stepped:
     """The solver of a user-defined method."""
 
     def __init__(self, method: Method) -> None:
-        """Take a method, and check the options that it may have."""
         self.method = checks.offers("solver", method, "setup", "an object with setup() or run()")
         self.rtol = checks.tolerance("rtol of solver", getattr(method, "rtol", 1e-8))
         cycles = getattr(method, "max_cycles", 100)

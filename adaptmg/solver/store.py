@@ -126,7 +126,6 @@ class _Reader:
         self.seen = []
 
     def value(self, plain: Any) -> Any:
-        """Return the value that the writer made plain."""
         if isinstance(plain, list):
             return [self.value(part) for part in plain]
         if not isinstance(plain, dict):

@@ -143,7 +143,7 @@ def test_the_monotone_correction_takes_over_from_what_cannot(reason, failing, mo
     # slow, but on its way, and not in silence
     assert result.residual < 1e-2 and result.status.ok == (result.residual <= 1e-7)
     if reason == "gives up":
-        # an error of one method is no error of the run, and coarse spaces know no other one
+        # an error of one method is not an error of the run, and coarse spaces know no other one
         nothing = am.solve(failing[1], SMOOTHING, throw=False)
         assert not nothing.status.ok and not nothing.fallback
 

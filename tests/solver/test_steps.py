@@ -136,7 +136,7 @@ def arrays_of(state):
 @pytest.mark.parametrize("poisson", [0.3, 0.4999])
 @pytest.mark.parametrize("sides", ["held", "floating"])
 def test_truncated_steps_remember_nothing_but_the_state(sides, poisson):
-    """A step leaves its state as it is, and whatever steps come between, it leads to the same."""
+    """A step leaves its state unchanged, and whatever steps come between, it leads to the same."""
     problem = replace(
         am.cases.greco_bar(law=am.Coulomb(0.4)),
         material=am.PlaneStrain(young=1.3e11, poisson=poisson),
