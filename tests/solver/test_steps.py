@@ -128,7 +128,7 @@ def test_cycles_of_the_package_go_from_state_to_state(correction, bar, exact):
 
 def arrays_of(state):
     """All arrays that a state holds, copied."""
-    held = [state.iterate, state.residual, state.left, *vars(state.contact).values()]
+    held = [state.iterate, state.residual, state.coarse_residual, *vars(state.contact).values()]
     held += [array for pair in (*state.past, *state.uniform) for array in pair]
     return [array.copy() for array in held if isinstance(array, np.ndarray)]
 
