@@ -59,7 +59,8 @@ _CYCLES = 20
 # of multigrid on tangents of smoothed elements, whose condition near a limit load is 550 after a V-cycle and 60 after
 # exact coarse solves: the punch on 5463 and 10 357 nodes takes 359 and 340 cycles, at most 66 and 72 a load step, with
 # V-cycles 514 and 604, 129 and 174, and a sixth and a third more seconds; one sweep 420, three 344, at most 77 and 74.
-# Linear elements, 10 357 nodes: 264 for 363, but thrice the work
+# On 945 and 1661 nodes 289 and 281 for 305 and 329, in 1.01 and 1.09 times the seconds. Linear elements, 10 357
+# nodes: 264 for 363, but thrice the work
 _SMOOTHED = Cycle(shape="W", pre=2, post=2)
 # |phi'| that ends the search, over that at 0: half 215 and 1089, twice 215 and 1094
 _SLOPE = 0.3

@@ -228,6 +228,18 @@ def test_the_punch_meets_its_limit_load(punch):
     assert last.certificate()["equilibrium"].relative < 1e-5
 
 
+def test_tangents_of_smoothed_bodies_get_w_cycles_unless_others_are_requested(punch):
+    grids = punch.with_problem(am.cases.prandtl_punch(elements="smoothed"))
+    path = am.LoadPath({"punch": [0.25, 0.5]})
+    work = {}
+    for shape in ("default", "W", "V"):
+        cycle = None if shape == "default" else am.Cycle(shape=shape, pre=2, post=2)
+        solver = am.FullMultigrid(rtol=1e-6, correction=am.Truncated(correct=cycle))
+        *_, last = am.solve_path(grids, path, solver)
+        work[shape] = last.work_units
+    assert work["default"] == work["W"] != work["V"]
+
+
 @pytest.mark.parametrize("elements", ["linear", "smoothed"])
 def test_bodies_stay_unchanged_after_contact_is_lost(punch, elements):
     """A punch that goes further away changes nothing, which takes one Newton step."""
