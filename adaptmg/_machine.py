@@ -1,5 +1,5 @@
-"""What systems report in their own ways: memory, processors and limits of processes. Each has a
-fallback."""
+"""Memory, processors and limits of processes, which each system reports in another way. Each value
+has a fallback."""
 
 from __future__ import annotations
 

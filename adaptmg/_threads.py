@@ -25,8 +25,9 @@ from adaptmg import _checks as checks
 if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController, _ThreadpoolLimiter
 
-#: a kernel that reads this many numbers or more is cut into so many parts
-LARGE, PARTS = 1_000_000, 16
+#: numbers that a kernel reads at least to be cut into parts, and the number of these parts
+LARGE = 1_000_000
+PARTS = 16
 
 
 class _Threads:

@@ -50,7 +50,7 @@ _MOST_LEVELS = 40  # as of a range that is meant for one number
 
 
 class Forecast(NamedTuple):
-    """What a solve will take, from measured costs: :meth:`Hierarchy.forecast`.
+    """The expected memory and time of a solve, from measured costs: :meth:`Hierarchy.forecast`.
 
     Attributes
     ----------

@@ -1,5 +1,5 @@
-"""What the studies share: problems, exact discrete solutions, and where tables, figures and checked
-numbers go.
+"""Shared parts of the studies: problems, exact discrete solutions, and the output of tables, figures
+and checked numbers.
 
 A study is a script with a function ``study(out)``: it computes with :class:`adaptmg.Study` into
 ``out.store`` and makes its tables and figures from what is stored. The first line of its docstring
@@ -53,7 +53,7 @@ PROBLEMS: Mapping[str, Callable[[], am.ContactProblem]] = {
 
 
 class Output:
-    """Where one study puts what it finds: CSV files, pictures, and ``section.json`` for the report.
+    """The output of one study: CSV files, pictures, and ``section.json`` for the report.
 
     Parameters
     ----------
@@ -341,7 +341,7 @@ def compare(
     table = table[
         ["method", "levels", "nodes", "cycles", "work", "solve_seconds", "final_error", "outcome"]
     ]
-    # what is factorised is no work that could be compared
+    # the work of factorisations cannot be compared
     table.loc[table["method"].str.contains("condensed|active"), "work"] = np.nan
     table = table.rename(columns={"levels": "grids", "solve_seconds": "seconds"})
     first = table.iloc[table["seconds"].argmin()]

@@ -1,4 +1,4 @@
-"""Where the discretisation errs: indicators, what is marked, and the loop solve - estimate - mark -
+"""Indicators of the error of the discretisation, marking, and the loop solve - estimate - mark -
 refine."""
 
 from __future__ import annotations

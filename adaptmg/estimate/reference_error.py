@@ -42,8 +42,8 @@ _RESOLVED = 1e-8
 
 @dataclass(frozen=True)
 class EnergyError:
-    """An error in the energy norm; where ``allowance`` is not well below, the figures are no better
-    than it."""
+    """An error in the energy norm. Its figures are not more accurate than ``allowance``, which should
+    be well below."""
 
     absolute: float  # ||u - u_h||, sqrt(N m)
     relative: float  # the same over ||u||

@@ -1,5 +1,5 @@
-r"""What a contact boundary may touch: rigid obstacles, at rest or moving, or another boundary; and
-ties.
+r"""The counterparts of a contact boundary: rigid obstacles, at rest or moving, and other boundaries;
+and ties.
 
 The condition at a contact node is :math:`u_n = u \cdot n \le g_0`, with n pointing out of the body.
 

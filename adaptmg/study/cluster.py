@@ -71,7 +71,7 @@ _ONE_THREAD = dict.fromkeys(
 )
 _FOLDER = "ADAPTMG_WORKERS_FOLDER"
 _CONFIG = {
-    # a run is started once more where its worker dies
+    # a run is started again where its worker dies
     "distributed.scheduler.allowed-failures": 1,
     # a worker that waits because memory is short would wait for ever: runs hand nothing on
     "distributed.worker.memory.target": False,

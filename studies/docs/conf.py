@@ -104,7 +104,7 @@ def _resolve(app, environment, node, content):
 
 
 def _exists(parts):
-    """Whether a dotted name, or a bare one in some module, belongs to the package."""
+    """Return whether a dotted name, or a bare one in some module, belongs to the package."""
     if len(parts) == 1 or parts[0] != "adaptmg":
         modules = [module for name, module in sys.modules.items() if name.startswith("adaptmg.")]
         return any(hasattr(module, parts[0]) for module in modules)

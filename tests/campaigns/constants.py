@@ -428,7 +428,7 @@ def computed(families: tuple[str, ...]) -> dict[str, tuple]:
 
 @cache
 def before(families: tuple[str, ...]) -> dict[str, tuple]:
-    """What the package computes as it is."""
+    """Return the values that the unchanged package computes."""
     return computed(families)
 
 

@@ -313,8 +313,8 @@ def test_the_serial_way_does_not_load_dask():
 
 @contextlib.contextmanager
 def dask(*arguments: str):
-    """A command of dask, ended with all it started; dask itself starts a run that ended its worker
-    once more."""
+    """Run a command of dask, and end it with all processes that it started; dask itself starts a run
+    that ended its worker again."""
     started = subprocess.Popen(
         [sys.executable, "-m", "dask", *arguments],
         stdout=subprocess.DEVNULL,

@@ -1,7 +1,7 @@
 """Ways in which what a run computes can change, and ways in which its text can that change nothing.
 
-Each is a script with a function ``run``, before and after, loaded anew; ``code_changes.txt`` is the
-table. '=== KIND: NAME' begins a change, '### FILE' a file beside script.py, '<<a|>b>>' is a before
+Each is a script with a function ``run``, before and after, loaded again; ``code_changes.txt`` is the
+table. '=== KIND: NAME' begins a change, '### FILE' a file next to script.py, '<<a|>b>>' is a before
 the change and b after it. KIND: seen (rows become stale), refused (with a way out), unseen (as the
 documentation says), same."""
 
