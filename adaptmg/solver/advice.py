@@ -303,7 +303,7 @@ def _advise_on_strains(posed: Posed, result: Result) -> None:
         largest = strain_sizes[mesh.element_body == body].max()
         advise(
             "strain",
-            f"strains exceed {100 * STRAIN:g} % in {100 * large_share[body]:.2g} % of body "
+            f"strains exceed {100 * STRAIN:g} % in {100 * large_share[body]:.3g} % of body "
             f"{mesh.bodies[body]!r} (largest {largest:.3g}), but the theory is one of small strains: check young "
             f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less",
         )
