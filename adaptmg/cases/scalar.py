@@ -31,7 +31,7 @@ of it yields. Between them there is no closed form; three torques are computed a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -77,18 +77,12 @@ def obstacle_problem(
             f"depth must be below {q * r**2 / (4 * k):.6g}, the deflection without a floor, got {d:g}"
         )
 
-    def edge_height(a: float) -> float:
-        """Return the height of the edge over 0 if the membrane lies on the floor for r <= a."""
-        return q / (4 * k) * (r**2 - a**2 - 2 * a**2 * math.log(r / a)) - d
-
     from scipy.optimize import brentq  # takes long to import
 
-    a = float(brentq(edge_height, 1e-9 * r, r))
-
-    def deflection(points: np.ndarray) -> np.ndarray:
-        s = np.maximum(np.linalg.norm(points, axis=1), a)
-        return -d + q / (4 * k) * (s**2 - a**2 - 2 * a**2 * np.log(s / a))
-
+    # for the radius a of contact the edge is at the height 0
+    edge = np.array([[r, 0.0]])
+    a = float(brentq(lambda a: _deflection(q / (4 * k), d, a, edge)[0], 1e-9 * r, r))
+    deflection = partial(_deflection, q / (4 * k), d, a)
     return am.ScalarProblem(
         name="membrane over a floor",
         domain=am.Circle((0.0, 0.0), r, "edge"),
@@ -137,11 +131,7 @@ def elastic_plastic_torsion(
     theta = checks.positive("twist", twist)
     k = checks.positive("yield_stress", yield_stress)
 
-    def roof(sign: float) -> Callable[[np.ndarray], np.ndarray]:
-        """Return the limit sign k dist as a function of points (n, 2)."""
-        order = None if section == "disc" else np.inf
-        return lambda x: sign * k * np.maximum(half - np.linalg.norm(x, order, axis=1), 0.0)
-
+    order = None if section == "disc" else np.inf
     a = min(k / (g * theta), half)
     if section == "disc":
         domain: am.Circle | am.Rectangle = am.Circle((0.0, 0.0), half, "edge")
@@ -157,10 +147,24 @@ def elastic_plastic_torsion(
         name=f"torsion of a {section} bar",
         domain=domain,
         load=2 * g * theta,
-        lower=roof(-1.0),
-        upper=roof(1.0),
+        lower=partial(_roof, -k, half, order),
+        upper=partial(_roof, k, half, order),
         reference=reference | {"plastic_torque": plastic},
     )
+
+
+# partial functions of these can be pickled
+def _deflection(factor: float, depth: float, a: float, points: np.ndarray) -> np.ndarray:
+    """Return the deflection (n,) of the membrane, m, that lies on the floor for r <= a; ``factor`` is
+    q / 4k."""
+    s = np.maximum(np.linalg.norm(points, axis=1), a)
+    return -depth + factor * (s**2 - a**2 - 2 * a**2 * np.log(s / a))
+
+
+def _roof(slope: float, size: float, order: float | None, points: np.ndarray) -> np.ndarray:
+    """Return the limit (n,) slope times the distance from the edge; the section is where norms of
+    this order are below ``size``."""
+    return slope * np.maximum(size - np.linalg.norm(points, order, axis=1), 0.0)
 
 
 def _square_torque(twist: float, scale: float) -> dict[str, object]:

@@ -20,11 +20,12 @@ PAPER = Path(__file__).parents[2] / "data" / "paper"
 EXACT, MULTIGRID = am.ActiveSet(rtol=1e-11), am.FullMultigrid(rtol=1e-10)
 
 
-@pytest.mark.parametrize("name", cases.CASES)
+@pytest.mark.parametrize("name", [*cases.CASES, *cases.FROM_PYTHON])
 def test_every_case_is_described_and_pickled(name):
     """That every case is solved and adapted: test_cli."""
     problem = pickle.loads(pickle.dumps(cases.get(name).function()))
-    problem.check_boundaries(problem.domain.boundaries)
+    if isinstance(problem, am.ContactProblem):
+        problem.check_boundaries(problem.domain.boundaries)
     assert cases.get(name).description
 
 
