@@ -74,12 +74,10 @@ def _free_motions(problem: DiscreteProblem) -> np.ndarray:
     fixed = problem.fixed.reshape(-1, problem.dim)
     # 0.1 ms for 263k nodes, by any(axis=1) 3.3
     held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
-    none = np.empty((problem.n_dofs, 0))
-    if not len(problem.contact) or _is_held_body(problem, held, fixed[held]):
-        return none
-    rigid_modes = near_nullspace_of(problem)
+    may_move = len(problem.contact) and not _is_held_body(problem, held, fixed[held])
+    rigid_modes = near_nullspace_of(problem) if may_move else None
     if rigid_modes is None:
-        return none
+        return np.empty((problem.n_dofs, 0))
     modes = rigid_modes.reshape(problem.n_nodes, problem.dim, -1)
     rows = modes[held][fixed[held]]
     along = np.einsum("nij,njk->nik", problem.inclined.spans, modes[problem.inclined.nodes])

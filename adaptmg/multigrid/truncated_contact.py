@@ -126,8 +126,9 @@ class TruncatedContact:
         # new arrays: copies share the old ones
         self.spring = np.divide(1.0, self.compliance, out=np.zeros_like(stiffness), where=soft)
 
-    def _press(self, layer: Layer, forces: np.ndarray, normal: np.ndarray) -> None:
-        """Take gaps and compliances near forces and normal displacements (n_contact,)."""
+    def _follow_layer(self, layer: Layer, forces: np.ndarray, normal: np.ndarray) -> None:
+        """Take the linear law of a layer near these forces and normal displacements, both
+        (n_contact,)."""
         self.gap, self.compliance = layer.linearised(forces, normal)
         self._set_springs()
 
@@ -198,7 +199,7 @@ class TruncatedContact:
         dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
         normal_displacement = np.einsum("nd,nd->n", normals, unknowns[dofs])
         if self.layer is not None:
-            self._press(self.layer, np.zeros_like(normal_displacement), normal_displacement)
+            self._follow_layer(self.layer, np.zeros_like(normal_displacement), normal_displacement)
         penetrates_spring = (self.spring > 0) & (normal_displacement > self.gap)
         self.codes = np.where(penetrates_spring, CLOSED, 0).astype(np.int8)
         self.project(unknowns)
@@ -224,7 +225,7 @@ class TruncatedContact:
         :func:`classify` does."""
         missed = 0.0
         if self.layer is not None:
-            self._press(self.layer, self._normal_forces(residual), self.values[:: self.dim])
+            self._follow_layer(self.layer, self._normal_forces(residual), self.values[:: self.dim])
         if self.friction_at is not None:
             forces = np.maximum(self._normal_forces(residual), 0.0)
             missed = self._follow(self.friction_at, forces)
@@ -234,6 +235,7 @@ class TruncatedContact:
         return changed, natural + missed, reactions
 
     def _normal_forces(self, residual: np.ndarray) -> np.ndarray:
+        """Return the components (n_contact,) of a residual (n_dofs,) along the normals, N."""
         normals = self.frames.reshape(-1, self.dim, self.dim)[:, 0]
         return np.einsum("nd,nd->n", normals, residual.reshape(-1, self.dim)[self.nodes])
 

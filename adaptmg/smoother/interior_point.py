@@ -230,7 +230,7 @@ class _Method:
         forces = self.state[:, [_PRESSURE, 6, 7][: self.dim]]
         self.rest = self.load - product - self.span.restricted(forces)
         if self.layer is not None:
-            gap, compliance = self.layer.tangent(self.state[:, 3])
+            gap, compliance = self.layer.tangent(self.state[:, _PRESSURE])
             self.nodes = gap, *self.nodes[1:4], compliance
         self.total, gap_error, width = _measure(self.state, *self.nodes)
         energy = max(float(self.unknowns @ product), self.least)
