@@ -354,7 +354,13 @@ def test_the_force_of_a_rubber_roller():
     force = 2 * result.resultant().force[1]
     assert force == pytest.approx(672.7, rel=5e-3)  # by elements of second order
     hertz = np.sqrt(force * 3e6 / (1 - 0.4999**2) / (np.pi * 25e-3))
-    assert result.max_pressure == pytest.approx(hertz, rel=3e-2)
+    half_width = 2 * force / (np.pi * hertz)
+    # by the mean: the pressure of the node on the axis alone depends on the mesh
+    contact = result.contact
+    x = result.mesh.points[contact.node, 0] / half_width
+    inner = x < 0.5
+    expected = contact.measures[inner] @ (hertz * np.sqrt(1 - x[inner] ** 2))
+    assert contact.measures[inner] @ contact.pressure[inner] == pytest.approx(expected, rel=3e-3)
 
 
 PATH = am.LoadPath({"top": [0.4, 1.0, 0.6]})
