@@ -200,6 +200,7 @@ def study(out: Output) -> None:
         ),
     )
     out.check("error of the force", abs(last["force"] / 300 - 1), high=0.01)
+    out.check("error of closed forms of motion", forms["error"].max(), high=0.03)
     out.check("largest rise of energy without friction", forms["rise"].max(), high=1e-10)
 
 
