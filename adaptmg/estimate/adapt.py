@@ -174,7 +174,7 @@ def adapt(
     if depends is not None:
         checks.mapping("depends", depends, "names to what stands for them")
     if not isinstance(problem, ScalarProblem):
-        _check_obstacles(problem, parts)
+        _check_bodies(problem, parts)
     elif load_path is not None or isinstance(indicator, Recovery | Goal):
         raise ValueError(
             "a ScalarProblem takes no load_path, and as indicator am.Residual() or a user-defined one"
@@ -201,7 +201,7 @@ def adapt(
     )
 
 
-def _check_obstacles(problem: ContactProblem, parts: LoopParts) -> None:
+def _check_bodies(problem: ContactProblem, parts: LoopParts) -> None:
     """Raise ValueError if the estimates do not account for elements, obstacles, preloads or plastic
     bodies."""
     path = parts.load_path
