@@ -171,8 +171,8 @@ def resumed(
     past: Past,
 ) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
     """Solve a step by the truncated multigrid, which is set up for the step before (``multigrid``) or
-    else from the beginning. Return the outcome, the set-up for the next step, and the displacements of coarse
-    levels if the solver has a nested start."""
+    else from the beginning. Return the outcome, the set-up for the next step, and the displacements
+    of coarse levels if the solver has a nested start."""
     problem = hierarchy.finest.discrete
     if multigrid is None or not problem.alike(multigrid.problems[-1]):
         multigrid = cast("TruncatedRun", solver.prepared(hierarchy, run, keeps=True))
