@@ -207,9 +207,9 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     cuts_of_b = [list(chain(*column)) for column in zip(*crossings, strict=True)]
     of_a = _pieces(a, cuts_of_a, points, tol)
     of_b = _pieces(b, cuts_of_b, points, tol)
-    # Of a stays what lies in b (Common) or outside b (Cut, Fuse); of b what lies in a (Common, and
-    # Cut, where it is reversed) or outside a (Fuse). A piece of both stays once if both bodies lie
-    # on the same side of it; for a Cut, if they lie on opposite sides.
+    # Pieces of a stay that lie in b (Common) or outside b (Cut, Fuse), and pieces of b that lie in a
+    # (Common, and Cut, where they are reversed) or outside a (Fuse). A piece of both stays once if
+    # both bodies lie on the same side of it; for a Cut, if they lie on opposite sides.
     pieces = []
     for piece in of_a:
         twins = [
@@ -230,8 +230,9 @@ def combined(what: str, a: Outline, b: Outline) -> Outline:
     for piece in of_b:
         inside = a.winding(piece.middle) == 1
         if inside == (what != "Fuse"):
-            reversed_piece = replace(piece, start=piece.end, end=piece.start)
-            pieces.append(reversed_piece if what == "Cut" else piece)
+            pieces.append(
+                replace(piece, start=piece.end, end=piece.start) if what == "Cut" else piece
+            )
     return _chained(what, pieces, points)
 
 
