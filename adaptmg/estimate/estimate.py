@@ -417,9 +417,10 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         # a support bears any traction along the directions that it holds
         held = supports.get(name, np.empty((0, mesh.dim)))
         residual -= residual @ held.T @ held
-        sizes = surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures)
         squares = (
-            sizes / state.young[elements] * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
+            surface.sizes
+            / state.young[elements]
+            * np.einsum("fqd,fqd,fq->f", residual, residual, weights)
         )
         total = contact if name in touching else plain
         total += np.bincount(
@@ -517,7 +518,7 @@ def jump_squares(state: Solved) -> np.ndarray:
             for row in stress.columns
         ]
         squares = sum(jump * jump for jump in jumps) / surface.measures
-    squares *= 0.5 * (surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures))
+    squares *= 0.5 * surface.sizes
     return (
         sum(np.bincount(elements, squares, len(mesh.elements)) for elements in (first, second))
         / state.young

@@ -117,8 +117,7 @@ def _flux_squares(
     first, second = full_contact[sides]
     contact = np.where(first == second, first, 0)
     jump = np.where(contact == 0, jump, np.maximum(-contact * jump, 0.0))
-    sizes = surface.measures if mesh.dim == 2 else np.sqrt(2 * surface.measures)
-    halves = 0.5 * sizes * surface.measures * jump**2
+    halves = 0.5 * surface.sizes * surface.measures * jump**2
     return np.bincount(sides.ravel(), np.tile(halves, 2), len(mesh.elements))
 
 

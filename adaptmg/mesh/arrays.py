@@ -343,6 +343,11 @@ class Surface:
         """Return the lengths (n,), m, or areas, m^2."""
         return np.linalg.norm(self.vectors, axis=1)
 
+    @property
+    def sizes(self) -> np.ndarray:
+        """Return the sizes (n,), m: lengths of edges, or roots of twice the areas of triangles."""
+        return self.measures if self.points.shape[1] == 2 else np.sqrt(2 * self.measures)
+
     @cached_property
     def normals(self) -> np.ndarray:
         """Return the unit normals (n, dim) of the facets."""
