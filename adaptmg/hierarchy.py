@@ -116,7 +116,7 @@ class Hierarchy:
         None  # Any: a ScalarProblem; only hierarchies of a given matrix need the test for None
     )
     origin: str = "levels"
-    timings: dict[str, float] = field(default_factory=dict)
+    timings: dict[str, float] = field(default_factory=dict, compare=False)
     transfer: Transfer | None = None
     contact_rows: bool = True
 

@@ -27,7 +27,7 @@ import sys
 import sysconfig
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from types import (
@@ -379,10 +379,12 @@ class _Pickler(pickle.Pickler):
             # scipy notes there whether the indices are sorted, when it is asked
             noted = ("_has_sorted_indices", "_has_canonical_format")
             return kind, {name: part for name, part in vars(value).items() if name not in noted}
-        caches = any(
+        leaves_out = bool(_measured(kind)) or any(
             type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
         )
-        if not found.is_own(module, kind) and not (caches and kind.__reduce__ is object.__reduce__):
+        if not found.is_own(module, kind) and not (
+            leaves_out and kind.__reduce__ is object.__reduce__
+        ):
             return None
         if id(value) in self.instances:
             return "again", self.instances[id(value)][0]
@@ -390,13 +392,22 @@ class _Pickler(pickle.Pickler):
         return _contents(value, found)
 
 
+def _measured(kind: type) -> set[str]:
+    """Return the fields of a class of adaptmg that hold measured seconds, of which no two processes
+    have the same."""
+    if not (kind.__module__.startswith("adaptmg.") and is_dataclass(kind)):
+        return set()
+    return {item.name for item in fields(kind) if not item.compare}
+
+
 def _contents(value: typing.Any, found: _Parts) -> tuple[object, ...]:
-    """Return all that an instance holds, whatever its pickle leaves out; cached properties follow
-    from the rest."""
+    """Return all that an instance holds, whatever its pickle leaves out, but measured seconds; cached
+    properties follow from the rest."""
     kind = type(value)
     class_attributes = {
         name: part for owner in reversed(kind.__mro__) for name, part in vars(owner).items()
     }
+    measured = _measured(kind)
     attributes = {
         name: getattr(value, name)
         for name, part in class_attributes.items()
@@ -405,7 +416,7 @@ def _contents(value: typing.Any, found: _Parts) -> tuple[object, ...]:
     attributes |= {
         name: item
         for name, item in getattr(value, "__dict__", {}).items()
-        if type(class_attributes.get(name)) is not cached_property
+        if type(class_attributes.get(name)) is not cached_property and name not in measured
     }
     reduce = next(
         (

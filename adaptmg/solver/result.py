@@ -129,8 +129,8 @@ class Result(Quantities):
     error_estimate: float
     rate: float
     rtol: float
-    history: dict[str, np.ndarray]
-    timings: dict[str, float]
+    history: dict[str, np.ndarray] = field(compare=False)  # with seconds
+    timings: dict[str, float] = field(compare=False)
     path: list[tuple[int, str, int]]
     levels: list[dict[str, float]]
     problem_name: str
