@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,12 +30,17 @@ from adaptmg.smoother.system import OPEN, SLIP, contact_blocks, friction_bound
 from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
 
+if TYPE_CHECKING:
+    from adaptmg.mesh.arrays import MeshArrays
+
 #: what locking means, measured: a roller (plane strain, frictionless, squeezed between planes) on adapted meshes of
 #: 3500 nodes; at .3 they are .1 and 1.5 %
 _LOCKED = "a force 0.1, 0.3, 1 % and a largest pressure 4, 11, 90 % too large at 0.45, 0.49, 0.499"
 #: strains that are no longer small, where a share of a body's volume exceeds them (next to singular points they have
 #: no bound): of 13 solves, two of which warn, half and twice of the first change one each, of the second none
 STRAIN, SHARE = 0.05, 0.01
+#: angle, rad, by which a body turns that lengthens it by that strain where rotations count as small: theta^2/2
+ROTATION = np.sqrt(2 * STRAIN)
 #: spans beyond this many m are doubted for bodies of metal, or of moduli of metals and plastics in N/mm^2, Pa: of 13
 #: solves only twice the span changes one, a bar of 12 m
 SPAN, METAL, IN_MPA = 10.0, 5e10, (1e3, 1e6)
@@ -229,8 +235,9 @@ def advise_on_results(posed: Posed | None, results: Sequence[Result]) -> None:
 
 
 def advise_on_motion(posed: Posed, result: Result) -> None:
-    """Warn of large strains and of large slips."""
+    """Warn of large strains, rotations and slips."""
     _advise_on_strains(posed, result)
+    _advise_on_rotations(posed.mesh, result)
     _advise_on_slips(posed, result)
 
 
@@ -307,6 +314,29 @@ def _advise_on_strains(posed: Posed, result: Result) -> None:
             f"{mesh.bodies[body]!r} (largest {largest:.3g}), but the theory is one of small strains: check young "
             f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less",
         )
+
+
+def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:
+    """Warn of bodies that turn far."""
+    motion = result.displacement
+    if mesh.dim != motion.shape[1]:
+        return
+    # a body is at least as wide as the root of an element's volume, and its rim moves by the angle
+    # times half of its width
+    if np.abs(motion).max() < 0.5 * ROTATION * mesh.volumes.min() ** (1 / mesh.dim):
+        return
+    for body, name in enumerate(mesh.bodies):
+        nodes = np.unique(mesh.elements[mesh.element_body == body])
+        place = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
+        # the gradient of the linear motion next to that of the nodes
+        gradient = np.linalg.lstsq(place, motion[nodes] - motion[nodes].mean(axis=0))[0]
+        angle = np.linalg.norm(gradient - gradient.T) / np.sqrt(8)
+        if angle > ROTATION:
+            advise(
+                "rotation",
+                f"body {name!r} turns by {np.degrees(angle):.3g} degrees, but the theory is one of small rotations, "
+                f"which lengthens it by {angle**2 / 2:.2g}: support it, or load it in a way that rolls it less",
+            )
 
 
 def _advise_on_slips(posed: Posed, result: Result) -> None:

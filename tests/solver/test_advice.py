@@ -257,3 +257,25 @@ def test_contact_that_fills_its_boundary_needs_no_more_nodes():
     mesh = am.Hierarchy.graded(corner).finest.mesh
     radius = np.linalg.norm(mesh.points[mesh.boundary_nodes("upper.contact"), :2], axis=1)
     assert np.count_nonzero(radius < corner.reference["half_width"]) >= 60
+
+
+@pytest.mark.parametrize(("angle", "warns"), [(0.4, True), (0.25, False)])
+def test_a_result_says_that_a_body_turns_far(angle, warns):
+    """A plate that its supports turn about a corner: 23 and 14 degrees without a strain."""
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=0.1, height=0.3, origin=(0.3, -0.2)),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        contact=am.Contact("bottom", am.Plane((0, -9.0), (0, 1))),
+        law=am.Frictionless(),
+        supports=[
+            am.PointSupport((0.3, -0.2), x=0.0, y=0.0),
+            am.PointSupport((0.4, -0.2), y=0.1 * angle),
+        ],
+    )
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        result = am.solve(am.Hierarchy.graded(problem, sizes=(0.05,), contact_ratio=1))
+    far = [str(warning.message) for warning in said if "turns by" in str(warning.message)]
+    assert bool(far) is warns and np.abs(result.stress()).max() < 1e-6 * 1e9
+    if warns:
+        assert f"turns by {np.degrees(angle):.3g} degrees" in far[0]
