@@ -40,10 +40,6 @@ def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
     if not open_pairs:
         return problem
     materials = body_materials(mesh, problem.material)
-    held_boundaries = [
-        *problem.tied_boundaries,
-        *(support.boundary for support in problem.supports),
-    ]
     contact = []
     for pair in problem.contact:
         if pair in open_pairs:
@@ -52,22 +48,23 @@ def with_sides(problem: ContactProblem, mesh: MeshArrays) -> ContactProblem:
             ratio = young_of(mesh, materials, slave.nodes) / young_of(mesh, materials, master.nodes)
             if 1 / ALIKE <= ratio <= ALIKE:  # equal sizes do not change places
                 ratio = slave.measures.mean() / master.measures.mean() / (1 + 1e-6)
-            # a master of several pairs, or one that a tie or a support holds, cannot carry the
-            # contact nodes
-            taken_boundaries = [
-                *held_boundaries,
-                *(
-                    name
-                    for other in problem.contact
-                    if other is not pair
-                    for name in (other.boundary, getattr(other, "master", ""))
-                ),
-            ]
             exchanged = (
                 {"slave": pair.master, "master": pair.slave}
-                if ratio > 1 and pair.master not in taken_boundaries
+                if ratio > 1 and exchangeable(problem, pair)
                 else {}
             )
             pair = replace(pair, sides="given", **exchanged)
         contact.append(pair)
     return replace(problem, contact=tuple(contact))
+
+
+def exchangeable(problem: ContactProblem, pair: ContactPair) -> bool:
+    """Return whether the master of a pair may carry the contact nodes: no other pair, tie or support
+    has its boundary."""
+    others = [other for other in problem.contact if other is not pair]
+    return pair.master not in (
+        *problem.tied_boundaries,
+        *(support.boundary for support in problem.supports),
+        *(other.boundary for other in others),
+        *(other.master for other in others if isinstance(other, ContactPair)),
+    )

@@ -22,7 +22,7 @@ from adaptmg.discrete.loads import check_loads
 from adaptmg.discrete.mortar import chord_heights
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.discrete.sides import STIFFER
+from adaptmg.discrete.sides import STIFFER, exchangeable
 from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
 from adaptmg.problem import Contact, ContactPair, InitialStrain, Plane, PlaneStress
 from adaptmg.problem.laws import FollowsState
@@ -106,12 +106,17 @@ def advise_on_problem(posed: Posed | None) -> None:
             continue
         ratio = posed.young(pair.slave) / posed.young(pair.master)
         if ratio >= STIFFER:
+            remedy = 'exchange them, or give the pair sides="auto"'
+            if not exchangeable(problem, pair):
+                remedy = (
+                    f"they cannot be exchanged while another pair, a tie or a support has {pair.master!r}: cut "
+                    "that boundary in two"
+                )
             advise(
                 "sides",
                 f"contact pair ({pair.slave!r}, {pair.master!r}): the slave is {ratio:.3g} times stiffer "
                 "than the master, which takes multigrid two to five times as many cycles as with "
-                f"{pair.master!r} for the slave, or ends in the active set method: exchange them, or give the pair "
-                'sides="auto"',
+                f"{pair.master!r} for the slave, or ends in the active set method: {remedy}",
             )
     for name, elastic in zip(mesh.bodies, materials, strict=True):
         if (
