@@ -383,8 +383,8 @@ class Law(Protocol):
     """The methods of a contact law."""
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Law:
-        """Return the law with its parameters evaluated at contact nodes (points (n, dim) m, weights
-        (n,) m or m^2)."""
+        """Return another law, with the parameters evaluated at contact nodes (points (n, dim) m, weights
+        (n,) m or m^2); each mesh asks for one."""
         ...
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
