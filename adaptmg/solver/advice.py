@@ -241,8 +241,8 @@ def advise_on_results(posed: Posed | None, results: Sequence[Result]) -> None:
 
 def advise_on_motion(posed: Posed, result: Result) -> None:
     """Warn of large strains, rotations and slips."""
-    _advise_on_strains(posed, result)
-    _advise_on_rotations(posed.mesh, result)
+    if not _advise_on_strains(posed, result):
+        _advise_on_rotations(posed.mesh, result)
     _advise_on_slips(posed, result)
 
 
@@ -281,8 +281,9 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
             )
 
 
-def _advise_on_strains(posed: Posed, result: Result) -> None:
-    """Warn if strains are large in a considerable share of the volume of a body."""
+def _advise_on_strains(posed: Posed, result: Result) -> bool:
+    """Warn if strains are large in a considerable share of the volume of a body; returns whether they
+    are."""
     problem = posed.problem
     mesh = posed.mesh
     materials = posed.materials
@@ -302,7 +303,7 @@ def _advise_on_strains(posed: Posed, result: Result) -> None:
     )
     stressed = not any(isinstance(load, InitialStrain) for load in problem.loads)
     if stressed and result.checked is not None and result.checked.energy_norm**2 < energy:
-        return
+        return False
     strain_sizes = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
     if problem.axisymmetric:
         strain_sizes = np.maximum(strain_sizes, np.abs(hoop_strain(mesh, result.displacement)))
@@ -319,6 +320,7 @@ def _advise_on_strains(posed: Posed, result: Result) -> None:
             f"{mesh.bodies[body]!r} (largest {largest:.3g}), but the theory is one of small strains: check young "
             f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less",
         )
+    return bool(large_share[body] > SHARE)
 
 
 def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:
