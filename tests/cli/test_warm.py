@@ -4,12 +4,14 @@ import importlib
 import pkgutil
 import subprocess
 import sys
+from inspect import isfunction
 from pathlib import Path
 
 import pytest
 from numba.core.registry import CPUDispatcher
 
 import adaptmg as am
+from adaptmg.smoother import node_solve
 
 
 def kernels() -> dict[str, CPUDispatcher]:
@@ -20,8 +22,11 @@ def kernels() -> dict[str, CPUDispatcher]:
             for name, value in vars(importlib.import_module(module.name)).items():
                 if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.name:
                     found[f"{module.name}.{name}"] = value
-    # those that kernels call are part of the stored code of these, and not loaded
-    inner = {name for kernel in found.values() for name in kernel.py_func.__code__.co_names}
+    # those that kernels call are part of the stored code of these, and not loaded; kernels call the
+    # plain functions of node solves, too
+    callers = [kernel.py_func for kernel in found.values()]
+    callers += [function for function in vars(node_solve).values() if isfunction(function)]
+    inner = {name for caller in callers for name in caller.__code__.co_names}
     return {
         name: value
         for name, value in found.items()

@@ -49,7 +49,7 @@ KINKED = STRAIGHT | {"inner": [(-1, 0.5), (0, 0.7), (0.5, 0)], "branch": [(0, 0.
 def test_closed_cracks_pass_pressure_on(coupling, paths):
     problem = squeezed(np.random.default_rng(), paths, coupling)
     grids = am.Hierarchy.graded(problem, (0.4, 0.2), 2)
-    result = am.solve(grids, am.Multigrid(rtol=1e-10))
+    result = am.solve(grids, am.Multigrid(rtol=1e-12))
     stress = result.stress()
     np.testing.assert_allclose(stress[:, :2], -P, rtol=1e-8)
     np.testing.assert_allclose(stress[:, 3], 0, atol=1e-8 * P)
