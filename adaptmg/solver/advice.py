@@ -336,7 +336,8 @@ def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:
         nodes = np.unique(mesh.elements[mesh.element_body == body])
         place = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
         # the gradient of the linear motion next to that of the nodes
-        gradient = np.linalg.lstsq(place, motion[nodes] - motion[nodes].mean(axis=0))[0]
+        change = motion[nodes] - motion[nodes].mean(axis=0)
+        gradient = np.linalg.lstsq(place, change, rcond=None)[0]
         angle = np.linalg.norm(gradient - gradient.T) / np.sqrt(8)
         if angle > ROTATION:
             advise(
