@@ -46,23 +46,22 @@ _LOG = logging.getLogger(__name__)
 
 _MOST = 40  # Newton steps
 # tolerance of the first contact problem. Counts here and of _SHARE and _SLOPE: five paths (Prandtl's punch on 884
-# nodes, linear and smoothed, a pierced plate, Hill's tube, a billet) with 38 load steps take 215 Newton steps and 1112
-# cycles; half 212 and 1107, twice and .05 215 and 1108
+# nodes, linear and smoothed, a pierced plate, Hill's tube, a billet) with 38 load steps take 215 Newton steps and 1084
+# cycles; half 212 and 1078, twice and .05 215 and 1080
 _FIRST = 1e-2
 # tolerance of a contact problem over the last change, which is less where that is small: half and twice the same
-# counts, .05 213 and 1075; a constant share takes 495 and 1299
+# counts, .05 213 and 1077; a constant share takes 497 and 1294
 _SHARE = 0.2
-# of multigrid on a contact problem that is not the last: Prandtl's punch in 8 load steps, 10 357 nodes linear and 5463
-# smoothed, 49 and 54 Newton steps, 363 and 359 cycles, at most 55 and 66 a load step; half 49 and 56, 348 and 360, 53
-# and 82; twice 49 and 53, 363 and 360, 55 and 67
+# of multigrid on a contact problem that is not the last: Prandtl's punch in 8 load steps, 10 346 nodes linear and 5436
+# smoothed, 48 and 52 Newton steps, 346 and 324 cycles, at most 54 and 59 a load step; half 48 and 53, 336 and 323, 52
+# and 66; twice 48 and 52, 348 and 324, 56 and 59
 _CYCLES = 20
 # of multigrid on tangents of smoothed elements, whose condition near a limit load is 550 after a V-cycle and 60 after
-# exact coarse solves: the punch on 5463 and 10 357 nodes takes 359 and 340 cycles, at most 66 and 72 a load step, with
-# V-cycles 514 and 604, 129 and 174, and a sixth and a third more seconds; one sweep 420, three 344, at most 77 and 74.
-# On 945 and 1661 nodes 289 and 281 for 305 and 329, in 1.01 and 1.09 times the seconds. Linear elements, 10 357
-# nodes: 264 for 363, but thrice the work
-_SMOOTHED = Cycle(shape="W", pre=2, post=2)
-# |phi'| that ends the search, over that at 0: half 215 and 1089, twice 215 and 1094
+# exact coarse solves: the punch on 5436 and 10 346 nodes takes 324 and 315 cycles, at most 59 and 77 a load step, with
+# V-cycles 576 and 741, 155 and 217, and 1.3 and 1.4 times the seconds; with two sweeps 364 and 383, 82 and 101, in as
+# many seconds and four fifths of the work; four and five gain nothing, one takes 427
+_SMOOTHED = Cycle(shape="W", pre=3, post=3)
+# |phi'| that ends the search, over that at 0: half 215 and 1071, twice 213 and 1062
 _SLOPE = 0.3
 _TRIALS = 10  # of the search
 _SMALLEST = 1 / 64  # part of a load step

@@ -102,7 +102,7 @@ class Truncated:
         sweeps, cycles of pyamg (:class:`~adaptmg.multigrid.linear_cycle.PyAMG`), or anything with
         ``setup(matrices, prolongations) -> object with solve(rhs)``
         (:class:`~adaptmg.multigrid.linear_cycle.LinearCorrection`). Default: a V-cycle with the
-        sweeps above, but ``Cycle(shape="W", pre=2, post=2)`` for tangents of plastic bodies with
+        sweeps above, but ``Cycle(shape="W", pre=3, post=3)`` for tangents of plastic bodies with
         smoothed elements: near a limit load these are nearly incompressible, and V-cycles reduce
         errors slowly.
     project : Projection, optional

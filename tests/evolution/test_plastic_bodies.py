@@ -233,7 +233,7 @@ def test_tangents_of_smoothed_bodies_get_w_cycles_unless_others_are_requested(pu
     path = am.LoadPath({"punch": [0.25, 0.5]})
     work = {}
     for shape in ("default", "W", "V"):
-        cycle = None if shape == "default" else am.Cycle(shape=shape, pre=2, post=2)
+        cycle = None if shape == "default" else am.Cycle(shape=shape, pre=3, post=3)
         solver = am.FullMultigrid(rtol=1e-6, correction=am.Truncated(correct=cycle))
         *_, last = am.solve_path(grids, path, solver)
         work[shape] = last.work_units
