@@ -207,7 +207,7 @@ class Refined:
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
     """Bisect the marked elements (n_elements,) until all their edges are halved, or ``passes``
-    times: then what came of them, too, as long as it is of less than so many generations."""
+    times: then what came of them, too, as long as it is of less than that number of generations."""
     if passes is None:
         return _once(mesh, marked, True)
     result = _once(mesh, marked, False)

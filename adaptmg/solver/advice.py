@@ -1,7 +1,7 @@
 """Advice: warnings on what a problem or its solution asks of the theory and cannot get, each with a
 remedy.
 
-Limits of the theory: linear elements, small strains, small slips, lengths in m. Thresholds are such
+Limits of the theory: linear elements, small strains, rotations and slips, lengths in m. Thresholds are such
 that none of the cases of the package is beyond one. A kind of warning is given once a call of
 :func:`adaptmg.solve`,
 :func:`adaptmg.solve_path` or :func:`adaptmg.adapt`, at the line of the user.

@@ -78,6 +78,18 @@ def test_sides_of_equal_size_stay_as_they_are_written(angle):
         assert with_sides(problem, mesh).contact_boundaries == names[:1]
 
 
+def test_advice_on_a_stiff_slave_does_not_ask_for_what_is_not_possible():
+    """A support holds the boundary of the master, so that it cannot carry the contact nodes."""
+    problem, sizes = pair(1e3)
+    held = replace(problem, supports=(*problem.supports, am.Support("lower.top", x=0.0)))
+    for posed, remedy in (
+        (replace(problem, contact=replace(problem.contact[0], sides="given")), 'sides="auto"'),
+        (held, "cannot be exchanged"),
+    ):
+        with pytest.warns(UserWarning, match=f"times stiffer than the master.*{remedy}"):
+            am.solve(am.Hierarchy.graded(posed, sizes[:1]), throw=False)
+
+
 def test_another_contrast_on_the_same_meshes_exchanges_the_sides():
     problem, sizes = pair(1e-3)
     grids = am.Hierarchy.graded(problem, sizes)
