@@ -50,6 +50,7 @@ from adaptmg.problem.surfaces import Moving, Rigid, moving_parts, placed
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.examine import Examiner
+from adaptmg.solver.iterate import StopTest
 from adaptmg.solver.multigrid import FullMultigrid, Multigrid
 from adaptmg.solver.record import Outcome, Run, Solver, Status
 from adaptmg.solver.result import Result
@@ -99,6 +100,7 @@ class Past:
     """The starts that a step has from the steps before it."""
 
     levels: list[np.ndarray]  # displacements (n_dofs,) after the step before, coarsest level first
+    extrapolated_levels: list[np.ndarray]  # (n_dofs,): from the last two steps in the loads
     last: np.ndarray  # solution (n_unknowns,) after the step before
     extrapolated: np.ndarray  # (n_unknowns,): from the last two steps in the loads
     given: bool  # whether there is a step before
@@ -128,6 +130,23 @@ def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list
 #: extrapolation is taken where it leaves less than this share of the residual of the nested start, whose error
 #: is rough and soon smoothed away; half and twice change none of 97 cycles of four load paths (campaign constants)
 _EXTRAPOLATE = 0.05
+
+
+def extrapolated_outcome(
+    problem: DiscreteProblem, rtol: float, examiner: Examiner, run: Run, past: Past
+) -> Outcome | None:
+    """Return the extrapolation as the outcome of a step if the certificate finds it as accurate as
+    ``rtol``, else None. The result needs this certificate, too: a step that is proportional to the
+    last one costs nothing else (0.6 of a path of 20 steps on 4225 nodes). 17 paths with 340 steps
+    take 1241 cycles for 1326, and the certificate refuses 10 of 173 extrapolations; with a tenth of
+    the residual that is asked for, 1279 cycles, and it refuses none of 144."""
+    solution = problem.with_prescribed(problem.from_prescribed(past.extrapolated))
+    with run.phase("start"):
+        residual = examiner.relative_residual(solution)
+    if residual > StopTest.RESIDUAL_FACTOR * rtol or run.shortfall(solution, rtol) > 0.0:
+        return None
+    run.record(cycle=0, residual=residual, change=np.nan, error_estimate=np.nan)
+    return Outcome(solution, Status.CONVERGED, 0, rtol)
 
 
 def step_outcome(
@@ -174,6 +193,10 @@ def resumed(
     else from the beginning. Return the outcome, the set-up for the next step, and the displacements
     of coarse levels if the solver has a nested start."""
     problem = hierarchy.finest.discrete
+    if past.given and not past.near and not isinstance(solver.rtol, str):
+        outcome = extrapolated_outcome(problem, solver.rtol, examiner, run, past)
+        if outcome is not None:
+            return outcome, multigrid, past.extrapolated_levels[:-1]
     if multigrid is None or not problem.alike(multigrid.problems[-1]):
         multigrid = cast("TruncatedRun", solver.prepared(hierarchy, run, keeps=True))
     else:

@@ -384,7 +384,7 @@ class March:
             noise = self.rounding * np.abs([self.displacement, admissible - shift]).max()
             loose = noise / (StopTest.RESIDUAL_FACTOR * euclidean_norm(discrete.load) or 1.0)
             loose = min(loose, _MOST_ROUNDING)
-            past = Past([], first, first, given=True, near=True, loose=loose)
+            past = Past([], [], first, first, given=True, near=True, loose=loose)
         outcome, self.multigrid, _ = step_outcome(
             self.step_solver, self.multigrid, grids, examiner, run, past
         )

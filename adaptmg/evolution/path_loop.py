@@ -82,6 +82,7 @@ class PathLoop:
             np.zeros(level.discrete.n_dofs)
             for level in grids.levels[0 if grids.discretised else -1 :]
         ]
+        self.levels_before = self.levels
         self.coarse: list[np.ndarray] | None = None
         #: whether the path goes on from a result under the loads of its first step
         self.continued = False
@@ -152,6 +153,7 @@ class PathLoop:
         with run.phase("setup"):
             past = Past(
                 levels=self.levels,
+                extrapolated_levels=self._extrapolated_levels(k),
                 last=self.recent[-1][0],
                 extrapolated=self._start(k, near),
                 given=len(self.recent) > 1,
@@ -319,6 +321,7 @@ class PathLoop:
         self.accumulated_slip = result.contact.accumulated_slip
         solution = np.append(displacement, result.pressures)
         self.recent = [*self.recent[-1:], (solution, self._factor_array(k))]
+        self.levels_before = self.levels
         self.levels = (
             coarse_displacements(grids, displacement) if coarse is None else [*coarse, displacement]
         )
@@ -342,6 +345,12 @@ class PathLoop:
             return np.append(displacement, near.pressures)
         last = self.recent[-1][0]
         return last + self._ratio(k) * (last - self.recent[0][0])
+
+    def _extrapolated_levels(self, k: int) -> list[np.ndarray]:
+        """Return the displacements of all levels for step k, extrapolated as the start."""
+        ratio = self._ratio(k)
+        pairs = zip(self.levels, self.levels_before, strict=True)
+        return [last + ratio * (last - before) for last, before in pairs]
 
 
 def _posed_with_names(grids: Hierarchy) -> list[Posed | None]:
