@@ -96,7 +96,8 @@ def _grow(indptr, indices, group, sizes, most_deep, label, queue, depth):
 def _joined(
     graph: sparse.csr_array, label: np.ndarray, group: np.ndarray, sizes: np.ndarray
 ) -> np.ndarray:
-    """Return the labels after small remnants have joined the smallest neighbour of their group."""
+    """Return the labels after small aggregates (remnants) have joined their smallest neighbour in the
+    same group."""
     inside = label >= 0
     members = np.bincount(label[inside])
     group_of = np.zeros(label.max(initial=-1) + 1, dtype=np.int32)
@@ -104,12 +105,14 @@ def _joined(
     remnant = _REMNANT * members < sizes[group_of]
     nodes = np.flatnonzero(inside & remnant[label])
     edges = graph[nodes].tocoo()
+    # (n_edges,): the remnant at one end of an edge, and the aggregate at its other end
     aggregate = label[nodes[edges.row]]
     neighbour = label[edges.col]
     joins = (neighbour >= 0) & ~remnant[neighbour] & (group_of[aggregate] == group_of[neighbour])
     aggregate = aggregate[joins]
     neighbour = neighbour[joins]
-    order = np.argsort(-members[neighbour], kind="stable")  # of several values the last one stays
+    # of several assignments to a remnant the last one counts: that of its smallest neighbour
+    order = np.argsort(-members[neighbour], kind="stable")
     joined_to = np.arange(len(members))
     joined_to[aggregate[order]] = neighbour[order]
     new_number = np.cumsum(joined_to == np.arange(len(joined_to)), dtype=np.int32) - 1
@@ -118,7 +121,8 @@ def _joined(
 
 @kernel
 def _adjacent(indptr, indices, label, aggregate, neighbour):
-    """Write the pairs of unlike aggregates that entries of the matrix join; return their number."""
+    """Write the pairs of different aggregates that entries of the matrix join; return the number of
+    pairs."""
     found = 0
     for i in range(len(indptr) - 1):
         if label[i] < 0:
@@ -141,6 +145,7 @@ class Aggregates:
         matrix = problem.matrix
         dim = problem.dim
         n = problem.n_nodes
+        # an aggregate has nodes of one group: of a body, or of its contact nodes; -1: wholly fixed
         group = np.zeros(n, dtype=np.int32)
         for k, nodes in enumerate((problem.bodies or {}).values()):
             group[nodes] = k
@@ -255,8 +260,9 @@ def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, ba
 
 @in_loop
 def _project(basis_row, motions, aggregate, other_aggregate, zero, forces, band):
-    """Add to ``band`` the work of the forces of ``other_aggregate`` on the motions of a node of
-    ``aggregate``, and that of the transposed matrix; set the forces to zero."""
+    """Add to ``band`` the work of ``forces`` (the matrix times motions of ``other_aggregate``) on the
+    motions of a node of ``aggregate``, and the same of the transposed matrix, which doubles entries
+    on the diagonal; set the forces to zero."""
     dim = np.uint64(len(zero))
     modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
     column = modes * np.uint64(min(aggregate, other_aggregate))
@@ -276,8 +282,8 @@ def _project(basis_row, motions, aggregate, other_aggregate, zero, forces, band)
 
 @kernel
 def _transfer(down, starts, label, motions, place, zero, vector, values):
-    """Add the work of a vector (n_dofs,) on the motions of the aggregates to ``values``
-    (n_coarse,), or up the motions times ``values`` to the vector."""
+    """Restrict or prolong: if ``down``, add the work of a vector (n_dofs,) on the motions of the
+    aggregates to ``values`` (n_coarse,), else add the motions times ``values`` to the vector."""
     dim = np.uint64(len(zero))
     modes = len(zero) * (len(zero) + 1) // 2
     for i in range(len(starts) - 1):
@@ -322,7 +328,7 @@ class CoarseCorrection:
             band,
         )
         if stiffening.any():
-            stiffening_matrix = at_nodes(nodes, stiffening, matrix.shape[0])
+            stiffening_matrix = nodal_matrix(nodes, stiffening, matrix.shape[0])
             _fill(
                 stiffening_matrix.indptr,
                 stiffening_matrix.indices,
@@ -332,7 +338,7 @@ class CoarseCorrection:
                 band,
             )
         band[:, 0] += raised(band[:, 0])
-        # where it fails, a motion that nothing holds: the sweeps alone precondition too
+        # it fails where nothing holds a motion; then the sweeps alone precondition
         self._factor, self._failed = (
             dpbtrf(band.T, lower=1, overwrite_ab=1) if len(band) else (band, 1)
         )
@@ -347,9 +353,8 @@ class CoarseCorrection:
             )
 
 
-def at_nodes(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:
-    """Return a matrix (n_dofs, n_dofs) of blocks (n, dim, dim) at the diagonal places of some
-    nodes."""
+def nodal_matrix(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_array:
+    """Return the block-diagonal matrix (n_dofs, n_dofs) with blocks (n, dim, dim) at some nodes."""
     order = np.argsort(nodes)
     n = n_dofs // blocks.shape[1]
     starts = np.append(0, np.cumsum(np.bincount(nodes, minlength=n)))
@@ -357,15 +362,16 @@ def at_nodes(nodes: np.ndarray, blocks: np.ndarray, n_dofs: int) -> sparse.bsr_a
 
 
 def raised(diagonal: np.ndarray) -> np.ndarray:
-    """Return what is added to the diagonal of the coarse matrix."""
-    # motions that the status takes away altogether have no stiffness
+    """Return the terms (n_coarse,) that make the coarse matrix regular, to be added to its
+    diagonal."""
+    # motions whose nodes are all held have no stiffness
     largest = diagonal.max(initial=0.0)
     return np.where(diagonal > 1e-14 * largest, checks.ALIKE * diagonal, largest)
 
 
 @dataclass(frozen=True, eq=False)
-class AtNodes:
-    """Data of the nodes that carry the contact conditions."""
+class ContactValues:
+    """Gaps, slips and forces at the contact nodes."""
 
     gap: np.ndarray  # (n_contact,) m
     slip: np.ndarray  # (n_contact, dim), in the tangent plane, m
@@ -378,11 +384,11 @@ class AtNodes:
 
 
 class _Smoothed:
-    """The smoothed aggregates of a problem: the matrix in their span, condensed to what reaches
-    contact nodes."""
+    """The span of the smoothed aggregates of a problem, with the matrix on it condensed to the
+    unknowns that move contact nodes."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
-        """Compute the span, and eliminate what reaches no contact node."""
+        """Compute the span, and eliminate its unknowns that move no contact node."""
         dim = problem.dim
         free = ~problem.fixed
         matrix = sparse.csr_array(problem.matrix)
@@ -436,7 +442,7 @@ class _Smoothed:
         return dense_factors(self.matrix + (self.rows.T @ (_by_node(blocks) @ self.rows)).toarray())
 
     def condense(self, load: np.ndarray) -> np.ndarray:
-        """Return what the condensed equations take of forces (n_coarse,)."""
+        """Return the load of the condensed equations for forces (n_coarse,)."""
         return load[self.near] - self._coupling.T @ self._solve(load[self.far])
 
     def recover(self, load: np.ndarray, near: np.ndarray) -> np.ndarray:
@@ -452,25 +458,25 @@ _smoothed_of = remembered_of_structure(_Smoothed)
 
 def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
     """Return the block-diagonal matrix of blocks (n, dim, dim)."""
-    n = len(blocks)
-    dim = blocks.shape[1]
-    return sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
+    return nodal_matrix(np.arange(len(blocks)), blocks, len(blocks) * blocks.shape[1])
 
 
 def changed_status(
     problem: DiscreteProblem,
     residual: np.ndarray,
-    claims: AtNodes,
+    claims: ContactValues,
     stiffness: np.ndarray,
     limit: np.ndarray,
     friction: np.ndarray,
     compliance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the change (n_dofs,) of unknowns with this residual (n_dofs,), and the contact forces
-    (n_contact, dim) that it ends with; None if it is not found, or of a scalar problem.
-    ``stiffness`` (n_contact,) is that of the nodes, N/m, ``limit`` (n_contact,) the bound of
-    friction without pressure, N, ``friction`` (n_contact,) its coefficient,
-    ``compliance`` (n_contact,) that of the surfaces, m/N."""
+    """Return the change (n_dofs,) in the span of the smoothed aggregates that solves the contact
+    problem there, and the contact forces (n_contact, dim) after it; None if the interior point
+    method does not find it, or for a scalar problem.
+
+    ``residual`` (n_dofs,) and ``claims`` are those before the change. ``stiffness`` (n_contact,):
+    of the nodes, N/m; ``limit`` (n_contact,): bound of friction without pressure, N; ``friction``
+    (n_contact,): its coefficient; ``compliance`` (n_contact,): of the surfaces, m/N."""
     if problem.dim == 1:
         return None
     coarse = _smoothed_of(problem)

@@ -29,7 +29,7 @@ from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks
 from adaptmg.discrete.volumes import NO_PRESSURES
-from adaptmg.solver.aggregates import Aggregates, AtNodes, aggregates_of, changed_status
+from adaptmg.solver.aggregates import Aggregates, ContactValues, aggregates_of, changed_status
 from adaptmg.solver.energy_error import FrozenStatus, correction
 
 
@@ -157,12 +157,12 @@ def certify(
     rtol: float = 0.0,
     pressures: np.ndarray = NO_PRESSURES,
     residual: np.ndarray | None = None,
-    posed: Posed | None = None,
+    on_mesh: ConditionsOnMesh | None = None,
 ) -> Certificate:
     """Check a displacement and the contact forces and states that go with it; of a problem with
     volumes also their ``pressures``, Pa. An energy error far below ``rtol`` is estimated by two
-    steps. ``residual``: b - A w, if it was computed. ``posed`` makes the
-    lines that follow from mesh and posed problem (:mod:`adaptmg.solver.closed_forms`)."""
+    steps. ``residual``: b - A w, if it was computed. ``on_mesh`` returns the lines that need the
+    mesh (:mod:`adaptmg.solver.closed_forms`)."""
     # a diverged displacement overflows: its lines are inf or nan, which contradict every tolerance
     with np.errstate(over="ignore", invalid="ignore"):
         evidence = Evidence(
@@ -170,7 +170,7 @@ def certify(
         )
         aggregates = None if bound or problem.fixed.all() else aggregates_of(problem)
         energy, energy_rounding = evidence.energy_error(aggregates, rtol)
-        lines = evidence.lines() if posed is None else (*evidence.lines(), *posed(evidence))
+        lines = evidence.lines() if on_mesh is None else (*evidence.lines(), *on_mesh(evidence))
     return Certificate(
         lines,
         0.0 if evidence.idle else energy,
@@ -182,20 +182,21 @@ def certify(
     )
 
 
-#: makes lines of what mesh and posed problem say of a displacement
-Posed = Callable[["Evidence"], tuple["Condition", ...]]
+#: returns the lines of a certificate that need the mesh and the posed problem
+ConditionsOnMesh = Callable[["Evidence"], tuple["Condition", ...]]
 
 _OPEN, _SLIP, _STICK = 0, 1, 2
-#: share of rtol that an energy error far below it has; times the factors of :mod:`adaptmg.solver.energy_error` the
-#: share up to which fewer steps estimate it
+#: share of rtol below which an energy error is negligible; :mod:`adaptmg.solver.energy_error` takes fewer steps for
+#: errors up to some multiples of it
 #: half changes 0 of 119 solves, paths and loops, twice 3; cycles 691, 691, 694 (campaign constants)
 _NEGLIGIBLE = 0.1
-#: share of the correction that penetrates, or of the largest pressure that pulls, from which on a status is wrong
+#: a status is wrong if a node penetrates by more than this share of the largest correction, or pulls by more than this
+#: share of the largest pressure
 _WRONG = 0.05
 #: residuals of random signs that measure what error rounding leaves: the largest of 4 is 1.3 to 7 times the error at
 #: which methods came to rest (beams of 50 to 147 : 1), of 2 half of that
 _SAMPLES = 4
-#: times a change of the status that may be missing after it
+#: multiple of a change of the status that may still be missing after it
 #: 0 and no limit change none of 316 random solves; 72 were watched, and no certificate comes here: it is for
 #: displacements that are far from their status
 _FOUND = 2.0
@@ -303,7 +304,7 @@ class Evidence:
         self._set_scales()
 
     def _measure_contact(self) -> None:
-        """Compute the claimed forces, the gaps to surfaces that give way, the slips and the bounds of
+        """Compute the claimed forces, the gaps to the deformed surfaces, the slips and the bounds of
         friction."""
         contact = self.contact
         problem = self.problem
@@ -312,9 +313,9 @@ class Evidence:
         )
         self.pressure = -np.einsum("nd,nd->n", self.claimed, self.normals)
         self.friction = self.claimed + self.pressure[:, None] * self.normals
-        self.gap, self.slip = self._kinematics()
+        gap, self.slip = self._kinematics()
         self.stiffness = np.einsum("nii->ni", nodal_blocks(problem, self.nodes)).max(axis=1)
-        self.compliance = self._give_way()
+        self.gap, self.compliance = self._with_surface_layer(gap)
         self.limit, _ = problem.law.bounds(len(self.nodes))
         slip = np.linalg.norm(self.slip, axis=1)
         self.coefficient = problem.friction_at(self.pressure, slip)
@@ -322,7 +323,7 @@ class Evidence:
 
     def _subtract_claims(self) -> None:
         """Compute the forces (n_nodes, dim) that neither loads nor ties nor claimed contact forces
-        explain: at free dofs they must vanish, at the others supports carry them."""
+        explain: at free dofs they must vanish, at fixed dofs supports carry them."""
         problem = self.problem
         # a tie holds with whatever force it needs; its counterpart on the master is not a violation
         self.tying = np.zeros(problem.n_dofs)
@@ -337,7 +338,7 @@ class Evidence:
         self.left = np.where(self.fixed, 0.0, self.unexplained)
 
     def _set_scales(self) -> None:
-        """Compute the scales of forces and displacements, and what rounding leaves."""
+        """Compute the scales of forces and displacements, and the levels of rounding."""
         problem = self.problem
         diagonal = np.einsum("nii->ni", nodal_blocks(problem))
         self.internal = _norm(problem.load - self.residual)
@@ -358,8 +359,8 @@ class Evidence:
 
     @property
     def idle(self) -> bool:
-        """Return whether the forces of all stresses are rounding: bodies that their supports move
-        and nothing strains."""
+        """Return whether the forces of all stresses are rounding: supports move the bodies, and
+        nothing strains them."""
         moved = float(np.abs(self.problem.fixed_values).max(initial=0.0))
         return moved > 0.0 and self.internal <= 1e3 * self.rounding and self.length <= 10 * moved
 
@@ -400,10 +401,11 @@ class Evidence:
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
         return problem.contact.gaps - u_n, slip
 
-    def _give_way(self) -> np.ndarray:
-        """Add to the gap, in place, what surfaces yield by, e p^(1/m), and return its derivative (n,) by
-        the pressure. Where a surface is softer than the node both are those near the depth: there a
-        force of rounding moves the surface far."""
+    def _with_surface_layer(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return gaps (n,) with the compression e p^(1/m) of the surfaces added, and the derivative
+        (n,) of the compression by the pressure p. Where a surface is softer than its node, both are
+        linearised at the pressure that compresses it to the given gap, since there a change of p by
+        rounding moves the surface far."""
         scale = self.problem.contact.compliance
         exponent = self.problem.contact.exponent
         pressure = np.maximum(self.pressure, 0.0)
@@ -412,18 +414,17 @@ class Evidence:
         def derivative(force: np.ndarray) -> np.ndarray:
             return scale * np.maximum(force, least) ** (1 / exponent - 1) / exponent
 
-        depth = np.maximum(-self.gap, 0.0)
+        depth = np.maximum(-gap, 0.0)
         soft = (derivative(pressure) * self.stiffness > 1) & (depth > 0)
         required = np.divide(depth, scale, out=np.zeros_like(depth), where=soft) ** exponent
         slope = derivative(np.where(soft, required, pressure))
-        of_force = self.gap + scale * pressure ** (1 / exponent)
-        self.gap[:] = np.where(soft, slope * (pressure - required), of_force)
-        return slope
+        compressed = gap + scale * pressure ** (1 / exponent)
+        return np.where(soft, slope * (pressure - required), compressed), slope
 
     @property
     def beyond(self) -> np.ndarray:
-        """Return the gaps (n,), m, or in front of surfaces that yield by a power of the force the length
-        of the force that closes them, if this is shorter."""
+        """Return the gaps (n,), m. In front of surfaces that yield by a power of the force a gap is
+        replaced by the length of the force that closes it, if that is shorter."""
         length = self.length or 1.0
         share = length / np.maximum(length, self.force * self.compliance)
         return np.where(self.problem.contact.exponent > 1, share * self.gap, self.gap)
@@ -453,19 +454,19 @@ class Evidence:
     def _works(self, name: str, works: np.ndarray, scale: float) -> Condition:
         total = float(works.sum())
         rounding = _over(self.rounding, self.force) + 16 * _EPSILON
-        # never over next to nothing: bodies that part, or slip without friction
+        # a scale that cannot vanish: bodies may part, or slip without friction
         scale = max(scale, self.force) * self.length
         return Condition(
             name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding
         )
 
     def equilibrium(self) -> Condition:
-        """Return forces at free dofs that neither loads nor claimed contact forces explain."""
+        """Return the forces at free dofs that neither loads nor claimed contact forces explain."""
         return self._forces("equilibrium", self.left)
 
     def volumes(self) -> tuple[Condition, ...]:
-        """Return what the mean volume strains of groups and their pressures miss, as forces on a
-        facet."""
+        """Return the deviations of the pressures of groups from their mean volume strains, as forces
+        on a facet."""
         volumes = self.problem.volumes
         if not len(volumes):
             return ()
@@ -473,7 +474,7 @@ class Evidence:
         return (self._forces("volumes", volumes.scale * missed),)
 
     def prescribed(self) -> Condition:
-        """Return by how much supports miss their values."""
+        """Return the deviations from the prescribed values."""
         missed = self.unknowns.reshape(-1) - self.problem.fixed_values
         return self._lengths("prescribed values", missed[self.problem.fixed])
 
@@ -481,8 +482,7 @@ class Evidence:
         """Return penetration, tension, complementarity."""
         beyond = self.beyond
         pulling = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
-        # each in its scale: a force of rounding times a gap of a thousand displacements is not work
-        # of contact
+        # each in its scale: a rounding force times a gap of a thousand displacements is no violation
         both = np.maximum(
             np.minimum(self.pressure / (self.force or 1.0), beyond / (self.length or 1.0)), 0.0
         )
@@ -507,8 +507,8 @@ class Evidence:
         along = np.einsum("nd,nd->n", self.friction, self.slip)
         excess = np.maximum(size - self.bound, 0.0)
         works = np.maximum(self.bound * slip + along, 0.0)
-        # weighted by the force: open nodes slip freely, under a force of rounding, which has no
-        # direction
+        # weighted by the force: open nodes slip freely, and the direction of their rounding forces
+        # means nothing
         same_way = np.maximum(along - self.rounding * slip * self.idle, 0.0) / (self.force or 1.0)
         return (
             self._forces("friction bound", excess),
@@ -517,7 +517,7 @@ class Evidence:
         )
 
     def states(self) -> tuple[Condition, Condition, Condition]:
-        """Return what contradicts the claimed states."""
+        """Return the forces, gaps and slips that contradict the claimed states."""
         state = np.asarray(self.contact.state)
         slip = np.linalg.norm(self.slip, axis=1)
         return (
@@ -531,8 +531,8 @@ class Evidence:
         )
 
     def balance(self) -> Condition:
-        """Return the sum of loads, supports, claimed contact forces and foundations: what free dofs
-        do not explain."""
+        """Return the sum of all forces that act: loads, supports, claimed contact forces and
+        foundations, the same as that of the unexplained forces at free dofs."""
         sums = np.einsum("nd->d", self.left)
         total = float(np.linalg.norm(sums))
         # n roundings of random sign
@@ -547,25 +547,25 @@ class Evidence:
         )
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
-        """Return the relative energy error, estimated with these aggregates or exact, and as much
-        of it as rounding explains."""
-        conditions = AtNodes(self.gap, self.slip, self.pressure, self.friction)
+        """Return the relative energy error, and the part of it that rounding explains; estimated with
+        ``aggregates``, without them by a factorisation."""
+        conditions = ContactValues(self.gap, self.slip, self.pressure, self.friction)
         forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
         error, wrong = self._held(conditions, self.unknowns, forces, aggregates, negligible)
         if wrong and aggregates is not None and not error <= self.energy_rounding:
             error = self._with_changed_status(conditions, error, aggregates)
         rounding = self.energy_rounding
-        # methods came to rest with forces of .07 to 1.2 times the rounding (beams of 50 to 147 : 1)
+        # methods stop improving with forces of .07 to 1.2 times the rounding (beams of 50 to 147 : 1)
         balanced = _norm(self.left) <= self.rounding
         if aggregates is not None and balanced and rtol * self.energy < error < self.energy:
             rounding = max(rounding, self._attainable(conditions, aggregates))
         return _over(error, self.energy), _over(rounding, self.energy)
 
-    def _attainable(self, conditions: AtNodes, aggregates: Aggregates) -> float:
-        """Return the energy error that rounding of the residual leaves, measured: the largest of what
-        residuals of its size, of random signs, bring about with the contact status held. Slender
-        bodies answer to them with their condition."""
+    def _attainable(self, conditions: ContactValues, aggregates: Aggregates) -> float:
+        """Return the energy error that rounding of the residual leaves: the largest one that residuals
+        of the size of rounding and of random signs cause with the contact status held. On slender
+        bodies it is large, as the condition of the matrix."""
         matrix = self.problem.matrix
         status = self._frozen(conditions, self.unknowns)[0]
         squares = sparse.bsr_array((matrix.data**2, matrix.indices, matrix.indptr))
@@ -588,7 +588,7 @@ class Evidence:
 
     def _held(
         self,
-        conditions: AtNodes,
+        conditions: ContactValues,
         unknowns: np.ndarray,
         forces: np.ndarray,
         aggregates: Aggregates | None,
@@ -620,11 +620,11 @@ class Evidence:
         return float(moved + np.sqrt(corrected.energy)), bool(wrong)
 
     def _with_changed_status(
-        self, conditions: AtNodes, held: float, aggregates: Aggregates
+        self, conditions: ContactValues, held: float, aggregates: Aggregates
     ) -> float:
-        """Return the energy error where the contact status may change: of the change in the span of the
-        aggregates, and what is missing after it with the status held; ``held``: what is missing
-        without it."""
+        """Return the energy error where the contact status may change: the energy of a change in the
+        span of the aggregates, with the error that is left after it while the new status is held.
+        ``held`` is the error with the present status held."""
         problem = self.problem
         contact = self.problem.contact
         matrix = self.problem.matrix
@@ -651,7 +651,7 @@ class Evidence:
         yielding = self.compliance * (
             np.maximum(pressure, 0.0) - np.maximum(conditions.pressure, 0.0)
         )
-        changed_conditions = AtNodes(
+        changed_conditions = ContactValues(
             conditions.gap - approach + yielding,
             conditions.slip + moved - approach[:, None] * normals,
             pressure,
@@ -661,7 +661,7 @@ class Evidence:
         forces[contact.nodes] -= exerted
         missing_after, _ = self._held(changed_conditions, self.unknowns + nodal, forces, aggregates)
         changed = float(np.hypot(change_size, missing_after))
-        # where much more is missing after the change, the aggregates have not found the status
+        # an error after the change that is much larger: the aggregates have not found the status
         return (
             changed
             if missing_after <= _FOUND * change_size
@@ -669,7 +669,7 @@ class Evidence:
         )
 
     def _frozen(
-        self, conditions: AtNodes, unknowns: np.ndarray
+        self, conditions: ContactValues, unknowns: np.ndarray
     ) -> tuple[FrozenStatus, np.ndarray, np.ndarray, np.ndarray]:
         """Return the status that the displacement is nearest to, the change (n_nodes, dim) that
         meets it, the lawful contact forces (n_contact, dim), and which contact nodes touch. A node
@@ -695,7 +695,7 @@ class Evidence:
         normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
         change[nodes] = normal_change - friction.without_slip[:, None] * conditions.slip * free
         change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
-        # what the status leaves free: tangents where the node slides, normals where nothing rigid is
+        # free directions: tangents of nodes that slide, normals of nodes that touch nothing rigid
         along = normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
         fixed_elsewhere = np.setdiff1d(self.fixed.nonzero()[0], nodes)
@@ -706,7 +706,7 @@ class Evidence:
                 ~self.fixed[fixed_elsewhere][:, :, None] * np.eye(dim),
             ]
         )
-        # in 3D friction turns with the slip; it grows with the pressure
+        # friction turns with the slip (3D) and grows with the pressure
         against = friction.direction
         across = (tangents - against[:, :, None] * against[:, None]) * (dim == 3)
         dragged = (
@@ -730,7 +730,7 @@ class Evidence:
     ) -> _NearestFriction:
         """Return the lawful friction nearest to that of contact nodes, all arrays (n_contact, dim)
         but ``limit`` (n_contact,), N. A node loses its slip if moving it back costs less, in the
-        measure of its stiffness, than turning its friction against the slip."""
+        measure of its stiffness, than changing its friction to the bound, against the slip."""
         d = self.stiffness
         size = np.linalg.norm(slip, axis=1)
         direction = -_directions(slip)
@@ -739,7 +739,7 @@ class Evidence:
         without_slip = (limit > 0) & (
             d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d
         )
-        # from no slip at all the node moves as the force drags it
+        # a node without slip whose friction exceeds the bound slides along its friction force
         starts_to_slide = without_slip & (excess > 0)
         direction[starts_to_slide] = _directions(friction)[starts_to_slide]
         sticks = without_slip & ~starts_to_slide
@@ -761,8 +761,8 @@ class _NearestFriction:
 
 
 def _image(matrix: sparse.bsr_array, change: np.ndarray) -> np.ndarray:
-    """Return A v (n_nodes, dim) of a symmetric matrix and a vector that is zero but at few nodes: a
-    tenth of the time of a product for the 257 contact nodes of 66k."""
+    """Return A v (n_nodes, dim) of a symmetric matrix and a vector that is zero except at few nodes: in
+    a tenth of the time of a product for the 257 contact nodes of 66k."""
     nodes = np.flatnonzero(np.logical_or.reduce(list(change.T)))
     starts = matrix.indptr[nodes]
     counts = matrix.indptr[nodes + 1] - starts
@@ -777,18 +777,18 @@ def _image(matrix: sparse.bsr_array, change: np.ndarray) -> np.ndarray:
 
 
 def _directions(vectors: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, dim), zero where there is none."""
+    """Return unit vectors (n, dim), zero for vectors of length zero."""
     size = np.linalg.norm(vectors, axis=1)[:, None]
     return np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
 
 
 def _along(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Normal components (n,)."""
+    """Return the normal components (n,)."""
     return np.einsum("nd,nd->n", vectors, normals)
 
 
 def _over(value: float, scale: float) -> float:
-    """A ratio; 1 for something over nothing."""
+    """Return a ratio: 0 for a zero value, 1 for another value over a zero scale."""
     return 0.0 if value == 0.0 else float(value / scale) if scale else 1.0
 
 

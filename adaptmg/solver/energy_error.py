@@ -63,7 +63,7 @@ from adaptmg.smoother.blocks import (
     write,
 )
 from adaptmg.smoother.strips import Strips
-from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, at_nodes
+from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, nodal_matrix
 
 #: the share of the energy that the last step may have left, and of the least Ritz value that stays; with
 #: volumes the share by which each of the last two steps may have changed the energy
@@ -71,8 +71,8 @@ from adaptmg.solver.aggregates import Aggregates, CoarseCorrection, at_nodes
 _MISSING, _SETTLED, _CALM = 0.3, 0.7, 0.1
 #: least steps
 _LEAST = 3
-#: by how much more than what is negligible an error may be that need not be known better, a step: .6 of rtol after the
-#: second, .9 after the third (seen at most 1.46 and 1.09 times too small)
+#: times the number of steps: the multiple of the negligible error up to which no further step is taken: .6 of rtol
+#: after the second step, .9 after the third (seen at most 1.46 and 1.09 times too small)
 #: half changes 0 of 119 solves, paths and loops, twice 3; cycles 691, 691, 694 (campaign constants)
 _SURER = 3.0
 #: steps at most, without and with Coulomb friction, which needs all directions, and with volumes
@@ -85,19 +85,20 @@ FACTORISED = {1: 100_000, 2: 100_000, 3: 30_000}
 
 @dataclass(frozen=True, eq=False)
 class FrozenStatus:
-    """The displacements that keep a contact status."""
+    """The space of the displacements that keep a contact status, and how contact forces change in
+    it."""
 
-    held: (
-        np.ndarray
-    )  # (m,) int: nodes that may not move freely: in contact, then the others in supports
-    kept: np.ndarray  # (m, dim, dim): projections there onto what may move
+    held: np.ndarray  # (m,) int: the contact nodes, then all other nodes in supports
+    projections: np.ndarray  # (m, dim, dim): onto the free directions of the held nodes
     nodes: np.ndarray  # (n_contact,) int: contact nodes
-    stiffening: np.ndarray  # (n_contact, dim, dim): of friction that turns with the slip (3D), N/m
-    dragged: np.ndarray  # (n_contact, dim, dim): of friction that grows with the pressure (Coulomb)
+    # (n_contact, dim, dim): stiffness of friction that turns with the slip (3D), and of springs, N/m
+    stiffening: np.ndarray
+    # (n_contact, dim, dim): friction by force on the node (Coulomb: friction grows with pressure)
+    dragged: np.ndarray
 
     def project(self, vector: np.ndarray) -> None:
-        """Leave of a vector (n_nodes, dim) the part that may move, in place."""
-        vector[self.held] = np.einsum("nij,nj->ni", self.kept, vector[self.held])
+        """Project a vector (n_nodes, dim) onto the space, in place."""
+        vector[self.held] = np.einsum("nij,nj->ni", self.projections, vector[self.held])
 
 
 @kernel
@@ -201,31 +202,29 @@ class _Preconditioner:
         coarse matrix."""
         matrix = problem.matrix
         dim = problem.dim
-        held_nodes = status.held
-        projections = status.kept
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
-        motions = aggregates.projected(held_nodes, projections)
+        motions = aggregates.projected(status.held, status.projections)
         self._coarse = CoarseCorrection(
             matrix, aggregates, motions, status.nodes, status.stiffening
         )
         inverse = nodal_blocks(problem)
-        blocks = inverse[held_nodes]
+        blocks = inverse[status.held]
         blocks[: len(status.nodes)] += status.stiffening
-        # what is projected away has no stiffness: its inverse is 0
-        stiffness, axes = np.linalg.eigh(projections @ blocks @ projections)
+        # directions that are projected away have no stiffness: their inverse is 0
+        stiffness, axes = np.linalg.eigh(status.projections @ blocks @ status.projections)
         stiffness_sizes = np.abs(stiffness)
         rounding = 1e-12 * stiffness_sizes.max(axis=1, initial=0.0, keepdims=True)
         stiffness[stiffness_sizes <= rounding] = np.inf
         _invert(self._zero, inverse.reshape(-1))
-        inverse[held_nodes] = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
+        inverse[status.held] = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
         self._inverse = inverse.reshape(-1)
 
     def __call__(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the preconditioned residual (n_dofs,), and the stored matrix times it."""
-        # what the forward sweep leaves of the residual, then the product
         result = np.empty_like(residual)
+        # the residual after the forward sweep; after the backward sweep the product
         image = np.zeros_like(residual)
         arguments = self._zero, *self._matrix, self._inverse, residual, result, image
         self._strips.sweep(_forward, *arguments)
@@ -253,12 +252,13 @@ def correction(
     negligible: float,
     rounding: float,
 ) -> HeldCorrection:
-    """Return the correction that a residual (n_nodes, dim), and the volumes ``missed`` (n_groups,),
-    bring about in the space of a status. If its energy is at most 36 times ``negligible``
-    after the second step, or 81 times after the third, that is the answer: an energy is never too
-    large after one step, however small it is, so that one step proves nothing. A
-    residual whose norm is at most ``rounding`` loads no motion. Without aggregates by factors; the
-    residual is overwritten."""
+    """Return the correction in the space of a status for a residual (n_nodes, dim), which is
+    overwritten, and the volumes ``missed`` (n_groups,).
+
+    An energy of at most 36 times ``negligible`` after the second step, or 81 times after the third,
+    needs no further step; after the first step an energy may still be far too small. A residual
+    whose norm is at most ``rounding`` loads no motion. Without ``aggregates``, or where the steps do
+    not settle, the equations are factorised."""
     status.project(residual)
     load = residual.reshape(-1)
     if len(problem.volumes):
@@ -279,7 +279,7 @@ class _Direction:
     """A direction of the Galerkin method."""
 
     values: np.ndarray  # (n,): displacement and pressures
-    image: np.ndarray  # (n,): what the equations make of them
+    image: np.ndarray  # (n,): the operator of the equations times the values
     at_contact: np.ndarray  # (2, n_contact, dim): displacement and forces at contact nodes
 
     def add(self, factor: float, other: _Direction) -> None:
@@ -307,8 +307,8 @@ class _Equations:
             self.most = _MOST_VOLUMES
 
     def direction(self, residual: np.ndarray) -> tuple[_Direction, np.ndarray]:
-        """Return the preconditioned residual as a direction, and its products with others in the
-        energy (n,)."""
+        """Return the preconditioned residual as a direction, and the gradient (n,) of its energy: its
+        product with the values of another direction is their energy product."""
         status = self.status
         nodal, forces = self.precondition(residual[: self.n])
         values = nodal
@@ -324,7 +324,7 @@ class _Equations:
             energetic = np.append(forces, soft * pressures)
             image += self.volumes.forces(pressures)
             compressed = soft * pressures - volumes
-        by_node = image.reshape(-1, status.kept.shape[1])
+        by_node = image.reshape(-1, status.projections.shape[1])
         motion_at_contact = nodal.reshape(by_node.shape)[status.nodes]
         forces_at_contact = by_node[status.nodes]
         of_stiffening = np.einsum("nij,nj->ni", status.stiffening, motion_at_contact)
@@ -343,7 +343,10 @@ class _Equations:
 def _estimated(
     equations: _Equations, load: np.ndarray, negligible: float
 ) -> tuple[HeldCorrection, bool]:
-    """Return a Galerkin solution, and whether further steps would change it little."""
+    """Return a Galerkin solution, and whether further steps would change it little.
+
+    Directions are orthonormal in the energy. For symmetric equations (conjugate gradients) only the
+    last one is kept; otherwise the equations on all of them are solved again in each step."""
     n = equations.n
     most = equations.most
     symmetric = equations.symmetric
@@ -357,7 +360,7 @@ def _estimated(
     # R of preconditioned residuals = directions times R, each of unit length in the norm of the
     # preconditioner: the least Ritz value is the square of its least singular value
     triangle = np.zeros((most, most))
-    total = np.zeros((2, len(equations.status.nodes), equations.status.kept.shape[1]))
+    total = np.zeros((2, len(equations.status.nodes), equations.status.projections.shape[1]))
     for step in range(1, most + 1):
         newest, energetic = equations.direction(residual)
         product = float(residual[:n] @ newest.values[:n])
@@ -404,12 +407,11 @@ def _estimated(
         ) / np.sqrt(product)
         ritz_before = ritz
         ritz = np.linalg.svd(triangle[:step, :step], compute_uv=False)[-1] ** 2
+        # a residual r holds at most the energy r.Pr / lambda
         most_energy = max(energies[-2] + product / ritz, energy)
-        missing_energy = (
-            most_energy - energy
-            if symmetric
-            else max(most_energy - energy, abs(energy - energies[-2]))
-        )
+        missing_energy = most_energy - energy
+        if not symmetric:
+            missing_energy = max(missing_energy, abs(energy - energies[-2]))
         settled = (
             step >= _LEAST
             and missing_energy <= _MISSING * energy
@@ -423,19 +425,19 @@ def _estimated(
 def _factorised(
     problem: DiscreteProblem, status: FrozenStatus, load: np.ndarray, rounding: float
 ) -> HeldCorrection:
-    """Return the correction by factors of the matrix of a status, with what makes it regular where motions
-    are free."""
+    """Return the correction by a factorisation, of a matrix that a small shift makes regular where
+    the status leaves motions free."""
     matrix = problem.matrix
     volumes = problem.volumes
     n = problem.n_dofs
     dim = problem.dim
     identity = sparse.eye_array(n, format="csr")
-    projection = identity + at_nodes(status.held, status.kept - np.eye(dim), n)
-    with_drag = projection + projection @ at_nodes(status.nodes, status.dragged, n)
-    # what may not move gets a diagonal of the size of the others, and what is free a little
+    projection = identity + nodal_matrix(status.held, status.projections - np.eye(dim), n)
+    with_drag = projection + projection @ nodal_matrix(status.nodes, status.dragged, n)
+    # directions that may not move get a diagonal of the size of the others, all a small shift
     diagonal_size = np.abs(matrix.diagonal()).max()
     equations = (
-        with_drag @ matrix + projection @ at_nodes(status.nodes, status.stiffening, n)
+        with_drag @ matrix + projection @ nodal_matrix(status.nodes, status.stiffening, n)
     ) @ projection + diagonal_size * (identity - projection)
     shift = np.full(len(load), checks.ROUNDING * diagonal_size)
     shift[n:] = 0.0

@@ -36,7 +36,7 @@ from adaptmg.smoother.system import (
     held_tangents,
     local_contact,
 )
-from adaptmg.solver.certificate import Certificate, Posed, certify
+from adaptmg.solver.certificate import Certificate, ConditionsOnMesh, certify
 
 if TYPE_CHECKING:
     import pandas
@@ -170,10 +170,10 @@ class ContactResult:
         plane = self.frames.shape[1] == 2 and not self.axisymmetric
         return ("N/m", "m") if plane else ("N", "m^2")
 
-    def counts(self, own: np.ndarray | None = None) -> dict[str, int]:
-        """Return the number of nodes by state, 'open', 'slip' and 'stick'; of all or of those in
-        the mask ``own``."""
-        states = np.asarray(self.state if own is None else self.state[own])
+    def counts(self, mask: np.ndarray | None = None) -> dict[str, int]:
+        """Return the number of nodes by state, 'open', 'slip' and 'stick'; of all nodes or of those in
+        a mask."""
+        states = np.asarray(self.state if mask is None else self.state[mask])
         return {name: int((states == code).sum()) for name, code in _STATES.items()}
 
     def table(self, units: str | None = None) -> pandas.DataFrame:
@@ -247,24 +247,28 @@ class ContactResult:
 
 @dataclass(frozen=True, eq=False)
 class Examined:
-    """A displacement and what follows from it."""
+    """A displacement, and the quantities and the certificate that are computed from it."""
 
     displacement: np.ndarray  # (n_nodes, dim): of the bodies, m
     reaction: np.ndarray  # (n_nodes, dim): on the bodies, N
     contact: ContactResult
     ties: TieForces | None
     residual: float  # natural, relative to the forces that act
-    checked: Certificate | None  # None: the examiner is asked for none
+    checked: Certificate | None  # None: the examiner makes no certificates
 
 
 class Examiner:
     """Examines displacements of one problem."""
 
     def __init__(
-        self, discrete: DiscreteProblem, posed: Posed | None = None, certified: bool = True
+        self,
+        discrete: DiscreteProblem,
+        on_mesh: ConditionsOnMesh | None = None,
+        certified: bool = True,
     ) -> None:
+        """Prepare for a problem; ``on_mesh`` returns the lines of the certificate that need the mesh."""
         self.discrete = discrete
-        self.posed = posed
+        self.on_mesh = on_mesh
         self.certified = certified
         self.contact, self.frames = local_contact(discrete)
         self.held = held_tangents(discrete)
@@ -274,11 +278,12 @@ class Examiner:
 
     def relative_residual(self, solution: np.ndarray) -> float:
         """Return the natural residual of a solution (n_unknowns,) over the forces that act, in
-        Euclidean norms; 1 if it is all there is."""
+        Euclidean norms; 1 if no other forces act."""
         return self._residual(solution, self.discrete.residual(solution))
 
     def _at_contact(self, vector: np.ndarray) -> np.ndarray:
-        """Local components (n_contact, dim) of a vector (n_dofs,), zero along what is held."""
+        """Return the local components (n_contact, dim) of a vector (n_dofs,), zero along held
+        tangents."""
         local = to_frames(
             self.frames, vector.reshape(-1, self.discrete.dim)[self.discrete.contact.nodes]
         )
@@ -312,8 +317,9 @@ class Examiner:
         return 0.0 if size == 0.0 else size / (scale or size)
 
     def __call__(self, solution: np.ndarray, rtol: float = 0.0) -> Examined:
-        """Examine a solution (n_unknowns,), between bodies in relative coordinates, which is kept
-        and must not change any more; ``rtol``: the tolerance that is asked for."""
+        """Examine a solution (n_unknowns,), between bodies in relative coordinates. The last answer is
+        remembered with its solution, which must not change any more. ``rtol``: the requested
+        tolerance."""
         if self._last is not None and np.array_equal(self._last[0], solution):
             return self._last[1]
         discrete = self.discrete
@@ -332,7 +338,7 @@ class Examiner:
                 rtol=rtol,
                 pressures=pressures,
                 residual=residual,
-                posed=self.posed,
+                on_mesh=self.on_mesh,
             )
         residual = discrete.inclined.reaction(solved, pressures) - residual
         ties = tie_forces(discrete, residual)
@@ -343,8 +349,8 @@ class Examiner:
 
     def _contact_result(self, solved: np.ndarray, residual: np.ndarray) -> ContactResult:
         """Return contact quantities at a solution (n_dofs,). Where a support holds a tangential component,
-        the equations do not tell friction from the reaction of the support: there it is what the
-        law says for the slip, and nothing if nothing slips."""
+        the equations give only the sum of friction and reaction of the support: there the friction is
+        that of the law for the prescribed slip, zero without slip."""
         discrete = self.discrete
         frames = self.frames
         held = self.held
@@ -371,9 +377,9 @@ class Examiner:
         force_t[held] = (-limit[:, None] * direction)[held]
         state[slides_held & (state == STICK)] = SLIP
         x = discrete.coordinates
-        # conditions of nodes that take over a part of others are sums; means are reported
+        # nodes that take over parts of others have sums of their conditions; means are reported
         share = contact.measures / contact.weights
-        other_nodes, other_forces, other_boundary, on_slave = _elsewhere(
+        other_nodes, other_forces, other_boundary, on_slave = _forces_on_other_nodes(
             discrete, from_frames(frames, np.column_stack([-force_n, force_t]))
         )
         return ContactResult(
@@ -401,15 +407,15 @@ class Examiner:
         )
 
 
-def _elsewhere(
+def _forces_on_other_nodes(
     discrete: DiscreteProblem, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return other nodes (m,) on which contact forces (n_contact, dim) act, the forces (m, dim) on
     them, their contact boundaries (m,), and whether they lie on these (m,) or on the masters.
 
-    On nodes of a contact boundary without a condition acts what their neighbours take over. On a
-    master act -W' times the contact forces, and where supports hold slave and master in a component
-    these act on held nodes of the master alone."""
+    Nodes of a contact boundary without a condition carry the shares that their neighbours take over.
+    Nodes of a master carry -W' times the contact forces; in a component that supports fix at slave
+    and master only the fixed nodes of the master do."""
     contact = discrete.contact
     dim = discrete.dim
     pieces = [
@@ -418,39 +424,29 @@ def _elsewhere(
     if discrete.coupling is None:
         return pieces[0]
     taken_over = contact.taken_over
-    weights = discrete.coupling.weights[contact.nodes]
+    master_weights = discrete.coupling.weights[contact.nodes]
     if taken_over.shape[1]:
-        weights = sparse.csr_array(weights + taken_over)
-        weights.data[np.abs(weights.data) < checks.ROUNDING] = 0.0
-        weights.eliminate_zeros()
-    weights_by_component = []
-    # by component the rows of the master: where both bodies are held those of its held nodes
+        master_weights = sparse.csr_array(master_weights + taken_over)
+        master_weights.data[np.abs(master_weights.data) < checks.ROUNDING] = 0.0
+        master_weights.eliminate_zeros()
+    # by component, with other rows at slave nodes where both bodies are fixed
+    master_weights_by_component = []
     for contacts, held_weights, _ in discrete.held_together():
         row_of_contact = np.arange(len(contact))
         row_of_contact[contacts] = len(contact) + np.arange(len(contacts))
         held_weights = sparse.diags_array(1 + taken_over[contacts].sum(axis=1)) @ held_weights
-        weights_by_component.append(
-            sparse.csr_array(sparse.vstack([weights, held_weights], format="csr")[row_of_contact])
-        )
+        rows = sparse.vstack([master_weights, held_weights], format="csr")[row_of_contact]
+        master_weights_by_component.append(sparse.csr_array(rows))
+    slave_weights_by_component = [-taken_over] * dim
     for k in np.unique(contact.boundary):
-        rows_of_boundary = np.flatnonzero(contact.boundary == k)
-        for on_slave, weights_of_boundary in (
-            (True, [-taken_over] * dim),
-            (False, weights_by_component),
-        ):
-            weights_of_boundary = [
-                of_component[rows_of_boundary] for of_component in weights_of_boundary
-            ]
-            node = np.unique(
-                np.concatenate(
-                    [weights_of_component.indices for weights_of_component in weights_of_boundary]
-                )
-            ).astype(np.int64)
+        contacts = np.flatnonzero(contact.boundary == k)
+        for on_slave in (True, False):
+            by_component = slave_weights_by_component if on_slave else master_weights_by_component
+            weights = [component[contacts] for component in by_component]
+            node = np.unique(np.concatenate([part.indices for part in weights])).astype(np.int64)
             exerted = [
-                -(weights_of_component.T @ force)[node]
-                for weights_of_component, force in zip(
-                    weights_of_boundary, forces[rows_of_boundary].T, strict=True
-                )
+                -(part.T @ force)[node]
+                for part, force in zip(weights, forces[contacts].T, strict=True)
             ]
             count = len(node)
             pieces.append(
@@ -510,10 +506,10 @@ class Sizes:
         self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
 
     def nothing_strains(self, contact: float, rounding: float, unknowns: np.ndarray) -> bool:
-        """Return whether all forces but loads that a support takes at their own node are rounding:
-        bodies that their supports move, and nothing strains or holds; ``contact`` is the norm of
-        the contact forces, N. Unknowns that have run away have such forces too, but move further
-        than the supports do."""
+        """Return whether supports move the bodies, and nothing strains or holds them: all forces are
+        rounding, except loads at nodes that a support holds. ``contact`` is the norm of the contact
+        forces, N. Diverged unknowns may have such forces, too, but they move further than the
+        supports do."""
         if not self.prescribed:
             return False
         internal = euclidean_norm(self._in_supports(unknowns))
@@ -543,7 +539,7 @@ class Sizes:
         return max(self.load, contact, reactions)
 
     def _in_supports(self, unknowns: np.ndarray) -> np.ndarray:
-        """Forces of the stresses at fixed dofs."""
+        """Return the forces of the stresses at fixed dofs."""
         return self._rows @ self._cartesian(unknowns) + self._lifted
 
     def _cartesian(self, unknowns: np.ndarray) -> np.ndarray:
@@ -556,7 +552,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """Nodes of a contact boundary that touch next to each other, with open ones around.
+    """A connected set of contact nodes that touch, with open ones around.
 
     Attributes
     ----------

@@ -43,11 +43,13 @@ from types import (
 import numpy as np
 from scipy import sparse
 
-#: on which the results of adaptmg depend, with itself
+#: packages on which results depend, adaptmg included
 PACKAGES = ("adaptmg", "ngsolve", "numpy", "scipy", "numba", "pyamg")
 _NOT_NUMERICAL = ("cli", "export", "plot", "study")
-_MAIN, _NAMED = ("__main__", "__mp_main__"), (FunctionType, type, ModuleType)
-#: what runs would share and change, or what only an address stands for
+_MAIN = ("__main__", "__mp_main__")
+#: kinds of objects that are followed by name
+_NAMED = (FunctionType, type, ModuleType)
+#: kinds of objects whose state runs would share and change, or that are only an address
 _REFUSED = (
     np.random.Generator,
     np.random.RandomState,
@@ -55,7 +57,7 @@ _REFUSED = (
     random.Random,
     ctypes.CDLL,
 )
-#: a function that reads one of these may read anything, or what does not count
+#: a function that reads one of these names may read anything, or attributes that do not count
 _HIDDEN = {
     "eval",
     "exec",
@@ -67,12 +69,11 @@ _HIDDEN = {
     "__doc__",
     "__subclasses__",
 }
-_GLOBAL, _ATTRIBUTE = (
-    ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"),
-    ("LOAD_ATTR", "LOAD_METHOD"),
-)
-#: names of a class or module that do not count, and objects that stand for the layout of a class
-_BOOKS = {
+#: instructions that read a global, or an attribute
+_GLOBAL = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
+_ATTRIBUTE = ("LOAD_ATTR", "LOAD_METHOD")
+#: names in a class or module that Python sets, and that do not count
+_BOOKKEEPING = {
     "__abstractmethods__",
     "__annotate_func__",
     "__annotations__",
@@ -95,8 +96,8 @@ _BOOKS = {
     "_abc_impl",
     "_value2member_map_",
 }
-#: objects that cannot be pickled: attributes that stand for them
-_STANDS: dict[type, tuple[str, ...]] = {
+#: kinds of objects that cannot be pickled, with the attributes that are compared in their place
+_COMPARED_BY: dict[type, tuple[str, ...]] = {
     staticmethod: ("__func__",),
     classmethod: ("__func__",),
     property: ("fget", "fset", "fdel"),
@@ -106,7 +107,7 @@ _STANDS: dict[type, tuple[str, ...]] = {
     MemberDescriptorType: ("__name__",),
 }
 #: the generator of numpy's functions and, unless it is given another, of scipy's distributions
-_NUMPYS_OWN = np.random.rand.__self__
+_NUMPY_GENERATOR = np.random.rand.__self__
 _BASES: tuple[type[typing.Any], ...] = (
     dict,
     list,
@@ -124,7 +125,7 @@ _BASES: tuple[type[typing.Any], ...] = (
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """Parts by name, each with a hash or a version."""
+    """The parts that a run depends on, by name, each with a hash or a version."""
 
     parts: dict[str, str]
 
@@ -135,14 +136,14 @@ class Fingerprint:
         return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
     def seen(self) -> Fingerprint:
-        """Return the parts without ``depends``: the same in every process that computes the
-        same."""
+        """Return the parts except those of ``depends``: they agree in all processes that run the same
+        code."""
         return Fingerprint(
             {name: value for name, value in self.parts.items() if not name.startswith("depends ")}
         )
 
     def differences(self, other: Mapping[str, str]) -> list[str]:
-        """Return the changes from the parts of another, as text."""
+        """Return the changes from other parts to these, as text."""
         both = {
             name: (self.parts.get(name), other.get(name)) for name in sorted({*self.parts, *other})
         }
@@ -190,7 +191,7 @@ def environment() -> dict[str, str]:
 
 
 class _Parts:
-    """Parts of all that is reached from a function or from values."""
+    """Collects the parts of all objects that can be reached from a function or from values."""
 
     def __init__(self, depends: Mapping[str, object], main: Mapping[str, object]) -> None:
         """Begin with the values that ``depends`` names; ``main`` has the globals of the script."""
@@ -200,7 +201,8 @@ class _Parts:
         self._main = Path(script).stem if isinstance(script, str) else "__main__"
         self._names: dict[int, str] = {}
         self._found: dict[str, list[object]] = {}
-        self._waiting: list[tuple[str, object]] = []  # no recursion, which has a limit
+        # functions, classes and modules still to be examined: a list, since recursion has a limit
+        self._waiting: list[tuple[str, object]] = []
         self._parts = {
             f"depends {name}": self._hash(value, files=True) for name, value in depends.items()
         }
@@ -215,12 +217,13 @@ class _Parts:
             if isinstance(thing, type):
                 self._parts[f"class {name}"] = self._hash((thing.__bases__, type(thing)))
             for key, value in sorted(vars(thing).items()):
-                if key not in _BOOKS:
+                if key not in _BOOKKEEPING:
                     self.value(f"{name}.{key}", value)
         return self._parts
 
     def value(self, where: str, value: object) -> None:
-        """Add a part; functions, classes and modules have parts under their own names."""
+        """Add the part of a value that is read at ``where``, unless ``depends`` names it. Functions,
+        classes and modules have parts under their own names."""
         bare = where.split(" ")[0].rpartition(".")[2]
         if {bare, where, f"value of {where}"}.intersection(self._depends) or (
             isinstance(value, _NAMED) and self.name_of(value) == f"own {where}"
@@ -235,8 +238,8 @@ class _Parts:
             ) from error
 
     def name_of(self, thing: object, follow: bool = False) -> str:
-        """Return what stands for a function, class or module in values; the user's are followed
-        later."""
+        """Return the text that represents a function, class or module in values; those of the user
+        are examined later."""
         if id(thing) in self._names:
             return self._names[id(thing)]
         module = (
@@ -250,7 +253,7 @@ class _Parts:
             name = f"{name}.{qualified}"
         if not self.is_own(module, thing) and not follow:
             return f"installed {name}"
-        # closures and classes of one name get numbers; the list keeps them alive, and so their id
+        # closures and classes of the same name get numbers; the list keeps them, and so their id
         same = self._found.setdefault(name, [])
         same.append(thing)
         name = name if len(same) == 1 else f"{name} {len(same)}"
@@ -262,8 +265,8 @@ class _Parts:
         return self._main if module in _MAIN else module
 
     def is_own(self, module: str, thing: object = None) -> bool:
-        """Return whether a module, and a class in it, is the user's, and not compiled; of others
-        the version or content becomes a part."""
+        """Return whether a module, and a class in it, belongs to the user and is not compiled. The
+        version of a module that does not becomes a part."""
         if version := _installed(module):
             top = module.split(".")[0]
             self._parts[top if top == "adaptmg" else f"package {top}"] = version
@@ -285,7 +288,7 @@ class _Parts:
         for variable, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
             with contextlib.suppress(ValueError):  # not set
                 values[variable] = f"{variable} around {name}", cell.cell_contents
-        # what the instructions read: variables with attributes, and modules
+        # variables with the attributes that are taken from them
         chains, imports = _reads(code)
         for first, *attributes in chains:
             hidden = _HIDDEN.intersection(
@@ -332,17 +335,16 @@ class _Parts:
 
 
 class _Pickler(pickle.Pickler):
-    """Pickle for comparison: functions, classes and modules by name, some objects by their
-    parts."""
+    """A pickler for comparison: functions, classes and modules are written by name, objects that
+    cannot be compared by their pickle by their contents."""
 
     found: _Parts
     files: bool  # whether paths stand for files
-    instances: dict[
-        int, tuple[int, object]
-    ]  # by id: their number, and themselves to keep them alive
+    # by id: the number of an instance, and the instance, which is kept alive
+    instances: dict[int, tuple[int, object]]
 
     def persistent_id(self, value: typing.Any) -> object:
-        """Return what stands for an object where two are compared; None: its pickle."""
+        """Return the value that replaces an object in the pickle; None: the object is pickled."""
         kind = type(value)
         found = self.found
         if kind in _BASES[:3] or kind in (str, int, float, bool, type(None), bytes):
@@ -355,8 +357,8 @@ class _Pickler(pickle.Pickler):
             return kind.__name__, sorted(_pickled(item, found, self.files) for item in value)
         if kind in (CodeType, MappingProxyType):
             return _plain_code(value) if kind is CodeType else dict(value)
-        if kind in _STANDS:
-            return kind.__name__, [getattr(value, name) for name in _STANDS[kind]]
+        if kind in _COMPARED_BY:
+            return kind.__name__, [getattr(value, name) for name in _COMPARED_BY[kind]]
         module = kind.__module__ if isinstance(kind.__module__, str) else "builtins"
         if module.startswith("numba.") and hasattr(value, "jit_methods"):  # of a jitclass
             return str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
@@ -364,7 +366,7 @@ class _Pickler(pickle.Pickler):
             inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType
         ):
             return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
-        if value is _NUMPYS_OWN:  # state of a library, as that of numpy.random.rand()
+        if value is _NUMPY_GENERATOR:  # its state belongs to the library
             return "numpy.random"
         if isinstance(value, _REFUSED) or isinstance(getattr(value, "__self__", None), _REFUSED):
             raise pickle.PicklingError(
@@ -393,16 +395,16 @@ class _Pickler(pickle.Pickler):
 
 
 def _measured(kind: type) -> set[str]:
-    """Return the fields of a class of adaptmg that hold measured seconds, of which no two processes
-    have the same."""
+    """Return the fields of a class of adaptmg that hold measured seconds, which differ in each
+    process."""
     if not (kind.__module__.startswith("adaptmg.") and is_dataclass(kind)):
         return set()
     return {item.name for item in fields(kind) if not item.compare}
 
 
 def _contents(value: typing.Any, found: _Parts) -> tuple[object, ...]:
-    """Return all that an instance holds, whatever its pickle leaves out, but measured seconds; cached
-    properties follow from the rest."""
+    """Return the class of an instance and all that it holds, except measured seconds and cached
+    properties, which follow from the rest: its own pickle may leave out more."""
     kind = type(value)
     class_attributes = {
         name: part for owner in reversed(kind.__mro__) for name, part in vars(owner).items()
@@ -426,18 +428,18 @@ def _contents(value: typing.Any, found: _Parts) -> tuple[object, ...]:
         ),
         None,
     )
-    if reduce is not None:  # of a class below that is not the user's, such as arrays
+    if reduce is not None:  # that of a base class which is not the user's, such as arrays
         return kind, attributes, reduce(value)
     return kind, attributes, next((base(value) for base in _BASES if isinstance(value, base)), None)
 
 
 def _pickled(value: object, found: _Parts, files: bool = False) -> bytes:
-    """Return the bytes by which a value is compared; ``files``: of paths the content of the
-    file."""
+    """Return the bytes by which a value is compared; with ``files`` a path is compared by the content
+    of its file."""
     buffer = io.BytesIO()
     pickler = _Pickler(buffer, 5)
-    # without references to what was pickled before, which depend on whether equal strings are one
-    # object; lists and dictionaries that contain themselves are refused
+    # no references to earlier objects, which depend on whether equal strings are the same object;
+    # lists and dictionaries that contain themselves are refused
     pickler.fast = True
     pickler.found = found
     pickler.files = files
@@ -447,13 +449,13 @@ def _pickled(value: object, found: _Parts, files: bool = False) -> bytes:
 
 
 def _plain_code(code: CodeType) -> tuple[object, ...]:
-    """Return a code object without file, lines and docstrings: no instruction of a function reads
-    its docstring, and a class stores it under a name that does not count."""
+    """Return the parts of a code object that count: not the file, lines and docstrings. (No instruction
+    of a function reads its docstring, and a class stores it under a name that is left out.)"""
     steps = [(step.opname, step.argval) for step in dis.get_instructions(code)]
     counted = [
         step
         for step, after in zip(steps, [*steps[1:], ("", None)], strict=True)
-        if not any(name == "STORE_NAME" and value in _BOOKS for name, value in (step, after))
+        if not any(name == "STORE_NAME" and value in _BOOKKEEPING for name, value in (step, after))
     ]
     return (
         "code",
@@ -471,8 +473,8 @@ def _plain_code(code: CodeType) -> tuple[object, ...]:
 def _reads(
     code: CodeType,
 ) -> tuple[list[tuple[str, ...]], list[tuple[int, str, tuple[str, ...] | None]]]:
-    """Return globals and variables of closures that are read, with attributes taken from them, and
-    imports as level, module and names in it."""
+    """Return what code reads: globals and variables of closures, each with the attributes taken from
+    it, and imports (level, module, names)."""
     chains = []
     imports = []
     parts = [code]
@@ -496,8 +498,8 @@ def _reads(
 
 
 def _is_compiled(thing: object) -> bool:
-    """Return whether a class comes from compiled code: only there a class has wrappers of its own
-    slots. Cython and pybind11 share classes in modules that are no files."""
+    """Return whether a class comes from compiled code: only such a class has wrappers of its own
+    slots. (Cython and pybind11 put shared classes into modules without a file.)"""
     return isinstance(thing, type) and any(
         isinstance(part, WrapperDescriptorType) and part.__objclass__ is thing
         for part in vars(thing).values()
@@ -506,19 +508,20 @@ def _is_compiled(thing: object) -> bool:
 
 @cache
 def _installed(module: str) -> str | None:
-    """Return the version of an installed module, the hash of a compiled one, "" of Python's, None
-    of the user's."""
+    """Return what a module is compared by: an installed one by its version, a compiled one by its
+    hash; "" for a module of Python, whose version is compared elsewhere; None for a module of the
+    user, whose functions and classes are examined."""
     if (top := module.split(".")[0]) == "adaptmg":
         return _sources()
     try:
         spec = None if module in _MAIN else importlib.util.find_spec(module)
-    except (
-        Exception
-    ):  # made by hand, or sent to a worker that lacks it; or its package cannot be imported
+    except Exception:
+        # made by hand, or sent to a worker that lacks it, or its package cannot be imported
         spec = None
-    if spec is None:  # compiled packages make modules that are no files
-        above = module.rpartition(".")[0]
-        return _installed(above) if above else None
+    if spec is None:
+        # modules without a file, which compiled packages make, are compared as their package
+        package = module.rpartition(".")[0]
+        return _installed(package) if package else None
     place = Path(spec.origin or next(iter(spec.submodule_search_locations or ()), ""))
     if {"site-packages", "dist-packages"} & set(place.parts):
         return _version(top)
@@ -531,7 +534,7 @@ def _installed(module: str) -> str | None:
 
 @cache
 def _version(package: str) -> str | None:
-    """Return the version of an installed package; None of a file that belongs to none, which counts
+    """Return the version of an installed package; None for a file outside all packages, which counts
     as the user's."""
     with contextlib.suppress(importlib.metadata.PackageNotFoundError):
         return importlib.metadata.version(package)
@@ -548,8 +551,8 @@ def _content(path: Path) -> str:
 
 @cache
 def _sources() -> str:
-    """Return one hash of adaptmg's numerical sources; RuntimeError for those that were edited after
-    their import."""
+    """Return one hash of adaptmg's numerical sources; RuntimeError if one of them was edited after
+    its import."""
     this_file = Path(__file__)
     content = hashlib.sha256()
     root = this_file.parents[1]

@@ -36,13 +36,13 @@ class Measured:
     residual: float | Any = None
     forces: float = 0.0  # norm of the acting forces, N
     size: float = 0.0  # A-norm of the displacement
-    floor: float = (
-        0.0  # norm of D u, N: times the unit of rounding the least residual; 0: not asked
-    )
-    idle: bool = False  # whether the acting forces are mere rounding: nothing strains
-    change: float | None = None  # A-norm of what the step changed; None: unknown
-    relative_change: float | Any = None  # Euclidean, relative to the iterate; Any: as of residual
-    from_start: float | None = None  # A-norm of what the first cycle changed, where it is asked
+    # norm of D u, N: no residual falls below this times the unit of rounding; 0: not computed
+    floor: float = 0.0
+    idle: bool = False  # whether all acting forces are rounding, since nothing strains the bodies
+    change: float | None = None  # A-norm of the change by the step; None: unknown
+    # Euclidean norm of the change over that of the iterate; Any: None where it is not the test
+    relative_change: float | Any = None
+    from_start: float | None = None  # A-norm of the change by the first cycle; None: not computed
     gives_up: Status | None = None  # why the method has no next state; then no more is measured
     columns: dict[str, float] = field(default_factory=dict)  # further ones of the history
 
@@ -90,7 +90,7 @@ class State:
 
 
 def _keep_vector(state: State, name: str) -> None:
-    """Give a state its own copy of a vector, which nobody writes."""
+    """Replace a vector of a state by a read-only copy."""
     entries = checks.real_array(getattr(state, name))
     if entries is None or entries.ndim != 1:
         shown = checks.shown(getattr(state, name))
@@ -111,9 +111,9 @@ def iterate(
     stop: StopTest,
     run: Run | None = None,
 ) -> tuple[Flowing, Status]:
-    """Measure, judge and step until the test or the method ends it; returns the last state, and how
-    it ends. ``step`` and ``measure`` remember nothing of the states that their results depend on;
-    each state is measured once, in turn."""
+    """Measure, judge and step until the test or the method ends the iteration; return the last state
+    and the status. Each state is measured once, in turn: ``measure`` may compare it with the one
+    before."""
     stop.state = state
     del state  # the test may let go of what is large
     while True:
@@ -121,7 +121,9 @@ def iterate(
         status = measured.gives_up or stop.take(measured, run)
         if status is not None:
             given_up = status in (Status.STALLED, Status.LIMIT, Status.ROUNDING)
-            return stop.state, Status.CONVERGED if given_up and stop.certified() else status
+            if given_up and stop.accepted_by_certificate():
+                status = Status.CONVERGED
+            return stop.state, status
         stop.state = step(stop.state)
 
 
@@ -147,9 +149,11 @@ def nested_start(
 
 
 class StopTest:
-    """Judges an iteration by its estimated error and residual. ``shortfall`` says by how many times
-    the certificate finds a state short of a tolerance, ``stalled`` what an iteration is called that
-    no longer improves (None: it goes on)."""
+    """Judges an iteration by its estimated error and residual.
+
+    ``shortfall(state, rtol)`` asks the certificate: it returns the factor by which the error of the
+    state exceeds ``rtol``, 0 if it does not. ``stalled`` is the status of an iteration that no
+    longer improves (None: it goes on)."""
 
     #: the natural residual must fall below this multiple of rtol
     #: half changes 1 of 119 solves, paths and loops, twice 0; cycles 691, 690, 691 (campaign
@@ -161,7 +165,7 @@ class StopTest:
     #: after which no further one is better
     ROUNDING_LEVEL = 2 * np.finfo(float).eps
     ROUNDING_ITERATES = 4
-    #: relative residual up to which that is said
+    #: largest relative residual that counts as being at that level
     BALANCED = Certificate.MOST_ROUNDING
     #: iterates without a new smallest change after which sweeps and cycles of other methods count as stalled: of
     #: 90 solves of random problems by monotone cycles and over-relaxed sweeps to 1e-6 68 converge, at 30 and 120, too;
@@ -178,12 +182,12 @@ class StopTest:
         """Begin a test for a tolerance and a ``limit`` on cycles; without ``shortfall`` no
         certificate is asked."""
         self.rtol = rtol
-        self.state: Any = None  # the one that is judged
+        self.state: Any = None  # the state that is judged
         self.limit = limit
         self._ask_certificate = shortfall
         self._stalled_status = stalled
-        self._caution = 1.0
-        self._cycle_asked = -1
+        self._caution = 1.0  # factor by which the certificate found estimates too small
+        self._cycle_asked: int | None = None  # the last cycle at which the certificate was asked
         self._at_rounding = False
         self.cycles = 0
         self.changes: list[float] = []
@@ -191,19 +195,19 @@ class StopTest:
         self.residual = np.inf
         self.error_estimate = np.inf
         self.met = False
-        self._last_residual = np.nan
+        self._last_residual = np.nan  # N
         self._iterates_at_rounding = 0
 
     def take(self, measured: Measured, run: Run | None = None) -> Status | None:
-        """Judge a state and record it; how the iteration ends, None if it goes on."""
+        """Judge a state and record it; return how the iteration ends, None if it goes on."""
         self.judge(measured)
         if run is not None:
-            run.record(cycle=measured.cycles, **self.measures() | measured.columns)
+            run.record(cycle=measured.cycles, **self.columns() | measured.columns)
         return self.verdict()
 
     def judge(self, state: Measured) -> None:
-        """Estimate the error from the norms of a state. A residual at the rounding of the floor is
-        the least; ``idle``: so are the forces."""
+        """Estimate the error from the norms of a state, and decide whether it meets the tolerance. A
+        residual that is only rounding counts as zero where the acting forces are rounding, too."""
         self.cycles = state.cycles
         self.size = state.size
         if state.change is not None:
@@ -211,10 +215,10 @@ class StopTest:
         residual = state.residual
         if state.idle and residual <= ROUNDING * state.floor:
             residual = 0.0
-        # before an interference meets forces the residual is all there is
+        # without any forces, as before an interference is met, the relative residual is 1
         self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)
         self._last_residual = residual
-        self._at_rounding = self.at_rounding(state.floor)
+        self._at_rounding = self.residual_is_rounding(state.floor)
         balanced = residual <= self.ROUNDING_LEVEL * state.floor and self.residual <= self.BALANCED
         self._iterates_at_rounding = self._iterates_at_rounding + 1 if balanced else 0
         self.error_estimate = (
@@ -229,16 +233,16 @@ class StopTest:
         if self.diverged:
             return Status.DIVERGED
         if self._iterates_at_rounding >= self.ROUNDING_ITERATES:
-            self.error_estimate = np.nan  # the certificate has one
+            self.error_estimate = np.nan  # the estimate of the certificate is reported
             return Status.ROUNDING
         if self._stalled_status is not None and self.stalled:
             return self._stalled_status
         return Status.LIMIT if self.cycles >= self.limit else None
 
-    def at_rounding(self, floor: float) -> bool:
-        """Return whether the last residual is as small as arithmetic allows, ``floor`` being the
-        norm of D u, N. A large residual at the level of rounding is that of unknowns that have run
-        away."""
+    def residual_is_rounding(self, floor: float) -> bool:
+        """Return whether the last residual is as small as arithmetic allows; ``floor`` is the norm of
+        D u, N. The relative residual is bounded, too, since the floor grows with unknowns that
+        diverge."""
         return bool(
             self._last_residual <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
         )
@@ -248,8 +252,8 @@ class StopTest:
         return self.residual <= self.RESIDUAL_FACTOR * self.rtol or self._iterates_at_rounding > 0
 
     def refused(self) -> bool:
-        """Ask the certificate; return whether it contradicts the tolerance. What it finds the
-        estimate to be too small by counts from then on."""
+        """Ask the certificate; return whether it contradicts the tolerance. Later estimates are
+        multiplied by the factor by which it finds this one too small."""
         ratio = self.shortfall()
         self._cycle_asked = self.cycles
         if ratio is None:
@@ -259,22 +263,23 @@ class StopTest:
         return ratio > 0.0
 
     def shortfall(self) -> float | None:
-        """Return by how many times the certificate finds the last iterate short of rtol; None if it
-        is not asked."""
+        """Return the factor by which the certificate finds the error of the last iterate above rtol, 0
+        if it is not above; None without a certificate."""
         return (
             None if self._ask_certificate is None else self._ask_certificate(self.state, self.rtol)
         )
 
-    def certified(self) -> bool:
-        """Return whether the certificate, if it was not asked, finds the last iterate good enough,
-        whatever the estimate says: near rounding no rate shows that any more, and after a refusal
-        it is cautious."""
+    def accepted_by_certificate(self) -> bool:
+        """Ask the certificate about the last iterate, unless it refused this one already; return
+        whether it accepts it, and if so lower the estimate to rtol. The estimate may be too large:
+        near rounding there is no rate of convergence, and after a refusal a factor multiplies it."""
         if self.cycles == self._cycle_asked or not self.residual_met or self.shortfall() != 0.0:
             return False
         self.error_estimate = min(self.error_estimate, self.rtol)
         return True
 
-    def measures(self) -> dict[str, float]:
+    def columns(self) -> dict[str, float]:
+        """Return the entries of a row of the history."""
         return {
             "residual": self.residual,
             "change": self.change,
@@ -327,7 +332,7 @@ class StopTest:
         return self.error_estimate <= self.rtol and self.residual_met
 
     def _estimate(self) -> float:
-        """Return the error that remains, relative."""
+        """Return the relative error that remains, from the last change and the rate."""
         rate = self.safe_rate
         if not rate < 1:
             return np.inf
@@ -379,7 +384,7 @@ class ChangeTest(StopTest):
         run.record(
             cycle=self.cycles,
             relative_change=self.relative_change,
-            **self.measures() | state.columns,
+            **self.columns() | state.columns,
         )
 
 
@@ -451,9 +456,11 @@ class Measure:
 
 
 class Smoothing:
-    """Steps that smooth, and correct in between: ``smooth(unknowns, cycles)`` after a number of
-    cycles returns the sweeps that count as such, the memory of the state, ``correct(unknowns,
-    residual)`` is a cycle, ``residual(unknowns)`` b - A w (n_dofs,)."""
+    """Steps of smoothing and, if there is ``correct``, coarse corrections.
+
+    ``smooth(unknowns, cycles)`` smooths in place, after a number of cycles; it returns its sweeps
+    where each counts as a cycle, else 0. ``correct(unknowns, residual)`` corrects in place, which
+    counts as a cycle. ``residual(unknowns)`` returns b - A w (n_dofs,)."""
 
     def __init__(
         self,
@@ -468,7 +475,8 @@ class Smoothing:
         self.correct = correct
 
     def step(self, state: State) -> State:
-        """Correct, unless it is a start, and smooth."""
+        """Return the state after a correction, which a start does not get, and smoothing; its memory
+        is the number of sweeps."""
         unknowns = state.unknowns.copy()
         cycles = state.cycles
         if self.correct is not None and state.residual is not None:
@@ -479,8 +487,8 @@ class Smoothing:
         return State(unknowns=unknowns, memory=sweeps, residual=residual, cycles=cycles + sweeps)
 
     def whole_step(self, state: State) -> State:
-        """Smooth and correct. The memory holds what this changes, relative, and the state between
-        the two, whose residual the correction took."""
+        """Return the state after smoothing and a correction; its memory is the relative change by
+        both, and the state between the two, with its residual (None without a correction)."""
         unknowns = state.unknowns.copy()
         cycles = state.cycles + self.smooth(unknowns, state.cycles)
         between = None
@@ -495,7 +503,8 @@ class Smoothing:
         return State(unknowns=unknowns, cycles=cycles, memory=(change, between))
 
     def measure_whole(self, state: State) -> Measured:
-        """Measure what a whole step changed, and the state between, where it has a residual."""
+        """Return the relative change by a whole step, with the norms of the state between smoothing
+        and correction, if there is one."""
         change, between = state.memory
         measured = Measured(0) if between is None else self.norms.of(between)
         return replace(measured, cycles=state.cycles, relative_change=change)
@@ -510,8 +519,8 @@ class Smoothing:
         shortfall: Callable[[State, float], float],
         stalled: Status = Status.STALLED,
     ) -> tuple[State, Status, StopTest]:
-        """Iterate until the error (``stop="error"``) is small, or the change in a whole step, the
-        paper's test at the end of step g."""
+        """Iterate until the estimated error is small (``stop="error"``), or the change by a whole step
+        (``stop="change"``, the paper's test at the end of step g)."""
         start = State(unknowns=unknowns)
         if stop == "error":
             test = StopTest(rtol, limit, shortfall, stalled)

@@ -113,7 +113,7 @@ class Run:
 
     @contextmanager
     def untimed(self) -> Iterator[None]:
-        """Keep a block (comparison with the reference) out of the seconds of the history and of its
+        """Exclude a block (a comparison with the reference) from the seconds of the history and of its
         phase."""
         begin = clock()
         try:
@@ -123,8 +123,8 @@ class Run:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Time a block under a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ...;
-        inner ones apart."""
+        """Time a block as a phase: 'statics', 'setup', 'factorise', 'start', 'cycles', ... The seconds
+        of phases inside it are not counted twice."""
         begin = clock()
         untimed = self.untimed_seconds
         outside = self._nested_seconds
@@ -142,13 +142,13 @@ class Run:
             self._nested_seconds = outside + seconds
 
     def shortfall(self, solution: np.ndarray, rtol: float) -> float:
-        """Return by how many times the certificate finds a solution (n_unknowns,) short of
-        ``rtol``; 0 if it does not. Rounding is not a shortfall."""
+        """Return the factor by which the certificate finds the error of a solution (n_unknowns,) above
+        ``rtol``; 1 if another condition fails, 0 if it passes or only rounding is left."""
         if self.examiner is None or not rtol > 0:
             return 0.0
         with self.phase("certificate"):
             examined = self.examiner(solution.reshape(-1), rtol)
-        checked = cast("Certificate", examined.checked)  # whoever sets an examiner wants one
+        checked = cast("Certificate", examined.checked)  # the examiner of a run makes certificates
         if checked.energy_error > max(rtol, checked.energy_rounding):
             return min(checked.energy_error, 1.0) / rtol
         return 1.0 if checked.contradictions(rtol) else 0.0
@@ -164,14 +164,11 @@ class Outcome:
     status: Status
     cycles: int  # cycles, sweeps or Newton steps on the finest level
     rtol: float  # the tolerance asked for
-    error_estimate: float = float(
-        "nan"
-    )  # estimated relative A-norm error; NaN if the solver has none
-    rate: float = float(
-        "nan"
-    )  # asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown
-    left: int = 0  # cycles for a method that takes over where this one fails
-    better: bool = False  # whether that begins at the displacement, not at zero
+    error_estimate: float = np.nan  # estimated relative A-norm error; NaN if the solver has none
+    # asymptotic convergence rate (geometric mean of the last cycles); NaN if unknown
+    rate: float = np.nan
+    left: int = 0  # cycles that another method may take, where this one fails; else 0
+    better: bool = False  # whether the other method begins at this solution, not at zero
 
 
 class Solver(Protocol):

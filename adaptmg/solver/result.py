@@ -326,7 +326,7 @@ _OF_ASSEMBLY = {"stiffness", "loads", "measures", "bodies", "stresses"}
 
 
 def _remedy(result: Result, violated: tuple[str, ...]) -> str:
-    """Return the status as text, with a remedy that has not failed."""
+    """Return the advice of a status; if the active set method has failed, it names another method."""
     if result.stress_data is not None and result.stress_data.plastic is not None:
         return (
             "the plastic bodies may bear no more than a part of this load: give hardening, or prescribe "

@@ -85,11 +85,11 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
 
 
 def check_statics_of(grids: Hierarchy) -> None:
-    """Call :func:`check_statics` on the finest level; where the coarsest one can be held the finest
-    is not asked. A coarse grid has the same rigid motions, loads and directions of contact and
-    costs nothing; what it cannot hold the finest one may (on a curved surface, say)."""
+    """Call :func:`check_statics` on the coarsest level, and on the finest one only if that fails. A
+    coarse grid has the same rigid motions, loads and directions of contact and costs nothing; on a
+    curved surface the finest may hold a motion that the coarsest does not."""
     coarsest = grids[0].discrete_or_none
-    # nodes of finer grids have less of a spring
+    # a spring may count at nodes of a coarse grid, and be too soft at those of a finer one
     sprung = grids.problem is not None and any(
         isinstance(support, Spring | PointSpring) for support in grids.problem.supports
     )
@@ -113,7 +113,7 @@ def _too_soft(grids: Hierarchy) -> str:
     if problem is None or level.mesh is None:
         return ""
     least = _SOFTEST * np.abs(level.discrete.matrix.data).max()
-    words = ""
+    text = ""
     for support in problem.supports:
         if not isinstance(support, Spring | PointSpring):
             continue
@@ -123,28 +123,27 @@ def _too_soft(grids: Hierarchy) -> str:
                 ("normal", "tangential") if isinstance(support, Spring) else "xyz"[: problem.dim]
             )
             unit = replace(support, **dict.fromkeys(names, 1.0))
-            # one per cent for the rounding of the number
+            # one per cent more, since the number is printed rounded
             limit = 1.01 * least / largest_nodal_stiffness(level.mesh, unit, problem.axisymmetric)
-            words += (
+            text += (
                 f". The spring on {support.place!r} counts as none: double precision needs at least "
                 f"{limit:.3g} {'N/m^3' if isinstance(support, Spring) else 'N/m'} next to these bodies"
             )
-    return words
+    return text
 
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A connected part: its nodes, and its free rigid motions (n_nodes * dim, k) with amplitudes
-    about 1."""
+    """A part of a problem that its elements connect."""
 
     problem: DiscreteProblem
     nodes: np.ndarray
-    motions: np.ndarray
-    several: bool
+    motions: np.ndarray  # (n_nodes * dim, k): free rigid motions, with amplitudes about 1
+    several: bool  # whether the problem has other parts
 
     @property
     def pieces(self) -> list[tuple[str, np.ndarray]]:
-        """Return the bodies of this part, by what they are called, and their nodes."""
+        """Return the names of the bodies of this part in messages, and their nodes."""
         bodies = self.problem.bodies or {}
         inside = [
             (f"body {name!r}", nodes)
@@ -174,11 +173,11 @@ class _Body:
             if np.abs(field[nodes]).max() > 1e-6 * np.abs(field).max()
         ]
         return " and ".join(
-            self._words(nodes, field[nodes]) + (f" of {whose}" if whose else "")
+            self._described(nodes, field[nodes]) + (f" of {whose}" if whose else "")
             for whose, nodes in moving
         )
 
-    def _words(self, nodes: np.ndarray, field: np.ndarray) -> str:
+    def _described(self, nodes: np.ndarray, field: np.ndarray) -> str:
         """Return a motion (n, dim) of some nodes as text."""
         if self.problem.dim == 1:
             return "constant"
@@ -247,7 +246,7 @@ def _check_body(body: _Body) -> None:
     forces = _contact_forces(body, limit / scale, friction)
     unbalanced, motion = forces.least_unbalanced(work)
     if unbalanced > checks.SIX_DIGITS:
-        motion = _culprit(body, forces, work, motion)
+        motion = _motion_to_blame(body, forces, work, motion)
         raise ValueError(
             f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact cannot "
             "balance the load on it; add a support that fixes it"
@@ -255,7 +254,7 @@ def _check_body(body: _Body) -> None:
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if len(neutral):
         raise ValueError(
-            f"the solution is not unique: a {body.describe(_plain_of(body, neutral))} is left free by "
+            f"the solution is not unique: a {body.describe(_axis_motion_in_span(body, neutral))} is left free by "
             "supports, contact and load; add a support that fixes it"
         )
     if np.abs(work).max() <= checks.SIX_DIGITS:
@@ -265,7 +264,7 @@ def _check_body(body: _Body) -> None:
         forces = replace(forces, limits=np.zeros_like(forces.limits))
         unbalanced, motion = forces.least_unbalanced(away)
         if unbalanced > checks.SIX_DIGITS:
-            motion = _plainest(body, forces, away, motion)
+            motion = _axis_motion_or(body, forces, away, motion)
             raise ValueError(
                 f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
                 "by supports and load; add a support that fixes it, or a load"
@@ -292,7 +291,8 @@ def advise_on_free_motions(problem: DiscreteProblem, contact: ContactResult) -> 
             advise(
                 "free",
                 f"no converged solution was found, and in the last iterate nothing but friction resists a "
-                f"{body.describe(_plain_of(body, free))}: add a support that fixes it, or load the body less sideways",
+                f"{body.describe(_axis_motion_in_span(body, free))}: add a support that fixes it, or "
+                "load the body less sideways",
                 RuntimeWarning,
             )
 
@@ -302,19 +302,18 @@ class _Forces:
     """Admissible contact forces, by their work on the k free motions; forces in units of the
     load."""
 
-    edges: (
-        np.ndarray
-    )  # (k, n_edges): of the Coulomb cones (without friction: unit pressures), times factors >= 0
-    segments: np.ndarray  # (k, n_segments): of the Tresca part, times factors within +-limits
+    # (k, n_edges): edges of the Coulomb cones (without friction unit pressures), with factors >= 0
+    edges: np.ndarray
+    # (k, n_segments): directions of the Tresca part, with factors from -limits to limits
+    segments: np.ndarray
     limits: np.ndarray  # (n_segments,)
 
     def least_unbalanced(self, work: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it
         is done."""
         k, n_edges = self.edges.shape
-        if (
-            k == 1
-        ):  # without the library of linear programmes, whose import takes a tenth of a first small solve
+        # without linear programmes, whose import takes a tenth of a first small solve
+        if k == 1:
             balanced = (self.edges[0] * np.sign(work) < -checks.SIX_DIGITS).any()
             left = abs(work[0]) - np.abs(self.segments[0]) @ self.limits
             return 0.0 if balanced else max(float(left), 0.0), np.sign(work)
@@ -335,8 +334,8 @@ class _Forces:
             )
         return float(cast("float", result.fun)), -result.eqlin.marginals
 
-    def let_go(self, motion: np.ndarray, work: np.ndarray) -> bool:
-        """Return whether no admissible force balances ``work`` on this very motion."""
+    def leaves_unbalanced(self, motion: np.ndarray, work: np.ndarray) -> bool:
+        """Return whether no admissible force balances ``work`` on this motion."""
         if (motion @ self.edges < -checks.SIX_DIGITS).any():
             return False
         resistance = np.abs(motion @ self.segments) @ self.limits
@@ -372,28 +371,29 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     return _Forces(edges.T, segments.T, np.repeat(limit[is_limited] * half_length, len(directions)))
 
 
-def _culprit(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return the plainest free motion (k,) to blame for unbalanced work: of opening or tipping, else of
-    sliding."""
-    plain = _plainest(body, forces, work, motion)
-    if plain is not motion:
-        return plain
+def _motion_to_blame(
+    body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray
+) -> np.ndarray:
+    """Return the free motion (k,) that a message blames for unbalanced work: if possible one along or
+    about a coordinate axis, else one that opens or tips, else one that slides."""
+    on_axis = _axis_motion_or(body, forces, work, motion)
+    if on_axis is not motion:
+        return on_axis
     n = len(body.problem.contact)
     stuck = _contact_forces(body, np.full(n, np.inf), np.zeros(n))
     unbalanced, opening = stuck.least_unbalanced(work)
     if unbalanced > checks.SIX_DIGITS:
-        return _plainest(body, stuck, work, opening)
-    # unlimited friction would hold it, so it slides. The multipliers of a friction cone open while
-    # they slide (they move along its edge): only the part that stays in contact is the motion to
-    # blame
+        return _axis_motion_or(body, stuck, work, opening)
+    # unlimited friction would hold the body, so it slides. The multipliers move along an edge of a
+    # friction cone, which opens contact: the motion to blame is their part that keeps contact
     sliding = _null_combinations(stuck.edges.T)
     slide = sliding.T @ (sliding @ motion)
     return slide if slide @ work > checks.SIX_DIGITS else motion
 
 
 def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return corners (n, dim - 1) of the polygon about the unit disc; directions and half length of the
-    segments it sums."""
+    """Return the corners (n, dim - 1) of the polygon about the unit disc, and the directions and the
+    half length of the segments whose sum it is."""
     if dim < 3:
         return np.array([[1.0], [-1.0]])[:, : dim - 1], np.array([[1.0]])[:, : dim - 1], 1.0
     angles = np.pi * np.arange(2 * _SEGMENTS) / _SEGMENTS
@@ -408,9 +408,9 @@ def _friction_polygon(dim: int) -> tuple[np.ndarray, np.ndarray, float]:
     )
 
 
-def _plain_motions(body: _Body) -> np.ndarray:
-    """Return coefficients (n, k) of those plain motions, both ways, that are free: along and about the
-    coordinate axes."""
+def _free_axis_motions(body: _Body) -> np.ndarray:
+    """Return the coefficients (n, k) of the free motions along and about coordinate axes, each in both
+    directions."""
     problem = body.problem
     columns = []
     for _, nodes in body.pieces:
@@ -424,21 +424,22 @@ def _plain_motions(body: _Body) -> np.ndarray:
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
 
 
-def _plain_of(body: _Body, free: np.ndarray) -> np.ndarray:
-    """Return a plain motion (k,) among free ones, orthonormal rows (n, k), else the first of them."""
-    plain = [
-        c
-        for c in _plain_motions(body)
-        if np.linalg.norm(c - free.T @ (free @ c)) <= checks.SIX_DIGITS
+def _axis_motion_in_span(body: _Body, free: np.ndarray) -> np.ndarray:
+    """Return a motion (k,) along or about a coordinate axis in the span of the orthonormal rows of
+    ``free`` (n, k), or the first row if there is none."""
+    in_span = [
+        motion
+        for motion in _free_axis_motions(body)
+        if np.linalg.norm(motion - free.T @ (free @ motion)) <= checks.SIX_DIGITS
     ]
-    return (plain or free)[0]
+    return (in_span or free)[0]
 
 
 def _axis_motions(
     problem: DiscreteProblem, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return motions (n * dim, m) of some nodes along, and where there are coordinates about, axes through
-    their centre; this centre and the size over which turns are."""
+    """Return the motions (n * dim, m) of some nodes along axes through their centre, and about these if
+    the problem has coordinates; the centre; and the size at which a rotation moves a node by 1."""
     dim = problem.dim
     centre = np.zeros(problem.dim)
     size = 1.0
@@ -455,9 +456,13 @@ def _axis_motions(
     return np.stack([column.reshape(-1) for column in columns], axis=1), centre, size
 
 
-def _plainest(body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return a plain motion that the forces let go, if there is one; else ``motion`` (k,)."""
-    return next((c for c in _plain_motions(body) if forces.let_go(c, work)), motion)
+def _axis_motion_or(
+    body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray
+) -> np.ndarray:
+    """Return a motion along or about a coordinate axis that the forces leave unbalanced, or else
+    ``motion`` (k,)."""
+    unbalanced = (c for c in _free_axis_motions(body) if forces.leaves_unbalanced(c, work))
+    return next(unbalanced, motion)
 
 
 def _axis(direction: np.ndarray) -> str:
@@ -508,9 +513,9 @@ def _critical(stiffness: np.ndarray) -> np.ndarray:
 
 
 def warn_of_several_solutions(grids: Hierarchy) -> None:
-    """Warn where the friction of a node exceeds the estimate on the coarsest grid; where that is
-    not cheap, or bodies are held by contact, the one with all other nodes of the finest held, which
-    is larger."""
+    """Warn where the friction of a node exceeds the critical coefficient on the coarsest grid. Where
+    that is not cheap, or contact holds bodies, it is compared with a larger bound: the coefficient
+    on the finest grid with all other nodes held."""
     finest = grids.finest.discrete
     if not finest.law.bounds(len(finest.contact))[1].any():
         return

@@ -44,17 +44,19 @@ from adaptmg.solver.fingerprint import value_parts
 
 Kinds = tuple[type[Any], ...]
 
-_FORMAT, _META = 5, "meta"
+_FORMAT = 5
+_META = "meta"  # name of the array that holds the JSON text
 #: the head of a path of a million steps has some 20 MB
 _MOST_BYTES = 2**28
-#: a step of a loop has some hundreds of arrays; displacements hardly shrink, so that the whole shrinks some ten times
+#: limits on an archive: a step of a loop has some hundreds of arrays, and packing makes it ten times smaller at most,
+#: since displacements hardly shrink; up to _SMALL bytes are always unpacked
 _MOST_ARRAYS, _MOST_SHRINKING, _SMALL = 100_000, 200, 64 * 2**20
 _AGAIN = "remove it and the steps after it to have them computed again"
 
 
 class _Writer:
-    """Objects as arrays by name, and values that JSON has: an object of JSON has one entry, whose
-    name is its kind."""
+    """Turns objects into arrays by name and values of JSON. A value that JSON lacks becomes an object
+    with one entry, whose name is its kind."""
 
     def __init__(self, kinds: Kinds) -> None:
         self.kinds = kinds
@@ -62,8 +64,8 @@ class _Writer:
         self.seen: dict[int, tuple[int, object]] = {}
 
     def plain(self, name: str, value: object) -> Any:
-        """Return a value as JSON: arrays go to the file under ``name`` and are referred to, objects
-        become the fields of their kind, and what was written before is referred to by its number."""
+        """Return a value as JSON. An array is stored under ``name`` and replaced by a reference, an object
+        of one of the kinds by its fields, and one that was written before by its number."""
         kind = next((kind for kind in self.kinds if isinstance(value, kind)), None)
         if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and not value.ndim):
             value = value.item()
@@ -71,16 +73,15 @@ class _Writer:
             return {"same": self.seen[id(value)][0]}
         if isinstance(value, np.ndarray):
             written = {"array": self._array(name, value)}
+        elif kind is not None and isinstance(value, Enum):
+            written = {kind.__name__: value.name}
         elif kind is not None:
-            written = {
-                kind.__name__: value.name
-                if isinstance(value, Enum)
-                else {
-                    entry.name: self.plain(_joined(name, entry.name), vars(value).get(entry.name))
-                    for entry in fields(kind)
-                    if entry.init
-                }
+            values = {
+                entry.name: self.plain(_joined(name, entry.name), vars(value).get(entry.name))
+                for entry in fields(kind)
+                if entry.init
             }
+            written = {kind.__name__: values}
         elif isinstance(value, Mapping):
             return {
                 "dict": {
@@ -153,15 +154,16 @@ class _Reader:
 class Stored:
     """Contents of a file."""
 
-    value: Any
-    more: Any
-    part_of: dict[str, object]
+    value: Any  # the object that was saved
+    more: Any  # data that were saved next to it; None if they were not read
+    part_of: dict[str, object]  # number and key of a step; empty for a single result
 
 
 def packed(
     value: object, kinds: Kinds, more: object = None, part_of: Mapping[str, object] | None = None
 ) -> bytes:
-    """Return the content of a file: an object, more next to it, and what it is a part of."""
+    """Return the content of a file: an object, ``more`` data next to it, and ``part_of``, the number
+    and the key of a step."""
     writer = _Writer(kinds)
     text = {
         "format": _FORMAT,
@@ -180,8 +182,7 @@ def read(path: str | os.PathLike[str], kinds: Kinds, *, more: bool = False) -> S
     """Read an object of the first of ``kinds``; ValueError, which names the file, if it is
     something else or damaged.
 
-    ``more``: with what was written next to it, which may be of other kinds than those that are
-    listed."""
+    ``more``: read the data next to it, too, which may have other kinds than those that are listed."""
     file = checks.file_path("path", path)
     with opened(file) as stream, damage(file):
         arrays = _arrays(stream)
@@ -212,7 +213,7 @@ def _hash(text: Mapping[str, object], arrays: Mapping[str, np.ndarray] | None = 
 
 @contextmanager
 def damage(file: Path) -> Iterator[None]:
-    """Turn what damaged content raises into one ValueError that names the file."""
+    """Turn any exception from damaged content into a ValueError that names the file."""
     try:
         yield
     except Exception as error:  # zipfile, zlib, struct, numpy and json have their own
@@ -276,7 +277,7 @@ class StepStore:
                 f"{store.folder} was written by save, without what it was solved for: give another folder "
                 "as store"
             )
-        # as it comes back from JSON
+        # compared in the form in which JSON returns it
         different = differences(
             stored.head["fingerprint"], json.loads(json.dumps(head["fingerprint"]))
         )
@@ -285,7 +286,7 @@ class StepStore:
                 f"the store {store.folder} belongs to another run: {', '.join(different)} "
                 f"differ{'s' if len(different) == 1 else ''}; give another folder, or remove this one"
             )
-        return stored  # steps go by the key of the head that is there
+        return stored  # with the key of the stored head, which the steps have
 
     @classmethod
     def read(cls, folder: Path, name: str, kinds: Kinds) -> StepStore:
@@ -320,8 +321,8 @@ class StepStore:
         write_bytes(self.file, json.dumps(text, indent=1).encode())
 
     def put(self, number: int, value: object, more: object = None) -> None:
-        """Write a step, unless another process has; ValueError if a file of that name is something
-        else."""
+        """Write a step, unless another process has written it; ValueError if the file of that name is
+        not this step."""
         if os.path.lexists(self._step_file(number)):
             self._read(number)
         else:
@@ -376,8 +377,8 @@ def fingerprint(
     depends: Mapping[str, object] | None = None,
     start: Sequence[np.ndarray] = (),
 ) -> dict[str, object]:
-    """Return what the steps depend on, as plain values by the names that messages give them;
-    ``start``: arrays of the result at which they begin."""
+    """Return the data on which the steps depend, as values of JSON by the names that messages give
+    them; ``start``: arrays of the result with which they begin."""
     depends = checks.instance(
         "depends", {} if depends is None else depends, Mapping, "a mapping of names to values"
     )

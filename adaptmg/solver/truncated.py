@@ -46,7 +46,7 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 
 class TruncatedTest(StopTest):
-    """When cycles end; ``run`` has the certificate."""
+    """Judges cycles by the energies of their coarse corrections and their residuals."""
 
     #: the energy of the coarse correction misses what the smoothing removes: the certificate is asked when SAFETY
     #: times the estimate is below rtol. 198 solves of random problems to 1e-6 take 2185 cycles; at 1, 2178
@@ -60,9 +60,9 @@ class TruncatedTest(StopTest):
     #: share of the discretisation error that may remain with rtol="discretisation": 10 random problems take 29 cycles,
     #: 34 with half, 28 with twice
     SHARE = 0.1
-    #: the largest tolerance that comes from that: a start further off shows no discretisation error. The largest error
-    #: of these problems is 6.6e-3, with half 3.8e-3 in 33 cycles, with twice 6.6e-3 in 28
-    COARSEST = 1e-2
+    #: the largest tolerance with rtol="discretisation": a start further off shows no discretisation error. The
+    #: largest error of these problems is 6.6e-3, with half 3.8e-3 in 33 cycles, with twice 6.6e-3 in 28
+    LARGEST_RTOL = 1e-2
 
     def __init__(
         self, cycles: TruncatedCycles | Any, rtol: float | str, limit: float, run: Run
@@ -74,32 +74,33 @@ class TruncatedTest(StopTest):
         self._first_residual = np.nan
 
     def judge(self, measured: Measured) -> None:
-        """Estimate the error of a state, and note its residual."""
+        """Estimate the error of a state, and remember its residual."""
         if measured.from_start is not None:
-            self.take_discretisation_error(measured.from_start)
+            self.set_discretisation_tolerance(measured.from_start)
         super().judge(measured)
         self.residuals.append(self.residual)
         self._first_residual = (
             self._last_residual if len(self.residuals) == 1 else self._first_residual
         )
 
-    def take_discretisation_error(self, change: float) -> None:
-        r"""Set rtol from the A-norm of what the first cycle changed in the nested start. By
+    def set_discretisation_tolerance(self, change: float) -> None:
+        r"""Set rtol from the A-norm of the change of the nested start by the first cycle. By
         orthogonality and an error that halves with the mesh size, :math:`|u - u_h| = |u_h -
         u_{2h}|/\sqrt 3`; a tenth of it is the tolerance."""
         if self.size > 0:
-            self.rtol = min(self.SHARE * change / np.sqrt(3.0) / self.size, self.COARSEST)
+            self.rtol = min(self.SHARE * change / np.sqrt(3.0) / self.size, self.LARGEST_RTOL)
 
-    def rests(self) -> bool:
+    def at_rest(self) -> bool:
         """Return whether the last residual is as small as arithmetic allows."""
-        return self.at_rounding(self.cycles_of.rounding(self.state))
+        return self.residual_is_rounding(self.cycles_of.rounding(self.state))
 
     @property
     def residual_met(self) -> bool:
-        return super().residual_met or self.rests()
+        return super().residual_met or self.at_rest()
 
     @property
     def better(self) -> bool:
+        """Return whether the last iterate has a smaller residual than the first one."""
         return self.residual < self.residuals[0] and not self.diverged
 
     @property
@@ -116,11 +117,11 @@ class TruncatedTest(StopTest):
         return bool(np.log(excess) > (self.limit - self.cycles) * -np.log(rate))
 
     def shortfall(self) -> float | None:
-        """Return the shortfall, see :class:`~adaptmg.solver.iterate.StopTest`; 0 where no iterate
-        can be better."""
-        if self.rests():
+        """Ask the certificate as :class:`~adaptmg.solver.iterate.StopTest` does; 0 where no iterate can
+        be better."""
+        if self.at_rest():
             return 0.0
-        # mostly this iterate is the last
+        # mostly the certificate accepts, and no further cycle needs what is set aside
         self.state = self.cycles_of.set_aside(self.state)
         solution = self.cycles_of.problem.with_prescribed(self.state.iterate)
         return self.cycles_of.run.shortfall(solution, self.rtol)
@@ -136,16 +137,18 @@ class TruncatedTest(StopTest):
         return self.SAFETY * self.changes[-1] * rate / self.size
 
     def _ran_away(self) -> bool:
-        """Return whether the absolute norm has grown: reactions, to which it is related elsewhere,
+        """Return whether the residual has grown, in N: the relative one stays small where reactions
         grow with it."""
         return self._last_residual > 1e6 * max(self._first_residual, 1e-300)
 
 
 class TruncatedCycles:
-    """Cycles on the finest level: steps before which a contact problem on a coarse level may come, and
-    measures of their states. ``origin``: "zero", "nested" or "given". ``coarse`` makes that contact
-    problem. ``nested`` is the start (n_unknowns,) from which ``rtol="discretisation"`` is
-    measured."""
+    """Cycles on the finest level, each perhaps after a contact problem on a coarse level, and norms of
+    their states.
+
+    ``origin`` names the start: "zero", "nested" or "given". ``coarse`` returns the coarse contact
+    problem. ``nested`` is the nested start (n_unknowns,) if ``rtol="discretisation"``, which is
+    measured from it, else None."""
 
     #: contact problems on a coarse level at most, and the linear correction, relative, above which there is one: at
     #: 0.01 12 of 206 cycles more on ten hard cases, without them 99 more
@@ -169,7 +172,8 @@ class TruncatedCycles:
         self.sizes = Sizes(problem)
 
     def step(self, state: TruncatedState) -> TruncatedState:
-        """Correct, unless it is a start, smooth and linearise."""
+        """Return the state after a correction (of a start there is none), perhaps a coarse contact
+        problem, smoothing and linearisation."""
         parts = self.parts
         new = parts.correct(state, state.shorten)
         from_start = None
@@ -194,7 +198,8 @@ class TruncatedCycles:
         return new.but(size=size, shorten=shorten, from_start=from_start)
 
     def _seeks_status(self, state: TruncatedState) -> bool:
-        """Return whether a contact problem on a coarse level comes first."""
+        """Return whether the contact status is too uncertain to go on without a coarse contact
+        problem."""
         if self.coarse is None or state.moves >= self.MOVES:
             return False
         if not state.cycles:
@@ -207,7 +212,7 @@ class TruncatedCycles:
         """Return the norms of the state after its smoothing."""
         sizes = self.sizes
         unknowns = self.parts.displacement(state)
-        # before the second cycle no rate is known: only rounding tells an exact start
+        # before the second cycle no rate is known: an exact start is recognised by rounding alone
         early = state.cycles < 2
         floor = self.rounding(state) if early or sizes.prescribed else 0.0
         columns = {"status_changes": float(state.changed)}
@@ -288,9 +293,9 @@ class TruncatedRun:
         self._steps: dict[int, TruncatedStep] = {}
 
     def pose(self, hierarchy: Hierarchy, run: Run) -> None:
-        """Go on to a hierarchy that differs in loads, prescribed values, gaps and slip references
-        only. What is set up for it stays if the run ``keeps`` that; what solves leave in coarse
-        factors is forgotten, so that a path that is resumed has the same bits."""
+        """Replace the hierarchy by one that differs only in loads, prescribed values, gaps and slip
+        references. Steps that are set up stay if the run ``keeps`` them; data that solves leave in
+        coarse factors is dropped, so that a path that is resumed has the same bits."""
         self.hierarchy = hierarchy
         self.run = run
         self.cycle.recorder = run
@@ -314,7 +319,8 @@ class TruncatedRun:
         return self.finish(problem.from_prescribed(self.nested_start(start)[-1]), "nested")
 
     def cycle_of_states(self) -> Callable[[State], State]:
-        """Return a cycle on the finest level from state to state, which smooths a start."""
+        """Return a function that takes a state on the finest level through a cycle; a start is only
+        smoothed."""
         problem = self.problems[-1]
         problem.need_no_volumes("a step from state to state")
         parts = self.steps_on(len(self.hierarchy) - 1)
@@ -332,8 +338,8 @@ class TruncatedRun:
         self, start: NestedStart, past: list[np.ndarray] | None = None
     ) -> list[np.ndarray]:
         """Solve level by level from the coarsest; returns the solutions (n_unknowns,) of the
-        levels, on the finest one its start. With displacements (n_dofs,) of the levels in the
-        ``past`` what has changed since goes from level to level."""
+        levels, on the finest one its start. ``past``: displacements (n_dofs,) of the levels in the last
+        load step, whose change is then interpolated from level to level."""
         self.hierarchy.need_discretised("the nested start of FullMultigrid")
         return nested_start(
             self.run,
@@ -346,8 +352,8 @@ class TruncatedRun:
     def _prolonged(
         self, past: list[np.ndarray] | None, number: int, solutions: list[np.ndarray]
     ) -> list[np.ndarray]:
-        """Return the solutions (n_unknowns,) of the levels below ``number`` with a further one: that with which
-        level ``number`` begins. ``past``: displacements (n_dofs,) of the last load step."""
+        """Return the solutions (n_unknowns,) of the levels below ``number``, and the interpolated start
+        of level ``number``. ``past``: displacements (n_dofs,) of the levels in the last load step."""
         coarse = self.problems[number - 1]
         fine = self.problems[number]
         fine_level = self.cycle.levels[number]
@@ -369,8 +375,9 @@ class TruncatedRun:
         return [*solutions, fine.with_prescribed(start)]
 
     def _extrapolation(self, number: int) -> float:
-        """Return Richardson's share of the last change of the solution that the next level will add:
-        discretisation errors fall like 1/n on uniform plane grids of n nodes. 0 elsewhere."""
+        """Return the share of its change to level ``number`` by which the solution will change on the
+        next level, by Richardson: discretisation errors fall like 1/n on uniform plane grids of n
+        nodes. 0 on other meshes."""
         levels = self.hierarchy.levels[number - 1 : number + 2] if number > 0 else ()
         meshes = [level.mesh for level in levels]
         if len(meshes) < 3 or not all(
@@ -396,7 +403,9 @@ class TruncatedRun:
             del start  # long vectors limit the size of a problem
             # no variable refers to the first state: the test may release its large arrays
             state, status = iterate(cycles.step, cycles.measure, cycles.step(first), stop, self.run)
-        failed = status in (Status.STALLED, Status.DIVERGED) and stop.rtol > 0 and not stop.rests()
+        failed = (
+            status in (Status.STALLED, Status.DIVERGED) and stop.rtol > 0 and not stop.at_rest()
+        )
         return Outcome(
             problem.with_prescribed(state.iterate),
             status,
@@ -409,8 +418,8 @@ class TruncatedRun:
         )
 
     def steps_on(self, number: int) -> TruncatedStep:
-        """Return the steps on level ``number``; once made, those of the finest level leave diagonal
-        blocks in memory only where something reads them again."""
+        """Return the steps on level ``number``, made if they are not kept. Those of the finest level
+        free diagonal blocks that nothing reads any more."""
         if number in self._steps:
             return self._steps[number]
         with self.run.phase("setup"):
@@ -447,8 +456,8 @@ class TruncatedRun:
         return self._coarse
 
     def _coarsest(self, start: NestedStart, past: list[np.ndarray] | None) -> list[np.ndarray]:
-        """Solve the coarsest level by semismooth Newton steps, of load steps from the step before;
-        each counts a pass, its factorisation as seconds."""
+        """Solve the coarsest level by semismooth Newton steps, in a load path from the last step. Each
+        counts as a pass; factorisations count as seconds."""
         problem = self.problems[0]
         near = None if past is None or not past[0].any() else past[0]
         try:
@@ -463,7 +472,7 @@ class TruncatedRun:
     def _start_cycles(
         self, start: NestedStart, number: int, solutions: list[np.ndarray]
     ) -> list[np.ndarray]:
-        """Return the solutions with what the cycles of the nested start on a level make of its own."""
+        """Return the solutions of the levels, the last of them after the cycles of the nested start."""
         parts = self.steps_on(number)
         problem = self.problems[number]
         *below, given = solutions
@@ -482,8 +491,8 @@ class TruncatedRun:
         state: TruncatedState,
         least_cycles: int,
     ) -> TruncatedState | None:
-        """Return the state after enough cycles, or after more until its residual is trusted; None where
-        they diverge: the next level takes over no iterate with a large residual."""
+        """Return the state after ``least_cycles`` cycles, or more until its residual is small enough
+        for the next level to take over; None if they diverge."""
         sizes = Sizes(problem)
         least_residual = np.inf
         for cycle in range(max(least_cycles, self.START_CYCLES)):
