@@ -402,12 +402,12 @@ def _study_of(path: Path, store: Path | None) -> Study:
     spec = cast("ModuleSpec", spec)
     loader = cast("Loader", spec.loader)
     module = sys.modules[file.stem] = importlib.util.module_from_spec(spec)
+    # workers cannot import it, and it may run its study on workers while it is imported
+    cloudpickle.register_pickle_by_value(module)
     try:
         loader.exec_module(module)
     except Exception as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
-    # workers cannot import it
-    cloudpickle.register_pickle_by_value(module)
     by_identity = {id(value): value for value in vars(module).values() if isinstance(value, Study)}
     studies = list(by_identity.values())
     if len(studies) == 1:

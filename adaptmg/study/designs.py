@@ -128,8 +128,8 @@ def _combinations(parameters: Mapping[str, Sequence[Value]]) -> list[Point]:
     for key, values in _mapping("parameters", parameters, "sequences of values").items():
         if isinstance(values, str | Mapping) or not hasattr(values, "__len__"):
             raise TypeError(
-                f"parameters[{key!r}] must be a sequence of values, such as a list, got "
-                f"{checks.shown(values)}: others may have no end"
+                f"parameters[{key!r}] must be a list of values, got {checks.shown(values)}: a value that "
+                "all runs share stands in fixed={...}, and objects get names that the run function looks up"
             )
         values = cast(Sequence[Value], values)
         if not _check_length(len(values)):

@@ -21,6 +21,7 @@ import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from enum import Enum
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -129,8 +130,8 @@ class WrongResults(TypeError):
 
 
 def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict[str, Packed]]:
-    """Return the results of a run function, checked: numbers, strings, bools and None for the row,
-    the rest packed."""
+    """Return the results of a run function, checked: numbers, strings, bools and None for the row
+    (the name of an enumeration's member), the rest packed."""
     if not isinstance(returned, Mapping):
         raise WrongResults(
             f"the run function must return a dict of numbers, strings and bools, got "
@@ -145,7 +146,7 @@ def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict
             raise WrongResults(
                 f"result {name!r} has the name of a parameter: rename it (e.g. 'solver_{name}')"
             )
-        value = plain(value)
+        value = value.name if isinstance(value, Enum) else plain(value)
         if (item := pack(value)) is not None:
             packed[name] = item
             value = item.kind

@@ -106,16 +106,18 @@ class Study:
     Claims of processes that ended are taken over (of another machine when they have not been
     renewed for a quarter of an hour).
 
-    Runs share nothing. Where only law, loads or material vary, ``grids.with_problem(problem)`` on
-    grids that are made once saves meshes and transfers (:meth:`adaptmg.Hierarchy.with_problem`).
+    Where no parameter changes the meshes, grids are made once outside the run function, which takes
+    ``grids.with_problem(problem)``; where one does, a function with ``functools.cache`` makes them
+    (:doc:`/howto/study`).
 
     Parameters
     ----------
     run : function
-        Called with the parameters by name; returns a flat dict of numbers, strings and bools.
-        Arrays,
-        :class:`adaptmg.MeshArrays`, :class:`adaptmg.Result`, and figures of matplotlib are kept apart in the store,
-        see :meth:`load`. An exception makes a failed row, and the study goes on.
+        Called with the parameters by name; returns a flat dict of numbers, strings and bools, or
+        members of an enumeration (``result.status``), of which the name is stored. Arrays,
+        :class:`adaptmg.MeshArrays`, :class:`adaptmg.Result`, and figures of matplotlib are kept
+        apart in the store, see :meth:`load`. An exception makes a failed row, and the study goes
+        on. Names that a study gives its own columns: see :meth:`table`.
     parameters : mapping of str to sequence, list or pandas.DataFrame of points, or sample
         A mapping is a grid: every combination, the last parameter changing fastest. A point is a
         mapping of names to values and stands there once. Samples are :class:`Random`,
@@ -328,7 +330,9 @@ class Study:
         ``name``.
 
         ``row`` is the number of the row in :meth:`table`, the row itself, or the parameters of the
-        run. Of a figure the text of its SVG is returned."""
+        run. Of a figure the text of its SVG is returned. Stale runs are loaded, too:
+        :meth:`table` and :meth:`status` say which they are. ValueError for a run that keeps
+        nothing of that name."""
         if isinstance(row, Mapping | pd.Series):
             if missing := [key for key in self.design.names if key not in row]:
                 raise ValueError(f"row must have all parameters, got none of {', '.join(missing)}")
@@ -344,8 +348,11 @@ class Study:
             return {key: unpack(item) for key, item in items.items()}
         if name not in items:
             asked = "" if name is None else f", not {name}{checks.suggestion(name, items)}"
+            record = self._store.one(self.name, canonical(point))
+            reason = "it is not in the store" if record is None else record.error or "it is done"
             raise ValueError(
-                f"the run {checks.shown(canonical(point))} keeps {', '.join(items) or 'nothing'}{asked}"
+                f"the run {checks.shown(canonical(point))} keeps "
+                f"{', '.join(items) or f'nothing ({reason})'}{asked}"
             )
         return unpack(items[name])
 
@@ -361,7 +368,7 @@ class Study:
                     for refused in (outcome for outcome in batch if outcome.refused and not number):
                         raise ValueError(
                             f"the run function of study {self.name} cannot be used: "
-                            f"{refused.record.error}"
+                            f"{refused.exception or refused.record.error}"
                         )
                     origin = {
                         "code": code.code,

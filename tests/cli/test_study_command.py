@@ -66,15 +66,14 @@ def test_a_script_is_run_once_and_gives_what_it_gives_alone(command):
     )
 
 
-def test_scripts_run_on_workers_with_their_neighbours(command):
+def test_scripts_run_their_study_on_workers_with_their_neighbours(command):
     Path("neighbour.py").write_text("def f(n):\n    return 3 * n\n", encoding="utf-8")
     code, out, err = command(
         "study",
         written(
-            "from neighbour import f\nparameters = {'n': [1, 2]}\ndef run(n): return {'m': f(n)}\n"
+            "import adaptmg as am\nfrom neighbour import f\ndef run(n): return {'m': f(n)}\n"
+            "study = am.Study(run, {'n': [1, 2]})\nstudy.run(workers=1)\n"
         ),
-        "--workers",
-        "1",
         "--json",
     )
     sys.modules.pop("neighbour")

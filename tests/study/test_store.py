@@ -319,7 +319,7 @@ def test_arrays_meshes_results_and_figures_are_kept(tmp_path, where):
 
 def test_what_is_kept_is_stored_with_its_row_or_not_at_all(tmp_path, monkeypatch):
     study = am.Study(lambda n: {"a": np.arange(n)}, {"n": [3]}, tmp_path / "s.sqlite", name="s")
-    with pytest.raises(ValueError, match="keeps nothing"):
+    with pytest.raises(ValueError, match=r"keeps nothing \(it is not in the store\)"):
         study.load(0)
     study.run(progress=False)
     store = Store(tmp_path / "s.sqlite")

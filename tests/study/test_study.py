@@ -190,7 +190,8 @@ def generator(sweeps):
     [
         (case, {}, None, TypeError, "parameters"),
         (case, {"sweeps": []}, None, ValueError, "empty"),
-        (case, {"sweeps": "abc"}, None, TypeError, "sequence"),
+        (case, {"sweeps": "abc"}, None, TypeError, "list of values"),
+        (case, {"sweeps": 3}, None, TypeError, "fixed"),
         (case, {"sweeps": [1, 1]}, None, ValueError, "twice"),
         (case, {"sweep": [1]}, None, TypeError, "does not take"),
         (case, {"sweeps": [1]}, {"sweeps": 2}, ValueError, "both"),
@@ -228,7 +229,7 @@ def test_results_that_cannot_be_stored_end_the_first_run(tmp_path, returned, mat
     study = am.Study(
         run, {"n": [1, 2, 3]}, tmp_path / "s.sqlite", depends={"done": None, "returned": None}
     )
-    with pytest.raises(ValueError, match=f"cannot be used.*{match}"):
+    with pytest.raises(ValueError, match=f"cannot be used: .*{match}"):
         study.run(progress=False)
     assert done == [1] and study.status().missing == 3
     # later ones are failures, as one run must not end the others
@@ -238,7 +239,8 @@ def test_results_that_cannot_be_stored_end_the_first_run(tmp_path, returned, mat
 
 def test_names_of_columns_are_free(tmp_path):
     def run(error, run_status):
-        return {"status": "CONVERGED" if error else 1 / error, "seconds": 7.5 + run_status}
+        status = am.Status.CONVERGED if error else 1 / error
+        return {"status": status, "seconds": 7.5 + run_status}
 
     study = am.Study(run, {"error": [1, 0], "run_status": [2]}, tmp_path / "s.sqlite")
     table = study.run(progress=False, cost="seconds")
