@@ -40,7 +40,8 @@ from .estimate.quantities import (
 )
 from .estimate.loop import Step as Step
 from .evolution.march import march as march
-from .hierarchy import Forecast as Forecast, Hierarchy as Hierarchy, Level as Level
+from .hierarchy import Forecast as Forecast, Hierarchy as Hierarchy
+from .level import Level as Level
 from .mesh import MeshArrays as MeshArrays, SizeNear as SizeNear
 from .multigrid import (
     CoarseSolve as CoarseSolve,

@@ -55,7 +55,7 @@ TASKS = {
     "grids": (
         "Grids",
         "Hierarchies, coarsest level first, and their meshes.",
-        ("hierarchy", "mesh"),
+        ("hierarchy", "level", "mesh"),
     ),
     "transfers": ("Transfers", "Prolongations between meshes, nested or not.", ("transfer",)),
     "solve": (

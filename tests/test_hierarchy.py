@@ -151,7 +151,7 @@ def test_sizes_that_are_given_are_left_alone(caplog):
     np.testing.assert_array_equal(given.finest.mesh.points, plain.points)
     by_ratio = am.Hierarchy.graded(problem, contact_ratio=3)
     # without supports there is no contact to measure, as of bodies that only inertia holds
-    with caplog.at_level(logging.INFO, "adaptmg.estimate.contact_sizes"):
+    with caplog.at_level(logging.INFO, "adaptmg.contact_sizes"):
         free = am.Hierarchy.graded(replace(problem, supports=()))
     assert [record.getMessage().split(":")[0] for record in caplog.records] == [
         "default sizes do not follow the contact"

@@ -22,7 +22,7 @@ from adaptmg._units import in_units
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.evolution.path_loop import PathLoop, slip_lengths
 from adaptmg.evolution.plastic import PlasticLoop
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.outcome import grids_argument, method_argument
@@ -274,7 +274,7 @@ class StepNotConverged(NotConverged):
 @once()
 @one_blas_thread()
 def solve_path(
-    grids: Hierarchy | DiscreteProblem,
+    grids: Grids | DiscreteProblem,
     path: LoadPath,
     solver: Solver | None = None,
     *,
@@ -424,7 +424,7 @@ def _check_start(loop: PathLoop, start: Result) -> tuple[np.ndarray, ...]:
     return start.displacement, state, start.contact.accumulated_slip
 
 
-def _loop(grids: Hierarchy, path: LoadPath, solver: Solver) -> PathLoop:
+def _loop(grids: Grids, path: LoadPath, solver: Solver) -> PathLoop:
     """Return the loop of a path, whose bodies may be plastic."""
     if not grids.finest.discrete.inelastic:
         return PathLoop(grids, path, solver)

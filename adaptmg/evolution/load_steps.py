@@ -40,7 +40,7 @@ from scipy.sparse.linalg import lsmr
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData, cut_force, cut_stiffness
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.level import Level
 from adaptmg.mesh.arrays import need_mesh
 from adaptmg.multigrid.truncated_parts import Truncated
@@ -115,7 +115,7 @@ def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
         return min(past.last, past.extrapolated, key=examiner.relative_residual)
 
 
-def coarse_displacements(hierarchy: Hierarchy, displacement: np.ndarray) -> list[np.ndarray]:
+def coarse_displacements(hierarchy: Grids, displacement: np.ndarray) -> list[np.ndarray]:
     """Return a displacement (n_dofs,) of the finest level on all levels, coarsest first: on each the one
     whose interpolation is nearest to that of the next finer level. Only the finest of spaces that are
     not discretised."""
@@ -152,7 +152,7 @@ def extrapolated_outcome(
 def step_outcome(
     solver: Solver,
     multigrid: TruncatedRun | None,
-    hierarchy: Hierarchy,
+    hierarchy: Grids,
     examiner: Examiner,
     run: Run,
     past: Past,
@@ -169,7 +169,7 @@ def without_nested_start(solver: FullMultigrid) -> Multigrid:
 
 
 def restarted(
-    solver: Solver, hierarchy: Hierarchy, examiner: Examiner, run: Run, past: Past
+    solver: Solver, hierarchy: Grids, examiner: Examiner, run: Run, past: Past
 ) -> Outcome:
     """Solve a step by a solver that begins again: the first step without a start, others from the
     better one of the two that :class:`Past` has."""
@@ -184,7 +184,7 @@ def restarted(
 def resumed(
     solver: Multigrid,
     multigrid: TruncatedRun | None,
-    hierarchy: Hierarchy,
+    hierarchy: Grids,
     examiner: Examiner,
     run: Run,
     past: Past,
@@ -398,7 +398,7 @@ class Controls:
         self,
         parts: Sequence[_Unknowns],
         solve: Solve[Carried],
-        posed: Callable[[dict[str, np.ndarray]], Hierarchy],
+        posed: Callable[[dict[str, np.ndarray]], Grids],
         limit: float,
     ) -> tuple[Result, Carried, dict[str, np.ndarray]]:
         """Return the result with the prescribed forces, what ``solve`` carries to the next step, and
@@ -457,7 +457,7 @@ class Guide:
         self,
         controls: Controls,
         parts: Sequence[_Unknowns],
-        posed: Callable[[dict[str, np.ndarray]], Hierarchy],
+        posed: Callable[[dict[str, np.ndarray]], Grids],
     ) -> None:
         self.controls = controls
         self.posed = posed
@@ -575,7 +575,7 @@ class Guide:
         )
         run = Run(unit=posed.finest.discrete.matrix.nnz)
         with run.phase("start"):
-            outcome = ActiveSet().run(Hierarchy.single(problem), run, None)
+            outcome = ActiveSet().run(Grids.single(problem), run, None)
         self.spent.append(run)
         motion = outcome.solution[discrete.n_dofs :][:n]
         return motion * scales / self.sizes[:n]

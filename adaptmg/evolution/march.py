@@ -46,7 +46,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import supported_nodes
 from adaptmg.evolution.load_steps import Past, step_outcome
 from adaptmg.evolution.path_loop import slip_lengths
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.dynamics import Dynamics
 from adaptmg.problem.laws import Frictionless
@@ -81,7 +81,7 @@ _MOST_ROUNDING = 1e-3
 
 @one_blas_thread()
 def march(
-    grids: Hierarchy,
+    grids: Grids,
     dynamics: Dynamics,
     method: Solver | None = None,
     *,
@@ -210,7 +210,7 @@ def _results(
         yield result
 
 
-def _time_step_grids(grids: Hierarchy, dynamics: Dynamics) -> Hierarchy:
+def _time_step_grids(grids: Grids, dynamics: Dynamics) -> Grids:
     """Return the hierarchy with the matrices of a time step; ValueError for problems
     that march does not solve."""
     grids = grids_argument(grids)
@@ -251,7 +251,7 @@ class March:
 
     def __init__(
         self,
-        grids: Hierarchy,
+        grids: Grids,
         dynamics: Dynamics,
         solver: Solver,
         choice: str,
@@ -348,7 +348,7 @@ class March:
             return result
         problem = self._mass_problem
         gaps = replace(contact, gaps=-overlap, allow_interference=True)
-        grids = Hierarchy.single(problem.posing(contact=gaps))
+        grids = Grids.single(problem.posing(contact=gaps))
         nearest = ActiveSet().run(grids, Run(unit=problem.matrix.nnz), None)
         if not nearest.status.ok:
             raise RuntimeError(
@@ -407,7 +407,7 @@ class March:
         self.lost_energies = {cause: result.energies[cause] for cause in self.lost_energies}
         self.accumulated_slip = self.accumulated_slip + slip_lengths(result)
 
-    def _posed(self, admissible: np.ndarray, shift: np.ndarray) -> Hierarchy:
+    def _posed(self, admissible: np.ndarray, shift: np.ndarray) -> Grids:
         """Return the hierarchy with the problem of a step, relative to a ``shift`` of the bodies."""
         discrete = self.discrete
         step = self.dynamics.step

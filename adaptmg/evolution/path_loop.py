@@ -25,7 +25,7 @@ from adaptmg.evolution.load_steps import (
     coarse_displacements,
     step_outcome,
 )
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.level import Level
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.closed_forms import free_bodies
@@ -50,7 +50,7 @@ def slip_lengths(result: Result) -> np.ndarray:
 class PathLoop:
     """The steps of a load path, and what each step needs of the steps before it."""
 
-    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver) -> None:
+    def __init__(self, grids: Grids, path: LoadPath, solver: Solver) -> None:
         self.grids = grids
         self.path = path
         self.solver = solver
@@ -144,7 +144,7 @@ class PathLoop:
         near: Result | None,
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
-    ) -> tuple[Result, tuple[Hierarchy, list[np.ndarray] | None]]:
+    ) -> tuple[Result, tuple[Grids, list[np.ndarray] | None]]:
         """Return the result of step k with these motions of obstacles, and what the next step needs:
         the hierarchy and the displacements of coarse levels. The method starts from a result ``near``
         to it; its tolerance may be as large as ``loose``."""
@@ -182,7 +182,7 @@ class PathLoop:
         k: int,
         motions: Mapping[str, np.ndarray],
         progress: Callable[[int, dict[str, float]], None] | None,
-    ) -> tuple[Run, Hierarchy, np.ndarray]:
+    ) -> tuple[Run, Grids, np.ndarray]:
         """Return the run of step k, its hierarchy, and the forces b - A u_fixed (n_dofs,)."""
         callback = None if progress is None else partial(progress, k)
         run = Run(unit=self.grids.finest.discrete.matrix.nnz, callback=callback)
@@ -201,7 +201,7 @@ class PathLoop:
             least = max(rtol, StopTest.ROUNDING_LIMIT)
             self.step_solver = replace(cast("Multigrid", self.step_solver), rtol=least)
 
-    def _check_statics(self, k: int, grids: Hierarchy) -> None:
+    def _check_statics(self, k: int, grids: Grids) -> None:
         """Raise ValueError, which names step k, if a rigid motion is held by nothing."""
         try:
             check_statics_of(grids)
@@ -210,7 +210,7 @@ class PathLoop:
                 f"step {k} of {len(self.path)} ({self.described(k)}): {error}"
             ) from error
 
-    def _check_held(self, grids: Hierarchy, k: int, motions: Mapping[str, np.ndarray]) -> None:
+    def _check_held(self, grids: Grids, k: int, motions: Mapping[str, np.ndarray]) -> None:
         """Raise ValueError if supports hold nodes inside an obstacle in step k."""
         posed = self.posed[-1]
         if posed is not None:
@@ -262,7 +262,7 @@ class PathLoop:
         return self.finest_loads.stress_data(self._loading(k, motions))
 
     def _undeformed(
-        self, k: int, grids: Hierarchy, run: Run, motions: Mapping[str, np.ndarray]
+        self, k: int, grids: Grids, run: Run, motions: Mapping[str, np.ndarray]
     ) -> Result:
         """Return the result of a step in which nothing acts: no method could estimate the relative
         error of its iterates."""
@@ -280,7 +280,7 @@ class PathLoop:
         # all forces vanish: a relative residual would be rounding over nothing
         return replace(result, status=Status.CONVERGED, residual=0.0)
 
-    def _posed(self, k: int, motions: Mapping[str, np.ndarray], between: bool = True) -> Hierarchy:
+    def _posed(self, k: int, motions: Mapping[str, np.ndarray], between: bool = True) -> Grids:
         """Return the hierarchy with loads, prescribed values, places of obstacles and slip
         references of step k. Levels coarser than the solver's, or without a problem, stay
         unchanged; so do those ``between`` the ends, which statics does not read."""
@@ -307,12 +307,10 @@ class PathLoop:
                     step = moved(posed, step, places, self.controls.places)
                 level = level.posing(discrete=step)
             levels.append(level)
-        return Hierarchy(
-            tuple(levels), self.grids.problem, self.grids.origin, dict(self.grids.timings)
-        )
+        return replace(self.grids, levels=tuple(levels))
 
     def _remember(
-        self, k: int, grids: Hierarchy, result: Result, coarse: list[np.ndarray] | None
+        self, k: int, grids: Grids, result: Result, coarse: list[np.ndarray] | None
     ) -> None:
         """Keep what the next step needs of the result of step k."""
         self.coarse = coarse
@@ -353,7 +351,7 @@ class PathLoop:
         return [last + ratio * (last - before) for last, before in pairs]
 
 
-def _posed_with_names(grids: Hierarchy) -> list[Posed | None]:
+def _posed_with_names(grids: Grids) -> list[Posed | None]:
     """Return the posed problem of each level; None for all unless every discretised level has a
     mesh."""
     posed = [grids.posed_on(level) for level in grids.levels]

@@ -30,7 +30,7 @@ from adaptmg.discrete.stress import PlasticState, StressData
 from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.evolution.load_steps import without_nested_start
 from adaptmg.evolution.path_loop import PathLoop
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.multigrid.cycle import Cycle
 from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.problem.load_path import LoadPath
@@ -70,7 +70,7 @@ _SMALLEST = 1 / 64  # part of a load step
 class PlasticLoop(PathLoop):
     """The steps of a path of plastic bodies."""
 
-    def __init__(self, grids: Hierarchy, path: LoadPath, solver: Solver) -> None:
+    def __init__(self, grids: Grids, path: LoadPath, solver: Solver) -> None:
         self.share = 1.0  # of the change of the factors in a step
         super().__init__(grids, path, solver)
         if self.posed[-1] is None:
@@ -129,7 +129,7 @@ class PlasticLoop(PathLoop):
         near: Result | None,
         progress: Callable[[int, dict[str, float]], None] | None,
         loose: float,
-    ) -> tuple[Result, tuple[Hierarchy, list[np.ndarray] | None]]:
+    ) -> tuple[Result, tuple[Grids, list[np.ndarray] | None]]:
         """Solve step k by Newton's method; see :meth:`PathLoop._solve`."""
         run, grids, forces = self._set_up(k, motions, progress)
         problem = grids.finest.discrete
@@ -179,7 +179,7 @@ def _state_of(result: Result) -> np.ndarray:
 class _Newton:
     """Newton's method for a load step."""
 
-    def __init__(self, loop: PlasticLoop, grids: Hierarchy, run: Run) -> None:
+    def __init__(self, loop: PlasticLoop, grids: Grids, run: Run) -> None:
         self.plastic = loop.plastic
         self.state = loop.state
         solver: Any = loop.solver
@@ -194,7 +194,7 @@ class _Newton:
         self.rtol = loop.rtol
         self.cycles = 0
 
-    def run(self, at: Response) -> tuple[Outcome, Hierarchy]:
+    def run(self, at: Response) -> tuple[Outcome, Grids]:
         """Return the outcome, and the hierarchy with the tangent at the solution."""
         self.at = at
         tolerance = _FIRST
@@ -232,19 +232,19 @@ class _Newton:
             grids,
         )
 
-    def _linearised(self) -> Hierarchy:
+    def _linearised(self) -> Grids:
         """Return the hierarchy with the tangent on the finest level."""
         with self.recorder.phase("tangent"):
             tangent = self.plastic.linearised(self.problem, self.at)
             grids = self.grids
             if not grids.discretised:
                 coarse = [level.prolongation for level in grids.levels[1:]]
-                made = Hierarchy.from_prolongations(tangent, coarse)
+                made = Grids.from_prolongations(tangent, coarse)
                 grids = replace(grids, levels=(*made.levels[:-1], grids.finest))
             finest = grids.finest.posing(discrete=tangent)
             return replace(grids, levels=(*grids.levels[:-1], finest))
 
-    def _contact_problem(self, grids: Hierarchy, tolerance: float, last: bool) -> Outcome:
+    def _contact_problem(self, grids: Grids, tolerance: float, last: bool) -> Outcome:
         """Solve the contact problem of the tangent from the last iterate."""
         solver = self.solver
         start = self.at.displacement

@@ -31,7 +31,7 @@ from adaptmg.discrete.moduli import inelastic_bodies
 from adaptmg.discrete.plasticity import InelasticBodies
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.stress import PlasticState, StressData
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.smoother.system import OPEN
 from adaptmg.solver.examine import ContactResult, Examiner
@@ -44,7 +44,7 @@ from adaptmg.transfer.projections import overlaps
 
 
 @one_blas_thread()
-def transfer_state(old_grids: Hierarchy, result: Result, new_grids: Hierarchy) -> Result:
+def transfer_state(old_grids: Grids, result: Result, new_grids: Grids) -> Result:
     """Carry a result of a load path to the finest mesh of another hierarchy, from where
     ``solve_path(new_grids, path, start=...)`` goes on.
 
@@ -138,9 +138,9 @@ class _Side:
     posed: Posed
 
     @classmethod
-    def of(cls, name: str, grids: Hierarchy) -> _Side:
+    def of(cls, name: str, grids: Grids) -> _Side:
         """Return the finest mesh of a hierarchy as a side; ValueError without a problem on it."""
-        checks.instance(name, grids, Hierarchy, "a Hierarchy")
+        checks.instance(name, grids, Grids, "a Hierarchy")
         if grids.posed is None:
             raise ValueError(f"{name} must be the Hierarchy of a ContactProblem, with its meshes")
         return cls(grids.posed)

@@ -34,7 +34,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.smoother.factorisation import Condensed
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel, Smoother
 from adaptmg.smoother.system import LocalProblem, LocalSystem, NodalContact
@@ -165,9 +165,7 @@ class CorrectionLevel:
         return supports(self.contact_prolongation)
 
 
-def local_prolongations(
-    hierarchy: Hierarchy, problems: list[LocalProblem]
-) -> list[sparse.csr_array]:
+def local_prolongations(hierarchy: Grids, problems: list[LocalProblem]) -> list[sparse.csr_array]:
     """Return the prolongations between neighbouring levels in contact frames, coarsest first.
 
     Parameters
@@ -199,7 +197,7 @@ def local_prolongations(
 
 
 def correction_levels(
-    hierarchy: Hierarchy,
+    hierarchy: Grids,
     problems: list[LocalProblem],
     finest: int,
     coarse_matrices: str = "galerkin",

@@ -28,7 +28,8 @@ from adaptmg._checks import indices_frozen
 from adaptmg._numba import inner_kernel, kernel, read_only
 from adaptmg._threads import LARGE, in_colours, in_parts, scattering
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.hierarchy import Hierarchy, Level
+from adaptmg.grids import Grids
+from adaptmg.level import Level
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, minus_row, read, scale, times, write
 from adaptmg.smoother.strips import Strips, product
@@ -234,7 +235,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     )
 
 
-def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
+def nodal_prolongations(hierarchy: Grids) -> list[sparse.csr_array]:
     """Return the prolongations between neighbours, coarsest first, columns sorted."""
     # a copy where they are not: the hierarchy's own stays
     return [
@@ -243,9 +244,7 @@ def nodal_prolongations(hierarchy: Hierarchy) -> list[sparse.csr_array]:
     ]
 
 
-def galerkin_levels(
-    hierarchy: Hierarchy, prolongations: list[sparse.csr_array]
-) -> list[SplitMatrix]:
+def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> list[SplitMatrix]:
     """Return the Galerkin matrices of all levels, coarsest first. Where the discretised matrix is
     the Galerkin one (nested meshes) it is taken over; not with coupled bodies, whose truncated
     matrices need more entries near contact. The finest matrix, which no truncation changes, is
@@ -281,7 +280,7 @@ def galerkin_levels(
     return result
 
 
-def _of_nested_elements(hierarchy: Hierarchy, above: Level, below: Level) -> bool:
+def _of_nested_elements(hierarchy: Grids, above: Level, below: Level) -> bool:
     """Return whether the coarse matrix is the Galerkin matrix by construction: both are of linear
     elements with constant moduli alone, on lattices of a body of which one divides the other alike
     along all axes, and the prolongation is their interpolation. To test the matrices takes 20 ms

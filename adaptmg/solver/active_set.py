@@ -18,7 +18,7 @@ from scipy import linalg, sparse
 from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import rotate
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.multigrid.volume_pressures import Augmented
 from adaptmg.smoother.conditions import Linearised, hold_all, linearise
 from adaptmg.smoother.factorisation import Condensed, condense, condense_problem
@@ -99,7 +99,7 @@ class ActiveSet:
         checks.convert(self, checks.tolerance, "rtol")
         checks.integer("max_steps", self.max_steps, 1)
 
-    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+    def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level, with ``nested_start`` first on the levels below it, from a
         start (n_unknowns,) or as ``start`` of the method says."""
         if len(hierarchy.finest.discrete.volumes):
@@ -128,7 +128,7 @@ class ActiveSet:
         solved = cast("np.ndarray", start).reshape(-1)  # of the last level
         return Outcome(solved, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
 
-    def _augmented(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+    def _augmented(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve a finest problem with volumes, by one factorisation and perhaps several solves."""
         if self.nested_start:
             raise ValueError(

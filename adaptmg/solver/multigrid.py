@@ -23,7 +23,7 @@ import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._text import brief
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.multigrid.cycle import CoarseSolve, Correction, Cycle, Monotone, NestedStart
 from adaptmg.multigrid.truncated_parts import Truncated
 from adaptmg.smoother.factorisation import factorisable
@@ -155,10 +155,10 @@ class Multigrid:
         """Return the options of the projected method that the user gives."""
         return {name: value for name in PROJECTED if (value := getattr(self, name)) is not None}
 
-    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+    def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         return self.prepared(hierarchy, run).from_given(start)
 
-    def setup(self, hierarchy: Hierarchy, start: State | None = None) -> Stepper:
+    def setup(self, hierarchy: Grids, start: State | None = None) -> Stepper:
         """Return an object whose ``step(state) -> state`` is a cycle on the finest level: to look at
         the states, or as a part of a user-defined method.
 
@@ -187,7 +187,7 @@ class Multigrid:
         return Cycles(run, self.prepared(hierarchy, run).cycle_of_states(), discrete.n_dofs)
 
     def prepared(
-        self, hierarchy: Hierarchy, run: Run, keeps: bool = False
+        self, hierarchy: Grids, run: Run, keeps: bool = False
     ) -> TruncatedRun | ProjectedRun:
         """Return what the method sets up for a hierarchy; ``keeps``: for several load steps."""
         if len(hierarchy) < 2:
@@ -233,7 +233,7 @@ class FullMultigrid(Multigrid):
         super().__post_init__()
         checks.instance("start", self.start, NestedStart, "a NestedStart")
 
-    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+    def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         if start is not None:
             raise ValueError(
                 "start: FullMultigrid makes its own start; use Multigrid to continue from a given one"
@@ -245,7 +245,7 @@ class FullMultigrid(Multigrid):
 CONDENSED = 6_000
 
 
-def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
+def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
     """Return the outcome, or where it leaves cycles to another method that of this one."""
     problem = hierarchy.finest.discrete
     start = outcome.solution if outcome.better else None
@@ -268,7 +268,7 @@ def handed_over(outcome: Outcome, hierarchy: Hierarchy, run: Run) -> Outcome:
     return outcome
 
 
-def _fewer_levels(hierarchy: Hierarchy) -> Hierarchy:
+def _fewer_levels(hierarchy: Grids) -> Grids:
     """Return the hierarchy without every second level, from the next to the finest on, if it is made of
     meshes."""
     with suppress(ValueError):
@@ -282,7 +282,7 @@ def _continued(
     solver: ActiveSet | Multigrid,
     method: str,
     start: np.ndarray | None,
-    hierarchy: Hierarchy,
+    hierarchy: Grids,
     run: Run,
 ) -> Outcome:
     """Return the outcome of another solver for the cycles that are left, added to that ``before``;

@@ -23,7 +23,7 @@ from adaptmg._text import label
 from adaptmg.discrete.loads import spring_resultants
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
 from adaptmg.solver.advice import advise, advise_on_law
@@ -56,8 +56,8 @@ def tolerance_argument(rtol: float | None, solver: Solver | Method | None) -> fl
 
 
 def method_argument(
-    solver: Solver | Method | None, grids: Hierarchy, rtol: float | None = None
-) -> tuple[Hierarchy, Solver, str]:
+    solver: Solver | Method | None, grids: Grids, rtol: float | None = None
+) -> tuple[Grids, Solver, str]:
     """Return a solver and the grids for it; for None the quickest, with ``rtol`` if it is given,
     and why if it is not full multigrid on all."""
     rtol = tolerance_argument(rtol, solver)
@@ -65,7 +65,7 @@ def method_argument(
     return grids, method if rtol is None else replace(cast("Any", method), rtol=rtol), why
 
 
-def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
+def _method(solver: Solver | Method | None, grids: Grids) -> tuple[Grids, Solver, str]:
     """Return the solver, or the default for these grids."""
     if solver is not None:
         if hasattr(solver, "setup") and not hasattr(solver, "run"):
@@ -79,7 +79,7 @@ def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy
     why = f"for one mesh of {n_dofs} unknowns the quickest is "
     if not factorisable(level.discrete, FACTORISED):
         with suppress(ValueError):  # nothing to coarsen
-            made = Hierarchy.algebraic(level.discrete)
+            made = Grids.algebraic(level.discrete)
             finest = made.finest.posing(mesh=level.mesh, posed=level.posed)
             levels = (*made.levels[:-1], finest)
             made = replace(made, levels=levels, problem=grids.problem)
@@ -87,7 +87,7 @@ def _method(solver: Solver | Method | None, grids: Hierarchy) -> tuple[Hierarchy
     return grids, ActiveSet(), why + "the active set method"
 
 
-def _levels_that_pay(grids: Hierarchy) -> tuple[Hierarchy, Solver, str]:
+def _levels_that_pay(grids: Grids) -> tuple[Grids, Solver, str]:
     """Return the default on several discretised levels. Those that are too close to each other have
     Galerkin matrices with as many entries as the finest one, down to the coarsest, whose factors
     then cost more than all the rest."""
@@ -158,11 +158,11 @@ def start_argument(
     return np.append(displacement, pressures)
 
 
-def grids_argument(value: Hierarchy | DiscreteProblem) -> Hierarchy:
+def grids_argument(value: Grids | DiscreteProblem) -> Grids:
     """Return a hierarchy; a bare DiscreteProblem becomes one of one level."""
     if isinstance(value, DiscreteProblem):
-        return Hierarchy.single(value)
-    return checks.instance("grids", value, Hierarchy, "a Hierarchy or a DiscreteProblem")
+        return Grids.single(value)
+    return checks.instance("grids", value, Grids, "a Hierarchy or a DiscreteProblem")
 
 
 def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem) -> Outcome:
@@ -195,7 +195,7 @@ def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem)
 
 
 def result_of(
-    grids: Hierarchy,
+    grids: Grids,
     examiner: Examiner,
     run: Run,
     outcome: Outcome,

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.multigrid.cycle import (
     CoarseSolve,
     Correction,
@@ -40,7 +40,7 @@ class ProjectedRun:
     """One run of multigrid with a correction that transports gap, slip and limit; options as of
     :class:`adaptmg.Multigrid`."""
 
-    hierarchy: Hierarchy
+    hierarchy: Grids
     run: Run
     cycle: Cycle
     smoother: Smoother
@@ -207,7 +207,7 @@ class SingleGrid:
         object.__setattr__(self, "rtol", checks.tolerance("rtol", self.rtol))
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
-    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+    def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         """Sweep on the finest level, or on its Schur complement, until the test ends it."""
         hierarchy.finest.discrete.need_no_volumes("SingleGrid")
         if self.stop == "change":

@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from adaptmg import _checks as checks
 from adaptmg._numba import clock, compiling_seconds
-from adaptmg.hierarchy import Hierarchy
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examined
 
@@ -174,7 +173,8 @@ class Outcome:
 class Solver(Protocol):
     """The protocol of a solver in :func:`adaptmg.solve`."""
 
-    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+    # Any: the solver of a user may name am.Hierarchy, which adds constructors to Grids
+    def run(self, hierarchy: Any, run: Run, start: np.ndarray | None) -> Outcome:
         """Solve on the finest level of ``hierarchy`` from ``start`` (n_unknowns,), see
         :class:`Outcome`, or zero, writing to ``run``."""
         ...

@@ -17,7 +17,7 @@ from adaptmg.discrete.moduli import Moduli
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import PlasticState, StressData
 from adaptmg.discrete.ties import TieForces
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, certify
 from adaptmg.solver.examine import ContactResult, advice_on_patches
@@ -284,7 +284,7 @@ KINDS = (
 )
 
 
-def problem_name(grids: Hierarchy) -> str:
+def problem_name(grids: Grids) -> str:
     """Return the name of the problem, or else of the finest level."""
     return grids.problem.name if grids.problem is not None else grids.finest.discrete.name
 

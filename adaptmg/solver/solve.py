@@ -14,7 +14,7 @@ from adaptmg._text import say
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
@@ -39,7 +39,7 @@ _LOG = logging.getLogger(__name__)
 @once()
 @one_blas_thread()
 def solve(
-    grids: Hierarchy | DiscreteProblem,
+    grids: Grids | DiscreteProblem,
     solver: Solver | Method | None = None,
     *,
     start: ArrayLike | Result | None = None,

@@ -33,7 +33,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import frames_of
 from adaptmg.discrete.loads import largest_nodal_stiffness
 from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_structure
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.factorisation import condense_problem
@@ -84,7 +84,7 @@ def _free_parts(problem: DiscreteProblem) -> list[tuple[np.ndarray, np.ndarray, 
     return [part for part in parts if part[1].shape[1]]
 
 
-def check_statics_of(grids: Hierarchy) -> None:
+def check_statics_of(grids: Grids) -> None:
     """Call :func:`check_statics` on the coarsest level, and on the finest one only if that fails. A
     coarse grid has the same rigid motions, loads and directions of contact and costs nothing; on a
     curved surface the finest may hold a motion that the coarsest does not."""
@@ -105,7 +105,7 @@ def check_statics_of(grids: Hierarchy) -> None:
         raise ValueError(f"{error}{_too_soft(grids)}") from None
 
 
-def _too_soft(grids: Hierarchy) -> str:
+def _too_soft(grids: Grids) -> str:
     """Say which springs are too soft to count on the finest grid, and from which stiffness on they
     surely count."""
     level = grids.finest
@@ -512,7 +512,7 @@ def _critical(stiffness: np.ndarray) -> np.ndarray:
     return np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
 
 
-def warn_of_several_solutions(grids: Hierarchy) -> None:
+def warn_of_several_solutions(grids: Grids) -> None:
     """Warn where the friction of a node exceeds the critical coefficient on the coarsest grid. Where
     that is not cheap, or contact holds bodies, it is compared with a larger bound: the coefficient
     on the finest grid with all other nodes held."""

@@ -15,12 +15,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.multigrid.cycle import project, prolonged_start
 from adaptmg.smoother.system import LocalProblem, local_system
 from adaptmg.solver.active_set import coarsest_solution
@@ -42,7 +42,8 @@ class Method(Protocol):
     It may have ``rtol`` (default 1e-8), ``max_cycles`` (default 100) and ``start_cycles``, the
     steps on each level of the nested start (default 1; 0: from zero)."""
 
-    def setup(self, hierarchy: Hierarchy, start: State) -> Stepper:
+    # Any: the method of a user may name am.Hierarchy, which adds constructors to Grids
+    def setup(self, hierarchy: Any, start: State) -> Stepper:
         """Prepare steps on the finest level of a hierarchy, which begin at ``start``. It is called
         for each level of the nested start above the coarsest, which the active set method solves,
         and at last for the whole hierarchy."""
@@ -98,7 +99,7 @@ class Stepped:
         named = type(self.method).__repr__ is not object.__repr__
         return repr(self.method) if named else f"{type(self.method).__name__}()"
 
-    def run(self, hierarchy: Hierarchy, run: Run, start: np.ndarray | None) -> Outcome:
+    def run(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
         """Take steps on the finest level, by default from a nested start, until the test ends
         it."""
         hierarchy.finest.discrete.need_no_volumes("a user-defined method")
@@ -172,7 +173,7 @@ class Stepped:
 class LocalLevels:
     """The levels of a run in contact frames, each problem made when it is asked for."""
 
-    def __init__(self, hierarchy: Hierarchy, run: Run) -> None:
+    def __init__(self, hierarchy: Grids, run: Run) -> None:
         self.hierarchy = hierarchy
         self.run = run
         self._problems: dict[int, LocalProblem] = {}

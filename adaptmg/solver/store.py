@@ -38,7 +38,7 @@ from adaptmg import _checks as checks
 from adaptmg._files import make_folder, opened, read_bytes, write_bytes
 from adaptmg._text import printable
 from adaptmg.discrete.named_loads import LoadSteps
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.problem.laws import sampled_friction
 from adaptmg.solver.fingerprint import value_parts
 
@@ -369,7 +369,7 @@ class StepStore:
 
 
 def fingerprint(
-    grids: Hierarchy,
+    grids: Grids,
     loads: Sequence[LoadSteps | None],
     factors: Mapping[str, np.ndarray],
     steps: int,

@@ -28,7 +28,7 @@ import numpy as np
 
 from adaptmg.discrete.coordinates import Coupling, rotate, rotate_back
 from adaptmg.discrete.problem import DiscreteProblem
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.grids import Grids
 from adaptmg.multigrid.coarse_obstacles import CoarseObstacles
 from adaptmg.multigrid.cycle import NestedStart
 from adaptmg.multigrid.linear_cycle import LinearCycle
@@ -260,7 +260,7 @@ class TruncatedRun:
     def __init__(
         self,
         parts: Truncated,
-        hierarchy: Hierarchy,
+        hierarchy: Grids,
         run: Run,
         rtol: float | str,
         max_cycles: int,
@@ -292,7 +292,7 @@ class TruncatedRun:
         self._keeps = keeps
         self._steps: dict[int, TruncatedStep] = {}
 
-    def pose(self, hierarchy: Hierarchy, run: Run) -> None:
+    def pose(self, hierarchy: Grids, run: Run) -> None:
         """Replace the hierarchy by one that differs only in loads, prescribed values, gaps and slip
         references. Steps that are set up stay if the run ``keeps`` them; data that solves leave in
         coarse factors is dropped, so that a path that is resumed has the same bits."""

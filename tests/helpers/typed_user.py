@@ -10,6 +10,16 @@ from scipy import sparse
 import adaptmg as am
 
 
+class Relaxation:
+    """A method of the user, with a class of the package as the type of each argument."""
+
+    def setup(self, hierarchy: am.Hierarchy, start: am.State) -> Relaxation:
+        return self
+
+    def step(self, state: am.State) -> am.State:
+        return state
+
+
 def posed() -> am.ContactProblem:
     """A block on a plane."""
     return am.ContactProblem(
@@ -30,6 +40,7 @@ def solve() -> float:
         am.Multigrid(correction=am.PaperCorrection()),
         am.ActiveSet(linear=am.AMG()),
         am.SingleGrid(),
+        Relaxation(),
     ):
         result = am.solve(grids, solver, throw=False)
         am.plot.history({"a": result}, against="cycle").savefig("history.png", dpi=100)

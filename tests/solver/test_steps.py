@@ -26,9 +26,11 @@ class Sweeps:
         self.change = change
         self.start_cycles = start_cycles
         self.levels = []
+        self.hierarchies = []
 
     def setup(self, hierarchy, start):
         self.levels.append(len(hierarchy))
+        self.hierarchies.append(hierarchy)
         self.problem = am.smoother.local_system(hierarchy.finest.discrete)
         return self
 
@@ -366,6 +368,21 @@ def test_user_defined_parts_follow_a_load_path(bar):
         am.solve_path(bar, path, am.FullMultigrid(correction=parts)), expected, strict=True
     ):
         assert one.cycles == other.cycles and far(one, other) <= 1e-8
+
+
+@pytest.mark.parametrize("plastic", [False, True])
+def test_a_method_gets_the_hierarchy_of_the_user_in_each_load_step(plastic):
+    problem = am.cases.greco_bar()
+    if plastic:
+        soft = am.Plastic(problem.material, yield_stress=1e8, hardening=1e10)
+        problem = replace(problem, material=soft)
+    grids = am.Hierarchy.graded(problem, (20e-3, 10e-3), 2, am.PseudoL2(), contact_rows=False)
+    method = Sweeps(start_cycles=0)
+    am.solve_path(grids, am.LoadPath({"left": [0.5, 1.0]}), method)
+    assert len(method.hierarchies) >= 2
+    for hierarchy in method.hierarchies:
+        assert isinstance(hierarchy, am.Hierarchy)
+        assert hierarchy.transfer is grids.transfer and not hierarchy.contact_rows
 
 
 def test_more_sweeps_on_the_finest_level_take_fewer_cycles():

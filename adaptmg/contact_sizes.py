@@ -11,7 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adaptmg.hierarchy import Hierarchy
+from adaptmg.discrete.posed import Posed
+from adaptmg.grids import Grids
+from adaptmg.level import level_of
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.mesh.sizes import SizeField
 from adaptmg.problem import ContactProblem
@@ -54,7 +56,8 @@ def finer_at_contact(
                 warnings.simplefilter("ignore")
                 # the active set needs no coarse spaces, which the default method makes from the matrix:
                 # .7 s in place of 13 s on the 1987 nodes of a bolted sector
-                grids = Hierarchy.from_meshes(problem, [mesh])
+                posed = Posed.of(problem, mesh).problem
+                grids = Grids((level_of(posed, mesh),), posed)
                 contact = solve(grids, ActiveSet(), throw=False).contact
         except (ValueError, RuntimeError) as error:
             _LOG.info("default sizes do not follow the contact: %s", error)
