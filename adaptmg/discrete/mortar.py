@@ -63,13 +63,13 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.supports import Boundaries
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.mesh.surfaces import Curved, Revolved
 from adaptmg.problem.surfaces import ContactPair
 
 if TYPE_CHECKING:
     from adaptmg.discrete.mortar_parts import CoveredParts, Surfaces
-    from adaptmg.discrete.posed import Posed
 
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
@@ -80,9 +80,6 @@ _LEAST_COVERED = 0.25
 # of the shortest edge of facets at a slave node, how far off its normal its partner may lie: half
 # changes none of these pairs, twice takes one more of 40 whose nodes lie up to 3 % of an edge apart
 _OFFSET = 1e-2
-_SYMMETRY_TILT = np.cos(
-    np.pi / 6
-)  # normals within 30 degrees of a plane of symmetry are put into it
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,18 +105,6 @@ class MortarInterface:
 
     def __len__(self) -> int:
         return len(self.nodes)
-
-
-def slave_normals(slave: Surface, posed: Posed) -> np.ndarray:
-    """Return average normals (n_nodes, dim) without components along what supports hold, where
-    these are small."""
-    normals = slave.node_normals
-    nodes = slave.nodes
-    inside = posed.free_part(nodes, normals[nodes])
-    lengths = np.linalg.norm(inside, axis=1)
-    tilted = lengths > _SYMMETRY_TILT
-    normals[nodes[tilted]] = inside[tilted] / lengths[tilted, None]
-    return normals
 
 
 def spread(
@@ -154,11 +139,11 @@ def curved(
 
 
 def pair_interface(
-    posed: Posed, pair: ContactPair, sides: tuple[Surface, Surface], excluded: np.ndarray
+    boundaries: Boundaries, pair: ContactPair, sides: tuple[Surface, Surface], excluded: np.ndarray
 ) -> MortarInterface:
     """Return the interface of a pair with these sides; ``excluded`` nodes carry no multiplier."""
-    mesh = posed.mesh
-    axisymmetric = posed.problem.axisymmetric
+    mesh = boundaries.mesh
+    axisymmetric = boundaries.problem.axisymmetric
     slave, master = sides
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
         no_rows = sparse.csr_array((0, mesh.n_nodes))
@@ -169,7 +154,7 @@ def pair_interface(
     from adaptmg.discrete.mortar_parts import Surfaces  # problems without pairs start sooner
 
     try:
-        normals = slave_normals(slave, posed)
+        normals = boundaries.averaged_normals(slave)
         surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
         interface = _coupled(pair, surfaces)
         # slave nodes of which the master covers too little

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -19,22 +19,21 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg.discrete.mortar import MortarInterface, taken_over
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.discrete.supports import Boundaries
 from adaptmg.problem.contact_problem import Contact
 from adaptmg.problem.surfaces import ContactPair, Moving, Obstacle, Rigid
 
-if TYPE_CHECKING:
-    from adaptmg.discrete.posed import Posed
 
-
-def in_front_of(posed: Posed, k: int) -> MortarInterface:
-    """Return the nodes of contact boundary k in front of a rigid obstacle."""
-    problem = posed.problem
-    mesh = posed.mesh
+def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInterface:
+    """Return the nodes of contact boundary k in front of a rigid obstacle, of those whose
+    ``owner`` (n_nodes,) it is."""
+    problem = boundaries.problem
+    mesh = boundaries.mesh
     contact = cast("Contact", problem.contact[k])
-    surface = posed.surfaces[contact.boundary]
+    surface = boundaries.surfaces[contact.boundary]
     nodes = surface.nodes
     normals, gaps = facing_obstacle(
-        contact.obstacle, contact.boundary, mesh.points[nodes], posed.outward[k]
+        contact.obstacle, contact.boundary, mesh.points[nodes], boundaries.outward[k]
     )
     gaps = np.array(gaps, dtype=np.float64)
     if gaps.min(initial=0.0) < 0:
@@ -46,8 +45,8 @@ def in_front_of(posed: Posed, k: int) -> MortarInterface:
             f"obstacle, at {tuple(mesh.points[nodes[deepest]].tolist())}: move the obstacle, or say "
             "allow_interference=True for an interference fit"
         )
-    free = free_normals(posed, k, normals)
-    movable = (np.linalg.norm(free, axis=1) > checks.ALIKE) & (posed.untied[nodes] == k)
+    free = free_normals(boundaries, k, normals)
+    movable = (np.linalg.norm(free, axis=1) > checks.ALIKE) & (owner[nodes] == k)
     weights = surface.lumped(problem.axisymmetric)[nodes[movable]]
     distances = gaps[movable]
     taken = None
@@ -69,25 +68,27 @@ def in_front_of(posed: Posed, k: int) -> MortarInterface:
 
 
 def check_held(
-    posed: Posed,
+    boundaries: Boundaries,
     discrete: DiscreteProblem,
     factors: Mapping[str, float] | None = None,
     places: Mapping[int, Moving] | None = None,
 ) -> None:
     """Raise ValueError if supports hold nodes in a load step inside an obstacle, in its place of
     this step."""
-    points = posed.mesh.points
+    points = boundaries.mesh.points
     prescribed = discrete.fixed_values.reshape(points.shape).copy()
     prescribed[discrete.inclined.nodes] += discrete.inclined.prescribed(factors or {})
-    for k, contact in enumerate(posed.problem.contact):
+    for k, contact in enumerate(boundaries.problem.contact):
         if contact.allow_interference or isinstance(contact, ContactPair):
             continue
         obstacle = (places or {}).get(k, _obstacle_of(contact))
         if not prescribed.any() and not isinstance(obstacle, Moving):
             continue
-        nodes = posed.surfaces[contact.boundary].nodes
-        normals, gaps = facing_obstacle(obstacle, contact.boundary, points[nodes], posed.outward[k])
-        free = posed.free_part(nodes, normals)
+        nodes = boundaries.surfaces[contact.boundary].nodes
+        normals, gaps = facing_obstacle(
+            obstacle, contact.boundary, points[nodes], boundaries.outward[k]
+        )
+        free = boundaries.free_part(nodes, normals)
         normal_motion = np.einsum("nd,nd->n", normals, prescribed[nodes])
         # a part of the normal that is held must not move at all: either way the gap would change
         depth_inside = np.where(
@@ -96,7 +97,7 @@ def check_held(
         depth_inside[(free == normals).all(axis=1)] = 0.0
         i = int(np.argmax(depth_inside))
         if depth_inside[i] > checks.ROUNDING * (
-            np.abs([normal_motion[i], gaps[i]]).max() + posed.mesh.sides.max()
+            np.abs([normal_motion[i], gaps[i]]).max() + boundaries.mesh.sides.max()
         ):
             raise ValueError(
                 f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {depth_inside[i]:.6g} "
@@ -137,24 +138,24 @@ def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return (np.linalg.norm(free, axis=1) > checks.ALIKE) & (free != normals).any(axis=1)
 
 
-def free_normals(posed: Posed, k: int, normals: np.ndarray) -> np.ndarray:
+def free_normals(boundaries: Boundaries, k: int, normals: np.ndarray) -> np.ndarray:
     """Return the normals (n, dim) at the nodes of contact boundary k without their parts along what
     supports hold there.
 
     ValueError if a support on the boundary itself holds a part of them: what is meant is then
     something else."""
-    boundary = posed.problem.contact[k].boundary
-    nodes = posed.surfaces[boundary].nodes
-    directions = posed.directions.get(boundary, normals[:0])
+    boundary = boundaries.problem.contact[k].boundary
+    nodes = boundaries.surfaces[boundary].nodes
+    directions = boundaries.directions.get(boundary, normals[:0])
     clash = (np.abs(normals @ directions.T) > checks.ALIKE).any(axis=1)
     if clash.any():
         i = int(np.argmax(clash))
         raise ValueError(
             f"the support on {boundary!r} fixes a component with a part normal to contact boundary "
-            f"{boundary!r}, at node {nodes[i]} {tuple(posed.mesh.points[nodes[i]].tolist())}: contact could "
+            f"{boundary!r}, at node {nodes[i]} {tuple(boundaries.mesh.points[nodes[i]].tolist())}: contact could "
             "never open there; free that component, or name another boundary"
         )
-    return posed.free_part(nodes, normals)
+    return boundaries.free_part(nodes, normals)
 
 
 def may_overlap(contact: Contact | ContactPair) -> bool:
@@ -170,12 +171,12 @@ def _obstacle_of(contact: Contact) -> Obstacle:
 
 
 def with_motions(
-    posed: Posed, nodes: np.ndarray, taken: sparse.csr_array | None, boundary: np.ndarray
+    boundaries: Boundaries, nodes: np.ndarray, taken: sparse.csr_array | None, boundary: np.ndarray
 ) -> np.ndarray:
     """Return the slip reference (n_contact, dim) of contact nodes: how obstacles move."""
-    points = posed.mesh.points
-    slip_reference = np.zeros((len(nodes), posed.mesh.dim))
-    for k, contact in enumerate(posed.problem.contact):
+    points = boundaries.mesh.points
+    slip_reference = np.zeros((len(nodes), boundaries.mesh.dim))
+    for k, contact in enumerate(boundaries.problem.contact):
         obstacle = None if isinstance(contact, ContactPair) else _obstacle_of(contact)
         if isinstance(obstacle, Moving):
             rows = boundary == k
@@ -189,7 +190,7 @@ def with_motions(
 
 
 def moved(
-    posed: Posed,
+    boundaries: Boundaries,
     discrete: DiscreteProblem,
     now: Mapping[int, Moving],
     before: Mapping[int, Moving],
@@ -204,15 +205,17 @@ def moved(
     reference = contact.slip_reference.copy()
     for k, obstacle in now.items():
         rows = np.flatnonzero(contact.boundary == k)
-        boundary = posed.problem.contact[k].boundary
-        nodes = posed.surfaces[boundary].nodes
-        points = posed.mesh.points[nodes]
-        facing_normals, facing_gaps = facing_obstacle(obstacle, boundary, points, posed.outward[k])
+        boundary = boundaries.problem.contact[k].boundary
+        nodes = boundaries.surfaces[boundary].nodes
+        points = boundaries.mesh.points[nodes]
+        facing_normals, facing_gaps = facing_obstacle(
+            obstacle, boundary, points, boundaries.outward[k]
+        )
         place = np.searchsorted(nodes, contact.nodes[rows])
         # shares of nodes that supports or ties hold, which these nodes take over
         taken = contact.taken_over[rows]
         taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(rows), len(nodes)))
-        free_directions = posed.free_part(contact.nodes[rows], facing_normals[place])
+        free_directions = boundaries.free_part(contact.nodes[rows], facing_normals[place])
         normals[rows], gaps[rows] = along_free(
             free_directions, facing_normals[place], facing_gaps[place] + taken @ facing_gaps
         )

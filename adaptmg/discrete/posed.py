@@ -1,8 +1,9 @@
 r"""Posed: a contact problem on one mesh, with what is said of each node of its boundaries.
 
-All that a problem says of boundaries is resolved here once: surfaces by name, materials by body,
-the sides of pairs, the directions that supports hold with their values, what is tied, and one row
-for each node of a boundary that a support, a contact or a tie names:
+All that a problem says of boundaries is resolved once: surfaces by name and the directions that
+supports hold in :class:`~adaptmg.discrete.supports.Boundaries`; here materials by body, the sides of
+pairs, prescribed values, what is tied, and one row for each node of a boundary that a support, a
+contact or a tie names:
 
 ===========  ==========================================================================
 column       a row holds
@@ -44,19 +45,10 @@ from adaptmg.discrete.contact_nodes import ContactNodes, check_bounds
 from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.moduli import body_materials
-from adaptmg.discrete.mortar import MortarInterface, curved, pair_interface, slave_normals, spread
+from adaptmg.discrete.mortar import MortarInterface, curved, pair_interface, spread
 from adaptmg.discrete.obstacles import free_normals, in_front_of, may_overlap, with_motions
 from adaptmg.discrete.sides import with_sides, young_of
-from adaptmg.discrete.supports import (
-    Held,
-    Inclined,
-    held_by,
-    held_components,
-    held_directions,
-    inclined_supports,
-    supported_nodes,
-    surfaces_of,
-)
+from adaptmg.discrete.supports import Boundaries, supported_nodes
 from adaptmg.discrete.ties import jump_of, tie_interfaces
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
@@ -89,11 +81,8 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class Posed(Boundaries):
     """A problem on one mesh; all that follows is computed when it is first read."""
-
-    problem: ContactProblem
-    mesh: MeshArrays
 
     @classmethod
     def of(cls, problem: ContactProblem, mesh: MeshArrays) -> Posed:
@@ -115,15 +104,6 @@ class Posed:
         result = copy.copy(self)
         object.__setattr__(result, "problem", problem)
         return result
-
-    @cached_property
-    def surfaces(self) -> Mapping[str, Surface]:
-        """Return the surfaces that contacts, ties and supports name."""
-        problem = self.problem
-        supported = (support.boundary for support in problem.supports)
-        return surfaces_of(
-            self.mesh, (*problem.pair_boundaries, *problem.tied_boundaries, *supported)
-        )
 
     @cached_property
     def sides(self) -> Mapping[int, tuple[Surface, Surface]]:
@@ -169,34 +149,6 @@ class Posed:
             used[mesh.elements[mesh.element_body == k]] = True
             result[name] = np.flatnonzero(used)
         return result
-
-    @cached_property
-    def holds(self) -> Sequence[Held]:
-        """Return the directions that supports hold, with nodes and values."""
-        return held_by(self.mesh, self.problem.supports, self.surfaces)
-
-    @cached_property
-    def directions(self) -> Mapping[str, np.ndarray]:
-        """Return by boundary the orthonormal directions (k, dim) along which supports hold it."""
-        return held_directions(self.holds)
-
-    @cached_property
-    def _components(self) -> tuple[np.ndarray, np.ndarray]:
-        return held_components(self.mesh.points, self.holds)
-
-    @property
-    def fixed(self) -> np.ndarray:
-        """Return which components (n_nodes, dim) supports hold."""
-        return self._components[0]
-
-    @cached_property
-    def inclined(self) -> Inclined:
-        """Return the nodes that supports hold along directions that are not axes."""
-        return inclined_supports(self.mesh.points, self.holds)
-
-    def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Return vectors (n, dim) at some nodes without their parts along what supports hold."""
-        return self.inclined.free_part(nodes, np.where(self.fixed[nodes], 0.0, vectors))
 
     @cached_property
     def prescribed(self) -> np.ndarray:
@@ -261,18 +213,6 @@ class Posed:
         return owner
 
     @cached_property
-    def outward(self) -> Sequence[np.ndarray]:
-        """Return the normals (n, dim) at the nodes of each contact boundary."""
-        result = []
-        for name in self.problem.contact_boundaries:
-            surface = self.surfaces[name]
-            try:
-                result.append(slave_normals(surface, self)[surface.nodes])
-            except ValueError as error:
-                raise ValueError(f"contact boundary {name!r}: {error}") from error
-        return result
-
-    @cached_property
     def rows(self) -> Rows:
         """Return the rows of all nodes of which something is said; slave nodes that supports hold along a
         surface with friction carry no condition."""
@@ -334,7 +274,7 @@ class Posed:
         """Return the nodes of contact boundary k that carry its condition, without ``excluded`` slave nodes."""
         contact = self.problem.contact[k]
         if not isinstance(contact, ContactPair):
-            return in_front_of(self, k)
+            return in_front_of(self, k, self.untied)
         surface = self.surfaces[contact.slave]
         slave_nodes = surface.nodes
         free_directions = free_normals(self, k, self.outward[k])

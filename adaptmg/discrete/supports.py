@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, NamedTuple, cast, get_args
 
 import numpy as np
@@ -30,6 +30,7 @@ from adaptmg import _checks as checks
 from adaptmg._checks import narrowed
 from adaptmg.discrete.volumes import NO_PRESSURES, Volumes
 from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import (
     AnySupport,
     FieldLike,
@@ -403,3 +404,76 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
     surfaces = surfaces_of(mesh, (support.boundary for support in supports))
     fixed, values = held_components(points, held_by(mesh, supports, surfaces))
     return fixed.reshape(-1), values.reshape(-1)
+
+
+# normals within 30 degrees of a plane of symmetry are put into it
+_SYMMETRY_TILT = np.cos(np.pi / 6)
+
+
+@dataclass(frozen=True, eq=False)
+class Boundaries:
+    """The boundaries of a problem on one mesh, and what supports hold of them; all that follows is
+    computed when it is first read."""
+
+    problem: ContactProblem
+    mesh: MeshArrays
+
+    @cached_property
+    def surfaces(self) -> Mapping[str, Surface]:
+        """Return the surfaces that contacts, ties and supports name."""
+        problem = self.problem
+        supported = (support.boundary for support in problem.supports)
+        return surfaces_of(
+            self.mesh, (*problem.pair_boundaries, *problem.tied_boundaries, *supported)
+        )
+
+    @cached_property
+    def holds(self) -> Sequence[Held]:
+        """Return the directions that supports hold, with nodes and values."""
+        return held_by(self.mesh, self.problem.supports, self.surfaces)
+
+    @cached_property
+    def directions(self) -> Mapping[str, np.ndarray]:
+        """Return by boundary the orthonormal directions (k, dim) along which supports hold it."""
+        return held_directions(self.holds)
+
+    @cached_property
+    def _components(self) -> tuple[np.ndarray, np.ndarray]:
+        return held_components(self.mesh.points, self.holds)
+
+    @property
+    def fixed(self) -> np.ndarray:
+        """Return which components (n_nodes, dim) supports hold."""
+        return self._components[0]
+
+    @cached_property
+    def inclined(self) -> Inclined:
+        """Return the nodes that supports hold along directions that are not axes."""
+        return inclined_supports(self.mesh.points, self.holds)
+
+    def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """Return vectors (n, dim) at some nodes without their parts along what supports hold."""
+        return self.inclined.free_part(nodes, np.where(self.fixed[nodes], 0.0, vectors))
+
+    def averaged_normals(self, surface: Surface) -> np.ndarray:
+        """Return the averaged normals (n_nodes, dim) of a surface, without components along what
+        supports hold where these are small."""
+        normals = surface.node_normals
+        nodes = surface.nodes
+        inside = self.free_part(nodes, normals[nodes])
+        lengths = np.linalg.norm(inside, axis=1)
+        tilted = lengths > _SYMMETRY_TILT
+        normals[nodes[tilted]] = inside[tilted] / lengths[tilted, None]
+        return normals
+
+    @cached_property
+    def outward(self) -> Sequence[np.ndarray]:
+        """Return the normals (n, dim) at the nodes of each contact boundary."""
+        result = []
+        for name in self.problem.contact_boundaries:
+            surface = self.surfaces[name]
+            try:
+                result.append(self.averaged_normals(surface)[surface.nodes])
+            except ValueError as error:
+                raise ValueError(f"contact boundary {name!r}: {error}") from error
+        return result

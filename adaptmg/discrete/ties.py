@@ -12,7 +12,7 @@ what a support holds of a slave node the support takes its part.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -21,11 +21,9 @@ from adaptmg import _checks as checks
 from adaptmg._text import warn_user
 from adaptmg.discrete.coordinates import Coupling, Unknowns
 from adaptmg.discrete.mortar import MortarInterface, pair_interface
+from adaptmg.discrete.supports import Boundaries
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.surfaces import ContactPair, Periodic, Tied
-
-if TYPE_CHECKING:
-    from adaptmg.discrete.posed import Posed
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,28 +77,30 @@ class TieForces:
         return result
 
 
-def tie_interfaces(posed: Posed) -> list[MortarInterface]:
+def tie_interfaces(boundaries: Boundaries) -> list[MortarInterface]:
     """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what
     supports hold in all directions is not tied."""
-    if not posed.problem.ties:
+    if not boundaries.problem.ties:
         return []
-    not_tied = np.all(posed.fixed, axis=1)
+    not_tied = np.all(boundaries.fixed, axis=1)
     # a support that moves such a node prescribes it
-    not_tied[posed.inclined.nodes[posed.inclined.moving]] = True
+    not_tied[boundaries.inclined.nodes[boundaries.inclined.moving]] = True
     parts: list[MortarInterface] = []
-    for tie in posed.problem.ties:
-        slave = posed.surfaces[tie.slave]
-        master = posed.surfaces[tie.master]
+    for tie in boundaries.problem.ties:
+        slave = boundaries.surfaces[tie.slave]
+        master = boundaries.surfaces[tie.master]
         if isinstance(tie, Periodic):
             parts.append(
-                _periodic(tie, posed.mesh, slave.nodes, master.nodes, not_tied, posed.fixed)
+                _periodic(
+                    tie, boundaries.mesh, slave.nodes, master.nodes, not_tied, boundaries.fixed
+                )
             )
             not_tied[parts[-1].nodes] = True
             continue
         pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
         try:
             excluded = slave.nodes[not_tied[slave.nodes]]
-            parts.append(pair_interface(posed, pair, (slave, master), excluded))
+            parts.append(pair_interface(boundaries, pair, (slave, master), excluded))
         except ValueError as error:
             raise ValueError(str(error).replace("contact pair", "tie", 1)) from error
         if tie.reach is None:
@@ -129,7 +129,7 @@ def _periodic(
 ) -> MortarInterface:
     """Return the nodes of the ``slave`` side (n,) of a cell, each with its partner on the ``master`` side
     (n,), without those of the mask ``not_tied`` (n_nodes,); ``fixed`` (n_nodes, dim) as of
-    :class:`Posed`."""
+    :class:`~adaptmg.discrete.supports.Boundaries`."""
     points = mesh.points
     size = mesh.sides.max()
     middle = [
@@ -167,10 +167,10 @@ def _periodic(
     )
 
 
-def jump_of(tie: Tied | Periodic, nodes: np.ndarray, posed: Posed) -> np.ndarray:
+def jump_of(tie: Tied | Periodic, nodes: np.ndarray, boundaries: Boundaries) -> np.ndarray:
     """Return the relative displacement (n, dim) of tied nodes, m, zero along what supports hold."""
-    jump = getattr(tie, "jump", None) or (0.0,) * posed.mesh.dim
-    return posed.free_part(nodes, np.broadcast_to(jump, (len(nodes), len(jump))))
+    jump = getattr(tie, "jump", None) or (0.0,) * boundaries.mesh.dim
+    return boundaries.free_part(nodes, np.broadcast_to(jump, (len(nodes), len(jump))))
 
 
 def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
