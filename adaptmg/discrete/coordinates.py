@@ -145,6 +145,18 @@ def _series(step: sparse.csr_array) -> sparse.csr_array:
     )
 
 
+def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
+    """Return the dofs (size * n,) of nodes (n,), node by node; a node has ``size`` dofs."""
+    return (size * nodes.astype(np.int64)[:, None] + np.arange(size)).reshape(-1)
+
+
+def block_diagonal(blocks: np.ndarray) -> sparse.bsr_array:
+    """Return the block-diagonal matrix of blocks (n, dim, dim)."""
+    n = len(blocks)
+    dim = blocks.shape[1]
+    return sparse.bsr_array((blocks, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
+
+
 def facing_part(rows: sparse.csr_array) -> sparse.csr_array:
     """Return the positive entries of weights: those of the other body, not of slave nodes that
     carry no multiplier."""

@@ -28,7 +28,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.coordinates import rotate, rotate_back, to_frames
+from adaptmg.discrete.coordinates import block_diagonal, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.hierarchy import Hierarchy
 from adaptmg.multigrid.linear_cycle import LinearCycle
@@ -340,10 +340,10 @@ def _rotated(
     dim = contact.discrete.dim
     frames = np.broadcast_to(np.eye(dim), (n, dim, dim)).copy()
     frames[contact.nodes] = contact.frames
-    rotation = sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
+    rotation = sparse.csr_array(block_diagonal(frames))
     keep = sparse.diags_array(trial.astype(float), format="csr")
     result = sparse.csr_array(
-        keep @ sparse.csr_array(rotation) @ sparse.kron(nodal, sparse.eye_array(dim), format="csr")
+        keep @ rotation @ sparse.kron(nodal, sparse.eye_array(dim), format="csr")
     )
     result.eliminate_zeros()
     result.sort_indices()

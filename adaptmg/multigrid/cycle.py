@@ -153,7 +153,7 @@ class CorrectionLevel:
     """One level of the coarse correction."""
 
     system: LocalSystem  # matrix on this level, local components
-    # Any: the coarsest level has None, and is not asked for them
+    # Any: those of the coarsest level are None, and nothing reads them
     prolongation: sparse.bsr_array | Any = None  # from the next coarser level, in local components
     restriction: sparse.bsr_array | Any = None
     contact_prolongation: sparse.csr_array | Any = None  # (n_contact, n_contact coarse)
@@ -279,9 +279,9 @@ def _tangential_part(rotation: np.ndarray) -> np.ndarray:
 def local_galerkin(
     level: CorrectionLevel, coarse: LocalSystem, finer: CorrectionLevel | None = None
 ) -> LocalSystem:
-    """Return the Galerkin coarse matrix; coarse dofs that no fine dof sees get a unit-scale
-    diagonal. Dofs of ``level`` that ``finer``, the next level, does not see have such a diagonal,
-    which is left out."""
+    """Return the Galerkin coarse matrix. A coarse dof that moves no fine dof gets a diagonal entry of
+    the mean size of the others. Such entries of ``level``, at dofs that move none of the next level
+    ``finer``, are left out of the product."""
     dim = coarse.dim
     prolongation = level.prolongation
     restriction = level.restriction
@@ -442,6 +442,10 @@ class Cycle:
             )
 
 
+#: shapes of the cycles on a level in one visit from the next finer one
+VISITS = {"V": "V", "W": "WW", "F": "FV"}
+
+
 @dataclass(eq=False)
 class MultigridCycle:
     """Cycles on the levels of a coarse correction; unknowns are changed in place."""
@@ -452,9 +456,8 @@ class MultigridCycle:
     correction: Correction
     coarse: CoarseSolve
     recorder: Recorder
-    initial: list[InitialContact] = field(
-        default_factory=list
-    )  # by level, where the correction needs it
+    # by level; empty where the correction does not need it
+    initial: list[InitialContact] = field(default_factory=list)
     condensed: Condensed | None = None
 
     #: cycles of a 'complete' coarse solution at most
@@ -477,7 +480,7 @@ class MultigridCycle:
         elif shape == "complete":
             self._complete(level, contact, load, unknowns)
         else:
-            for shape_of_visit in {"V": "V", "W": "WW", "F": "FV"}[shape]:
+            for shape_of_visit in VISITS[shape]:
                 self.cycle(level, contact, load, unknowns, shape_of_visit)
 
     def correct(
@@ -488,7 +491,8 @@ class MultigridCycle:
         residual: np.ndarray,
         shape: str | None = None,
     ) -> None:
-        """Add the correction from the next coarser level; ``r`` is the residual at ``unknowns``."""
+        """Add the correction from the next coarser level to ``unknowns``, in place; ``residual`` is
+        b - A w."""
         fine = self.levels[level]
         coarse = self.levels[level - 1]
         initial = self.initial[level - 1] if self.correction.needs_initial else None
@@ -646,8 +650,8 @@ class CoarseSolve:
         return sweeps
 
     def met(self, change: float, previous: float, size: float) -> bool:
-        """Return whether the tolerance is met after a change and the one before, with unknowns of a
-        size."""
+        """Return whether the tolerance is met after a ``change``, with the ``previous`` one and the
+        ``size`` of the unknowns."""
         error = change
         if self.test == "error" and change > 0.0:
             rate = change / previous if np.isfinite(previous) else np.inf

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._threads import in_colours, in_parts, scattering
-from adaptmg.multigrid.cycle import Cycle, Recorder
+from adaptmg.multigrid.cycle import VISITS, Cycle, Recorder
 from adaptmg.multigrid.split_matrix import (
     SplitMatrix,
     add_prolonged,
@@ -81,10 +81,10 @@ class LinearLevel:
         )
 
     def presmooth(self, load: np.ndarray) -> float:
-        """Smooth from zero and leave the residual; returns the passes over the matrix.
+        """Smooth from zero, and leave the residual in ``rest``; return the passes over the matrix.
 
-        The first sweep, from zero, needs L only. A backward sweep reads only U, as the forward one
-        before it leaves load - L u in ``rest``."""
+        The first sweep, from zero, needs L only. A backward sweep reads only U, since the forward
+        sweep before it leaves load - L u in ``rest``."""
         matrix = self.matrix
         u = self.solution
         rest = self.rest
@@ -145,7 +145,7 @@ class LinearLevel:
         matrix.sweep(gauss_seidel, False, *halves, matrix.inverse, load, self.solution, self.rest)
 
     def _backward(self) -> None:
-        """Sweep backward with the load - L u that a forward sweep left."""
+        """Sweep backward from ``rest``, in which a forward sweep left load - L u."""
         matrix = self.matrix
         rest = self.rest
         halves = (*matrix.no_half, *matrix.upper_arrays)
@@ -290,10 +290,6 @@ class LinearCycle:
         return solution
 
 
-#: shapes of the cycles on a level in one visit from the next finer one
-VISITS = {"V": "V", "W": "WW", "F": "FV"}
-
-
 def _by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
     """Return a prolongation of nodal values as one of dofs; one of dofs unchanged."""
     size = n_dofs // prolongation.shape[0]
@@ -302,17 +298,16 @@ def _by_dofs(prolongation: sparse.csr_array, n_dofs: int) -> sparse.csr_array:
 
 def _sizes(level: SplitMatrix) -> np.ndarray:
     """Return the largest entry of the diagonal, for each dof."""
-    blocks = level.diagonal.reshape(-1, level.dim, level.dim)
-    return np.full(level.n_dofs, np.abs(blocks.diagonal(axis1=1, axis2=2)).max())
+    return np.full(level.n_dofs, level.diagonal_sizes.max())
 
 
 class CoarseFactors:
-    """Solves with the coarsest matrix by dense or sparse factors; a singular one is shifted where
-    it is singular.
+    """Solves with the coarsest matrix by dense or sparse factors. The diagonal of a singular matrix is
+    shifted at the dofs that are not determined.
 
     Truncation leaves coarse dofs near contact that no remaining fine dof tells apart, mostly the
-    same ones each time: their shift stays, so that each matrix is factorised once. Bodies held by
-    contact alone are singular everywhere."""
+    same ones each time: their shift stays, so that each matrix is factorised once. Of bodies that
+    only contact holds no dof is determined."""
 
     #: dofs up to which dense factors are quicker
     DENSE = 1500
@@ -321,9 +316,7 @@ class CoarseFactors:
         """Prepare for the matrices of the coarsest level; ``custom`` replaces the factors."""
         self.level = level
         self.custom = custom
-        scale = np.abs(
-            level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
-        ).reshape(-1)
+        scale = level.diagonal_sizes
         self._scale = np.where(scale > 0, scale, scale.max() or 1.0)
         self.forget()
         self._probe = self._scale * np.random.default_rng(0).standard_normal(level.n_dofs)
@@ -332,7 +325,7 @@ class CoarseFactors:
         self._prepared: PreparedSolve | None = None
 
     def forget(self) -> None:
-        """Take no shift, as before the first matrix."""
+        """Set the shift to zero, as before the first matrix."""
         self._shift = np.zeros(self.level.n_dofs)
 
     def renew(self) -> None:
@@ -346,7 +339,7 @@ class CoarseFactors:
             )
             return
         self._solve = self._factors(self._shift)
-        # solutions of forces of size 1, over the diagonal, beyond this mean singular
+        # where a load of the size of the diagonal moves a dof by more than this, it is not determined
         singular = ~(np.abs(self._solve(self._probe)) < 1 / checks.ROUNDING)
         if singular.any():
             self._shift = np.where(singular, checks.SIX_DIGITS * self._scale, self._shift)
@@ -372,15 +365,15 @@ class CoarseFactors:
 
 def _dense_factors(matrix: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Return a solve with a matrix; solutions of a singular one are vast, infinite or NaN."""
-    # LAPACK itself: scipy's wrapper warns of what the caller mends
+    # LAPACK itself: scipy's wrapper warns of singular matrices, which the caller handles
     factors, pivots, _ = linalg.lapack.dgetrf(matrix)
     return lambda load: linalg.lapack.dgetrs(factors, pivots, load)[0]
 
 
 def _sparse_factors(matrix: sparse.csr_array) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the same as :func:`_dense_factors`, by SuperLU."""
+    """Return a solve as :func:`_dense_factors` does, by SuperLU."""
     try:
-        # pivots off the diagonal fill more than they gain: but for the slip rows of Coulomb the
+        # pivots on the diagonal cause less fill; except for the slip rows of Coulomb's law the
         # matrix is symmetric
         return splu(
             sparse.csc_array(matrix),
@@ -500,7 +493,8 @@ class PyAMG:
 
 
 def _with_small_indices(matrix: Any) -> sparse.csr_matrix:
-    """Return a matrix as pyamg 5.2 takes it; sums and products of scipy 1.15 have 64-bit indices."""
+    """Return a matrix with 32-bit indices, which pyamg 5.2 needs; sums and products of scipy 1.15 have
+    64-bit ones."""
     result = sparse.csr_matrix(matrix)
     result.indptr = result.indptr.astype(np.int32)
     result.indices = result.indices.astype(np.int32)
@@ -528,8 +522,8 @@ class _PyAMGCycles:
 
 
 def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
-    """Return the matrix of a level, with ``scale`` (n_dofs,) on the diagonal where rows are empty
-    but for rounding."""
+    """Return the matrix of a level, with ``scale`` (n_dofs,) on the diagonal of rows whose entries are
+    all rounding."""
     matrix = level.matrix()
     row = np.repeat(np.arange(level.n_nodes), np.diff(matrix.indptr))
     sizes = np.zeros((level.n_nodes, level.dim))

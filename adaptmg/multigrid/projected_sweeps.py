@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.discrete.coordinates import Coupling
+from adaptmg.discrete.coordinates import Coupling, block_diagonal, dofs_of
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import (
     add,
@@ -441,20 +441,11 @@ class Interface:
             (self.blocks.reshape(-1, dim, dim)[inside], columns[inside], indptr),
             shape=(dim * n, dim * n),
         )
-        rows = sparse.csr_array(
-            rows
-            + sparse.bsr_array(
-                (self.diagonal.reshape(-1, dim, dim), np.arange(n), np.arange(n + 1)),
-                shape=rows.shape,
-            )
-        )
-        master_positions = np.repeat(np.arange(n), np.diff(self.follow_indptr))
-        row_and_column = (
-            (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
-            for nodes in (self.followers, master_positions)
-        )
+        rows = sparse.csr_array(rows + block_diagonal(self.diagonal.reshape(-1, dim, dim)))
+        masters = np.repeat(np.arange(n), np.diff(self.follow_indptr))
+        coordinates = dofs_of(self.followers, dim), dofs_of(masters, dim)
         motion = sparse.eye_array(dim * n) - sparse.csr_array(
-            (self.follow_weights, tuple(row_and_column)), shape=rows.shape
+            (self.follow_weights, coordinates), shape=rows.shape
         )
         forces = sparse.csc_array(rows @ motion)
         motion = sparse.csc_array(motion)

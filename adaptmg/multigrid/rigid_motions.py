@@ -52,9 +52,9 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
 
 
 def _is_held_body(problem: DiscreteProblem, held: np.ndarray, fixed: np.ndarray) -> bool:
-    """Return whether the ``fixed`` components (n, dim) of held nodes leave a single body no motion.
-    False where ``near_nullspace`` has to say it. Not making that for every level spares 4 % of a
-    solve with 66k nodes, and 24 bytes a dof (48 in 3D)."""
+    """Return whether the ``fixed`` components (n, dim) of held nodes leave a single body no motion;
+    False where this cannot be told without ``near_nullspace``. To avoid that on every level spares
+    4 % of a solve with 66k nodes, and 24 bytes a dof (48 in 3D)."""
     several = problem.bodies is not None and len(problem.bodies) > 1
     if several or problem.coupling is not None or "near_nullspace" in vars(problem):
         return False
@@ -69,8 +69,8 @@ def _is_held_body(problem: DiscreteProblem, held: np.ndarray, fixed: np.ndarray)
 
 @remembered_of_structure
 def _free_motions(problem: DiscreteProblem) -> np.ndarray:
-    """Return the m motions (n_dofs, m) that supports leave free; the rigid modes they are combined
-    of, 24 bytes a dof (48 in 3D), are not stored."""
+    """Return the m motions (n_dofs, m) that supports leave free. They are combinations of the rigid
+    modes, which, with 24 bytes a dof (48 in 3D), are not stored."""
     fixed = problem.fixed.reshape(-1, problem.dim)
     # 0.1 ms for 263k nodes, by any(axis=1) 3.3
     held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
@@ -93,10 +93,8 @@ class RigidMotions:
     load: np.ndarray  # (n_dofs,): f
     motions: np.ndarray  # (n_dofs, m)
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
-    _last_free: tuple[bytes, np.ndarray] = (
-        b"",
-        np.empty(0),
-    )  # the last status, and the combinations that are free in it
+    # the last status, and the combinations of motions that are free in it
+    _last_free: tuple[bytes, np.ndarray] = (b"", np.empty(0))
 
     #: steps at most
     STEPS: ClassVar[int] = 30
@@ -113,20 +111,20 @@ class RigidMotions:
         if not motions.shape[1]:
             return None
         cartesian = motions.reshape(problem.n_nodes, problem.dim, -1)[problem.contact.nodes]
-        frames = contact.frames.reshape(-1, problem.dim, problem.dim)
-        return cls(problem, load, motions, np.einsum("nij,njk->nik", frames, cartesian))
+        at_contact = np.einsum("nij,njk->nik", contact.node_frames, cartesian)
+        return cls(problem, load, motions, at_contact)
 
     def settle(
         self, contact: TruncatedContact, unknowns: np.ndarray, residual: np.ndarray
     ) -> np.ndarray | None:
-        """Move unknowns (n_dofs,) and the values of the contact nodes, which are theirs, to the
-        least energy, in place; returns the motion (n_dofs,), None if there is none."""
+        """Move unknowns (n_dofs,), and the local values of ``contact`` with them, to the least energy,
+        in place; return the motion (n_dofs,), None if they are there."""
         descent = _Descent(self, contact, residual)
         total = np.zeros(self.at_contact.shape[2])
         steps = 0
         while steps < self.STEPS and (change := descent.step()) is not None:
-            total = total + change
-            steps = steps + 1
+            total += change
+            steps += 1
         return self._move(contact, total, unknowns) if steps else None
 
     def free(self, closed: np.ndarray, held: np.ndarray) -> np.ndarray:
@@ -154,14 +152,14 @@ class RigidMotions:
     def _move(
         self, contact: TruncatedContact, change: np.ndarray, unknowns: np.ndarray
     ) -> np.ndarray:
-        """Carry out a motion (m,) that the values of the contact contain already."""
+        """Add a motion, a combination (m,), to unknowns (n_dofs,) in place; the local values of
+        ``contact`` contain it already. Return the motion (n_dofs,)."""
         step = self.motions @ change
         step[self.problem.fixed] = 0.0
         unknowns += step
-        # equal but for rounding; gaps and slips that vanish must do so to the bit
+        # equal up to rounding; gaps and slips that vanish must do so to the bit
         dim = contact.dim
-        frames = contact.frames.reshape(-1, dim, dim)
-        values = np.einsum("nji,nj->ni", frames, contact.values.reshape(-1, dim))
+        values = np.einsum("nji,nj->ni", contact.node_frames, contact.values.reshape(-1, dim))
         fixed = self.problem.fixed.reshape(-1, dim)[contact.nodes]
         unknowns.reshape(-1, dim)[contact.nodes] = np.where(fixed, 0.0, values)
         return step
@@ -171,12 +169,12 @@ class _Descent:
     """Steps of the motions towards the least energy, which change the values of the contact
     nodes."""
 
-    #: share of F to which a minimum balances the forces; in 2D only a node that holds the body will do
+    #: share of F up to which forces count as balanced; in 2D only a node that holds the body balances them
     #: a hundredth and a hundred times change none of 119 solves, paths and loops (campaign
     #: constants)
     BALANCED: ClassVar[dict[int, float]] = {2: 1e-12, 3: 1e-2}
-    #: friction that does not hold the body yet is made this many times enough
-    #: any factor above 1 ends it: 1.01 and 100 change none of 160 solves of random problems
+    #: friction that does not hold the body yet is raised to this many times what holds it
+    #: any factor above 1 will do: 1.01 and 100 change none of 160 solves of random problems
     ENOUGH: ClassVar[float] = 2.0
 
     def __init__(
@@ -189,10 +187,7 @@ class _Descent:
         self.factor = 1.0
         self.values = contact.values.reshape(-1, dim)
         self.reference = contact.reference.reshape(-1, dim - 1)
-        normals = contact.frames.reshape(-1, dim, dim)[:, 0]
-        self.pressure = np.maximum(
-            np.einsum("ni,ni->n", normals, residual.reshape(-1, dim)[contact.nodes]), 0.0
-        )
+        self.pressure = np.maximum(contact.normal_components(residual), 0.0)
 
     def step(self) -> np.ndarray | None:
         """Take a step; return its combination of motions (m,), None at a minimum."""
@@ -212,7 +207,7 @@ class _Descent:
         direction = self._direction(self.factor * bound, slip, tangents, force)
         if direction is None:
             return None
-        # rates of slips and gaps along the direction
+        # rates of slips and of normal displacements along the direction
         slip_rate = tangents @ direction
         approach = at_contact[:, 0] @ (free @ direction)
         speed = np.linalg.norm(slip_rate, axis=1)
@@ -246,7 +241,7 @@ class _Descent:
             share = np.divide(left, length * speed, out=np.full(len(left), np.inf), where=acts)
             node = int(np.argmin(share))
             if share[node] < checks.SIX_DIGITS:
-                # a slip vanishes, to the last bit
+                # the slip of this node vanishes to the bit
                 rest = slip[node] + tangents[node] @ change
                 change = change - np.linalg.lstsq(tangents[node], rest, rcond=checks.ALIKE)[0]
                 held[node] = True
@@ -294,7 +289,7 @@ def _least(slope: Callable[[float], float], first: float, stop: float) -> float:
     """Find the root of an increasing function in (0, stop], bracketed from ``first``."""
     low = 0.0
     high = min(first, stop)
-    while high < stop and slope(high) < 0.0:  # there is friction that holds
+    while high < stop and slope(high) < 0.0:
         low = high
         high = min(2.0 * high, stop)
     if slope(high) <= 0.0:

@@ -52,7 +52,8 @@ class SplitMatrix:
     fixed: np.ndarray  # (n_fixed,) int64: fixed dofs
     nonzeros: int  # stored entries of the whole matrix, the unit of work on this level
     strips: Strips  # the order of the sweeps
-    aside: tuple[sparse.bsr_array, np.ndarray] | None = None  # what :meth:`complete` makes L from
+    # after :meth:`set_aside`: the whole matrix and the fixed dofs, from which L is made again
+    aside: tuple[sparse.bsr_array, np.ndarray] | None = None
 
     @cached_property
     def n_nodes(self) -> int:
@@ -88,13 +89,20 @@ class SplitMatrix:
         """Return the arrays of a half without entries."""
         return np.zeros_like(self.lower_indptr), self.lower_indices[:0].copy(), np.empty(0)
 
+    @property
+    def diagonal_sizes(self) -> np.ndarray:
+        """Return the absolute values of the diagonal entries (n_dofs,)."""
+        blocks = self.diagonal.reshape(-1, self.dim, self.dim)
+        return np.abs(blocks.diagonal(axis1=1, axis2=2)).reshape(-1)
+
     def drop_diagonal(self) -> None:
-        """Free the diagonal blocks: :meth:`at_slots` and :meth:`matrix` are then out of reach."""
+        """Free the diagonal blocks, which :meth:`at_slots`, :meth:`dense`, :meth:`matrix` and
+        :attr:`diagonal_sizes` need."""
         self.diagonal = np.empty(0)
 
     def set_aside(self, matrix: sparse.bsr_array, fixed: np.ndarray) -> bool:
-        """Free L and the inverse blocks of a large symmetric matrix, until they are made again;
-        whether it is large."""
+        """Free L and the inverse blocks of a large symmetric matrix, until :meth:`complete` makes them
+        again; return whether it is large."""
         if not self.symmetric or len(self.lower) < LARGE:
             return False
         self.lower_indices = np.empty(0, dtype=np.uint32)
@@ -104,7 +112,7 @@ class SplitMatrix:
         return True
 
     def complete(self) -> None:
-        """Make again what was set aside."""
+        """Make L and the inverse blocks again, if they were set aside."""
         if self.aside is not None:
             again = split(*self.aside, symmetric=True)
             self.aside = None
@@ -237,7 +245,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
 
 def nodal_prolongations(hierarchy: Grids) -> list[sparse.csr_array]:
     """Return the prolongations between neighbours, coarsest first, columns sorted."""
-    # a copy where they are not: the hierarchy's own stays
+    # unsorted ones are copied: those of the hierarchy stay unchanged
     return [
         P if P.has_sorted_indices else indices_frozen(P.sorted_indices())
         for P in (level.prolongation for level in hierarchy.levels[1:])
@@ -252,7 +260,7 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
     matrix = hierarchy.finest.matrix
     fine = hierarchy.finest.discrete
     result = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)]
-    finer = None
+    finer = None  # the last prolongation of a chain of Galerkin products
     for above, level, nodal in zip(
         reversed(hierarchy.levels[1:]),
         reversed(hierarchy.levels[:-1]),
@@ -271,7 +279,7 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
             finer = None
         else:
             finer = seen(nodal, finer)
-            # below a coarse space there are only others
+            # a discretised level: all levels above are discretised, too
             problem = cast("DiscreteProblem", fine)
             matrix = coarse_matrix(_supported(matrix, problem, nodal, level.discrete), finer)
             fixed = level.discrete.fixed
@@ -281,10 +289,10 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
 
 
 def _of_nested_elements(hierarchy: Grids, above: Level, below: Level) -> bool:
-    """Return whether the coarse matrix is the Galerkin matrix by construction: both are of linear
-    elements with constant moduli alone, on lattices of a body of which one divides the other alike
-    along all axes, and the prolongation is their interpolation. To test the matrices takes 20 ms
-    with 263k nodes, of 530 for hierarchy and solve."""
+    """Return whether the coarse matrix is the Galerkin matrix by construction: both matrices are of
+    linear elements with constant moduli on lattices of one body, the finer lattice divides the
+    coarser one by the same number along all axes, and the prolongation is their interpolation. To
+    test the matrices takes 20 ms with 263k nodes, of 530 for hierarchy and solve."""
     fine = above.posed
     coarse = below.posed
     if hierarchy.transfer is not None or fine is None or coarse is None:
@@ -307,8 +315,8 @@ def _of_nested_elements(hierarchy: Grids, above: Level, below: Level) -> bool:
 def _nested(
     above: Level, matrix: sparse.bsr_array, nodal: sparse.csr_array, coarse: sparse.bsr_array
 ) -> bool:
-    """Return whether ``coarse`` is the Galerkin matrix; the level above remembers, as growing
-    hierarchies ask each time."""
+    """Return whether ``coarse`` is the Galerkin matrix. The answer is stored in the level above, since
+    growing hierarchies ask each time."""
     answer = above.__dict__.get("_galerkin_of")
     if answer is None or answer[0] is not matrix or answer[1] is not coarse:
         answer = matrix, coarse, is_galerkin(matrix, nodal, coarse)
@@ -322,8 +330,8 @@ def is_galerkin(
     coarse: sparse.bsr_array,
     tolerance: float = 1e-9,
 ) -> bool:
-    """Return whether ``coarse`` is P'AP, seen on one pseudo-random vector, row by row relative to
-    the sizes of what it sums: next to a stiff body a soft one would go unseen."""
+    """Return whether ``coarse`` is P'AP, tested on one pseudo-random vector. Each row is compared
+    relative to the terms that it sums, so that errors of a soft body next to a stiff one count."""
     transfer = ZERO[matrix.blocksize[0]], nodal.indptr, nodal.indices, nodal.data
     probe = np.random.default_rng(0).random(coarse.shape[0]) - 0.5
     prolonged = np.zeros(matrix.shape[0])

@@ -75,9 +75,9 @@ class TruncatedContact:
     #: of a law that depends on pressure and slip, as of :class:`~adaptmg.smoother.system.NodalContact`
     friction_at: FrictionAt | None
     hardening: np.ndarray  # (n_contact,): derivative of s + mu p by the slip where it rises, N/m
-    compliance: np.ndarray  # (n_contact,): what surfaces give way by, m/N
-    spring: np.ndarray  # (n_contact,): of those in linear problems, N/m; 0 of rigid ones
-    driven: np.ndarray  # (k,) int: nodes that slip along a first tangent which a support holds
+    compliance: np.ndarray  # (n_contact,): of the surfaces, m/N
+    spring: np.ndarray  # (n_contact,): stiffness of surfaces in linear problems, N/m; 0: rigid
+    driven: np.ndarray  # (k,) int: nodes whose first tangent a support holds and moves
     layer: Layer | None  # of surfaces that yield by a power of the force
 
     @classmethod
@@ -120,20 +120,20 @@ class TruncatedContact:
         return result
 
     def _set_springs(self) -> None:
-        """Take the springs of linear problems from the compliances."""
+        """Set the springs of linear problems from the compliances."""
         stiffness = self.blocks[:: self.dim * (self.dim + 1) // 2]
         soft = self.compliance * stiffness > self.RIGID
         # new arrays: copies share the old ones
         self.spring = np.divide(1.0, self.compliance, out=np.zeros_like(stiffness), where=soft)
 
     def _follow_layer(self, layer: Layer, forces: np.ndarray, normal: np.ndarray) -> None:
-        """Take the linear law of a layer near these forces and normal displacements, both
-        (n_contact,)."""
+        """Set gap and compliance to the linear law of a layer near these forces and normal
+        displacements, both (n_contact,)."""
         self.gap, self.compliance = layer.linearised(forces, normal)
         self._set_springs()
 
     def posed(self, problem: DiscreteProblem) -> TruncatedContact:
-        """Return the same with gaps and slips of another load step; its status is not yet known."""
+        """Return these nodes with gaps and slip references of another load step, without a status."""
         contact, _ = local_contact(problem)
         return replace(
             self,
@@ -147,7 +147,7 @@ class TruncatedContact:
         )
 
     def copy(self) -> TruncatedContact:
-        """Return the same nodes with values and a status of their own."""
+        """Return these nodes with copies of the values and the status."""
         result = object.__new__(TruncatedContact)
         vars(result).update(vars(self))
         result.values = self.values.copy()
@@ -156,7 +156,13 @@ class TruncatedContact:
         return result
 
     @property
+    def node_frames(self) -> np.ndarray:
+        """Return the frames (n_contact, dim, dim): rows normal, tangents."""
+        return self.frames.reshape(-1, self.dim, self.dim)
+
+    @property
     def node_data(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays that all kernels on contact nodes read."""
         return (
             self.frames,
             self.blocks,
@@ -170,7 +176,7 @@ class TruncatedContact:
 
     @property
     def conditions(self) -> NodalContact:
-        """Return the contact conditions, as the parts in contact frames read them."""
+        """Return the contact conditions in the form that parts in contact frames read."""
         n = len(self.nodes)
         if self.dim == 1:
             slips = np.empty((n, 0))
@@ -191,13 +197,11 @@ class TruncatedContact:
         )
 
     def start(self, unknowns: np.ndarray) -> None:
-        """Take over unknowns (n_dofs,) that may penetrate; they are projected onto the admissible
-        ones, in place. Compliant surfaces admit all."""
+        """Project unknowns (n_dofs,) that may penetrate onto the admissible ones, in place, and take
+        over their values. Compliant surfaces admit all."""
         codes = self.codes
-        normals = self.frames.reshape(-1, self.dim, self.dim)[:, 0]
         # pressures may follow the displacements
-        dofs = self.dim * self.nodes[:, None] + np.arange(self.dim)
-        normal_displacement = np.einsum("nd,nd->n", normals, unknowns[dofs])
+        normal_displacement = self.normal_components(unknowns)
         if self.layer is not None:
             self._follow_layer(self.layer, np.zeros_like(normal_displacement), normal_displacement)
         penetrates_spring = (self.spring > 0) & (normal_displacement > self.gap)
@@ -211,37 +215,36 @@ class TruncatedContact:
         cycles from zero, shortened 10 and 12."""
         if self.dim == 1:
             return 1.0
-        n = len(self.nodes)
-        dim = self.dim
-        normals = self.frames.reshape(n, dim, dim)[:, 0]
-        before = self.values.reshape(n, dim)[:, 0]
-        change = np.einsum("nd,nd->n", normals, unknowns.reshape(-1, dim)[self.nodes]) - before
+        before = self.values[:: self.dim]
+        change = self.normal_components(unknowns) - before
         left = self.gap - before
         closing = (self.codes & CLOSED == 0) & (change > left)
         return float((left[closing] / change[closing]).min(initial=1.0))
 
     def update_status(self, residual: np.ndarray) -> tuple[int, float, float]:
-        """Find the status after a sweep; ``residual`` is f - A u (n_dofs,). Returns what
-        :func:`classify` does."""
+        """Update the status after a sweep; ``residual`` is f - A u (n_dofs,). Return the number of
+        codes that changed, and the sums of squares of the natural residual and of the reactions at
+        contact nodes."""
         missed = 0.0
         if self.layer is not None:
-            self._follow_layer(self.layer, self._normal_forces(residual), self.values[:: self.dim])
+            forces = self.normal_components(residual)
+            self._follow_layer(self.layer, forces, self.values[:: self.dim])
         if self.friction_at is not None:
-            forces = np.maximum(self._normal_forces(residual), 0.0)
-            missed = self._follow(self.friction_at, forces)
+            forces = np.maximum(self.normal_components(residual), 0.0)
+            missed = self._follow_friction(self.friction_at, forces)
         changed, natural, reactions = classify(
             ZERO[self.dim], self.nodes, *self.node_data, residual, self.codes, self.pressure
         )
         return changed, natural + missed, reactions
 
-    def _normal_forces(self, residual: np.ndarray) -> np.ndarray:
-        """Return the components (n_contact,) of a residual (n_dofs,) along the normals, N."""
-        normals = self.frames.reshape(-1, self.dim, self.dim)[:, 0]
-        return np.einsum("nd,nd->n", normals, residual.reshape(-1, self.dim)[self.nodes])
+    def normal_components(self, vector: np.ndarray) -> np.ndarray:
+        """Return the components (n_contact,) of a vector (n_dofs,) along the normals."""
+        at_contact = vector.reshape(-1, self.dim)[self.nodes]
+        return np.einsum("nd,nd->n", self.node_frames[:, 0], at_contact)
 
-    def _follow(self, friction_at: FrictionAt, forces: np.ndarray) -> float:
-        """Take the coefficients of friction at the present unknowns and forces, where friction rises
-        with the slip in part; returns the sum of squares of what the friction then misses."""
+    def _follow_friction(self, friction_at: FrictionAt, forces: np.ndarray) -> float:
+        """Update the coefficients of friction to the present unknowns and forces, only in part where
+        friction rises with the slip; return the sum of squares of the friction that is then missed."""
         n = len(self.nodes)
         slip = self.values.reshape(n, -1)[:, 1:] - self.reference.reshape(n, -1)
         size = np.linalg.norm(slip, axis=1)
@@ -254,8 +257,8 @@ class TruncatedContact:
         return float(np.sum((bound - self.friction * forces) ** 2))
 
     def linearise_friction(self) -> None:
-        """Take the slip directions (3D: and the Hessian of g |slip|) from the present unknowns;
-        zero elsewhere."""
+        """Set the slip directions (3D: and the Hessian of g |slip|) from the present unknowns, zero at
+        nodes that do not slip."""
         if self.dim == 1:
             return
         slip = self.values.reshape(-1, self.dim)[:, 1:] - self.reference.reshape(-1, self.dim - 1)
@@ -265,7 +268,8 @@ class TruncatedContact:
         # scaled: the square of a slip that is all but zero may vanish
         largest = np.abs(slip[slipping]).max(axis=1, keepdims=True)
         size = largest * np.linalg.norm(slip[slipping] / largest, axis=1, keepdims=True)
-        direction[slipping] = slip_direction = slip[slipping] / size
+        slip_direction = slip[slipping] / size
+        direction[slipping] = slip_direction
         hessian[slipping] = (
             self.hardening[slipping, None, None]
             * slip_direction[:, :, None]
@@ -287,8 +291,7 @@ class TruncatedContact:
         return self.limit + np.where(self.codes & CLOSED, self.friction * self.pressure, 0.0)
 
     def truncate(self, residual: np.ndarray) -> float:
-        """Make f - A u the truncated residual, in place; returns its sum of squares at the contact
-        nodes."""
+        """Truncate the residual f - A u, in place; return its sum of squares at the contact nodes."""
         squares = truncate(
             self.dim,
             self.codes,
@@ -303,7 +306,7 @@ class TruncatedContact:
             residual,
             np.empty(self.dim),
         )
-        # the support takes the friction along what it holds
+        # friction along a held tangent is taken by the support
         return squares - self._remove_held(residual)
 
     def _remove_held(self, vector: np.ndarray) -> float:
@@ -312,7 +315,7 @@ class TruncatedContact:
         if not len(self.driven):
             return 0.0
         at = vector.reshape(-1, 3)
-        tangents = self.frames.reshape(-1, 3, 3)[self.driven, 1]
+        tangents = self.node_frames[self.driven, 1]
         along = np.einsum("nd,nd->n", tangents, at[self.nodes[self.driven]])
         at[self.nodes[self.driven]] -= along[:, None] * tangents
         return float(np.sum(along**2))
@@ -331,10 +334,10 @@ class TruncatedContact:
         unknowns: np.ndarray,
     ) -> None:
         """Make a corrected iterate admissible, in place, by a user-defined function of the
-        conditions and of local values (n_contact, dim) before and after the correction; what is
-        truncated stays as before."""
+        conditions and of local values (n_contact, dim) before and after the correction; truncated
+        components stay as before."""
         shape = len(self.nodes), self.dim
-        frames = self.frames.reshape(*shape, self.dim)
+        frames = self.node_frames
         before = self.values.reshape(shape)
         truncated = np.zeros(shape, dtype=bool)
         closed = self.codes & CLOSED != 0
@@ -377,9 +380,10 @@ class TruncatedContact:
         the projection cuts."""
         return self._project(unknowns, False) <= 1
 
-    def friction_slope(self, before: np.ndarray) -> Callable[[float], float]:
-        """Return the slope of sum g |slip| along the step from local unknowns ``before``, and of what
-        the energy of springs adds to its beginning; slipping and closed nodes only."""
+    def slope_along(self, before: np.ndarray) -> Callable[[float], float]:
+        """Return the slope of the energy of friction, sum g |slip|, and of springs along the step from
+        local unknowns ``before``, the springs relative to its beginning; slipping and closed nodes
+        only."""
         shape = len(self.nodes), self.dim
         if self.dim == 1:
             return lambda alpha: 0.0
@@ -459,7 +463,7 @@ def classify(
 
 @in_loop
 def _touches(w, gap, reference):
-    """Return whether a node is at an obstacle: of scalar problems there are two."""
+    """Return whether a node is at an obstacle, in scalar problems at one of two."""
     if len(w) == 1:
         return w[0] == gap or w[0] == reference[0]
     return w[0] >= gap
@@ -509,7 +513,7 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, gap, spring,
         bound = limit[k]
         if closed:
             bound += friction[k] * max(local[0], 0.0)
-            # what a spring presses back with is balanced
+            # the force of the spring is balanced
             local[0] = local[0] - spring[k] * (values[dim * k] - gap[k]) if spring[k] else 0.0
         if tangential == HELD:
             for a in range(1, dim):
@@ -529,10 +533,10 @@ def truncate(dim, codes, nodes, frames, limit, friction, reference, gap, spring,
 
 @kernel
 def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local, move):
-    """Make a corrected iterate u (n_dofs,) admissible, and ``values`` its local unknowns. Closed
-    nodes keep the gap, those on springs do not open, held ones keep their place. An open node stops
-    at the gap. A slip that would turn by more than 90 degrees (2D: reverse) is cut to zero. Returns
-    how many nodes were cut, or would be if nothing is to ``move``. ``local`` (dim,) is
+    """Make a corrected iterate u (n_dofs,) admissible, and write its local unknowns to ``values``.
+    Closed nodes keep the gap, those on springs do not open, held ones do not slip. An open node
+    stops at the gap. A slip that would turn by more than 90 degrees (2D: reverse) is cut to zero.
+    Return how many nodes were cut; without ``move`` only count them. ``local`` (dim,) is
     overwritten."""
     n_tangents = dim - 1
     n_cut = 0

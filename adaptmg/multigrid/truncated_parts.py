@@ -179,9 +179,8 @@ class FrameSmoother:
     def __init__(self, smoother: Smoother, problem: DiscreteProblem, level: SplitMatrix) -> None:
         """Prepare the smoother for the matrix of a level, in contact frames."""
         self.smoother = smoother
-        blocks = level.diagonal.reshape(-1, level.dim, level.dim)
-        sizes = np.abs(blocks.diagonal(axis1=1, axis2=2)).reshape(-1)
-        # on levels below the finest the Galerkin matrix
+        sizes = level.diagonal_sizes
+        # that of the level, not of the problem: below the finest level it is a Galerkin matrix
         matrix = regular_matrix(level, np.where(sizes > 0, sizes, 1.0))
         local = local_system(problem.restructured(matrix=matrix))
         self.system = local.system
@@ -199,7 +198,7 @@ class FrameSmoother:
         local = rotate(u, self.frames, nodes)
         local_by_node = local.reshape(-1, system.dim)
         values = contact.values.reshape(-1, system.dim)
-        # turned to and fro a closed gap would no longer be closed to the last digit
+        # rotated twice, a closed gap would no longer be closed to the last digit
         local_by_node[nodes] = values
         conditions = contact.conditions
         passes = self.smoother.smooth(system, conditions, forces, local, 1)

@@ -40,6 +40,7 @@ from scipy import linalg, sparse
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel
 from adaptmg._threads import sum_of_parts
+from adaptmg.discrete.coordinates import block_diagonal, dofs_of
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import LinearCycle, least_weights, regular_matrix
@@ -50,8 +51,8 @@ from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.multigrid.volume_pressures import VolumePressures
 from adaptmg.smoother.blocks import ZERO
-from adaptmg.smoother.factorisation import Eliminated, dofs_of, eliminate
-from adaptmg.smoother.interior_point import dense_factors, interior_point
+from adaptmg.smoother.factorisation import Eliminated, eliminate
+from adaptmg.smoother.interior_point import DenseSpan, dense_factors, interior_point
 from adaptmg.smoother.system import LocalSystem
 
 
@@ -69,14 +70,14 @@ Recombinable = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TruncatedState:
-    """An iterate, and all that the next step takes from those before."""
+    """An iterate, and all data of earlier steps that the next step reads."""
 
     iterate: np.ndarray  # (n_unknowns,): from the prescribed values, then pressures
     contact: TruncatedContact  # with its local values and status
-    residual: np.ndarray  # (n_dofs,): f - A u, truncated
+    residual: np.ndarray  # (n_dofs,): f - A u; truncated by :meth:`TruncatedStep.linearise`
     cycles: int = 0  # corrections so far
-    correction: float = np.nan  # energy of the last one, N m: an estimate of that of the error
-    corrected: bool = False  # whether it came after a start or a move
+    correction: float = np.nan  # energy of the last correction, N m: it estimates that of the error
+    corrected: bool = False  # whether a correction came after the start and the last move
     #: newest first, in turns a recombined iterate and the one it was made from
     past: tuple[Recombinable, ...] = ()
     uniform: tuple[Recombinable, ...] = ()  # further directions: a uniform pressure in each body
@@ -87,28 +88,28 @@ class TruncatedState:
     changed: int = 0  # contact nodes whose status changed
     natural: float = np.inf  # Euclidean norm of the natural residual, N
     reactions: float = 0.0  # norm of the contact forces, N
-    energy: float = np.nan  # u'Au, N m; NaN: not asked
+    energy: float = np.nan  # u'Au, N m; NaN: not computed
     size: float = 0.0  # A-norm of the displacement, when it was measured last
     moves: int = 0  # contact problems on a coarse level so far
     shorten: bool = False  # whether the next correction ends where the first open node closes
-    from_start: float | None = None  # A-norm of what the first correction changed
+    from_start: float | None = None  # A-norm of the change by the first correction
 
     def but(self, **changes: object) -> TruncatedState:
-        """Return the same state with other parts, in a tenth of the time of dataclasses.replace."""
+        """Return the state with some fields changed, in a tenth of the time of dataclasses.replace."""
         result = object.__new__(TruncatedState)
         vars(result).update(vars(self), **changes)
         return result
 
 
 class TruncatedStep:
-    """Steps on level ``number`` of the levels of a linear cycle, with contact. What is kept is made
-    of matrices, transfers and loads, and of the last status, whose coarse matrices are stored."""
+    """Steps on level ``number`` of the levels of a linear cycle, with contact. It stores matrices,
+    transfers and loads, and the coarse matrices of the last status, but no iterate."""
 
-    #: with pressures: status changes with which a recombination with uniform pressures still is one. An enclosed block
-    #: of rubber takes 34 cycles from zero at 0, 21 at 2, 20 at 4, 19 without a limit; 130 solves of random bodies of
-    #: rubber 1928, 1935, 1928, 1977
-    FEW = 4
-    #: of the interval in the search for the least energy
+    #: with pressures: status changes in a step up to which iterates are recombined with uniform pressures. An enclosed
+    #: block of rubber takes 34 cycles from zero at 0, 21 at 2, 20 at 4, 19 without a limit; 130 solves of random bodies
+    #: of rubber 1928, 1935, 1928, 1977
+    UNIFORM_CHANGES = 4
+    #: times that the interval in the search for the least energy is halved
     HALVINGS = 30
 
     def __init__(
@@ -141,34 +142,35 @@ class TruncatedStep:
         self.interface = interface
         self.smoother = smoother
         self._applied: TruncatedStatus | None = None
-        self._take(problem)
+        self._set_load(problem)
 
     def pose(self, problem: DiscreteProblem) -> None:
-        """Go on to another load step: other loads, prescribed values, gaps and slip references."""
+        """Replace loads, prescribed values, gaps and slip references by those of another load step."""
         self.contact = self.contact.posed(problem)
         self.pressures.pose(problem)
-        self._take(problem)
+        self._set_load(problem)
 
-    def _take(self, problem: DiscreteProblem) -> None:
-        """Take over the load of a problem, and the motions that only contact holds."""
+    def _set_load(self, problem: DiscreteProblem) -> None:
+        """Store the load of a problem, and the motions that only contact holds."""
         self.load = problem.load_from_prescribed()
         self.motions = None
         if self.options.rigid_motions:
             self.motions = RigidMotions.of(problem, self.contact, self.load)
 
     def begin(self, iterate: np.ndarray) -> TruncatedState:
-        """Return the state of an iterate (n_unknowns,), which becomes admissible, in place."""
+        """Return the state of a start (n_unknowns,), which is made admissible in place."""
         contact = self.contact.copy()
         contact.start(iterate)
         return TruncatedState(iterate=iterate, contact=contact, residual=np.empty(self._n_dofs))
 
     def step(self, state: TruncatedState) -> TruncatedState:
-        """Correct, unless it is a start, smooth and linearise."""
+        """Return the state after a correction (of a start there is none), smoothing and
+        linearisation."""
         return self.linearise(self.smooth(self.correct(state)))
 
     def correct(self, state: TruncatedState, shorten: bool = False) -> TruncatedState:
-        """Correct from the coarser levels, project and search; of a start a copy. ``shorten``: up
-        to where the first open node closes."""
+        """Return the state after a correction from the coarser levels, projection and search; a copy
+        of a start. With ``shorten`` the correction ends where the first open node closes."""
         if state.linearised is None or state.coarse_residual is None:
             return state.but(iterate=state.iterate.copy(), contact=state.contact.copy())
         unknowns = self.displacement(state)
@@ -177,7 +179,7 @@ class TruncatedStep:
         load = coarse_residual[: self.coarse.n_dofs]
         iterate = combined.copy()
         proposed = iterate[: self._n_dofs]
-        # past iterates make up for what a cheaper cycle leaves
+        # without the first smoothing the cycle is cheaper; recombination makes up for the difference
         correction = self.cycle.solve(self.number - 1, load, smooth=not state.corrected)
         energy = _product(load, correction)
         self.level.prolong(correction, proposed)
@@ -207,8 +209,8 @@ class TruncatedStep:
         )
 
     def smooth(self, state: TruncatedState) -> TruncatedState:
-        """Improve an iterate locally, in place, and leave f - A u in its residual: of a state that
-        is made of :meth:`correct` and goes on to :meth:`linearise`."""
+        """Improve the iterate of a state from :meth:`correct` locally, in place, and write f - A u to
+        its residual; return the state, which :meth:`linearise` takes."""
         self._sweep(state)
         if self.interface is not None:
             for k in range(self.options.interface_sweeps):
@@ -234,8 +236,8 @@ class TruncatedStep:
         trusted: Callable[[np.ndarray], float] = lambda unknowns: np.inf,
         with_energy: bool = False,
     ) -> TruncatedState:
-        """Return the state with the contact status after the smoothing, and with the residual
-        truncated to what this status leaves free.
+        """Return the state with the contact status after the smoothing, and with the residual truncated
+        for this status.
 
         If the residual, N, is above ``trusted(unknowns)``, g is frozen in the coarse matrices, which
         keeps them symmetric."""
@@ -258,7 +260,8 @@ class TruncatedStep:
             coarse_residual[n:] = self.pressures.missed(unknowns, values)
             natural += self.pressures.forces_missed(coarse_residual[n:])
             self.cycle.recorder.count(1.0, self.pressures.nonzeros)
-        # not where the status was unknown: 1441 for 1512 cycles of 46 problems, ratio .45 to .5
+        # a start has no status that moves; to count it costs 1512 for 1441 cycles of 46 problems,
+        # ratio .45 to .5
         status_moves = changed and state.linearised is not None
         natural_size = float(np.sqrt(free_squares + natural))
         frozen = natural_size > trusted(unknowns)
@@ -270,7 +273,7 @@ class TruncatedStep:
             linearised = TruncatedStatus(contact, frozen)
             past = ()
             uniform = ()
-        if len(values) and not uniform and changed <= self.FEW:
+        if len(values) and not uniform and changed <= self.UNIFORM_CHANGES:
             uniform = tuple(
                 self._of_uniform(contact, full_residual, residual, mode)
                 for mode in self.pressures.uniform
@@ -306,26 +309,24 @@ class TruncatedStep:
         """Return the matrix of a coarser level without truncation."""
         self.restore()
         level = self.cycle.levels[number].matrix
-        scale = np.abs(
-            level.diagonal.reshape(-1, level.dim, level.dim).diagonal(axis1=1, axis2=2)
-        ).reshape(-1)
+        scale = level.diagonal_sizes
         return regular_matrix(level, np.where(scale > 0, scale, 1.0))
 
     def restore(self) -> None:
-        """Put the coarse matrices back that are truncated."""
+        """Restore the coarse matrices without truncation."""
         self.truncation.restore()
         self._applied = None
 
     def _truncate(self, linearised: TruncatedStatus) -> None:
-        """Make the coarse matrices those of a status, unless they are."""
+        """Truncate the coarse matrices for a status, unless they are truncated for it."""
         if self._applied is not linearised:
             self.truncation.apply(linearised.contact, newton=not linearised.frozen)
             self.cycle.renew(self.number)
             self._applied = linearised
 
     def _balanced(self, pressures: np.ndarray) -> np.ndarray:
-        """Return the forces (n_dofs,) that the matrix of this level balances: the load without what
-        pressures of groups carry."""
+        """Return the forces (n_dofs,) that the matrix of this level balances: the load minus the forces
+        of the pressures."""
         return self.load - self.pressures.volumes.forces(pressures) if len(pressures) else self.load
 
     def _of_uniform(
@@ -335,7 +336,9 @@ class TruncatedStep:
         truncated: np.ndarray,
         pressures: np.ndarray,
     ) -> Recombinable:
-        """Return the pressures, and what they add to the restricted residual and to what volumes miss."""
+        """Return uniform ``pressures`` as a direction of recombination: their changes of the restricted
+        residual and of the missed volumes. ``whole`` is the residual before, ``truncated`` after
+        truncation."""
         volumes = self.pressures.volumes
         changed = whole - volumes.forces(pressures)
         restricted = np.empty(self.coarse.n_dofs)
@@ -365,7 +368,7 @@ class TruncatedStep:
         self.cycle.recorder.visit(self.number, "smooth")
 
     def _projected_sweeps(self, state: TruncatedState) -> None:
-        """Sweep backward and forward, in one pass over the matrix; leave f - A u in the residual."""
+        """Sweep backward and forward, in one pass over the matrix; write f - A u to the residual."""
         matrix = self.matrix
         contact = state.contact
         unknowns, pressures = self.parts(state)
@@ -414,8 +417,9 @@ class TruncatedStep:
         r"""Return the iterate and its restricted residual, recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
         the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays,
-        the residual is affine in u (3D: nearly). With recombined iterates alone, few are as good as
-        all of them where the problem is symmetric; the others keep what Coulomb's law needs."""
+        the residual is affine in u (3D: nearly). The weights are dropped if the recombined iterate
+        is not admissible. Of symmetric problems a few recombined iterates would do; Coulomb's law
+        needs those that they were made from, too."""
         if state.past or state.uniform:
             dim = self.coarse.dim
             n = len(state.past)
@@ -431,9 +435,8 @@ class TruncatedStep:
             shares = least_weights(coarse_residual, changes, weights)
             combined = (1.0 - shares[:n].sum()) * state.iterate
             for share, (past, _) in zip(shares, state.past, strict=False):
-                combined = linalg.blas.daxpy(
-                    past, combined, a=share
-                )  # in place: one pass over long vectors
+                # in place: one pass over long vectors
+                combined = linalg.blas.daxpy(past, combined, a=share)
             for share, (pressures, _) in zip(shares[n:], state.uniform, strict=True):
                 combined[self._n_dofs :] += share * pressures
             if state.contact.admits(combined[: self._n_dofs]):
@@ -448,7 +451,7 @@ class TruncatedStep:
         curvature = self.distance(unknowns, proposed) ** 2
         change = proposed - unknowns
         gain = _product(state.residual, change)
-        of_friction = contact.friction_slope(state.contact.values)
+        of_friction = contact.slope_along(state.contact.values)
         slope_at_begin = of_friction(0.0)
 
         def slope(part: float) -> float:
@@ -485,8 +488,8 @@ class TruncatedStep:
         return float(np.sqrt(max(square, 0.0)))
 
     def rounding(self, unknowns: np.ndarray) -> float:
-        """Return the norm of D u, D the diagonal, N: times the unit of rounding the least residual that
-        arithmetic reaches."""
+        """Return the norm of D u, D the diagonal, N; no residual falls below this times the unit of
+        rounding."""
         matrix = self.matrix
         matrix.complete()
         square = sum_of_parts(
@@ -511,13 +514,16 @@ class CoarseContact:
     which at most ``MOST_CONTACT`` reach contact nodes. Where there is no such level, ``number`` is
     None and there are no corrections."""
 
-    #: unknowns of the coarse space; those that reach contact nodes, dense in each interior point step (plate that
-    #: touches with its whole face, 21k nodes: .5 s with 500, 2.7 s with all 2500); tolerance of its problem; slack
-    #: above which its solution is refused
-    MOST, MOST_CONTACT, TOLERANCE, REFUSED = 2500, 500, 1e-3, 1e-2
+    #: unknowns of the coarse space at most
+    MOST = 2500
+    #: unknowns at most that move contact nodes, dense in each interior point step: a plate that touches with its whole
+    #: face, 21k nodes, takes .5 s with 500, 2.7 s with all 2500
+    MOST_CONTACT = 500
+    #: tolerance of its problem, and slack above which its solution is refused
+    TOLERANCE, REFUSED = 1e-3, 1e-2
 
     def __init__(self, step: TruncatedStep, coordinates: list[np.ndarray | None]) -> None:
-        """Choose the coarse space of a step, and eliminate its unknowns that reach no contact node;
+        """Choose the coarse space of a step, and eliminate its unknowns that move no contact node;
         ``coordinates`` (n_nodes, dim) are those of the levels, None of bare ones."""
         self.step = step
         #: Any: None where no level serves; then it is not called
@@ -543,14 +549,11 @@ class CoarseContact:
         there at contact nodes in their frames, and the coarse nodes that move these."""
         step = self.step
         dim = self.step.contact.dim
-        n = len(step.contact.nodes)
         dofs = dofs_of(step.contact.nodes, dim)
-        frames = step.contact.frames.reshape(n, dim, dim)
+        frames = sparse.csr_array(block_diagonal(step.contact.node_frames))
         rows = sparse.csr_array(
-            sparse.bsr_array((frames, np.arange(n), np.arange(n + 1)), shape=(n * dim, n * dim))
-        )
-        rows = sparse.csr_array(
-            (rows.data, dofs[rows.indices], rows.indptr), shape=(n * dim, step.matrix.n_dofs)
+            (frames.data, dofs[frames.indices], frames.indptr),
+            shape=(len(dofs), step.matrix.n_dofs),
         )
         for number in reversed(range(step.number)):
             finer = step.cycle.levels[number + 1]
@@ -602,8 +605,9 @@ class CoarseContact:
 def _eliminated(
     matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray, coordinates: np.ndarray | None
 ) -> Eliminated:
-    """Eliminate all but the coarse nodes that reach contact nodes. Galerkin matrices of
-    independent meshes may be singular without these; no force acts on what springs hold then."""
+    """Eliminate all but the coarse nodes that move contact nodes. Galerkin matrices of independent
+    meshes may be singular without these: weak springs on all dofs then hold motions on which no
+    force acts."""
     try:
         return eliminate(LocalSystem.from_matrix(matrix, fixed, nodes), coordinates)
     except ValueError:
@@ -623,22 +627,8 @@ def _without(rows: sparse.csr_array, fixed: np.ndarray) -> sparse.csr_array:
     )
 
 
-class _CoarseSpan:
+class _CoarseSpan(DenseSpan):
     """Coarse unknowns; see :class:`~adaptmg.smoother.interior_point.Span`."""
-
-    def __init__(self, matrix: np.ndarray, rows: sparse.csr_array, dim: int) -> None:
-        self.matrix = matrix
-        self.rows = rows
-        self.dim = dim
-
-    def product(self, unknowns: np.ndarray) -> np.ndarray:
-        return self.matrix @ unknowns
-
-    def values(self, unknowns: np.ndarray) -> np.ndarray:
-        return (self.rows @ unknowns).reshape(-1, self.dim)
-
-    def restricted(self, forces: np.ndarray) -> np.ndarray:
-        return self.rows.T @ forces.reshape(-1)
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
         whole = self.matrix.copy()

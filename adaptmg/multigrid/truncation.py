@@ -29,12 +29,12 @@ from adaptmg.smoother.system import CLOSED, HELD, TANGENTIAL
 
 @dataclass(eq=False)
 class _Changed:
-    """The blocks of one coarse level that the contact status changes."""
+    """The blocks of the matrix of one coarse level that the contact status changes."""
 
     level: SplitMatrix
-    dim: int  # block size of the changes
-    slots: np.ndarray
-    rows: np.ndarray
+    dim: int  # size of the blocks
+    slots: np.ndarray  # (n,) int: where they are stored; see the module
+    rows: np.ndarray  # (n,) int: block rows and columns
     columns: np.ndarray
 
     def __post_init__(self) -> None:
@@ -66,10 +66,10 @@ class _Changed:
 
 @dataclass(eq=False)
 class _ChangedDofs(_Changed):
-    """Single entries, and the part of the prolongation that changes pass."""
+    """Single entries (blocks of size 1), whose changes come by sparse products."""
 
-    weights: sparse.csr_array
-    keys: np.ndarray
+    weights: sparse.csr_array  # prolongation to the changed dofs of the finer level
+    keys: np.ndarray  # (n,) int: row and column of each entry among the changed dofs, sorted
 
     @classmethod
     def of(
@@ -79,8 +79,8 @@ class _ChangedDofs(_Changed):
         dofs: np.ndarray,
         pattern: sparse.csr_array,
     ) -> _ChangedDofs:
-        """Build from the weights of changed dofs, the coarse ones they reach, and the pattern of
-        the change (ones)."""
+        """Find the entries of a level in ``pattern``, a matrix of ones between the changed ``dofs``;
+        ``weights`` is the prolongation from these to the changed dofs of the finer level."""
         order = sparse.coo_array(pattern)
         keys = np.sort(pair_keys(order.row, order.col, len(dofs)))
         rows = dofs[keys // len(dofs)]
@@ -100,10 +100,10 @@ class _ChangedDofs(_Changed):
             raise ValueError(
                 "a coarse matrix lacks entries of the Galerkin product near contact: it must be P'AP"
             )
-        return cls(level, 1, slots, rows, columns, weights, keys)
+        return cls(level, 1, slots, rows, columns, weights=weights, keys=keys)
 
     def update(self, change: sparse.csr_array) -> sparse.csr_array:
-        """Write the matrix for a change on the finer level; returns the change on this one."""
+        """Write the matrix for a change on the finer level; return the change on this level."""
         result = sparse.coo_array(self.weights.T @ (change @ self.weights))
         # a product may leave out entries that happen to vanish
         values = np.zeros(len(self.keys))
@@ -116,17 +116,19 @@ class _ChangedDofs(_Changed):
 
 @dataclass(eq=False)
 class _ChangedBlocks(_Changed):
-    """Blocks of nodes, and the products they are made of."""
+    """Blocks of nodes, whose changes are sums of products: the change of block ``target`` gets
+    ``weight`` times that of block ``source`` of the finer level."""
 
-    source: np.ndarray
-    target: np.ndarray
-    weight: np.ndarray
+    source: np.ndarray  # (n_products,) int
+    target: np.ndarray  # (n_products,) int
+    weight: np.ndarray  # (n_products,)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._change = np.zeros(len(self.base))
 
     def update(self, change: np.ndarray) -> np.ndarray:
+        """Write the matrix for a change on the finer level; return the change on this level."""
         add_contributions(self.dim**2, self.source, self.target, self.weight, change, self._change)
         self.store(self._change)
         return self._change
@@ -136,18 +138,18 @@ Changed = TypeVar("Changed", bound=_Changed)
 
 
 class _Update(Generic[Changed]):
-    """Carries changes of the finest level down the levels ``below``, finest of them first."""
+    """Changes the levels ``below`` the finest one, the finest of them first."""
 
     below: list[Changed]
 
     def restore(self) -> None:
-        """Put the base matrices back."""
+        """Restore the matrices without changes."""
         for below in self.below:
             below.store(np.zeros(len(below.base)))
 
 
 class DofUpdate(_Update[_ChangedDofs]):
-    """The carrier to levels of single dofs, by sparse products."""
+    """Changes of levels of single dofs, by sparse products."""
 
     def __init__(
         self,
@@ -196,7 +198,7 @@ class DofUpdate(_Update[_ChangedDofs]):
 
 
 class NodalUpdate(_Update[_ChangedBlocks]):
-    """The carrier by nodal prolongations, through lists of products made once."""
+    """Changes of levels with nodal prolongations, through lists of products that are made once."""
 
     def __init__(
         self,
@@ -219,7 +221,8 @@ class NodalUpdate(_Update[_ChangedBlocks]):
 def _products(
     level: SplitMatrix, nodal: sparse.csr_array, rows: np.ndarray, columns: np.ndarray
 ) -> _ChangedBlocks:
-    """Find where the blocks of a finer level go on this one."""
+    """Return the blocks of a level that changes of blocks at ``rows`` and ``columns`` of the finer
+    level reach."""
     entries = np.diff(nodal.indptr).astype(np.int64)
     n_products_at_most = int(entries[rows] @ entries[columns])
     source = np.empty(n_products_at_most, dtype=np.int32)
@@ -269,8 +272,7 @@ def _products(
 
 
 class Truncation:
-    """Keeps the matrices of the levels below one level as the contact status of that level
-    demands."""
+    """Truncates the matrices of the levels below one level for the contact status of that level."""
 
     def __init__(
         self,
@@ -278,8 +280,8 @@ class Truncation:
         prolongations: list[sparse.csr_array],
         contact: TruncatedContact,
     ) -> None:
-        """Collect the blocks of the finest matrix in rows and columns of contact nodes, and where
-        their changes go below."""
+        """Collect the blocks of the finest matrix in rows and columns of contact nodes, and find the
+        blocks below that their changes reach."""
         fine = levels[-1]
         dim = fine.dim
         in_lower = np.concatenate(
@@ -326,8 +328,8 @@ class Truncation:
             self.products = DofUpdate(levels[:-1], prolongations, dim, self.rows, self.columns)
 
     def apply(self, contact: TruncatedContact, newton: bool) -> None:
-        """Change the matrices for a status; ``newton`` False keeps them symmetric, with g
-        frozen."""
+        """Truncate the matrices for a status. Without ``newton`` g is frozen, which keeps them
+        symmetric."""
         changed_blocks(
             contact.dim,
             self.rows,
@@ -358,7 +360,7 @@ def _at_contact(first, last, order, indptr, indices, contact_of):
     for place in range(first, last):
         in_row = contact_of[order[place]] >= 0
         for k in range(indptr[place], indptr[place + 1]):
-            # written without a branch, kept if it counts
+            # no branch: a block that does not count is overwritten by the next one
             found[count] = k
             count += in_row or contact_of[indices[k]] >= 0
     return found[:count].copy()
@@ -382,7 +384,7 @@ def _turn(dim, frames, k, inverse, rows, block, spare):
 
 @inner_kernel
 def _truncated(a, code, spring):
-    """Return whether component a of a contact node is out of the coarse problem."""
+    """Return whether component a of a contact node is truncated."""
     return code & CLOSED != 0 and not spring if a == 0 else code & TANGENTIAL == HELD
 
 
@@ -404,8 +406,8 @@ def changed_blocks(
     block,
     spare,
 ):
-    """Compute delta of every collected block, Cartesian; ``newton`` False leaves the slip rows
-    symmetric (g frozen). ``block`` and ``other`` (dim, dim) are overwritten."""
+    """Write Delta of every collected block, Cartesian, to ``change``. Without ``newton`` g is frozen,
+    and the slip rows stay symmetric. ``block`` and ``spare`` (dim, dim) are overwritten."""
     size = dim * dim
     n_tangents = dim - 1
     # _turn would be compiled again for each constant

@@ -63,12 +63,12 @@ class VolumePressures:
         self._prescribed = problem.volumes.strains(problem.fixed_values)
 
     def missed(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
-        """Return what volumes miss (n_groups,) for unknowns (n_dofs,) from the prescribed
-        values."""
+        """Return the volume strains (n_groups,) minus those of the pressures, for unknowns (n_dofs,)
+        from the prescribed values."""
         return self.volumes.missed(unknowns, pressures) + self._prescribed
 
     def forces_missed(self, missed: np.ndarray) -> float:
-        """Return the sum of squares of the same as forces, N^2."""
+        """Return the sum of squares of such deviations as forces, N^2."""
         forces = self.volumes.scale * missed
         return float(np.einsum("i,i->", forces, forces))
 
@@ -126,7 +126,7 @@ def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
 
 
 class Augmented:
-    """A problem with volumes, and what it becomes."""
+    """A problem with volumes, turned into one without them, whose matrix contains them."""
 
     #: solves at most
     MOST = 20
@@ -140,7 +140,7 @@ class Augmented:
         share_of_start = 1 - self._kappa * volumes.compliance
         self._start_pressures = pressures
         self._offset = share_of_start * self._start_pressures
-        #: whether the first solve ends it
+        #: whether one solve suffices
         self.exact = not (share_of_start > 1e-12).any()
         pressures_at_zero = self.pressures(np.zeros(problem.n_dofs))
         self.problem = formed.posing(
@@ -163,9 +163,9 @@ class Augmented:
     def accelerated(
         self, pressures: np.ndarray, past: list[tuple[np.ndarray, np.ndarray]]
     ) -> np.ndarray:
-        """Return what the next solve begins with: the pressures of this one recombined with those
-        of the ``past`` ones. The mean pressure of a body that is enclosed tends to its value with 1
-        - kappa~ / kappa alone."""
+        """Return the pressures with which the next solve begins: those of this solve recombined with
+        those of the ``past`` ones, a list that grows. Without that the mean pressure of an enclosed
+        body would converge with the rate 1 - kappa~ / kappa."""
         past.insert(0, (pressures, pressures - self._start_pressures))
         values, changes = map(np.array, zip(*past[:5], strict=True))
         if len(values) == 1:
@@ -176,8 +176,8 @@ class Augmented:
         return pressures + weights @ (values[1:] - pressures)
 
     def missed(self, solved: np.ndarray) -> float:
-        """Return what volume strains of a displacement and pressures of this problem miss, relative
-        to these."""
+        """Return the deviation of the volume strains of a displacement from the pressures that this
+        problem began with, relative to these."""
         volumes = self._volumes
         missed = volumes.scale * volumes.missed(solved.reshape(-1), self._start_pressures)
         size = np.linalg.norm(volumes.scale / volumes.modulus * self._start_pressures)

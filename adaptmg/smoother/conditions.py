@@ -112,7 +112,7 @@ def _natural_residual(zero, diagonal, gap, reference, limit, friction, complianc
 def states(
     contact: NodalContact, values: np.ndarray, normal_force: np.ndarray, small: float
 ) -> np.ndarray:
-    """Return the :class:`~adaptmg.smoother.system.ContactState` (n_contact,) int8 of unknowns
+    """Return the :class:`~adaptmg.smoother.system.ContactState` (n_contact,) int8 for unknowns
     (n_contact, dim) and p. OPEN where there is a gap, or no compressive force; otherwise STICK
     where the slip is zero and the bound s + mu p is positive, and SLIP elsewhere. A gap or slip up
     to ``small`` (m) counts as zero."""

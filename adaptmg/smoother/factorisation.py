@@ -30,6 +30,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import SuperLU, splu
 
 from adaptmg import _checks as checks
+from adaptmg.discrete.coordinates import dofs_of
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.system import LocalProblem, LocalSystem, local_system, turn_held
 
@@ -46,11 +47,6 @@ def factorisable(problem: DiscreteProblem, most: Mapping[int, int] = FACTORISED)
     added = 0.5 * np.sum(np.diff(problem.volumes.rows.indptr).astype(float) ** 2)
     entries = problem.matrix.nnz + added
     return bool(max(entries / _ENTRIES[problem.dim], problem.n_dofs) <= most[problem.dim])
-
-
-def dofs_of(nodes: np.ndarray, size: int) -> np.ndarray:
-    """Return the dofs (size * n,) of nodes (n,), node by node; a node has ``size`` dofs."""
-    return (size * nodes.astype(np.int64)[:, None] + np.arange(size)).reshape(-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +260,7 @@ class Condensed(Eliminated):
 
     @property
     def regular(self) -> bool:
-        """Return whether no dof was left at zero."""
+        """Return whether the interior matrix is regular: no interior dof stays at zero."""
         return len(self.factors.order) == self.full.system.n_dofs
 
     @property
@@ -281,7 +277,7 @@ class Condensed(Eliminated):
 
     @cached_property
     def reduced(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what :meth:`reduce` makes of the load."""
+        """Return the interior solution and the condensed load; see :meth:`reduce`."""
         return self.reduce(self.full.load)
 
     @cached_property
@@ -359,8 +355,8 @@ def condense_problem(problem: DiscreteProblem, lenient: bool = False) -> Condens
 
 @remembered_of_structure
 def _eliminated(problem: DiscreteProblem) -> tuple[LocalSystem, Eliminated]:
-    """Return the system of a problem, and what its elimination shares with problems of other
-    loads."""
+    """Return the system of a problem, and its elimination, which serves problems with other loads,
+    too."""
     system = local_system(problem).system
     return system, eliminate(system, problem.coordinates, lenient=True)
 
@@ -410,8 +406,8 @@ def _eliminate(
 def _eliminate_dense(
     system: LocalSystem, contact: np.ndarray, shift: np.ndarray, lenient: bool
 ) -> tuple[DenseFactors, np.ndarray]:
-    """Return what :func:`_eliminate` returns, by a dense Cholesky decomposition with pivots, which
-    find the rank of the interior matrix."""
+    """Return the factors and S + Sigma as :func:`_eliminate` does, by a dense Cholesky decomposition
+    with pivots, which find the rank of the interior matrix."""
     n = system.n_nodes
     dim = system.dim
     # the matrix by node and component
@@ -436,7 +432,7 @@ def _eliminate_dense(
     coupling = linalg.solve_triangular(
         lower, matrix[np.ix_(interior[independent], contact)], lower=True, check_finite=False
     )
-    # what elimination leaves on the contact dofs, and the factor of both together
+    # S + Sigma, and the factor of the whole matrix
     schur = matrix[np.ix_(contact, contact)] + np.diag(shift) - coupling.T @ coupling
     whole = np.block(
         [[lower, np.zeros((rank, len(contact)))], [coupling.T, np.linalg.cholesky(schur)]]

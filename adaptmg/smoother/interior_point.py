@@ -24,14 +24,16 @@ from dataclasses import dataclass, replace
 from typing import Protocol, cast
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.smoother.system import Layer, NodalContact
 
-#: columns of the pressure, the gap and the bound on the slip in a state
+#: columns of a state: the pressure p, the gap y, the bound v on the slip
 _PRESSURE, _GAP, _SLIP_BOUND = 3, 4, 5
+#: columns of the forces p, q_1, q_2
+_FORCES = [3, 6, 7]
 #: steps in a row without a better iterate, after which a slack below SIX_DIGITS is at rounding: a hundredth and
 #: a hundred times of that slack change none of 119 solves, paths and loops (campaign constants)
 _IDLE = 4
@@ -70,7 +72,7 @@ class Interior:
     values: np.ndarray  # (n_contact, dim): w, m
     forces: np.ndarray  # (n_contact, dim): (p, q_t), N
     unknowns: np.ndarray  # (m,): those of the matrix
-    slack: float  # what is missing in complementarity (over the energy) and in equilibrium (over the forces)
+    slack: float  # largest of the products over the energy, gap errors over lengths, residual over forces
     steps: int
 
 
@@ -157,10 +159,10 @@ class _Method:
     """The iterate of an interior point method, and its steps; ``springs`` (n_contact, dim), N/m, hold
     the contact nodes at the start.
 
-    ``state`` (n_contact, 8) and its ``change`` have the columns of the module's docstring; ``blocks``
-    (n_contact, 3, 3) is what the eliminated unknowns add to S, ``terms`` (n_contact, 4) the right-hand
-    sides of their equations. ``pairs`` counts the products that tend to 0, whose sum is ``total``;
-    ``rest`` (m,) is the residual."""
+    ``state`` (n_contact, 8) and its ``change`` have the columns of the module's docstring. The
+    eliminated unknowns add ``blocks`` (n_contact, 3, 3) to S; ``terms`` (n_contact, 4) are the
+    right-hand sides of their equations. ``pairs`` counts the products that tend to 0, whose sum is
+    ``total``; ``residual`` (m,) is f - S e - B'q. :meth:`iterate` sets both for the next step."""
 
     def __init__(
         self,
@@ -173,7 +175,7 @@ class _Method:
         n, dim = springs.shape
         self.dim = dim
         self.steps = 0
-        #: the share of the forces without balance at the start that is left
+        #: the residual over that of the start
         self.unbalanced = 1.0
         self.load = load
         self.span = unknowns
@@ -224,11 +226,11 @@ class _Method:
         return self.span.factors(np.ascontiguousarray(self.blocks[:, : self.dim, : self.dim]))
 
     def iterate(self) -> Interior:
-        """Return the present iterate with its slack."""
+        """Measure the present state, and return it as an iterate with its slack. A nonlinear surface
+        layer is linearised at its pressures."""
         product = self.span.product(self.unknowns)
-        # the columns p, q_1, q_2
-        forces = self.state[:, [_PRESSURE, 6, 7][: self.dim]]
-        self.rest = self.load - product - self.span.restricted(forces)
+        forces = self.state[:, _FORCES[: self.dim]]
+        self.residual = self.load - product - self.span.restricted(forces)
         if self.layer is not None:
             gap, compliance = self.layer.tangent(self.state[:, _PRESSURE])
             self.nodes = gap, *self.nodes[1:4], compliance
@@ -238,12 +240,12 @@ class _Method:
         slack = max(
             self.total / energy if energy > 0 else np.inf,
             gap_error / max(self.width, width),
-            np.abs(self.rest).max(initial=0.0) / force_size if force_size > 0 else 0.0,
+            np.abs(self.residual).max(initial=0.0) / force_size if force_size > 0 else 0.0,
         )
         return Interior(self.state[:, : self.dim].copy(), forces, self.unknowns, slack, 0)
 
     def advance(self) -> bool:
-        """Take a step, or return False where there is none.
+        """Take a step; return False if the matrix is singular or the new unknowns are not finite.
 
         The predictor aims at products of 0. The corrector aims at their mean times the cube of the
         share that the predictor would leave (Mehrotra). If the corrector allows a short step only, a
@@ -284,13 +286,13 @@ class _Method:
         positive. The change of the state is left in ``change``."""
         sides = np.zeros((len(self.state), 3))
         _right_sides(self.state, *self.nodes, self.change, target, weight, self.terms, sides)
-        step = solve(self.rest + self.span.restricted(sides[:, : self.dim]))
+        step = solve(self.residual + self.span.restricted(sides[:, : self.dim]))
         self.change[:, : self.dim] = self.span.values(step)
         return step, _complete_change(self.state, *self.nodes, self.terms, self.change)
 
 
 class Span(Protocol):
-    """The unknowns e (m,) of a matrix S, and the displacements B e of contact nodes that they make."""
+    """The unknowns e (m,) of a matrix S, and the displacements B e of the contact nodes."""
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
         """Return S e."""
@@ -309,10 +311,30 @@ class Span(Protocol):
         the blocks (n_contact, dim, dim) of the nodes; None where the matrix is singular."""
 
 
+@dataclass(eq=False)
+class DenseSpan:
+    """Unknowns of a dense matrix S (m, m), with B as ``rows`` (n_contact * dim, m); see
+    :class:`Span`. Subclasses define the factors."""
+
+    matrix: np.ndarray
+    rows: sparse.csr_array
+    dim: int
+
+    def product(self, unknowns: np.ndarray) -> np.ndarray:
+        return self.matrix @ unknowns
+
+    def values(self, unknowns: np.ndarray) -> np.ndarray:
+        return (self.rows @ unknowns).reshape(-1, self.dim)
+
+    def restricted(self, forces: np.ndarray) -> np.ndarray:
+        return self.rows.T @ forces.reshape(-1)
+
+
 class ContactDofs:
     """The free dofs of contact nodes as unknowns, with a dense matrix; see :class:`Span`."""
 
     def __init__(self, matrix: np.ndarray, free: np.ndarray) -> None:
+        """Take the dofs of a mask ``free`` (n_contact, dim) from the matrix of all contact dofs."""
         self.free = np.flatnonzero(free.reshape(-1))
         self.shape = free.shape
         self.matrix = np.ascontiguousarray(matrix[np.ix_(self.free, self.free)])
@@ -408,8 +430,8 @@ def _measure(state, gap, reference, limit, friction, compliance):
 
 @kernel
 def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
-    """Write to ``blocks`` (n, 3, 3), zero before, what the eliminated p and (v, q_t) add at each
-    node: the derivatives of (p, q_1, q_2) with respect to (w, w_1, w_2)."""
+    """Write to ``blocks`` (n, 3, 3), zero before, the derivatives of the eliminated (p, q_1, q_2) of
+    each node with respect to (w, w_1, w_2)."""
     for i in range(len(state)):
         _, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
         t_1 = w_1 - reference[i, 0]
@@ -421,7 +443,7 @@ def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
             blocks[i, 0, 0] = p / (y + compliance[i] * p)
         # the cones B >= |q_t| and v >= |tau|
         if limit[i] > 0 or mu > 0:
-            # columns of w_1 and w_2, then that of w, on which q depends by p
+            # columns of w_1 and w_2; then that of w, on which q depends through p
             for j, e, e_1, e_2 in ((1, q_1, b, 0.0), (2, q_2, 0.0, b)):
                 _, blocks[i, 1, j], blocks[i, 2, j] = _solve_cone(
                     b, v, q_1, q_2, t_1, t_2, e, e_1, e_2
@@ -481,8 +503,8 @@ def _right_sides(
 
 @kernel
 def _complete_change(state, gap, reference, limit, friction, compliance, terms, change):
-    """Complete ``change`` (n, 8), whose columns of w are given, by the eliminated unknowns; return
-    the longest step that keeps p, y >= 0, B >= |q_t| and v >= |tau|."""
+    """Complete ``change`` (n, 8), whose columns w, w_1, w_2 are given, by the columns p, y, v, q_1,
+    q_2; return the longest step that keeps p, y >= 0, B >= |q_t| and v >= |tau|."""
     longest = 1e30
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)

@@ -47,8 +47,8 @@ _SHORTEST = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Surfaces that yield by :math:`d = e p^{1/m}`. The solvers see a linear law near the present iterate
-    in place of this one, and take it again in each cycle, sweep or step."""
+    """Surfaces that yield by :math:`d = e p^{1/m}`. In each cycle, sweep or step the solvers replace
+    this law by a linear one near the present iterate."""
 
     gap: np.ndarray  # (n_contact,): largest normal displacement without a force, m
     compliance: np.ndarray  # (n_contact,): e, m/N^(1/m)
@@ -105,10 +105,11 @@ class NodalContact:
     """Contact conditions in local components: w_n <= gap; ``|f_t| <= limit + friction * p``; f_t
     against the slip.
 
-    ``held``, in 3D: nodes whose first tangent alone is held by a support; minus its slip_reference
-    is the slip along it. Their diagonal blocks have that entry with the sign turned
-    (:mod:`adaptmg.smoother.node_solve`). ``friction_at``: of a law that depends on pressure and slip,
-    the coefficients (n_contact,) at nodal forces, N, and slips, m."""
+    ``held``, in 3D: nodes of which a support holds the first tangent and not the second; there the
+    slip along the first is minus its slip_reference, and that entry of the diagonal block has the
+    sign turned, by which the node solve (:mod:`adaptmg.smoother.node_solve`) knows such nodes.
+    ``friction_at``, of a law that depends on pressure and slip: the coefficients (n_contact,) at
+    nodal forces, N, and slips, m."""
 
     gap: np.ndarray  # (n_contact,): largest normal displacement, m; +inf without an obstacle
     slip_reference: np.ndarray  # (n_contact, dim - 1): tangential displacement of zero slip, m
@@ -145,8 +146,9 @@ class NodalContact:
         return below if self.lowest is None else np.maximum(below, self.lowest)
 
     def follow(self, values: np.ndarray, residual: np.ndarray) -> None:
-        """Set what follows the state, in place: gap and compliance of a layer, and the friction; at
-        ``values`` of the contact nodes and the residual b - A w there, both (n_contact, dim)."""
+        """Update the conditions that depend on the state, in place: gap and compliance of a layer, and
+        the friction. ``values`` of the contact nodes and the residual b - A w there are both
+        (n_contact, dim)."""
         if self.layer is not None:
             laws = self.layer.linearised(residual[:, 0], values[:, 0])
             self.gap[:], self.compliances[:] = laws
@@ -169,7 +171,7 @@ class NodalContact:
 
     @property
     def driven(self) -> np.ndarray:
-        """Contact nodes (k,) that slip along a held tangent, indices."""
+        """Return the contact nodes (k,), indices, that a support moves along a held tangent."""
         return (
             np.empty(0, dtype=np.int64)
             if self.held is None
@@ -210,8 +212,8 @@ class LocalSystem:
     def from_matrix(
         cls, matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray
     ) -> LocalSystem:
-        """Make it from an eliminated matrix in local components (fixed rows and columns already
-        decoupled)."""
+        """Return the system of a matrix in local components whose fixed rows and columns are
+        decoupled."""
         dim = matrix.blocksize[0]
         n_nodes = matrix.shape[0] // dim
         if not matrix.has_sorted_indices:
@@ -316,8 +318,8 @@ def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) ->
 
 
 def local_contact(problem: DiscreteProblem) -> tuple[NodalContact, np.ndarray]:
-    """Return contact data in local components, and the frames (n_contact, dim, dim): the matrix is
-    not touched."""
+    """Return the contact conditions in local components, and the frames (n_contact, dim, dim), without
+    rotating the matrix."""
     frames, fixed = frames_and_fixed(problem)
     return _nodal_contact(problem, frames, fixed), frames
 
@@ -402,8 +404,8 @@ def _friction_at(
 
 
 def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) -> None:
-    """Turn the sign of the entries of held tangents in flat diagonal blocks of all nodes, in place;
-    see node_solve."""
+    """Make the entries of held tangents in flat diagonal blocks of all nodes negative, in place; see
+    :class:`NodalContact`."""
     if contact.held is not None:
         blocks = diagonal.reshape(-1, 3, 3)
         at = nodes[contact.held]
@@ -412,9 +414,9 @@ def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) ->
 
 @remembered_of_structure
 def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Return the frames (n_contact, dim, dim), and fixed dofs (n_dofs,) in local components: at
-    contact nodes a tangent that is a fixed Cartesian axis. Scalar problems, whose nodes have
-    obstacles on both sides, count along the axis."""
+    """Return the frames (n_contact, dim, dim), and the mask (n_dofs,) of fixed dofs in local
+    components: at contact nodes a tangent is fixed if it is a fixed Cartesian axis. Normals of scalar
+    problems, whose nodes have obstacles on both sides, point along the axis."""
     dim = problem.dim
     fixed = problem.fixed.reshape(-1, dim).copy()
     frames = frames_of(problem.contact, fixed)

@@ -33,7 +33,7 @@ from scipy.sparse.linalg import splu
 
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, prefetch
-from adaptmg.discrete.coordinates import frames_of, from_frames, to_frames
+from adaptmg.discrete.coordinates import block_diagonal, dofs_of, frames_of, from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import (
     AHEAD,
@@ -46,7 +46,7 @@ from adaptmg.smoother.blocks import (
     scale,
     times,
 )
-from adaptmg.smoother.interior_point import Conditions, dense_factors, interior_point
+from adaptmg.smoother.interior_point import Conditions, DenseSpan, dense_factors, interior_point
 
 #: nodes of an aggregate and its depth in the graph, by dimension
 _SIZE = {1: (64, 4), 2: (64, 4), 3: (80, 3)}
@@ -383,13 +383,14 @@ class ContactValues:
         return self.friction - self.pressure[:, None] * normals
 
 
-class _Smoothed:
+class _Smoothed(DenseSpan):
     """The span of the smoothed aggregates of a problem, with the matrix on it condensed to the
     unknowns that move contact nodes."""
 
     def __init__(self, problem: DiscreteProblem) -> None:
         """Compute the span, and eliminate its unknowns that move no contact node."""
         dim = problem.dim
+        self.dim = dim
         free = ~problem.fixed
         matrix = sparse.csr_array(problem.matrix)
         nodes = np.arange(problem.n_nodes)
@@ -413,8 +414,8 @@ class _Smoothed:
         coarse = sparse.csc_array(self.span.T @ (matrix @ self.span))
         coarse = coarse + sparse.diags_array(raised(coarse.diagonal()), format="csc")
         self.frames = frames_of(problem.contact, problem.fixed.reshape(-1, dim))
-        dofs = (dim * problem.contact.nodes[:, None] + np.arange(dim)).reshape(-1)
-        at_contact = sparse.csr_array(_by_node(self.frames) @ self.span[dofs])
+        rows = self.span[dofs_of(problem.contact.nodes, dim)]
+        at_contact = sparse.csr_array(block_diagonal(self.frames) @ rows)
         touched = np.isin(np.arange(self.span.shape[1]), at_contact.indices)
         self.near = np.flatnonzero(touched)
         self.far = np.flatnonzero(~touched)
@@ -429,17 +430,9 @@ class _Smoothed:
             self._coupling.toarray()
         )
 
-    def product(self, unknowns: np.ndarray) -> np.ndarray:
-        return self.matrix @ unknowns
-
-    def values(self, unknowns: np.ndarray) -> np.ndarray:
-        return (self.rows @ unknowns).reshape(len(self.frames), -1)
-
-    def restricted(self, forces: np.ndarray) -> np.ndarray:
-        return self.rows.T @ forces.reshape(-1)
-
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        return dense_factors(self.matrix + (self.rows.T @ (_by_node(blocks) @ self.rows)).toarray())
+        added = self.rows.T @ (block_diagonal(blocks) @ self.rows)
+        return dense_factors(self.matrix + added.toarray())
 
     def condense(self, load: np.ndarray) -> np.ndarray:
         """Return the load of the condensed equations for forces (n_coarse,)."""
@@ -454,11 +447,6 @@ class _Smoothed:
 
 
 _smoothed_of = remembered_of_structure(_Smoothed)
-
-
-def _by_node(blocks: np.ndarray) -> sparse.bsr_array:
-    """Return the block-diagonal matrix of blocks (n, dim, dim)."""
-    return nodal_matrix(np.arange(len(blocks)), blocks, len(blocks) * blocks.shape[1])
 
 
 def changed_status(

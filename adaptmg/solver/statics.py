@@ -30,7 +30,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.coordinates import frames_of
+from adaptmg.discrete.coordinates import dofs_of, frames_of
 from adaptmg.discrete.loads import largest_nodal_stiffness
 from adaptmg.discrete.problem import DiscreteProblem, remembered, remembered_of_structure
 from adaptmg.grids import Grids
@@ -206,8 +206,7 @@ class _Body:
 def _free_motions(problem: DiscreteProblem, stiff: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Return rigid motions (n_nodes * dim, k) of a part that vanish at its fixed dofs and cause no
     force."""
-    dim = problem.dim
-    dofs = (dim * nodes[:, None] + np.arange(dim)).reshape(-1)
+    dofs = dofs_of(nodes, problem.dim)
     modes = problem.near_nullspace[dofs]
     forces = stiff[dofs] / np.abs(problem.matrix.data).max()
     # the modes of all bodies, restricted to one, are dependent: an orthonormal basis by their Gram
@@ -237,8 +236,7 @@ def _check_body(body: _Body) -> None:
     """Raise ValueError where contact cannot balance the load on a free motion, where the solution
     is not unique, or where nothing presses a body that contact does not enclose."""
     problem = body.problem
-    dofs = (problem.dim * body.nodes[:, None] + np.arange(problem.dim)).reshape(-1)
-    load = problem.load[dofs]
+    load = problem.load[dofs_of(body.nodes, problem.dim)]
     scale = float(np.abs(load).sum()) or 1.0
     work = load @ body.motions / scale
     limit, _ = problem.law.bounds(len(problem.contact))
