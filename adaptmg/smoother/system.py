@@ -89,8 +89,9 @@ class Layer:
         with np.errstate(over="ignore"):
             over_scale = np.divide(depth, self.compliance, out=np.zeros_like(depth), where=soft)
             force = np.where(soft, over_scale**self.exponent, force)
-            # with rigid surfaces in place of the mean force, sweeps of a single grid stall (a bar on a dome, 1e-12 m/Pa
-            # at 50 MPa, exponent 5: they converge after 1694); 60 solves by multigrid take the same 580 cycles
+            # with rigid surfaces in place of the mean force, sweeps of a single grid stall (a block on a dome in 3D,
+            # 1e-10 m/Pa at 50 MPa, exponent 20: they converge after 1540); 60 solves by multigrid
+            # take the same 580 cycles
             touching = force > 0
             elsewhere = force[touching].mean() if touching.any() else np.inf
         force = np.clip(np.where(touching, force, elsewhere), *_FORCES)

@@ -294,18 +294,18 @@ def _continued(
         before.cycles,
         method,
     )
-    run.first_cycle = before.cycles
-    run.fallback = f"{method} from cycle {before.cycles}"
+    run.first_cycle += before.cycles
+    run.fallback = f"{method} from cycle {run.first_cycle}"
     start_work_units = run.start_work_units
     try:
         outcome = solver.run(hierarchy, run, start)
     except (np.linalg.LinAlgError, ValueError, MemoryError) as error:
         # a coarsest problem of few contact nodes may be singular where the finest one is not
         _LOG.info("cycle %d: %s gives up: %s", before.cycles, method, error)
-        run.first_cycle = 0
         run.fallback = ""
         return before
     finally:
+        run.first_cycle -= before.cycles
         run.start_work_units = start_work_units
     # Newton steps have no rate of a cycle
     return replace(

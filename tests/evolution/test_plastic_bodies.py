@@ -186,6 +186,16 @@ def test_newtons_steps_end_quadratically(punch):
         assert changes[i + 1] < max(20 * changes[i] ** 2, 1e-10)
 
 
+def test_contact_problems_before_the_last_take_at_most_20_cycles(punch):
+    """Near the limit load tangents answer slowly to cycles: the next tangent is worth more."""
+    last = am.solve_path(punch, am.LoadPath({"punch": [0.5, 1.0]}))[1]
+    cycles = last.history["cycle"]
+    assert last.fallback and (np.diff(cycles) >= 0).all()
+    counts = np.diff(cycles[np.isfinite(last.history["newton_change"])], prepend=0)
+    assert counts.sum() == last.cycles
+    assert counts[:-1].max() <= 20
+
+
 def test_stresses_balance_the_forces_of_contact_and_supports(punch):
     """Nodal forces of the stresses of elements, summed here, against ``result.reaction``."""
     path = am.LoadPath({"punch": [0.5, 0.9, 0.7]})
