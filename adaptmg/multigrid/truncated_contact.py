@@ -200,7 +200,6 @@ class TruncatedContact:
         """Project unknowns (n_dofs,) that may penetrate onto the admissible ones, in place, and take
         over their values. Compliant surfaces admit all."""
         codes = self.codes
-        # pressures may follow the displacements
         normal_displacement = self.normal_components(unknowns)
         if self.layer is not None:
             self._follow_layer(self.layer, np.zeros_like(normal_displacement), normal_displacement)
@@ -238,8 +237,9 @@ class TruncatedContact:
         return changed, natural + missed, reactions
 
     def normal_components(self, vector: np.ndarray) -> np.ndarray:
-        """Return the components (n_contact,) of a vector (n_dofs,) along the normals."""
-        at_contact = vector.reshape(-1, self.dim)[self.nodes]
+        """Return the components (n_contact,) along the normals of a vector (n_dofs,), which pressures
+        may follow."""
+        at_contact = vector[self.dim * self.nodes[:, None] + np.arange(self.dim)]
         return np.einsum("nd,nd->n", self.node_frames[:, 0], at_contact)
 
     def _follow_friction(self, friction_at: FrictionAt, forces: np.ndarray) -> float:
