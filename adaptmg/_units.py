@@ -32,6 +32,8 @@ _POWERS = {
     "J": (1, 1),
     "J/m": (0, 1),
 }
+#: exact: an inch is 25.4 mm, a pound-force the weight of .45359237 kg at 9.80665 m/s^2 (NIST Special Publication 811,
+#: appendix B, doi:10.6028/NIST.SP.811e2008)
 SYSTEMS = {
     "SI": _System(1.0, 1.0, {}),
     "mm-MPa": _System(
@@ -48,7 +50,6 @@ SYSTEMS = {
             "J/m": "mJ/mm",
         },
     ),
-    # an inch is 25.4 mm, a pound-force 4.4482216152605 N, both exactly
     "in-psi": _System(
         1 / 0.0254,
         1 / 4.4482216152605,

@@ -30,7 +30,7 @@ def _methods(problem: am.ContactProblem) -> None:
     monotone = am.FullMultigrid(correction=am.Monotone())
     paper = am.FullMultigrid(correction=am.PaperCorrection(), max_cycles=3)
     methods = (am.FullMultigrid(), monotone, paper, am.SingleGrid(max_sweeps=20))
-    _solved(problem, *methods, am.ActiveSet(), am.ActiveSet(condensed=False))
+    _solved(problem, *methods, am.ActiveSet(), am.ActiveSet(condensed=False, max_steps=1))
 
 
 def _transfers() -> None:
@@ -59,7 +59,8 @@ def _pictures() -> None:
         am.plot.deformation(am.solve(grids)).savefig(file)
 
 
-#: the solves by their names on the bar
+#: the solves by their names on the bar: 5 s of one processor where all kernels are compiled, 14 s with all Newton steps
+#: of the active set method without condensation
 STEPS: Mapping[str, Callable[[], object]] = {
     "plane bodies, every method": lambda: _methods(PLANE),
     "solids, every method": lambda: _methods(SOLID),
