@@ -7,7 +7,6 @@ import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -214,7 +213,7 @@ def _uniform(value: float, shape: int | tuple[int, ...]) -> np.ndarray:
 
 
 def _at_least(least: float, name: str, value: ArrayLike | None, n: int) -> np.ndarray:
-    """Return numbers (n,) >= ``least``, read-only; these where none are given."""
+    """Return numbers (n,) >= ``least``, read-only; by default all are ``least``."""
     if value is None:
         return _uniform(least, n)
     result = bounded(name, value, (n,), checks.VAST)
@@ -243,13 +242,13 @@ def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:
 
 
 def _limits(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Return an array, read-only, of which entries may be infinite."""
-    given = checks.real_array(value)
-    if given is None:
-        return bounded(name, value, shape)  # which raises
-    endless = np.isinf(given)
-    finite = bounded(name, np.where(endless, 0.0, given), shape, checks.VAST)
-    limits = np.where(endless, given, finite)
+    """Return a read-only array, whose entries may be infinite."""
+    numbers = checks.real_array(value)
+    if numbers is None:
+        return bounded(name, value, shape)  # raises
+    is_infinite = np.isinf(numbers)
+    finite = bounded(name, np.where(is_infinite, 0.0, numbers), shape, checks.VAST)
+    limits = np.where(is_infinite, numbers, finite)
     limits.flags.writeable = False
     return limits
 
@@ -314,46 +313,56 @@ class Bounds:
     weights: ArrayLike | None = None
 
     def at_nodes(self, fixed: np.ndarray) -> ContactNodes:
-        """Return the contact nodes of a problem with these fixed dofs (n_dofs,), which have no
-        limits."""
+        """Return the contact nodes of a problem: those with a finite limit, without the limits of the
+        ``fixed`` dofs, a mask (n_dofs,)."""
         lower = -np.inf if self.lower is None else self.lower
         upper = np.inf if self.upper is None else self.upper
         shape = max(np.shape(lower), np.shape(upper), key=len) or fixed.shape
         if math.prod(shape) != len(fixed):
             raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
-        gaps = []  # against the axes, and along them
-        for name, limit, sign in (("lower", lower, -1.0), ("upper", upper, 1.0)):
-            values_given = np.full(shape, limit) if np.ndim(limit) == 0 else limit
-            values = sign * _limits(f"bounds.{name}", values_given, shape).reshape(-1)
-            if (values == -np.inf).any():
-                raise ValueError(
-                    f"bounds.{name} must be {'<' if sign < 0 else '>'} {-sign * np.inf}, got {-sign * np.inf}"
-                )
-            gaps.append(np.where(fixed, np.inf, values))
+        against_axes = np.where(fixed, np.inf, -_finite_below("bounds.lower", lower, shape, -1.0))
+        along_axes = np.where(fixed, np.inf, _finite_below("bounds.upper", upper, shape, 1.0))
         dim = shape[1] if len(shape) == 2 else 1
-        gaps_by_side = np.stack(gaps, axis=1).reshape(-1, dim, 2)
-        n_limits = np.isfinite(gaps_by_side).sum(axis=(1, 2))
+        gaps = np.stack([against_axes, along_axes], axis=1).reshape(-1, dim, 2)
+        is_limited = np.isfinite(gaps)
+        n_limits = is_limited.sum(axis=(1, 2))
         nodes = np.flatnonzero(n_limits)
-        node, component, side = np.nonzero(np.isfinite(gaps_by_side))
+        weights = self.weights
+        if weights is not None:
+            weights = bounded("bounds.weights", weights, (len(gaps),))[nodes]
         normals = np.ones((len(nodes), dim))
-        limits: dict[str, Any] = {
-            "gaps": gaps_by_side[nodes, 0, 1],
-            "opposite_gaps": gaps_by_side[nodes, 0, 0],
-        }
+        node_gaps = gaps[nodes, 0, 1]
+        opposite_gaps = gaps[nodes, 0, 0]
         if dim > 1:
             if (n_limits > 1).any():
                 raise ValueError(
                     f"bounds: node {np.argmax(n_limits > 1)} has several finite limits, a node of a body "
                     "can have one: give the nodes of each face of the body the limit that it meets"
                 )
+            # of each node with a limit the component, and the side: 0 against the axis, 1 along it
+            _, component, side = np.nonzero(is_limited)
             normals = np.eye(dim)[component] * (2.0 * side - 1.0)[:, None]
-            limits = {"gaps": gaps_by_side[node, component, side]}
-        weights = self.weights
-        if weights is not None:
-            weights = bounded("bounds.weights", weights, (len(gaps_by_side),))[nodes]
+            node_gaps = gaps[is_limited]
+            opposite_gaps = None
         return ContactNodes(
-            nodes=nodes, normals=normals, weights=weights, allow_interference=True, **limits
+            nodes=nodes,
+            normals=normals,
+            gaps=node_gaps,
+            opposite_gaps=opposite_gaps,
+            weights=weights,
+            allow_interference=True,
         )
+
+
+def _finite_below(name: str, limit: ArrayLike, shape: tuple[int, ...], sign: float) -> np.ndarray:
+    """Return limits (n_dofs,), a number for all dofs or an array of this shape; ValueError if one is
+    infinite on the side of the opposite ``sign``, and so leaves no room."""
+    limits = _limits(name, np.full(shape, limit) if np.ndim(limit) == 0 else limit, shape)
+    if (limits == -sign * np.inf).any():
+        raise ValueError(
+            f"{name} must be {'<' if sign < 0 else '>'} {-sign * np.inf}, got {-sign * np.inf}"
+        )
+    return limits.reshape(-1)
 
 
 def _checked_masters(value: object) -> tuple[str, ...]:
@@ -372,7 +381,8 @@ SMALLEST = 1 / LARGEST
 def bounded(
     name: str, value: object, shape: tuple[int | None, ...], largest: float = LARGEST
 ) -> np.ndarray:
-    """Return a read-only copy as float64, of a size that energies bear."""
+    """Return a read-only copy as float64; ValueError for entries above ``largest``, by default the
+    largest whose energies do not overflow."""
     result = checks.array(name, value, shape)
     if not (size := largest_entry(result)) <= largest:
         raise ValueError(f"{name} must be at most {largest:g} in SI units, got {size:.3g}")
@@ -385,8 +395,8 @@ def largest_entry(values: np.ndarray) -> float:
 
 
 def check_size(name: str, size: float) -> None:
-    """Raise ValueError if the largest entry of a matrix or load is none that a physical problem can
-    have."""
+    """Raise ValueError if the largest entry of a matrix or load is too small or too large for a
+    physical problem."""
     if size and not SMALLEST <= size <= LARGEST:
         raise ValueError(
             f"{name}: its largest entry {size:.3g} is out of range, {SMALLEST:g} to {LARGEST:g}: choose "
@@ -414,11 +424,13 @@ def checked_bodies(bodies: Mapping[str, ArrayLike], n_nodes: int) -> dict[str, n
     result = {}
     for body, nodes in checks.mapping("bodies", bodies, "names to arrays of nodes").items():
         name = f"bodies[{checks.boundary_name('the names in bodies', body)!r}]"
-        result[body] = nodes = checks.array(name, nodes, (None,), integer=True)
-        if len(nodes) and not (nodes.min() >= 0 and nodes.max() < n_nodes):
+        numbers = checks.array(name, nodes, (None,), integer=True)
+        if len(numbers) and not (numbers.min() >= 0 and numbers.max() < n_nodes):
             raise ValueError(
-                f"{name} must be node numbers from 0 to {n_nodes - 1}, got {nodes.min()} to {nodes.max()}"
+                f"{name} must be node numbers from 0 to {n_nodes - 1}, got {numbers.min()} to "
+                f"{numbers.max()}"
             )
+        result[body] = numbers
     return result
 
 
@@ -441,9 +453,9 @@ def checked_matrix(value: object, dim: int) -> sparse.bsr_array:
 
 
 def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
-    """Raise ValueError unless each block is the transpose of its counterpart, relative to the diagonals
-    of its two nodes. sqrt(a_ii a_jj) bounds the entries of a positive definite matrix: a soft part
-    is judged by its own stiffness."""
+    """Raise ValueError unless each block is the transpose of its counterpart, up to rounding. The
+    difference is compared with sqrt(a_ii a_jj), which bounds the entries of a positive definite
+    matrix, so that errors in a soft part count."""
     difference = sparse.coo_array(matrix - matrix.T)
     dim = matrix.blocksize[0]
     scale = np.sqrt(diagonal.reshape(-1, dim).max(axis=1))
@@ -458,7 +470,7 @@ def _check_symmetry(matrix: sparse.bsr_array, diagonal: np.ndarray) -> None:
 
 
 def check_bounds(law: Law, n: int) -> None:
-    """Raise unless a law, a user's own perhaps, bears limits and coefficients >= 0 at n contact
+    """Raise unless a law, which may be user-defined, has limits and coefficients >= 0 at n contact
     nodes."""
     bounds = law.bounds(n)
     if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:

@@ -73,7 +73,7 @@ class Coupling:
 
     @property
     def between_bodies(self) -> bool:
-        """Return whether nodes face those of other bodies, and not only take over from
+        """Return whether nodes face those of other bodies; without that they only take over shares of
         neighbours."""
         return bool(self.weights.data.max(initial=0.0) > 0)
 
@@ -178,18 +178,18 @@ def held_slaves(
     law: Law,
     inclined: Inclined,
 ) -> np.ndarray:
-    """Return which contact nodes (n,), numbers among ``nodes``, rub where a support holds them along
-    the surface but not what they face: their slip is not an unknown. ``weights`` (n_nodes, n_nodes)
-    and ``fixed`` (n_dofs,) are those of :class:`Coupling`."""
+    """Return the indices among the contact ``nodes`` of those whose slip is not an unknown: friction
+    acts at them, and a support holds them along the surface, but not the nodes that they face.
+    ``weights`` (n_nodes, n_nodes) and ``fixed`` (n_dofs,) are those of :class:`Coupling`."""
     fixed = fixed.reshape(weights.shape[0], -1)
     rows = sparse.csr_array(weights[nodes])
     facing = facing_part(rows)
     rubs = friction_acts(law, len(nodes)) & (facing.sum(axis=1) > 0)
     held = (fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)).any(axis=1)
-    held_anyhow = np.any(fixed, axis=1)
-    held_anyhow[inclined.nodes] = True
+    held_in_any_direction = np.any(fixed, axis=1)
+    held_in_any_direction[inclined.nodes] = True
     held |= np.isin(nodes, inclined.nodes) & (
-        facing @ held_anyhow.astype(float) <= checks.SIX_DIGITS
+        facing @ held_in_any_direction.astype(float) <= checks.SIX_DIGITS
     )
     return np.flatnonzero(rubs & held)
 
@@ -271,8 +271,8 @@ class Unknowns:
         return result
 
     def load_from_prescribed(self) -> np.ndarray:
-        """Return the load b - A u_fixed of what :meth:`from_prescribed` returns, zero at fixed dofs
-        (n_dofs,), N."""
+        """Return the load b - A u_fixed (n_dofs,), N, of unknowns from the prescribed values, zero at
+        fixed dofs; see :meth:`from_prescribed`."""
         load = (
             self.load - self.matrix @ self.fixed_values
             if self.fixed_values.any()
@@ -282,9 +282,9 @@ class Unknowns:
         return load
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the displacement (n_contact, dim) of the contact nodes relative to what they face,
-        m. Of the unknowns; between bodies that both are held, relative to what holds the other
-        one."""
+        """Return the displacement (n_contact, dim) of the contact nodes relative to the nodes that they
+        face, m. Unknowns are that already, except components that supports prescribe; if these are
+        prescribed on both sides, they are relative to the prescribed nodes of the other side."""
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
         result = nodal[nodes]

@@ -69,11 +69,11 @@ EDGES = {
 
 @dataclass(frozen=True, eq=False)
 class Tangents:
-    """The stiffnesses of patches that do not have those of their bodies."""
+    """Tangent stiffnesses of some patches, in place of the moduli of their bodies."""
 
-    patches: np.ndarray  # (n,) int: their numbers
+    patches: np.ndarray  # (n,) int: numbers of the patches
     table: np.ndarray  # (n, k, k): Pa
-    volumes: sparse.bsr_array  # (n_dofs, n_dofs): what groups of nodes add to them, N/m
+    volumes: sparse.bsr_array  # (n_dofs, n_dofs): stiffness of groups of nodes, to be added, N/m
 
 
 @one_blas_thread()
@@ -109,8 +109,8 @@ def stiffness(
     of_nodes = patches_of_nodes(patches.start, patches.nodes, mesh.n_nodes)
     indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
     data = np.empty((len(indices), dim, dim))
-    # both, of isotropic bodies, whose tensors come first: their assembly takes .75 of the time of
-    # others in space (36k nodes), .80 in the plane (66k)
+    # Lame's constants of isotropic bodies, whose tensors come first; NaN of others. Their assembly
+    # takes .75 of the time of others in space (36k nodes), .80 in the plane (66k)
     lame_constants = table[:, [0, 3], [1, 3]]
     lame_constants[0 if axisymmetric else len(materials) :] = np.nan
     in_parts(
@@ -155,14 +155,14 @@ class Patches:
     hoops: np.ndarray  # (n,), or (0,)
     measures: np.ndarray  # (n_patches,): volumes
     element: np.ndarray | slice  # (n_patches,): an element there
-    spread: (
-        np.ndarray
-    )  # (n, corners), or (0, 0): what C of the hoop strains within an element multiplies
+    # (n, corners), or (0, 0): integrals by which the hoop strain that varies within an element adds
+    # C_hoop times these to the stiffness; see the module
+    spread: np.ndarray
 
 
 def patches_of(mesh: MeshArrays, materials: tuple[Elastic, ...], elements: str) -> Patches:
-    """Return the patches of linear or smoothed elements. Within elements of plastic bodies the hoop
-    strain does not vary: what a patch bears has one strain."""
+    """Return the patches of linear or smoothed elements. Elements of plastic bodies have one hoop strain,
+    since a patch has one plastic state."""
     axisymmetric = is_axisymmetric(materials)
     if elements == "smoothed":
         return _around_edges(mesh, axisymmetric)
@@ -183,7 +183,7 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> Patches:
         radii = mesh.points[mesh.elements, 0]
         rule, weights = quadrature_rule(corners, AXISYMMETRIC_DEGREE)
         mean_radius = radii.mean(axis=1)
-        # the integral over the element less that of the mean
+        # the integral over the element minus that of the mean
         rule = np.vstack([rule, np.full(corners, 1 / corners)])
         weights = np.append(weights, -1.0)
         at_points = 2 * np.pi * measures[:, None] * (weights / (radii @ rule.T))
@@ -243,9 +243,9 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
 
 
 def _sorted_edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Return the edges of all elements, by body and nodes, and where each edge of a body begins among
-    them. They are sorted by counting, by their last node and then by body and first node: 30 ms for
-    1.2 million edges of elements in space, by unique 98."""
+    """Return the numbers of the edges of all elements, sorted by body and nodes, and the places in this
+    order at which each edge of a body begins. They are sorted by counting, by their last node and then
+    by body and first node: 30 ms for 1.2 million edges of elements in space, by unique 98."""
     begin, end = (mesh.elements[:, ends] for ends in EDGES[mesh.dim].T)
     first_key = pair_keys(mesh.element_body[:, None], np.minimum(begin, end), mesh.n_nodes).reshape(
         -1
@@ -332,7 +332,7 @@ def elements_of_nodes(elements: np.ndarray, n_nodes: int) -> sparse.csc_array:
 
 
 def starts_of(elements: np.ndarray) -> np.ndarray:
-    """Return where each element's corners begin among those of all, and the end."""
+    """Return the places (n + 1,) at which the corners of each element begin among all, and the end."""
     return np.arange(
         0,
         elements.size + 1,
@@ -357,8 +357,8 @@ def pattern(
 
 
 def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
-    """Return the elements and points, a point for each body that uses a node: first those of the
-    first such body."""
+    """Return elements and points in which bodies share no points: a node that several bodies use
+    becomes a point for each of them, the first body keeps its number, further points come last."""
     n = mesh.n_nodes
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
@@ -379,8 +379,7 @@ def _find_neighbours(first, last, start, patches, begin, nodes, counts):
     ``nodes[begin[e]:begin[e + 1]]``. The number of columns of row i goes to ``counts[i + 1]``. Found once, in an array
     that is too long: 10.4 ms for 263k nodes, 4.5 for 36k in 3D, counted before they are found 13.3
     and 7.1."""
-    # unsigned: numba asks of all others whether they count from the end, which takes half of the
-    # time
+    # unsigned: numba tests signed indices for negative ones, which takes half of the time
     row_that_met = np.full(len(start) - 1, -1, dtype=np.int32)
     one = np.uint64(1)
     room = 0
@@ -616,8 +615,8 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
 
 
 def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
-    """Return the ascending nodes of each set of bodies that hang together, in the order of their
-    first bodies."""
+    """Return the ascending nodes of each set of bodies that share nodes, in the order of their first
+    bodies."""
     n_bodies = len(mesh.bodies)
     if n_bodies == 1:
         return [np.arange(mesh.n_nodes)]

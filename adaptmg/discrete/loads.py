@@ -63,7 +63,7 @@ from adaptmg.problem.loads import (
     Traction,
 )
 
-#: points of each facet at which a load that seems to be zero is looked for
+#: points of each facet at which a load is evaluated that is zero at the quadrature points
 _BETWEEN = 32
 
 
@@ -123,8 +123,8 @@ def _add(
 
 
 def check_loads(mesh: MeshArrays, loads: Sequence[Load]) -> None:
-    """Raise ValueError for a pressure or traction, a function of position, that is not zero only
-    between the points at which it is integrated."""
+    """Raise ValueError for a pressure or traction, a function of position, that is zero at all
+    quadrature points but not between them."""
     for load in loads:
         if not isinstance(load, Pressure | Traction):
             continue

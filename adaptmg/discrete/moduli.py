@@ -92,24 +92,23 @@ def lame_constants(materials: tuple[Elastic, ...]) -> tuple[np.ndarray, np.ndarr
 class Moduli:
     """Tensors C of elements."""
 
-    #: (m, k, k): Pa; of plane stress the row zz makes the strain through the thickness, and the column is 0
+    #: (m, k, k): C, Pa; in plane stress the row zz gives the strain through the thickness, and the column zz is 0
     table: np.ndarray
-    rows: np.ndarray  # (n_elements,) int32: which of them an element has
+    rows: np.ndarray  # (n_elements,) int32: the number of the tensor of each element
 
     def stress(self, strain: np.ndarray) -> np.ndarray:
         """Return columns (n_elements, k) of C times strains (n_elements, 3, 3); plane stress:
         without that of zz."""
         strain = columns(strain, self.table.shape[1])
         result = np.zeros(strain.shape)
-        for i, j in np.argwhere(
-            self.table.any(axis=0)
-        ):  # isotropic ones have a third of the entries
+        # isotropic tensors have a third of the entries
+        for i, j in np.argwhere(self.table.any(axis=0)):
             result[:, i] += self.table[self.rows, i, j] * strain[:, j]
         return result
 
     def work(self, stress: np.ndarray, other: np.ndarray, plane: bool) -> np.ndarray:
-        """Return one of two stresses, columns (n_elements, ..., k), times the strains that the
-        other makes, (n_elements, ...); in the plane the columns are xx, yy, xy."""
+        """Return the work (n_elements, ...) of one stress on the elastic strains of another, both
+        columns (n_elements, ..., k); in the plane the columns are xx, yy, xy."""
         components = [0, 1, 3] if plane else list(range(self.table.shape[1]))
         compliance = np.linalg.inv(self.table[:, components][:, :, components])[self.rows]
         strain = (other.reshape(len(other), -1, len(components)) @ compliance).reshape(other.shape)
@@ -132,8 +131,8 @@ def edge_parts(materials: tuple[Elastic, ...]) -> np.ndarray:
 
 
 def moduli(mesh: MeshArrays, materials: tuple[Elastic, ...], elements: str = "linear") -> Moduli:
-    """Return the tensors of the materials of the bodies; for smoothed elements without what acts on
-    groups of nodes (:mod:`adaptmg.discrete.volumes`)."""
+    """Return the tensors of the materials of the bodies; for smoothed elements without the part that
+    acts on groups of nodes (:mod:`adaptmg.discrete.volumes`)."""
     thin = np.array([isinstance(elastic, PlaneStress) for elastic in materials])
     most = edge_parts(materials) if elements == "smoothed" else np.inf
     result = isotropic(*lame_constants(materials), thin, mesh, most)
@@ -164,7 +163,7 @@ def isotropic(
     k = 2 * mesh.dim
     table = shear[:, None, None] * np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])[:k, :k]
     table[:, :3, :3] += lame[:, None, None]
-    # of a sheet the row zz makes the strain through the thickness, not a stress
+    # the row zz of a sheet gives the strain through the thickness, not a stress
     table[thin, 2] = 0.0
     table[thin, :, 2] = 0.0
     table[thin, 2, :2] = -(lame / (2 * shear))[thin, None]
@@ -181,7 +180,8 @@ def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np
     turn[:, :3] *= 0.5
     result = turn.swapaxes(1, 2) @ np.array(anisotropy.stiffness)[np.ix_(_VOIGT, _VOIGT)] @ turn
     result = (0.5 * (result + result.swapaxes(1, 2)))[:, :k, :k]
-    if isinstance(material, PlaneStress):  # without the stress through the thickness
+    if isinstance(material, PlaneStress):
+        # eliminate the strain through the thickness, whose stress is zero
         through = -result[:, 2] / result[:, 2, 2, None]
         result += result[:, 2, :, None] * through[:, None]
         result[:, :, 2] = 0.0

@@ -74,18 +74,19 @@ if TYPE_CHECKING:
 NEVER_FACING = "the surfaces never face each other"
 """With these words the message begins when no part of the slave surface has the master surface opposite."""
 
-# of the part of a slave node that the master covers: less, and it does not carry contact; half gives
-# 21 of 160 random pairs more contact nodes, twice 32 fewer
+# a slave node of which the master covers a smaller share does not carry contact; half gives 21 of 160
+# random pairs more contact nodes, twice 32 fewer
 _LEAST_COVERED = 0.25
-# of the shortest edge of facets at a slave node, how far off its normal its partner may lie: half
-# changes none of these pairs, twice takes one more of 40 whose nodes lie up to 3 % of an edge apart
+# distance, over the shortest edge of facets at a slave node, at which its partner may lie off its
+# normal: half changes none of these pairs, twice takes one more of 40 whose nodes lie up to 3 % of an
+# edge apart
 _OFFSET = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class MortarInterface:
-    """Contact nodes of a boundary (of a pair: slave nodes with a multiplier), and what they
-    face."""
+    """Contact nodes of a boundary (of a pair the slave nodes with a multiplier), and their coupling to
+    the nodes that they face."""
 
     nodes: np.ndarray  # (n,) int: slave nodes, ascending
     normals: np.ndarray  # (n, dim): unit normals, out of the slave body
@@ -95,12 +96,12 @@ class MortarInterface:
     gaps: np.ndarray  # (n,): initial gap along the normal, m; negative where the bodies overlap
     #: (n, n_nodes): B, rows with sum 1, some entries negative; its columns are nodes of the master surface, and slave
     #: nodes without a multiplier
-    coupling: sparse.csr_array | None = None  # in front of an obstacle
-    #: (n,): smallest distance between the surfaces around each node, m, for the question whether they overlap: a dual
+    coupling: sparse.csr_array | None = None  # None: in front of an obstacle
+    #: (n,): smallest distance between the surfaces around each node, m, by which overlaps are recognised: a dual
     #: function changes sign, so that its mean of a distance >= 0 may be negative
     closest: np.ndarray | None = None
-    #: (n, n_nodes): what each node takes over from nodes of its surface without a multiplier, over
-    #: its own weight
+    #: (n, n_nodes): measures that each node takes over from nodes of its surface without a
+    #: multiplier, over its own weight
     taken_over: sparse.csr_array | None = None
 
     def __len__(self) -> int:
@@ -124,8 +125,8 @@ def spread(
 def curved(
     mesh: MeshArrays, sides: tuple[Surface, Surface], exact: Sequence[Sequence[Revolved] | None]
 ) -> tuple[Surface, Surface]:
-    """Return slave and master, with their exact surfaces where both are known: the heights of chords
-    that match cancel, and those of one side alone are gaps."""
+    """Return slave and master with their exact surfaces, if both are known: where chords of both sides
+    match, their heights cancel, so that exact distances to one side alone would be gaps."""
     slave, master = exact
     if not slave or not master or all(surface.plane for surface in (*slave, *master)):
         return sides
@@ -133,7 +134,7 @@ def curved(
         Curved(mesh.points, side.facets, surfaces, mesh.refinement is not None)
         for surfaces, side in zip((slave, master), sides, strict=True)
     )
-    # else the mesh was moved away from the domain
+    # a mesh that was moved away from the domain lies far from its surfaces
     known = all(np.median(side.nearest) >= 0 for side in (slave_surface, master_surface))
     return (slave_surface, master_surface) if known else sides
 
@@ -165,7 +166,6 @@ def pair_interface(
             interface = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
         raise ValueError(f"{named_pair}: {error}") from error
-    gaps = interface.gaps.copy()
     if pair.gap is not None:
         gaps = checks.field(f"gap of {named_pair}", pair.gap, mesh.points[interface.nodes])
         # rows may contain slave nodes without a multiplier: their gaps count with the same weights
@@ -174,29 +174,43 @@ def pair_interface(
             gaps = gaps - cast("sparse.csr_array", interface.coupling)[
                 :, without_multiplier
             ] @ checks.field(f"gap of {named_pair}", pair.gap, mesh.points[without_multiplier])
+        interface = replace(interface, gaps=gaps)
     if not pair.allow_interference:
-        exact = isinstance(slave, Curved)
-        tolerance = np.full(len(gaps), (checks.ALIKE if exact else checks.ROUNDING) * surfaces.size)
-        if pair.gap is None:
-            tolerance += _facet_heights(slave)[interface.nodes] + _facet_heights(master).max()
-            # the surfaces themselves must overlap, and not only a mean of their distance with
-            # weights of both signs
-            tolerance[interface.closest >= -tolerance] = np.inf
-        overlapping = np.flatnonzero(gaps < -tolerance)
-        if len(overlapping):
-            deepest = overlapping[np.argmin(gaps[overlapping])]
-            raise ValueError(
-                f"{named_pair}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
-                f"{tuple(mesh.points[interface.nodes[deepest]].tolist())}: move one of them apart, or "
-                "say allow_interference=True for an interference fit"
-            )
-        gaps = np.maximum(gaps, 0.0)
-    return replace(interface, gaps=gaps)
+        _check_overlap(interface, surfaces, named_pair, with_heights=pair.gap is None)
+        interface = replace(interface, gaps=np.maximum(interface.gaps, 0.0))
+    return interface
+
+
+def _check_overlap(
+    interface: MortarInterface, surfaces: Surfaces, named_pair: str, with_heights: bool
+) -> None:
+    """Raise ValueError if bodies overlap at the start: by more than rounding, and, ``with_heights``, by
+    more than the heights of facets under the arcs that they are chords of."""
+    slave = surfaces.slave_side
+    gaps = interface.gaps
+    rounding = checks.ALIKE if isinstance(slave, Curved) else checks.ROUNDING
+    tolerance = np.full(len(gaps), rounding * surfaces.size)
+    if with_heights:
+        heights_of_master = _facet_heights(surfaces.master_side)
+        tolerance += _facet_heights(slave)[interface.nodes] + heights_of_master.max()
+        # the surfaces themselves must overlap, not only a mean of their distance with weights of both
+        # signs
+        tolerance[interface.closest >= -tolerance] = np.inf
+    overlapping = np.flatnonzero(gaps < -tolerance)
+    if len(overlapping):
+        deepest = overlapping[np.argmin(gaps[overlapping])]
+        place = surfaces.points[interface.nodes[deepest]]
+        raise ValueError(
+            f"{named_pair}: the bodies overlap by up to {-gaps[deepest]:.6g} m at the start, at "
+            f"{tuple(place.tolist())}: move one of them apart, or say allow_interference=True for an "
+            "interference fit"
+        )
 
 
 def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse.csr_array:
-    """Return the shares (n_nodes, n_nodes) in which the nearest nodes that carry multipliers (n_nodes,),
-    columns, stand for each node of a surface: itself, or some of sum 1."""
+    """Return the shares (n_nodes, n_nodes), rows with sum 1, with which nodes that carry multipliers,
+    columns, stand for each node of a surface: a node that carries one for itself, the nearest ones
+    for others. ``carries`` is a mask (n_nodes,)."""
     n = len(surface.points)
     corners = surface.facets.shape[1]
     integrals = np.repeat(surface.shape_integrals(axisymmetric), corners, axis=1)
@@ -218,8 +232,9 @@ def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse
 def taken_over(
     surface: Surface, carries: np.ndarray, axisymmetric: bool, silent: np.ndarray | None = None
 ) -> sparse.csr_array:
-    """Return what nodes that carry multipliers (n_nodes,) take over of the measure of the others
-    of a surface, or of those in the mask ``silent``: (n_nodes, n_nodes)."""
+    """Return the measures (n_nodes, n_nodes) that nodes with multipliers, rows, take over from other
+    nodes of a surface, columns: from all without one, or from those in the mask ``silent``
+    (n_nodes,). ``carries`` is the mask of nodes with multipliers."""
     if carries[surface.nodes].all():  # of most boundaries: half of the time that these take
         return sparse.csr_array((len(carries), len(carries)))
     share = _shares(surface, carries, axisymmetric)
@@ -244,8 +259,8 @@ def _edge_lengths(surface: Surface) -> np.ndarray:
 
 
 def chord_heights(surface: Surface) -> np.ndarray:
-    """Return the heights of facets under the arcs that they are chords of, about, 0 where these
-    are known, and their longest edges (2, n), m."""
+    """Return approximate heights of facets under the arcs that they are chords of, 0 where the arcs are
+    known, and the longest edges of the facets: (2, n), m."""
     length = _edge_lengths(surface).max(axis=1)
     turns = surface.node_normals[surface.facets] - surface.normals[:, None]
     heights = 0.25 * length * np.linalg.norm(turns, axis=2).max(axis=1)
@@ -362,10 +377,9 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         )
     measure, shape, dual = _dual_functions(parts)
     shape_mass = measure[:, None] * shape
-    # The gap is tested at corner i of a facet with the sum over its corners j of share_ij times the
-    # dual function of j: corners without multiplier give theirs to the others in equal parts. Where
-    # no corner of a facet has a multiplier each keeps its function here; the nodes that do have one
-    # get it below.
+    # Corner i of a facet tests the gap with sum_j share_ij psi_j over the corners j: corners without
+    # a multiplier give their dual functions psi to the others in equal parts. Where no corner of a
+    # facet has a multiplier, each keeps its function; node_share gives it to other nodes below.
     share = (
         carries[:, :, None]
         * ~carries[:, None, :]
@@ -373,7 +387,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     )
     share = share + np.eye(carries.shape[1]) * (carries | without_multiplier[:, None])[:, :, None]
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
-    # the matrix of slave nodes is ``diagonal`` at nodes with a multiplier, ``taken_over_rows`` at others
+    # D of the module: ``diagonal`` at nodes with a multiplier, ``taken_over_rows`` at the others
     mass_without_multiplier = share * np.where(carries, 0.0, shape_mass)[:, None, :]
     slave = surfaces.slave[parts.slave]
     products = np.einsum("piq,pqk->pik", tests, parts.shapes)

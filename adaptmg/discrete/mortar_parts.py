@@ -32,10 +32,10 @@ from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.clipping import MOMENTS, ROOM, add_visible, clip, polygon_moments, separated
 from adaptmg.geometry.search import BoxTree
-from adaptmg.mesh.arrays import Surface
+from adaptmg.mesh.arrays import Surface, mask_of
 
-# of the size of the surfaces: overlap that is found without a given reach. Half, twice and four times
-# change none of 160 random pairs
+# overlap, over the size of the surfaces, up to which masters are found without a reach. Half, twice and
+# four times change none of 160 random pairs
 _DEEPEST = 0.25
 
 
@@ -45,15 +45,15 @@ class Surfaces:
 
     slave_side: Surface
     master_side: Surface  # nodes on both, as at tips of a crack, are ordinary ones
-    normals: (
-        np.ndarray
-    )  # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
-    excluded: ArrayLike = ()  # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
+    # (n_nodes, dim): unit normals at the nodes of the slave surface; other rows are not read
+    normals: np.ndarray
+    # (n,) int: nodes of the slave surface without a multiplier; other nodes are ignored
+    excluded: ArrayLike = ()
     axisymmetric: bool = False  # x is a radius; 2D only
     points: np.ndarray = field(init=False, repr=False)  # (n_nodes, dim): those of the mesh, m
     slave: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
     master: np.ndarray = field(init=False, repr=False)  # (n, dim) int64: facets
-    carries: np.ndarray = field(init=False, repr=False)  # (n_nodes,) bool
+    carries: np.ndarray = field(init=False, repr=False)  # (n_nodes,) bool: nodes with a multiplier
     size: float = field(init=False, repr=False)  # diagonal of the bounding box of both surfaces, m
 
     def __post_init__(self) -> None:
@@ -61,8 +61,7 @@ class Surfaces:
         points = self.slave_side.points
         slave_nodes = self.slave_side.nodes
         master_nodes = self.master_side.nodes
-        carries = np.zeros(len(points), dtype=bool)
-        carries[slave_nodes] = True
+        carries = mask_of(slave_nodes, len(points))
         carries[master_nodes] = False
         carries[np.asarray(self.excluded, dtype=np.int64)] = False
         if not carries.any():
@@ -86,7 +85,8 @@ class Surfaces:
             )
 
     def depths(self, reach: float | None) -> tuple[float, float]:
-        """Return how far behind and in front of the slave surface the master is looked for, m."""
+        """Return the distances behind and in front of the slave surface within which the master is
+        sought, m."""
         return (_DEEPEST * self.size, self.size) if reach is None else (reach, reach)
 
     def exact_distances(
@@ -97,8 +97,8 @@ class Surfaces:
         normals: np.ndarray,
         distances: np.ndarray,
     ) -> np.ndarray:
-        """Return the distances (n, n_points) between what facets are chords of, along unit normals at
-        places (n, n_points, dim) on slave facets (n,), from those to the master facets (n,)."""
+        """Return the distances (n, n_points) between the exact surfaces, along unit normals at places
+        (n, n_points, dim) on slave facets (n,), from the ``distances`` to the master facets (n,)."""
         opposite = places + distances[..., None] * normals
         return (
             distances
@@ -109,15 +109,14 @@ class Surfaces:
 
 @dataclass(frozen=True, eq=False)
 class CoveredParts:
-    """Covered parts of slave facets with points to integrate by. Places are coordinates along a
-    slave facet, relative to any point of it: so those of small parts lose no digits."""
+    """Covered parts of slave facets, with quadrature points. Places are coordinates along a slave facet,
+    relative to a point that is chosen for each facet, so that those of small parts lose no digits."""
 
     slave: np.ndarray  # (n,) int: facets
     master: np.ndarray  # (n,) int: facets
     places: np.ndarray  # (n, n_points, dim - 1)
-    weights: (
-        np.ndarray
-    )  # (n, n_points): their measure on the slave facet, in axisymmetry over the circumference
+    # (n, n_points): measure of each point on the slave facet, in axisymmetry over the circumference
+    weights: np.ndarray
     shapes: np.ndarray  # (n, n_points, dim): the shape functions of the master's corners
     distances: np.ndarray  # (n, n_points): along the unit normal, m
     corners: np.ndarray  # (n_slave, dim, dim - 1): places of the corners of all slave facets
@@ -145,9 +144,8 @@ class CoveredParts:
             )
 
         measure = sums(self.weights.sum(axis=1, keepdims=True))[:, 0]
-        shares = (
-            self.weights / np.where(measure > 0, measure, 1.0)[self.slave, None]
-        )  # an edge may lie on the axis
+        # an edge on the axis of symmetry has no measure
+        shares = self.weights / np.where(measure > 0, measure, 1.0)[self.slave, None]
         centroid = sums(np.einsum("pq,pqa->pa", shares, self.places))
         from_centroid = self.places - centroid[self.slave, None]
         products = np.einsum("pq,pqa,pqb->pab", shares, from_centroid, from_centroid).reshape(
@@ -184,7 +182,7 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     """Return the covered parts of slave edges, with Gauss points; s runs from 0 to 1 along an edge."""
     edge, facet, ends = _pieces(surfaces, *surfaces.depths(reach))
     covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
-    # offsets count from the first covered place of an edge
+    # places count from the first covered place of an edge
     origin = np.where(covered > 0, np.inf, 0.0)
     np.minimum.at(origin, edge, ends[:, 0])
     slave = surfaces.slave[edge]
@@ -221,7 +219,7 @@ def _pieces(
     """Return slave edge, master edge and ends (n, 2) in s of the covered parts of slave edges."""
     edge, facet = _edges_near(surfaces, backward, forward)
     ends = _in_front(surfaces, edge, facet)
-    # those that are no rounding, edge by edge and along each edge
+    # parts longer than rounding, in the order of edges, and along each edge
     long = np.flatnonzero(ends[:, 1] - ends[:, 0] > SHORTEST)
     order = long[np.lexsort((facet[long], ends[long, 0], edge[long]))]
     edge = edge[order]
@@ -279,8 +277,8 @@ def _edges_near(
 
 
 def _in_front(surfaces: Surfaces, edge: np.ndarray, facet: np.ndarray) -> np.ndarray:
-    """Return the part (n, 2) of each slave edge in front of which its master edge lies, without regard to the
-    distance."""
+    """Return the part (n, 2), begin and end in s, of each slave edge that has its master edge in front,
+    at whatever distance."""
     start, end = surfaces.master[facet].T
     slave = surfaces.slave[edge]
     # the surfaces run in opposite directions, so that the master's end comes first; small parts at
@@ -449,7 +447,7 @@ def _parts_of_triangles(surfaces: Surfaces, reach: float | None) -> CoveredParts
         np.linalg.det(covariance) < checks.SIX_DIGITS * np.trace(covariance, axis1=1, axis2=2) ** 2
     )
     if len(strips):
-        # in the strip's axes, else the covariance has no digits left across it
+        # again in the axes of the strip: in others its covariance has no digits across it
         axes = np.linalg.eigh(covariance[strips])[1]
         # proper rotations: the corners must stay counter-clockwise
         axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
@@ -505,7 +503,7 @@ def _common_parts(
     """Return the visible common parts in some frames, with three points each."""
     origins, local = _local(surfaces, frames)
     slave = np.repeat(np.arange(len(frames)), np.diff(start))
-    # seen from the slave a facing facet runs clockwise: turned round
+    # a facing facet runs clockwise as seen from the slave: its corners in reverse order
     master_corners = np.einsum(
         "pad,pkd->pka",
         frames[slave],

@@ -32,7 +32,7 @@ class LoadSteps:
     n_dofs: int
     loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
-    # what stresses follow from before initial strains; Any: None without a problem, and so without strains
+    # stress data without initial strains; Any: None without a problem, which then has no strains
     stress: StressData | Any = None
     strains: Mapping[str, np.ndarray] = field(
         default_factory=dict
@@ -41,7 +41,7 @@ class LoadSteps:
     mesh: MeshArrays | None = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | Any:
-        """Return what the stresses of a step follow from."""
+        """Return the stress data of a step."""
         if not self.strains:
             return self.stress
         return replace(

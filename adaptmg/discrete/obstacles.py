@@ -20,6 +20,7 @@ from adaptmg import _checks as checks
 from adaptmg.discrete.mortar import MortarInterface, taken_over
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.supports import Boundaries
+from adaptmg.mesh.arrays import mask_of
 from adaptmg.problem.contact_problem import Contact
 from adaptmg.problem.surfaces import ContactPair, Moving, Obstacle, Rigid
 
@@ -51,8 +52,7 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
     distances = gaps[movable]
     taken = None
     if not movable.all():  # on few meshes
-        carries = np.zeros(mesh.n_nodes, dtype=bool)
-        carries[nodes[movable]] = True
+        carries = mask_of(nodes[movable], mesh.n_nodes)
         taken = taken_over(surface, carries, problem.axisymmetric)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
         distances = distances + taken[:, nodes] @ gaps

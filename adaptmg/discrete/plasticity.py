@@ -42,6 +42,7 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import PlasticState, StressData
 from adaptmg.discrete.volumes import Volumes, formed_volumes, volume_groups
+from adaptmg.mesh.arrays import places_of
 
 if TYPE_CHECKING:
     from adaptmg.problem.plastic import Inelastic
@@ -52,10 +53,10 @@ class Response:
     """The stresses, tangents, states and forces of inelastic patches at a displacement."""
 
     displacement: np.ndarray  # (n_dofs,): unknowns, m
-    stress: np.ndarray  # (m, k): on smoothed patches without what acts on groups of nodes, Pa
+    stress: np.ndarray  # (m, k): on smoothed patches without the part on groups of nodes, Pa
     tangent: np.ndarray  # (m, k, k), Pa
     state: np.ndarray  # (m, n)
-    missed: np.ndarray  # (n_dofs,): load - f_int of the unknowns, N
+    missed: np.ndarray  # (n_dofs,): f - f_int, N
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,7 @@ class InelasticBodies:
     strains: sparse.csr_array  # (m * k, n_dofs): B, 1/m
     measures: np.ndarray  # (m,): volumes
     elastic: np.ndarray  # (m, k, k): C, Pa
-    bulk: np.ndarray  # (m,): what groups of nodes have of the bulk modulus, Pa
+    bulk: np.ndarray  # (m,): part of the bulk modulus that acts on groups of nodes, Pa
     groups: Volumes
 
     @classmethod
@@ -111,7 +112,7 @@ class InelasticBodies:
 
     @property
     def unloaded(self) -> np.ndarray:
-        """Return the states of bodies that nothing has loaded."""
+        """Return the states (m, n) of bodies before any load."""
         size = max(1, *(material.state_size for material, _ in self.members))
         return np.zeros((len(self.numbers), size))
 
@@ -219,8 +220,7 @@ def _strain_matrix(patches: Patches, numbers: np.ndarray, n_dofs: int, k: int) -
     """Return the matrix (n * k, n_dofs) of the strains of patches ``numbers`` (n,), which have k
     columns each."""
     dim = patches.slopes.shape[1]
-    number_among_chosen = np.full(len(patches.measures), -1)
-    number_among_chosen[numbers] = np.arange(len(numbers))
+    number_among_chosen = places_of(numbers, len(patches.measures))
     patch_of_corner = np.repeat(number_among_chosen, np.diff(patches.start))
     chosen = patch_of_corner >= 0
     # for each corner of these patches the first row of its patch, the first column of its node

@@ -133,7 +133,8 @@ class DiscreteProblem(Unknowns):
     volumes: Volumes  # groups of nodes whose mean volume strains add to the stiffness
     inelastic: bool = False  # whether the matrix is that of bodies before they yield
 
-    # of each object, and no fields: ``assembled`` sets the first, ``_complete`` the others
+    # attributes of each object that are not fields: ``assembled`` sets the first, ``_complete`` the
+    # others
     _motions: ClassVar[Callable[[], np.ndarray] | None] = None
     _computed: ClassVar[Computed]
     _structure: ClassVar[Computed]
@@ -229,9 +230,9 @@ class DiscreteProblem(Unknowns):
 
     @classmethod
     def assembled(cls, weights: sparse.csr_array | None = None, **parts: Any) -> DiscreteProblem:
-        """Return the problem of the package's own assembly, whose arrays nobody writes and which is
-        not searched for what a user's may have wrong; with ``weights`` as of :meth:`coupled`.
-        ``motions`` returns ``near_nullspace`` in displacements, where that is not given."""
+        """Return the problem of arrays that the package has assembled: they are neither copied nor
+        checked. ``weights`` are those of :meth:`coupled`. ``motions`` computes ``near_nullspace`` in
+        displacements, where that is not given."""
         if weights is not None:
             parts = _in_relative_coordinates(weights, parts)
         parts = parts["inclined"].of_problem(parts)
@@ -291,8 +292,7 @@ class DiscreteProblem(Unknowns):
         factors: Mapping[str, float],
         volumes: Volumes,
     ) -> DiscreteProblem:
-        """Return the same bodies under other data (a load step): nothing else is checked or copied
-        again.
+        """Return the same bodies in another load step; only its data are checked and copied.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a
         coupling relative ones), N and m; slips count from ``slip_reference`` (n_contact, dim), as
@@ -315,21 +315,22 @@ class DiscreteProblem(Unknowns):
         )
 
     def posing(self, **parts: object) -> DiscreteProblem:
-        """Return the same with other parts (load, law, ...), which have been checked."""
+        """Return the problem with other parts (load, law, ...), which have been checked."""
         result = copy.copy(self)
         result.__dict__.update(parts, _computed=Computed())
         return result
 
     def restructured(self, **parts: object) -> DiscreteProblem:
-        """Return the same with other parts of which some belong to the structure (matrix, fixed
-        dofs, contact nodes, normals)."""
+        """Return the problem with other parts, of which some belong to the structure (matrix, fixed
+        dofs, contact nodes, normals): nothing that was computed is kept."""
         result = self.posing(**parts)
         result._check_fixed_at_contact()
         result._complete()
         return result
 
     def alike(self, other: DiscreteProblem) -> bool:
-        """Return whether matrix, fixed dofs, contact nodes and normals are those of another one."""
+        """Return whether another problem has the same structure: matrix, fixed dofs, contact nodes and
+        normals."""
         return self._structure is other._structure
 
     def friction_at(self, normal_force: np.ndarray, slip: np.ndarray) -> np.ndarray:
@@ -338,7 +339,7 @@ class DiscreteProblem(Unknowns):
         if not isinstance(self.law, FollowsState):
             return np.asarray(self.law.bounds(len(self.contact))[1])
         contact = self.contact
-        # conditions of nodes that take over a part of others are sums
+        # nodes that take over parts of others have sums of forces and slips; laws take means
         pressure = normal_force / contact.measures
         slip = slip * contact.weights / contact.measures + contact.accumulated_slip
         return friction_at(self.law, pressure, slip)
@@ -350,7 +351,7 @@ class DiscreteProblem(Unknowns):
         return residual - self.volumes.forces(pressures) if len(self.volumes) else residual
 
     def need_no_volumes(self, what: str) -> None:
-        """Raise ValueError if there are volumes, which ``what`` cannot take."""
+        """Raise ValueError if there are volumes; ``what`` names the method that cannot take them."""
         if len(self.volumes):
             raise ValueError(
                 f"grids: {what} cannot solve for smoothed elements with poisson above .4; use "
@@ -359,7 +360,7 @@ class DiscreteProblem(Unknowns):
 
     def need_given_friction(self, what: str, instead: str) -> None:
         """Raise ValueError if the coefficient depends on pressure or slip, or the compliance on the
-        pressure, which ``what`` cannot follow, but what is named ``instead`` can."""
+        pressure; ``what`` names the method that cannot follow this, ``instead`` one that can."""
         if isinstance(self.law, FollowsState):
             raise ValueError(f"law: {what} cannot follow a StateLaw; use {instead}")
         if (self.contact.exponent > 1).any():
@@ -368,7 +369,7 @@ class DiscreteProblem(Unknowns):
             )
 
     def _complete(self) -> None:
-        """Check what the user's functions return, and start a structure; see
+        """Check load and law, and forget all that was computed from the matrix; see
         :func:`remembered_of_structure`."""
         check_size("load", largest_entry(self.load))
         check_bounds(self.law, len(self.contact))
@@ -400,7 +401,7 @@ class DiscreteProblem(Unknowns):
 
     @property
     def whole_load(self) -> np.ndarray:
-        """Return the load (n_dofs,) with what acts along the directions that supports hold, N."""
+        """Return the load (n_dofs,), N, with its parts along inclined directions that supports hold."""
         return self.inclined.load if len(self.inclined) else self.load
 
     @property
@@ -459,7 +460,8 @@ def _check_row_sums(weights: sparse.csr_array) -> None:
 
 
 def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -> dict[str, Any]:
-    """Return the parts of a problem of several bodies, which have been checked, with their coupling."""
+    """Return the parts of a problem of several bodies, which have been checked, in relative
+    coordinates, with their coupling."""
     nodes = parts["contact"].nodes
     held = held_slaves(nodes, weights, parts["fixed"], parts["law"], parts["inclined"])
     if len(held):
@@ -520,7 +522,7 @@ def nodal_blocks(problem: DiscreteProblem, nodes: np.ndarray | None = None) -> n
 
 
 def near_nullspace_of(problem: DiscreteProblem) -> np.ndarray | None:
-    """Return ``near_nullspace`` without storing it: levels that read it once would all hold it."""
+    """Return ``near_nullspace`` without storing it in the problem: levels read it only once."""
     if "near_nullspace" in vars(problem):
         return problem.near_nullspace
     return _rigid_motions(problem)

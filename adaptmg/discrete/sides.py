@@ -15,18 +15,17 @@ from dataclasses import replace
 import numpy as np
 
 from adaptmg.discrete.moduli import body_materials
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, mask_of
 from adaptmg.problem import ContactPair, ContactProblem
 from adaptmg.problem.laws import Elastic
 
-#: ratio of Young's moduli from which cycles suffer, and up to which the finer side counts, not the softer one
+#: ratio of Young's moduli from which on cycles become more, and up to which the finer side is the slave, not the softer
 STIFFER, ALIKE = 10.0, 2.0
 
 
 def young_of(mesh: MeshArrays, materials: Sequence[Elastic], nodes: np.ndarray) -> float:
     """Return the smallest Young's modulus of the bodies with a boundary of these nodes, Pa."""
-    touches = np.zeros(mesh.n_nodes, dtype=bool)
-    touches[nodes] = True
+    touches = mask_of(nodes, mesh.n_nodes)
     bodies = np.unique(mesh.element_body[touches[mesh.elements].sum(axis=1) >= mesh.dim])
     return min(materials[body].young for body in bodies)
 

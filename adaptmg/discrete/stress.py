@@ -56,7 +56,7 @@ from adaptmg.discrete.moduli import (
     moduli,
 )
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, places_of
 from adaptmg.problem.laws import EDGE_PART, PlaneStress
 from adaptmg.problem.loads import InitialStrain, Load, Preload
 
@@ -96,11 +96,10 @@ _PLAIN, _THIN, _AXISYMMETRIC = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class PlasticState:
-    """The states of plastic bodies, and what follows from them."""
+    """The states of plastic bodies, and the stresses and plastic strains in them."""
 
-    state: (
-        np.ndarray
-    )  # (n_patches, n): of the patches of all plastic bodies, as their materials have it
+    # (n_patches, n): of the patches of all plastic bodies, in the form of their materials
+    state: np.ndarray
     stress: np.ndarray  # (n_elements, 3, 3): of elastic bodies too, Pa
     strain: np.ndarray  # (n_elements, 3, 3): plastic strain, 0 in elastic bodies
     accumulated: np.ndarray  # (n_elements,): the last number of a state
@@ -124,13 +123,13 @@ class StressData:
     shear: np.ndarray  # (n_bodies,), Pa
     kind: np.ndarray  # (n_bodies,) int8: 0 for plane strain and solids, 1 for plane stress, 2 for axisymmetric bodies
     initial_strain: np.ndarray  # (n_elements, 3), or (0, 3) for none
-    smoothed: bool = False  # whether the elements are
-    # of groups of nodes (adaptmg.discrete.volumes), if there are any
-    pressure: np.ndarray | None = None  # (n_elements,): mean of the corners, tension positive, Pa
-    volume_energy: float = 0.0  # J (plane: J/m)
-    moduli: Moduli | None = (
-        None  # where a body is anisotropic; Lame constants are those of an isotropic one near it
-    )
+    smoothed: bool = False  # whether the elements are smoothed
+    # with groups of nodes (adaptmg.discrete.volumes): (n_elements,) mean pressures of the corners,
+    # tension positive, Pa
+    pressure: np.ndarray | None = None
+    volume_energy: float = 0.0  # energy of these pressures, J (plane: J/m)
+    # with an anisotropic body, whose Lame constants are those of an isotropic one near it
+    moduli: Moduli | None = None
     plastic: PlasticState | None = None  # of the displacement of a result with plastic bodies
 
     @property
@@ -170,7 +169,7 @@ class StressData:
 
     @property
     def thin(self) -> np.ndarray:
-        """Return which bodies (n_bodies,) are in plane stress."""
+        """Return the mask (n_bodies,) of bodies in plane stress."""
         return self.kind == _THIN
 
     @property
@@ -179,8 +178,7 @@ class StressData:
         return bool((self.kind == _AXISYMMETRIC).any())
 
     def of_elements(self, mesh: MeshArrays) -> Moduli:
-        """Return the tensors of the elements; of smoothed ones those that act on means around
-        edges."""
+        """Return the tensors of the elements; of smoothed elements those for the means around edges."""
         if self.moduli is not None:
             return self.moduli
         return isotropic(
@@ -239,7 +237,7 @@ class StressData:
         )
         if not self.axisymmetric or self.smoothed:
             return energy
-        # what the hoop strain varies within elements adds
+        # the energy of hoop strains that vary within elements
         rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
         hoop = hoop_strain(mesh, u)
         radii = mesh.points[mesh.elements, 0] @ rule.T
@@ -265,7 +263,7 @@ class StressData:
             strain[:, 2, 2] = hoop_strain(mesh, displacement)
         if len(self.initial_strain):
             strain[:, diagonal, diagonal] -= self.initial_strain
-        # a sheet strains freely through its thickness: its tensors account for that
+        # the tensors of sheets account for the free strain through the thickness
         strain[self.thin[mesh.element_body], 2, 2] = 0.0
         return strain
 
@@ -324,9 +322,8 @@ def cut_force(
     r"""Return the tension across the cut of a preload, N; ValueError if no element of the body lies
     across it.
 
-    With the nodal function chi, 1 beyond the cut and 0 before it, and the axis a it is the virtual
-    work of moving the part beyond by a unit, :math:`\int \sigma : \nabla (\chi a)`: what all forces
-    on that part pull."""
+    With the nodal function chi, 1 beyond the cut and 0 before it, and the axis a, the tension is the
+    virtual work :math:`\int \sigma : \nabla (\chi a)` of a unit motion of the part beyond the cut."""
     elements = body_elements(mesh, preload.body)
     axis = preload.direction
     nodes = np.unique(mesh.elements[elements])
@@ -346,8 +343,8 @@ def cut_force(
 
 
 def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> float:
-    """Return the force, N, that a strain of 1 makes in the mean section of the body, whose sides
-    are free."""
+    """Return the force, N, that belongs to a strain of 1 in the mean section of a body with free
+    sides."""
     elements = body_elements(mesh, preload.body)
     young = body_materials(mesh, material)[mesh.bodies.index(preload.body)].young
     volume = element_measures(mesh, is_axisymmetric(material))[elements].sum()
@@ -374,8 +371,8 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
         shape=of_nodes.shape,
     )
     indptr, _ = pattern(of_nodes, starts_of(cells), cells.reshape(-1))
-    # by Euler's formula F elements close around a node if they have F other nodes (3D: F / 2 + 2);
-    # else there are more
+    # inner nodes: by Euler's formula F elements surround a node if they have F other nodes (3D:
+    # F / 2 + 2); around a boundary node they have more
     n_neighbours = np.diff(indptr) - 1
     n_elements = np.diff(elements_of_node.indptr)
     inner = np.flatnonzero(
@@ -389,8 +386,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     outer = np.setdiff1d(np.arange(len(points)), inner)
     # entries are the numbers of elements that an outer node and another one share
     shared = sparse.coo_array(elements_of_node[outer] @ corners_of)
-    fit_of_node = np.full(len(points), -1)
-    fit_of_node[inner] = np.arange(len(inner))
+    fit_of_node = places_of(inner, len(points))
     has_fit = fit_of_node[shared.col] >= 0
     node = outer[shared.row[has_fit]]
     neighbour = shared.col[has_fit]

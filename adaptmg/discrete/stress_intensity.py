@@ -96,13 +96,12 @@ class StressIntensity:
 
 @dataclass(frozen=True, eq=False)
 class Tip:
-    """A tip, and axes there: along the crack, and from its right face, as one looks along it, to
-    its left one."""
+    """A tip, and axes there: along the crack in the direction of growth, and to the left of it."""
 
     place: np.ndarray  # (2,)
     axes: np.ndarray  # (2, 2)
-    upper: str  # the face on the left
-    straight: float  # to where the crack turns, or ends, m
+    upper: str  # name of the face on the left
+    straight: float  # distance to where the crack turns or ends, m
 
     def local(self, points: np.ndarray) -> np.ndarray:
         """Return the places (...,) of points (..., 2) as complex numbers."""
@@ -155,7 +154,7 @@ def stress_intensity(
     tip = tip_of(mesh, crack, number)
     faces = [f"{crack}.left", f"{crack}.right"]
     r = np.abs(tip.local(mesh.points))
-    # what is not the straight crack stays outside
+    # the domain must not reach other boundaries, or the crack beyond a turn
     not_straight_crack = ~np.isin(mesh.facet_labels, list(map(mesh.boundaries.index, faces)))
     not_straight_crack |= (r[mesh.facets] > tip.straight * (1 + 1e-9)).any(axis=1)
     tip_node = np.argmin(r)
@@ -236,8 +235,8 @@ def _nodal_forces(mesh: MeshArrays, stress: np.ndarray) -> np.ndarray:
 def _fitted_tractions(
     mesh: MeshArrays, tip: Tip, faces: list[str], forces: np.ndarray, outer: float
 ) -> np.ndarray:
-    """Return tractions on the left face as coefficients (3, 2) of powers of r, half of the difference
-    between both faces."""
+    """Return the tractions on the left face as coefficients (3, 2) of powers of r, fitted to those of
+    both faces; on the right face they are opposite."""
     places = []
     masses = []
     loads = []
@@ -247,7 +246,7 @@ def _fitted_tractions(
         masses.append(surface.lumped(False)[surface.nodes])
         loads.append((1.0 if face == tip.upper else -1.0) * forces[surface.nodes])
     r, mass, load = map(np.concatenate, (places, masses, loads))
-    # least squares for load over mass, weighted with the mass, away from both ends
+    # least squares for tractions load / mass, weighted with the mass, away from both ends
     fitted = (r > _NEAR * outer) & (r < tip.straight - _NEAR * outer)
     root = np.sqrt(mass[fitted])[:, None]
     powers = (r[fitted, None] / outer) ** np.arange(3)
@@ -256,8 +255,8 @@ def _fitted_tractions(
 
 
 def _free_strain(mesh: MeshArrays, data: StressData, lame: float, shear: float) -> np.ndarray:
-    """Return the initial strains in the plane (n_elements, 2, 2), of plane strain with the part
-    that the strain across the plane adds."""
+    """Return the free strains in the plane (n_elements, 2, 2); in plane strain with Poisson's ratio
+    times the free strain through the thickness."""
     if not len(data.initial_strain):
         return np.zeros((len(mesh.elements), 2, 2))
     through = np.where(data.thin[mesh.element_body], 0.0, data.initial_strain[:, 2])

@@ -78,12 +78,12 @@ class TieForces:
 
 
 def tie_interfaces(boundaries: Boundaries) -> list[MortarInterface]:
-    """Return the tied slave nodes of each tie. Nodes on several belong to the tie named first; what
-    supports hold in all directions is not tied."""
+    """Return the tied slave nodes of each tie. Nodes on several ties belong to the one named first;
+    nodes that supports hold in all directions are not tied."""
     if not boundaries.problem.ties:
         return []
     not_tied = np.all(boundaries.fixed, axis=1)
-    # a support that moves such a node prescribes it
+    # nodes that supports move along inclined directions are prescribed by these
     not_tied[boundaries.inclined.nodes[boundaries.inclined.moving]] = True
     parts: list[MortarInterface] = []
     for tie in boundaries.problem.ties:
@@ -191,7 +191,7 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
         facing_nodes = np.unique(rows.indices)
         nodes += [tied, facing_nodes]
         forces += [slave_forces, -(rows.T @ slave_forces)[facing_nodes]]
-        # a held slave node is not tied, but bears what its neighbours take over
+        # a held slave node is not tied, but its neighbours, which take over its part, act on it
         on_slave = np.isin(facing_nodes, slave_nodes)
         boundary += [np.full(len(tied), len(names)), np.where(on_slave, len(names), len(names) + 1)]
         names += [slave, master]

@@ -58,25 +58,21 @@ NO_PRESSURES = read_only(np.empty(0))
 
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """The groups of a problem, in its unknowns."""
+    """The groups of nodes of a problem, with rows that act on its unknowns."""
 
     rows: sparse.csr_array  # (n_groups, n_dofs): B, m or m^2
-    means: (
-        sparse.csr_array
-    )  # (n_groups, n_nodes): shares of nodes in the volume of a group, row sums 1
+    means: sparse.csr_array  # (n_groups, n_nodes): shares of nodes in a group's volume, row sums 1
     areas: np.ndarray  # (n_groups,): A, m^2 (plane) or m^3
     compliance: np.ndarray  # (n_groups,): 1 / kappa, 1/Pa; 0: incompressible
     modulus: np.ndarray  # (n_groups,): lam_1 + mu, Pa
     body: np.ndarray  # (n_groups,) int: number of the body that a group belongs to
-    corners: (
-        np.ndarray
-    )  # (n_elements, dim + 1) int32: groups of the corners of elements, -1 for none
+    corners: np.ndarray  # (n_elements, dim + 1) int32: groups of the corners of elements, or -1
     expansion: np.ndarray | float = 0.0  # (n_groups,): mean trace of initial strains
-    #: (n_groups,): mean divergence of what supports prescribe along directions that are no axes
+    #: (n_groups,): mean divergence of displacements that supports prescribe along inclined directions
     prescribed: np.ndarray | float = 0.0
 
     @classmethod
-    @lru_cache(maxsize=32)  # of its levels a hierarchy asks again and again: .1 ms each
+    @lru_cache(maxsize=32)  # hierarchies ask for each level many times: .1 ms each
     def none(cls, n_nodes: int, dim: int) -> Volumes:
         """Return no groups, of a problem whose matrix holds the whole stiffness."""
         return cls(
@@ -104,7 +100,7 @@ class Volumes:
         return self.columns @ pressures
 
     def strains(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the mean divergence b u (n_groups,), less that of free expansion."""
+        """Return the mean divergence b u (n_groups,) without that of free expansion."""
         if not len(self):
             return NO_PRESSURES
         return (self.rows @ unknowns) / self.areas - self.expansion + self.prescribed
@@ -157,9 +153,9 @@ class Volumes:
 
 
 def formed_volumes(groups: Volumes, dim: int) -> sparse.bsr_array:
-    """Return what the mean volume strains over groups of nodes add to the stiffness (n_dofs,
-    n_dofs), bitwise symmetric. The volume loop of the multigrid is slow where the rest yields: 1507
-    cycles for 232 of Prandtl's punch on 2667 nodes."""
+    """Return the stiffness (n_dofs, n_dofs) of the mean volume strains over groups of nodes, bitwise
+    symmetric. Of plastic bodies it is formed: with pressures as unknowns Prandtl's punch on 2667 nodes
+    takes 1507 cycles in place of 232."""
     factors = 1 / np.sqrt(groups.areas * groups.compliance)
     half = sparse.csr_array(sparse.diags_array(factors) @ groups.rows)
     return sparse.bsr_array(half.T @ half, blocksize=(dim, dim))
@@ -179,7 +175,7 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     in_groups = (kappa > checks.ALIKE * shear)[mesh.element_body]
     if not in_groups.any():
         return Volumes.none(mesh.n_nodes, dim)
-    # a node of two bodies counts once for each; they are numbered along a curve through space
+    # nodes of the grouped bodies, once for each body, are numbered along a curve through space
     cells, points = apart(mesh)
     elements = mesh.elements[in_groups]
     body = mesh.element_body[in_groups]

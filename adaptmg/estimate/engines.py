@@ -50,7 +50,7 @@ from adaptmg.discrete.scalar import ScalarProblem
 from adaptmg.estimate.estimate import Estimate, estimate_for
 from adaptmg.geometry.location import SimplexLocator
 from adaptmg.level import check_problem, meshed_domain, need_domain
-from adaptmg.mesh.arrays import MeshArrays, Surface, pair_keys
+from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of, pair_keys
 from adaptmg.mesh.bisection import check_marked, refined
 from adaptmg.mesh.lattices import lattices
 from adaptmg.mesh.projection import onto_domain
@@ -206,8 +206,7 @@ class Bisect:
         best = None
         count = len(order)
         for _ in range(_TRIES if allowed > 0 else 0):
-            chosen = np.zeros(len(marked), dtype=bool)
-            chosen[order[:count]] = True
+            chosen = mask_of(order[:count], len(marked))
             fine = self._halved(mesh, squares, chosen, limit)
             added = fine.n_nodes - mesh.n_nodes
             if added <= allowed:

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
@@ -636,6 +636,20 @@ def pair_keys(first: np.ndarray, second: np.ndarray, n: int) -> np.ndarray:
     """Return one integer (int64) a pair of numbers, the second of them below ``n``: ``divmod`` with
     n gives both back. Numbers of int32, as those of nodes are, overflow in n * n from n = 46341."""
     return np.multiply(first, n, dtype=np.int64) + second
+
+
+def mask_of(indices: np.ndarray, shape: int | tuple[int, ...]) -> np.ndarray:
+    """Return the mask of this shape that is True at some indices, of any number of dimensions."""
+    mask = np.zeros(shape, dtype=bool)
+    mask[indices] = True
+    return mask
+
+
+def places_of(nodes: np.ndarray, n: int, dtype: DTypeLike = np.int64) -> np.ndarray:
+    """Return for each of n nodes its place among some distinct ``nodes``, -1 for the others."""
+    places = np.full(n, -1, dtype=dtype)
+    places[nodes] = np.arange(len(nodes))
+    return places
 
 
 def facet_keys(facets: np.ndarray, n_nodes: int) -> np.ndarray:

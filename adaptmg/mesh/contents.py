@@ -22,6 +22,7 @@ from adaptmg.mesh.arrays import (
     components,
     facet_keys,
     facet_table,
+    mask_of,
     normalised,
     signed_measures,
 )
@@ -230,11 +231,9 @@ def _labelled(
     # a set of nodes names the facets that have all their nodes in it
     surface_names = contents.surfaces.union(facets_of)
     between = _between(contents) if contents.node_sets else []
-    at_rim = np.zeros(n, dtype=bool)
-    at_rim[facets] = True
+    at_rim = mask_of(facets, n)
     for name, nodes in contents.node_sets.items():
-        inside = np.zeros(n, dtype=bool)
-        inside[nodes] = True
+        inside = mask_of(nodes, n)
         for middle in between:
             # a set of corners means the middle nodes between them too
             inside[middle[inside[middle[:, 1:]].all(axis=1), 0]] = True

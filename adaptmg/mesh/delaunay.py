@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.predicates import in_circle, turn
-from adaptmg.mesh.arrays import pair_keys
+from adaptmg.mesh.arrays import mask_of, pair_keys
 
 #: nodes after which kernels come back to Python, so that Ctrl-C ends them
 BATCH = 50_000
@@ -99,8 +99,7 @@ def _inside(
     order = np.argsort(edges)
     row = order[np.minimum(np.searchsorted(edges, keys, sorter=order), len(edges) - 1)]
     along, against = edges[row] == keys
-    present = np.zeros(len(edges), dtype=bool)
-    present[row[0, along]] = True
+    present = mask_of(row[0, along], len(edges))
     # triangles that are joined without crossing the boundary are all inside, or all outside
     across = np.where(along | against, -1, across)
     joined = across >= 0
@@ -109,8 +108,7 @@ def _inside(
         (np.ones(starts[-1]), across[joined], starts), shape=(len(elements), len(elements))
     )
     n_parts, part = connected_components(graph, directed=False)
-    inside = np.zeros(n_parts, dtype=bool)
-    inside[part[along.any(axis=1)]] = True
+    inside = mask_of(part[along.any(axis=1)], n_parts)
     inside = inside[part]
     number = np.append(np.cumsum(inside) - 1, -1).astype(np.int32)
     return elements[inside], number[across[inside]], present

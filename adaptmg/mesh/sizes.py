@@ -22,6 +22,7 @@ from adaptmg.mesh.arrays import (
     edge_lengths,
     facet_keys,
     facet_table,
+    mask_of,
     signed_measures,
 )
 from adaptmg.problem.combined_domains import Assembly
@@ -315,8 +316,7 @@ def facet_elements(mesh: MeshArrays, facets: np.ndarray) -> np.ndarray:
     """Return the elements that some boundary facets (n, dim) belong to."""
     if not len(facets):
         return np.empty(0, dtype=np.int64)
-    on = np.zeros(mesh.n_nodes, dtype=bool)
-    on[facets] = True
+    on = mask_of(facets, mesh.n_nodes)
     near = np.flatnonzero(on[mesh.elements].sum(axis=1) >= mesh.dim)
     table = facet_table(mesh.elements[near], mesh.n_nodes)
     return near[table.first[table.find(facet_keys(facets, mesh.n_nodes))]]

@@ -24,6 +24,7 @@ from adaptmg.mesh.arrays import (
     element_facets,
     facet_keys,
     facet_table,
+    mask_of,
     same_orientation,
     signed_measures,
     sound_by_construction,
@@ -93,8 +94,7 @@ def _check_elements(mesh: MeshArrays) -> None:
                 f"{_at(mesh.points[mesh.elements[e]])} has volume {mesh.volumes[e]:.4g} {unit}, "
                 f"nodes {mesh.elements[e].tolist()}"
             )
-    used = np.zeros(mesh.n_nodes, dtype=bool)
-    used[mesh.elements] = True
+    used = mask_of(mesh.elements, mesh.n_nodes)
     if not used.all():
         i = int(np.argmin(used))
         raise ValueError(
@@ -288,8 +288,7 @@ def _buried(mesh: MeshArrays, body: int, other: int) -> np.ndarray:
     """Return places (n, dim) of the boundary of a body that lie deep inside elements of another, or of
     itself: nodes, and a point of each facet off its centroid, as in regular meshes both may lie in
     planes that no element crosses."""
-    of_body = np.zeros(mesh.n_nodes, dtype=bool)
-    of_body[mesh.elements[mesh.element_body == body]] = True
+    of_body = mask_of(mesh.elements[mesh.element_body == body], mesh.n_nodes)
     elements = mesh.elements[mesh.element_body == other]
     facets = mesh.facets[of_body[mesh.facets].all(axis=1)]
     if len(facets) == 0:

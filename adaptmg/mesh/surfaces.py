@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, Surface, pair_keys, trusted
+from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of, pair_keys, trusted
 from adaptmg.mesh.soundness import least_angle
 from adaptmg.problem.plane_edges import Arc, Segment
 
@@ -355,8 +355,7 @@ def onto_surfaces(
         raise Misplaced(f"{len(missed)} nodes do not reach the surfaces of their faces")
     points = mesh.points.copy()
     points[nodes] = places
-    moved = np.zeros(mesh.n_nodes, dtype=bool)
-    moved[nodes] = True
+    moved = mask_of(nodes, mesh.n_nodes)
     if not least_angle(points, mesh.elements[moved[mesh.elements].any(axis=1)]) > flat:
         raise Misplaced("elements at a curved boundary became flat")
     return trusted(replace(mesh, points=points), mesh.sound)

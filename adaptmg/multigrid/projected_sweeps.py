@@ -26,6 +26,7 @@ from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.coordinates import Coupling, block_diagonal, dofs_of
+from adaptmg.mesh.arrays import places_of
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import (
     add,
@@ -392,8 +393,7 @@ class Interface:
                 float
             )
         self.nodes = np.flatnonzero(is_near).astype(np.int32)
-        place = np.full(n, -1, dtype=np.int32)
-        place[self.nodes] = np.arange(len(self.nodes), dtype=np.int32)
+        place = places_of(self.nodes, n, np.int32)
         # the rows without diagonal: entries of L, and of L' (negative), whose blocks are transposed
         rows = sparse.csr_array(
             lower_entries[self.nodes] - sparse.csr_array(lower_entries[:, self.nodes].T)

@@ -30,6 +30,7 @@ from adaptmg._threads import LARGE, in_colours, in_parts, scattering
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.grids import Grids
 from adaptmg.level import Level
+from adaptmg.mesh.arrays import mask_of
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, minus_row, read, scale, times, write
 from adaptmg.smoother.strips import Strips, product
@@ -204,8 +205,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     diagonal = np.empty(n * dim * dim)
     inverse = np.empty(n * dim * dim)
     dofs = np.flatnonzero(fixed)
-    held = np.zeros(n, dtype=bool)
-    held[dofs // dim] = True
+    held = mask_of(dofs // dim, n)
     in_parts(
         distribute,
         n,

@@ -23,6 +23,7 @@ from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.discrete.coordinates import from_frames, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.mesh.arrays import mask_of, places_of
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import ZERO, in_loop, inner, read, read_upper, times
 from adaptmg.smoother.node_solve import natural_at, read_reference
@@ -86,8 +87,7 @@ class TruncatedContact:
         dim = problem.dim
         contact, frames = local_contact(problem)
         nodes = problem.contact.nodes.astype(np.int32)
-        contact_of = np.full(problem.n_nodes, -1, dtype=np.int32)
-        contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
+        contact_of = places_of(nodes, problem.n_nodes, np.int32)
         diagonal = level.diagonal.reshape(-1, dim, dim)[nodes]
         local = np.einsum("nij,njk,nlk->nil", frames, diagonal, frames)
         turn_held(local, np.arange(len(nodes)), contact)
@@ -183,8 +183,7 @@ class TruncatedContact:
             return NodalContact(self.gap, slips, self.limit, self.friction, lowest=self.reference)
         held = None
         if len(self.driven):
-            held = np.zeros(n, dtype=bool)
-            held[self.driven] = True
+            held = mask_of(self.driven, n)
         reference = self.reference.reshape(n, self.dim - 1)
         return NodalContact(
             self.gap,

@@ -42,6 +42,7 @@ from adaptmg._numba import kernel
 from adaptmg._threads import sum_of_parts
 from adaptmg.discrete.coordinates import block_diagonal, dofs_of
 from adaptmg.discrete.problem import DiscreteProblem
+from adaptmg.mesh.arrays import mask_of
 from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import LinearCycle, least_weights, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
@@ -540,8 +541,7 @@ class CoarseContact:
         contact = step.contact
         dim = step.contact.dim
         matrix = step.base_matrix(self.number)
-        fixed = np.zeros(matrix.shape[0], dtype=bool)
-        fixed[levels[self.number].matrix.fixed] = True
+        fixed = mask_of(levels[self.number].matrix.fixed, matrix.shape[0])
         self.eliminated = _eliminated(matrix, fixed, nodes, coordinates[self.number])
         self.unknowns = _CoarseSpan(self.eliminated.matrix, rows[:, self.eliminated.contact], dim)
         block = np.zeros((len(contact.nodes), dim, dim))

@@ -30,6 +30,7 @@ from adaptmg.discrete.problem import (
     nodal_blocks,
     remembered_of_structure,
 )
+from adaptmg.mesh.arrays import places_of
 from adaptmg.transfer.galerkin import without_fixed
 
 #: coefficients of friction (n_contact,) at nodal forces, N, and slips, m
@@ -223,8 +224,7 @@ class LocalSystem:
         indptr = matrix.indptr.astype(np.int32)
         indices = matrix.indices.astype(np.int32)
         diagonal = matrix.data.take(diagonal_places(matrix), axis=0)
-        contact_of = np.full(n_nodes, -1, dtype=np.int32)
-        contact_of[nodes] = np.arange(len(nodes), dtype=np.int32)
+        contact_of = places_of(nodes, n_nodes, np.int32)
         return cls(
             dim=dim,
             indptr=indptr,
@@ -443,8 +443,7 @@ def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) ->
     """Return a copy of a matrix, turned into contact frames: A_ij becomes F_i A_ij F_j', F the frame
     of one of ``nodes`` and the identity elsewhere."""
     n = matrix.shape[0] // matrix.blocksize[0]
-    frame_of = np.full(n, -1)
-    frame_of[nodes] = np.arange(len(nodes))
+    frame_of = places_of(nodes, n)
     in_row = np.repeat(frame_of, np.diff(matrix.indptr))
     in_column = frame_of[matrix.indices]
     data = matrix.data.copy()

@@ -27,6 +27,7 @@ from adaptmg._units import converted, in_units
 from adaptmg.discrete.coordinates import from_frames, rotate, rotate_back, to_frames
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.ties import TieForces, tie_forces
+from adaptmg.mesh.arrays import mask_of
 from adaptmg.smoother.conditions import natural_at_nodes, states
 from adaptmg.smoother.system import (
     OPEN,
@@ -582,8 +583,7 @@ def touching_patches(contact: ContactResult, mesh: MeshArrays) -> list[Patch]:
         touching = on_boundary & (contact.state != OPEN)
         if touching.sum() in (0, on_boundary.sum()):
             continue
-        inside = np.zeros(mesh.n_nodes, dtype=bool)
-        inside[contact.node[touching]] = True
+        inside = mask_of(contact.node[touching], mesh.n_nodes)
         # patches: nodes that touch, joined by edges of the boundary
         facets = mesh.boundary_facets(name)
         edges = np.concatenate([facets[:, [i - 1, i]] for i in range(mesh.dim)])

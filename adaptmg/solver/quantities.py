@@ -18,7 +18,7 @@ from adaptmg.discrete.stress import PlasticState, StressData, von_mises
 from adaptmg.discrete.stress import recovered as fitted
 from adaptmg.discrete.stress_intensity import StressIntensity, stress_intensity
 from adaptmg.discrete.ties import TieForces
-from adaptmg.mesh.arrays import MeshArrays, need_mesh
+from adaptmg.mesh.arrays import MeshArrays, mask_of, need_mesh
 from adaptmg.solver.examine import ContactResult
 
 if TYPE_CHECKING:
@@ -229,8 +229,7 @@ class Quantities:
         """Return the half-widths (dim,) of contact at some contact nodes, a mask."""
         contact = self.contact
         mesh = need_mesh(self)
-        closed = np.zeros(mesh.n_nodes, dtype=bool)
-        closed[contact.node[chosen & contact.closed]] = True
+        closed = mask_of(contact.node[chosen & contact.closed], mesh.n_nodes)
         points = [mesh.points[closed]]
         for number in np.unique(contact.boundary[chosen]):
             facets = mesh.elements if self.dim == 1 else mesh.boundary_facets(contact.names[number])

@@ -11,6 +11,7 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread, seeded
 from adaptmg.discrete.contact_nodes import checked_mask
+from adaptmg.mesh.arrays import mask_of
 
 
 def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.bsr_array:
@@ -79,8 +80,7 @@ def _with_diagonal_blocks(
     added as zeros, at the end of their rows."""
     n = len(indptr) - 1
     rows = np.repeat(np.arange(n), np.diff(indptr))
-    has = np.zeros(n, dtype=bool)
-    has[rows[rows == indices]] = True
+    has = mask_of(rows[rows == indices], n)
     missing = np.flatnonzero(~has)
     if not missing.size:
         return indptr, indices, data
