@@ -58,7 +58,8 @@ class Forecast(NamedTuple):
         Bytes, from problem to solution; right to a factor of 1.5 for linear elements.
     seconds : float
         Of one processor like that of the measurements, meshes included, by the default method;
-        right to a factor of 4.
+        right to a factor of 4. Not for balls that contact alone holds, whose start and rigid
+        motions may take 40 times as long.
 
     Examples
     --------

@@ -169,11 +169,13 @@ def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
     return list(made)
 
 
-def _axis(name: str, value: int | str, dim: int | None = None) -> int:
+def _axis(name: str, value: int | str, dim: int | None = None, others: str = "") -> int:
     """Return the number of a component given as 0, 1, 2 or "x", "y", "z"; ValueError for others, and
-    for those beyond the dimension."""
+    for those beyond the dimension. ``others`` are the values that the caller takes, too."""
     if isinstance(value, str) and value not in _AXES:
-        raise ValueError(f"{name} must be 'x', 'y', 'z' or 0, 1, 2, got {checks.shown(value)}")
+        raise ValueError(
+            f"{name} must be {others}'x', 'y', 'z' or 0, 1, 2, got {checks.shown(value)}"
+        )
     number = _AXES[value] if isinstance(value, str) else checks.integer(name, value, 0, 2)
     if dim is not None and number >= dim:
         raise ValueError(f"{name} is {value!r}, but the problem is {dim}D")
@@ -346,7 +348,7 @@ class ContactForce:
     def __post_init__(self) -> None:
         checks.boundary_name("boundary", self.boundary)
         if self.direction not in ("normal", "tangential"):
-            _axis("direction", self.direction)
+            _axis("direction", self.direction, others="'normal', 'tangential', ")
 
     def functionals(self, view: GoalView) -> list[Functional]:
         """Return the functional."""

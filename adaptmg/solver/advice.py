@@ -26,6 +26,7 @@ from adaptmg.discrete.sides import STIFFER, exchangeable
 from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
 from adaptmg.problem import Contact, ContactPair, InitialStrain, Plane, PlaneStress
 from adaptmg.problem.laws import FollowsState
+from adaptmg.problem.surfaces import moving_parts
 from adaptmg.smoother.system import OPEN, SLIP, contact_blocks, friction_bound
 from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
@@ -350,8 +351,11 @@ def _advise_on_slips(posed: Posed, result: Result) -> None:
     mesh = posed.mesh
     contact = result.contact
     for k, contact_part in enumerate(posed.problem.contact):
-        if isinstance(contact_part, Contact) and isinstance(contact_part.obstacle, Plane):
-            continue  # it is the same everywhere
+        if isinstance(contact_part, Contact):
+            obstacle = contact_part.obstacle
+            shapes = [obstacle, *(part.obstacle for part in moving_parts(obstacle))]
+            if isinstance(shapes[-1], Plane):
+                continue  # it is the same everywhere, also after a motion
         touching = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
         facets = posed.surfaces[contact_part.boundary].facets
         corners = mesh.points[facets]

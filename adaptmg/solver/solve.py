@@ -44,6 +44,7 @@ def solve(
     *,
     start: ArrayLike | Result | None = None,
     reference: ArrayLike | Result | None = None,
+    rtol: float | None = None,
     throw: bool = True,
     callback: Callable[[dict[str, float]], None] | None = None,
     progress: bool = False,
@@ -71,6 +72,9 @@ def solve(
     reference : (n_nodes, dim) array or Result, optional
         The exact discrete solution, m: the history then has the true relative A-norm error
         (``true_error``).
+    rtol : float, optional
+        Tolerance of the default solver, where none is given (1e-8); others have it as an option:
+        ``am.FullMultigrid(rtol=1e-10, max_cycles=200)``.
     throw : bool
         Raise :class:`NotConverged`, which carries the result, if the tolerance is not reached.
     callback : callable, optional
@@ -110,7 +114,7 @@ def solve(
     ('CONVERGED', 5)
     """
     posed_grids = grids_argument(grids)
-    grids, solver, choice = method_argument(solver, posed_grids)
+    grids, solver, choice = method_argument(solver, posed_grids, rtol)
     checks.flag("throw", throw)
     checks.flag("progress", progress)
     checks.optional_callable("callback", callback, "a row of the history")

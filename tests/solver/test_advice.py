@@ -128,6 +128,11 @@ def test_slips_beyond_an_element_count_between_bodies_alone():
     assert not warned(lambda: am.solve(pushed(1e-5)))
     with pytest.warns(UserWarning, match="more than an element.*small slips"):
         am.solve(pushed(15e-3), throw=False)
+    # a plane is the same everywhere, also after a motion
+    problem = bar().problem
+    pulled = am.Moving(problem.contact[0].obstacle, displacement=(15e-3, 0))
+    problem = replace(problem, contact=am.Contact("bottom", am.Moving(pulled, displacement=(0, 0))))
+    assert not warned(lambda: am.solve(am.Hierarchy.uniform(problem, divisions=(4, 8))))
 
 
 def test_an_adaptive_loop_warns_once():

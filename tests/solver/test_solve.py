@@ -309,18 +309,19 @@ def test_who_follows_an_advice_converges(failure):
 
 
 @pytest.mark.parametrize("rtol", [1e-3, 1e-11])
-def test_paths_and_loops_take_a_tolerance(rtol):
+def test_solves_paths_and_loops_take_a_tolerance(rtol):
     bar = paper_bar()
     path = am.LoadPath({"left": [0.5, 1.0]})
     mesh = am.mesh.structured(bar.problem.domain, 4)
-    results = list(am.solve_path(bar, path, rtol=rtol))
+    results = [am.solve(bar, rtol=rtol), *am.solve_path(bar, path, rtol=rtol)]
     for options in ({}, {"load_path": path}):
         loop = am.adapt(bar.problem, mesh, max_nodes=120, rtol=rtol, **options)
         results += [step.result for step in loop]
-    assert len(results) >= 6
+    assert len(results) >= 7
     for result in results:
         assert result.rtol == rtol and result.checked.energy_error <= rtol
     for act in (
+        lambda **options: am.solve(bar, am.ActiveSet(), **options),
         lambda **options: am.solve_path(bar, path, am.ActiveSet(), **options),
         lambda **options: am.adapt(bar.problem, mesh, solver=am.ActiveSet(), **options),
     ):

@@ -136,6 +136,8 @@ def test_what_has_no_meaning_is_refused():
     ):
         with pytest.raises(ValueError, match=words):
             am.Goal(quantity).indicate(*on)
+    with pytest.raises(ValueError, match="'normal', 'tangential', 'x', 'y', 'z' or 0, 1, 2"):
+        am.ContactForce(direction="up")
 
 
 @pytest.mark.parametrize("make", [am.cases.greco_bar, am.cases.greco_block, am.cases.dovetail])
