@@ -431,7 +431,8 @@ def clamped_beam(gap, seed, sinks=0.0):
         for n in ((1, 1), (2, 1), (2, 2), (4, 2), (6, 3))
     ]
     meshes = [replace(one, points=size * one.points @ turn + shift) for one in meshes]
-    end = dict(zip("xy", size * np.array([0.0, sinks]) @ turn, strict=True))
+    x, y = size * np.array([0.0, sinks]) @ turn
+    across = {"normal": 0.0} if seed else {"x": x}
     problem = am.ContactProblem(
         material=am.PlaneStrain(young=2e9, poisson=0.3),
         law=am.Coulomb(0.3),
@@ -439,7 +440,7 @@ def clamped_beam(gap, seed, sinks=0.0):
         contact=am.Contact(
             "bottom", am.Plane(size * np.array([0, -gap]) @ turn + shift, np.array([0, 1]) @ turn)
         ),
-        supports=(am.Support("left", **end), am.Support("right", **end)),
+        supports=tuple(am.Support(name, **across, y=y) for name in ("left", "right")),
     )
     return problem, meshes, turn / size
 
