@@ -175,12 +175,9 @@ def aggregated_prolongations(
     translations are taken; ``max_coarse`` bounds the nodes of the coarsest level."""
     import pyamg
 
-    dim = checks.instance("matrix", matrix, sparse.bsr_array).blocksize[0]
-    checks.integer("max_coarse", max_coarse, minimum=1)
+    dim = matrix.blocksize[0]
     if near_nullspace is None:
         near_nullspace = np.tile(np.eye(dim), (matrix.shape[0] // dim, 1))
-    checks.array("near_nullspace", near_nullspace, (matrix.shape[0], None))
-    fixed = checked_mask("fixed", fixed, matrix.shape[0])
     modes = np.where(fixed[:, None], 0.0, near_nullspace)
     with one_blas_thread(), seeded():
         made = pyamg.smoothed_aggregation_solver(

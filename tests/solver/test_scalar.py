@@ -1,6 +1,7 @@
 """Scalar problems between obstacles: against bounded least squares, closed forms, and each other."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.optimize import lsq_linear
 import adaptmg as am
 
 TIGHT = {"rtol": 1e-11}
+UNCHANGED = SimpleNamespace(project=lambda contact, before, after: after)
 METHODS = {
     "nested": am.FullMultigrid(**TIGHT),
     "from zero": am.Multigrid(**TIGHT),
@@ -20,6 +22,9 @@ METHODS = {
     "active set": am.ActiveSet(),
     "sparse active set": am.ActiveSet(condensed=False),
     "pyamg": am.FullMultigrid(correction=am.Truncated(correct=am.PyAMG()), **TIGHT),
+    "user-defined": am.FullMultigrid(
+        correction=am.Truncated(smooth=am.ProjectedGaussSeidel(), project=UNCHANGED), **TIGHT
+    ),
 }
 
 
