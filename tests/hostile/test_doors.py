@@ -191,8 +191,21 @@ def arguments(kind):
 PUBLIC = {
     value for value in (getattr(am, name) for name in dir(am)) if dataclasses.is_dataclass(value)
 } - RESULTS
+
+
+def with_defaults(function):
+    """The arguments of a function and their defaults, those that are None apart."""
+    parameters = inspect.signature(function).parameters
+    defaults = {name: parameter.default for name, parameter in parameters.items()}
+    return {name: value for name, value in defaults.items() if value is not None}
+
+
+CASES = am.cases.CASES | am.cases.FROM_PYTHON
+DESIGNS = (am.study.Sobol, am.study.LatinHypercube, am.study.Random)
 #: a door and arguments that it takes
 DOORS = {
+    **{case.function: with_defaults(case.function) for case in CASES.values()},
+    **{design: {"ranges": {"n": (0.0, 1.0)}, "runs": 2, "seed": 0} for design in DESIGNS},
     **{
         kind: arguments(kind)
         for kind in sorted(PUBLIC, key=lambda kind: kind.__name__)
@@ -240,6 +253,14 @@ DOORS = {
     grids().append: {"mesh": mesh},
     grids().without: {"level": 1},
     grids().truncated: {"coarsest": 0},
+    mesh().boundary_facets: {"boundary": "top"},
+    mesh().boundary_nodes: {"boundary": "top"},
+    mesh().surface: {"boundary": "top"},
+    grids().forecast: {"finer": 1.0},
+    grids().with_problem: {"problem": bar},
+    grids().finest.prolong: {"u": lambda: np.zeros((9, 2))},
+    grids().finest.inject: {"u": lambda: np.zeros((9, 2))},
+    grids().finest.restrict: {"r": lambda: np.zeros((25, 2))},
     discrete: {"law": am.Coulomb(0.3), "contact": contact(), "name": "a", "bodies": {}},
     contact: {"allow_interference": False, "names": ("a",), "masters": ("b",)},
     meshes.structured: {"domain": UNIT, "divisions": 2},
@@ -271,6 +292,8 @@ DOORS = {
         "nodal": sparse.csr_array(np.eye(25)),
     },
     am.transfer.PointLocator: {"mesh": mesh},
+    am.transfer.mesh_ratio: {"coarse": mesh, "fine": mesh},
+    am.transfer.size_ratio: {"coarse": mesh, "fine": mesh},
     am.plot.deformation: {
         "result": lambda: am.solve(grids()),
         "stress": False,
@@ -279,11 +302,14 @@ DOORS = {
         "bodies": ["body"],
     },
     am.plot.mesh: {"drawn": mesh, "contact": ["top"]},
+    am.plot.grids: {"hierarchy": grids},
+    am.plot.problem: {"posed": bar, "mesh": mesh},
+    am.plot.history: {"results": lambda: am.solve(grids()), "against": "work_units"},
+    am.export.vtk: {"result": lambda: am.solve(grids()), "path": Path("a.vtu")},
     am.study.as_text: {"table": {"a": [1.0]}, "units": {}, "formats": {}},
     am.cases.HertzContact: {"load": 1.0, "radius": 1.0, "modulus": 1.0, "point": False},
     am.cases.PartialSlip: {"normal": line(), "friction": 0.3, "tangential": 0.1},
     studied: {"fixed": {}, "depends": {}, "details": False},
-    am.cases.greco_block: {"plane_strain": True, "young": 1e9},
     am.Bisect().refine: {
         "problem": bar,
         "mesh": mesh,
