@@ -23,6 +23,15 @@ def memory() -> float:
     return float(psutil.virtual_memory().total)
 
 
+def has_idle_processor() -> bool:
+    """Return whether fewer threads run now than this process has processors; False where the system
+    does not report it."""
+    with suppress(OSError):
+        running = Path("/proc/loadavg").read_text(encoding="ascii").split()[3].partition("/")[0]
+        return int(running) < len(os.sched_getaffinity(0))
+    return False
+
+
 def processor() -> str:
     """Return the name of the processor."""
     with suppress(OSError, StopIteration):

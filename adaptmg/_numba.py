@@ -10,6 +10,9 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -23,6 +26,7 @@ from numba import types
 from numba.core.event import Event, Listener, register
 from numba.extending import intrinsic, overload
 
+from adaptmg._machine import has_idle_processor
 from adaptmg._text import say
 
 _LOG = logging.getLogger(__name__)
@@ -41,17 +45,35 @@ def kernel(function: Callable | None = None, **options: Any) -> Any:
         "nogil": True,
     } | options
     try:
-        return numba.njit(**chosen)(function)
+        compiled = numba.njit(**chosen)(function)
     except RuntimeError:  # numba finds no folder that it can write
         _warn_of_no_cache()
         chosen["cache"] = False
-        return numba.njit(**chosen)(function)
+        compiled = numba.njit(**chosen)(function)
+    return compiled if Recorder.calls is None else Recorder(compiled)
 
 
 def inner_kernel(function: Callable | None = None, **options: object) -> Any:
     """Compile a function that only kernels call: Python must not, as there is no code for its
     calls."""
     return kernel(function, no_cpython_wrapper=True, **options)
+
+
+class Recorder:
+    """A kernel that runs as plain Python and records the types of its arguments, so that it can be
+    compiled for them later."""
+
+    #: each kernel that Python called, with the types; None: kernels are compiled, none records
+    calls: dict[tuple[Any, tuple], None] | None = None
+
+    def __init__(self, compiled: Any) -> None:
+        self.compiled = compiled
+
+    def __call__(self, *arguments: Any) -> Any:
+        # kernels that only kernels call are compiled with these
+        if self.calls is not None and not self.compiled.targetoptions.get("no_cpython_wrapper"):
+            self.calls[self.compiled, tuple(map(numba.typeof, arguments))] = None
+        return self.compiled.py_func(*arguments)
 
 
 @lru_cache(maxsize=1)
@@ -121,6 +143,8 @@ class _Compiling(Listener):
             package, _, part = str(self.kernel.__module__).partition(".")
             if compiling_seconds() > 1.0 and package == "adaptmg":
                 _announce(part.partition(".")[0])
+            if f"{part}.{self.kernel.__name__}" in _FIRST and Recorder.calls is None:
+                _compile_ahead()
             # looking for garbage among the many objects of a compilation takes 2 of 17 s of a first
             # solve (uniform bar) with an empty cache
             self.collecting = gc.isenabled()
@@ -151,6 +175,28 @@ _SECONDS = {
     "solver": 4,
     "plot": 1,
 }
+
+#: kernels that solves of plane problems call first, on graded and on uniform meshes
+_FIRST = ("mesh.delaunay._put", "discrete.elasticity._shape_gradients")
+
+
+@cache
+def _compile_ahead() -> subprocess.Popen | None:
+    """Let a second process compile the kernels of a first solve, from the last one to the first,
+    while this one needs them from the first to the last, where a processor is idle and the code is
+    stored. The program around an embedded Python is not started again."""
+    may_start = os.environ.get("NUMBA_NUM_THREADS") != "1" and not _warn_of_no_cache.cache_info()[1]
+    is_python = os.path.basename(sys.executable or "").startswith("python")
+    if not (may_start and is_python and has_idle_processor()):
+        return None
+    return subprocess.Popen(
+        [sys.executable, "-c", "from adaptmg.cli.ahead import compile_ahead; compile_ahead()"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+
 
 _COMPILING = _Compiling()
 register("numba:compile", _COMPILING)

@@ -59,7 +59,7 @@ def _build(points, simplices, n_leaves, boxes):
             boxes[node, dim + c] = max(boxes[left, dim + c], boxes[right, dim + c])
 
 
-@kernel
+@inner_kernel
 def _box_overlaps(boxes, node, box, dim):
     """Return whether the box of ``node`` and ``box`` (2 dim,) meet."""
     meet = True
@@ -68,7 +68,7 @@ def _box_overlaps(boxes, node, box, dim):
     return meet
 
 
-@kernel
+@inner_kernel
 def bounding_box(points, corners, box):
     """Write lower and upper corner of the bounding box of an element to ``box`` (2 dim,)."""
     dim = len(corners) - 1
@@ -107,7 +107,7 @@ def overlapping(boxes, box, points, simplices, stack, candidates):
     return count
 
 
-@kernel
+@inner_kernel
 def _simplex_meets(points, corners, box, dim):
     """Return whether the bounding box of a simplex meets ``box``."""
     for c in range(dim):
@@ -121,7 +121,7 @@ def _simplex_meets(points, corners, box, dim):
     return True
 
 
-@kernel
+@inner_kernel
 def _box_distance(boxes, node, x, dim):
     """Return the squared distance of ``x`` from the box of ``node``; infinite for an empty box."""
     total = 0.0

@@ -1,0 +1,79 @@
+"""A second process compiles the kernels of a first solve ahead of the one that needs them."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+#: prints kernels that are called from Python, with the types of their arguments
+SOLVED = """
+import sys
+from numba.core import types
+from numba.core.registry import CPUDispatcher
+import adaptmg as am
+grids = am.Hierarchy.graded(am.cases.upset_block(), (5e-3, 3e-3, 2e-3))
+am.solve(grids, throw=False).certificate()
+for name, module in list(sys.modules.items()):
+    for kernel in list(vars(module).values()) if name.startswith("adaptmg.") else ():
+        if isinstance(kernel, CPUDispatcher) and kernel.py_func.__module__ == name:
+            if not kernel.targetoptions.get("no_cpython_wrapper"):
+                for signature in kernel.signatures:
+                    print(name, kernel.__name__, signature)
+"""
+RECORDED = """
+from adaptmg.cli.ahead import record_first_solve
+for kernel, types in record_first_solve():
+    print(kernel.py_func.__module__, kernel.py_func.__name__, types)
+"""
+#: begins to solve a uniform plane problem, prints the number of the other process, and waits for it
+BEGUN = """
+import os, time
+from pathlib import Path
+import adaptmg._machine as machine
+machine.has_idle_processor = lambda: {idle}
+import adaptmg as am, psutil
+am.Hierarchy.uniform(am.cases.greco_bar(), (2,))
+for child in psutil.Process().children():
+    print(child.pid, flush=True)
+    while not list(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("energy_error.*.nbi")):
+        time.sleep(0.1)
+"""
+
+
+def run(code: str, **environment: str) -> list[str]:
+    """Return the lines that a new process prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env=os.environ | environment,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_the_second_process_knows_the_kernels_of_a_first_solve():
+    called = set(run(SOLVED))
+    recorded = set(run(RECORDED))
+    assert len(called) > 30 and called <= recorded
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("threads", "idle"), [("2", True), ("1", True), ("2", False)], ids=["starts", "one", "busy"]
+)
+def test_a_second_process_compiles_where_a_processor_is_idle_and_ends_with_the_first(
+    tmp_path: Path, threads, idle
+):
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_NUM_THREADS": threads}
+    children = run(BEGUN.format(idle=idle), **environment)
+    assert len(children) == (threads == "2" and idle)
+    for child in children:
+        end = time.monotonic() + 60.0
+        while Path("/proc", child).exists():
+            assert time.monotonic() < end
+            time.sleep(0.1)
