@@ -254,13 +254,25 @@ class Unknowns:
         solution, not copied."""
         return solution[: len(self.fixed)], solution[len(self.fixed) :]
 
+    def held_spans(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the projections (n, dim, dim) onto the directions along which supports hold
+        nodes."""
+        held = self.held.reshape(-1, self.dim)[nodes]
+        return held[:, :, None] * np.eye(self.dim) + self.inclined.at(nodes)
+
+    def free_part(self, vector: np.ndarray) -> np.ndarray:
+        """Return a vector (n_dofs,) or (n_nodes, dim) without its parts along fixed dofs and along
+        what inclined supports hold; flat."""
+        result = np.where(self.fixed, 0.0, vector.reshape(-1))
+        result.reshape(-1, self.dim)[self.inclined.nodes] -= self.inclined.along(result)
+        return result
+
     def from_prescribed(self, solution: np.ndarray) -> np.ndarray:
         """Return unknowns (n_dofs,) or (n_nodes, dim), m, or a solution (n_unknowns,), minus the
-        prescribed values, zero at fixed dofs; flat."""
+        prescribed values, zero along what is held; flat."""
         result = np.array(solution, dtype=np.float64).reshape(-1)
         unknowns, _ = self.parts(result)
-        unknowns -= self.fixed_values
-        unknowns[self.fixed] = 0.0
+        unknowns[:] = self.free_part(unknowns - self.fixed_values)
         return result
 
     def with_prescribed(self, change: np.ndarray) -> np.ndarray:
@@ -271,15 +283,12 @@ class Unknowns:
         return result
 
     def load_from_prescribed(self) -> np.ndarray:
-        """Return the load b - A u_fixed (n_dofs,), N, of unknowns from the prescribed values, zero at
-        fixed dofs; see :meth:`from_prescribed`."""
-        load = (
-            self.load - self.matrix @ self.fixed_values
-            if self.fixed_values.any()
-            else self.load.copy()
-        )
-        load[self.fixed] = 0.0
-        return load
+        """Return the load b - A u_fixed (n_dofs,), N, of unknowns from the prescribed values, zero
+        along held directions; see :meth:`from_prescribed`."""
+        load = self.load
+        if self.fixed_values.any():
+            load = load - self.matrix @ self.fixed_values
+        return self.free_part(load)
 
     def at_contact(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the displacement (n_contact, dim) of the contact nodes relative to the nodes that they
@@ -288,47 +297,57 @@ class Unknowns:
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
         result = nodal[nodes]
-        prescribed = self.fixed.reshape(-1, self.dim)[nodes]
-        if self.coupling is not None and prescribed.any():
-            # such components are not relative coordinates
-            displacement = self.physical(nodal)
-            result = np.where(
-                prescribed,
-                displacement[nodes] - self.coupling.weights[nodes] @ displacement,
-                result,
-            )
-            for slaves, weights, component in self.held_together():
-                result[slaves, component] = (
-                    displacement[nodes[slaves], component] - weights @ displacement[:, component]
-                )
-        return self.inclined.free_part(nodes, result)
+        spans = self.held_spans(nodes)
+        if self.coupling is None or not spans.any():
+            return result
+        # along what is held unknowns are not relative
+        result -= np.einsum("nij,nj->ni", spans, result)
+        return result + np.einsum("nij,nj->ni", spans, self.apart(self.physical(nodal)))
 
-    def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, int]]:
-        """Return for each component the slave nodes that are fixed in it and face master nodes fixed
-        in it too.
+    def apart(self, displacement: np.ndarray) -> np.ndarray:
+        """Return :meth:`at_contact` of a displacement (n_nodes, dim) of the bodies, m."""
+        nodes = self.contact.nodes
+        result = displacement[nodes]
+        if self.coupling is None:
+            return result
+        result -= self.coupling.weights[nodes] @ displacement
+        for slaves, weights, tangents in self.held_together():
+            change = displacement[nodes[slaves]] - weights @ displacement - result[slaves]
+            result[slaves] += np.einsum("nd,nd->n", tangents, change)[:, None] * tangents
+        return result
+
+    def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, np.ndarray]]:
+        """Return for the first, and in 3D the second tangent the slave nodes that supports hold along
+        it and that face master nodes held along it too.
 
         An entry has the indices (k,) of these slave nodes among the contact nodes, the weights (k,
-        n_nodes) of the fixed master nodes, scaled to row sums 1, and the component."""
+        n_nodes) of such master nodes, scaled to row sums 1, and the tangents (k, dim)."""
         if self.coupling is None:
             return []
-        facing_rows = self.coupling.weights[self.contact.nodes]
-        fixed = self.held.reshape(-1, self.dim)
+        nodes = self.contact.nodes
+        facing = facing_part(self.coupling.weights[nodes])
         result = []
-        for component in range(self.dim):
-            held = np.flatnonzero(fixed[self.contact.nodes, component])
-            weights = sparse.csr_array(
-                facing_part(facing_rows[held])
-                @ sparse.diags_array(fixed[:, component].astype(float))
-            )
+        for tangents in frames_of(self).swapaxes(0, 1)[1:]:
+            held = np.flatnonzero(self._held_along(nodes, tangents))
+            weights = sparse.coo_array(facing[held])
+            weights.data *= self._held_along(weights.col, tangents[held][weights.row])
+            weights = sparse.csr_array(weights)
             weight_sums = np.asarray(weights.sum(axis=1)).ravel()
             carried = weight_sums > checks.SIX_DIGITS
             scale = sparse.diags_array(1 / weight_sums[carried], format="csr")
-            result.append((held[carried], sparse.csr_array(scale @ weights[carried]), component))
+            slaves = held[carried]
+            result.append((slaves, sparse.csr_array(scale @ weights[carried]), tangents[slaves]))
         return result
 
+    def _held_along(self, nodes: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return whether (n,) supports hold nodes (n,) along unit vectors (n, dim)."""
+        spans = self.held_spans(nodes)
+        return np.einsum("ni,nij,nj->n", directions, spans, directions) > 1 - checks.SIX_DIGITS
 
-def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
-    """Return orthonormal frames at contact nodes."""
+
+def frames_of(problem: Unknowns) -> np.ndarray:
+    """Return orthonormal frames (n_contact, dim, dim) at contact nodes."""
+    contact = problem.contact
     normals = contact.normals
     frames = np.empty((len(normals), contact.dim, contact.dim))
     frames[:, 0] = normals
@@ -338,10 +357,13 @@ def frames_of(contact: ContactNodes, fixed: np.ndarray) -> np.ndarray:
         frames[:, 1, 0] = -normals[:, 1]
         frames[:, 1, 1] = normals[:, 0]
         return frames
-    # the Cartesian axis nearest the tangent plane, projected into it; a fixed axis lies in the
-    # plane and goes first
-    preference = np.abs(normals) - 2.0 * fixed[contact.nodes]
-    axis = np.eye(3)[np.argmin(preference, axis=1)]
+    # the Cartesian axis nearest the tangent plane, projected into it; a direction that supports
+    # hold lies in the plane and goes first
+    axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    spans = problem.held_spans(contact.nodes)
+    held = np.flatnonzero(spans.any(axis=(1, 2)))
+    longest = np.argmax(np.einsum("nii->ni", spans[held]), axis=1)
+    axis[held] = spans[held, :, longest]
     t1 = axis - np.sum(axis * normals, axis=1)[:, None] * normals
     t1 /= np.linalg.norm(t1, axis=1)[:, None]
     frames[:, 1] = t1

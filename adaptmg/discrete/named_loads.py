@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptmg.discrete.coordinates import dofs_of
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
@@ -32,6 +33,8 @@ class LoadSteps:
     n_dofs: int
     loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
+    # likewise of nodes held along directions that are not axes, where the parts of all names add up
+    inclined: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     # stress data without initial strains; Any: None without a problem, which then has no strains
     stress: StressData | Any = None
     strains: Mapping[str, np.ndarray] = field(
@@ -68,7 +71,6 @@ class LoadSteps:
             slip_reference,
             accumulated_slip,
             self.strain_free(factors),
-            factors,
             volumes,
         )
 
@@ -108,6 +110,8 @@ class LoadSteps:
                 )
             result[dofs] = scaled
             support_of_dof[dofs] = k
+        for name, (dofs, values) in self.inclined.items():
+            result[dofs] += factors.get(name, 1.0) * values
         return result
 
 
@@ -135,6 +139,7 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
         discrete.n_dofs,
         loads,
         _prescribed(posed),
+        _moved(posed),
         StressData.of(mesh, posed.materials, elements=problem.elements),
         strains,
         strain_loads,
@@ -161,9 +166,16 @@ def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return result
 
 
+def _moved(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return by name the dofs (n,) of nodes that supports hold along directions that are not axes, and
+    the parts (n,) of their displacement, m."""
+    dofs = dofs_of(posed.inclined.nodes, posed.mesh.dim)
+    return {name: (dofs, part.reshape(-1)) for name, part in posed.inclined.moved.items()}
+
+
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:
     """Return all loads and prescribed displacements of a problem without names, as one."""
-    dofs = np.flatnonzero(discrete.fixed)
+    dofs = np.flatnonzero(discrete.fixed_values)
     return LoadSteps(
         discrete.n_dofs,
         {DEFAULT: discrete.whole_load},

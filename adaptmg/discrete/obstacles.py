@@ -70,14 +70,12 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
 def check_held(
     boundaries: Boundaries,
     discrete: DiscreteProblem,
-    factors: Mapping[str, float] | None = None,
     places: Mapping[int, Moving] | None = None,
 ) -> None:
     """Raise ValueError if supports hold nodes in a load step inside an obstacle, in its place of
     this step."""
     points = boundaries.mesh.points
-    prescribed = discrete.fixed_values.reshape(points.shape).copy()
-    prescribed[discrete.inclined.nodes] += discrete.inclined.prescribed(factors or {})
+    prescribed = discrete.fixed_values.reshape(points.shape)
     for k, contact in enumerate(boundaries.problem.contact):
         if contact.allow_interference or isinstance(contact, ContactPair):
             continue

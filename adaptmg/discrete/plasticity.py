@@ -129,7 +129,9 @@ class InelasticBodies:
             tangent[:, :3, :3] -= self.bulk[:, None, None]
         relaxed = np.einsum("nij,nj->ni", self.elastic, strain) - stress
         forces = self.strains.T @ (self.measures[:, None] * relaxed).reshape(-1)
-        elastic = problem.inclined.imbalance(problem.residual(displacement), displacement)
+        elastic = problem.inclined.imbalance(
+            problem.residual(displacement), displacement, problem.fixed_values
+        )
         missed = elastic + problem.relative_forces(forces)
         return Response(displacement, stress, tangent, state, missed)
 
@@ -146,7 +148,13 @@ class InelasticBodies:
         if problem.coupling is not None:
             matrix = problem.coupling.transformed(matrix)
         load = matrix @ at.displacement + at.missed
-        parts = {"matrix": matrix, "load": load, "volumes": problem.volumes, "strain_free": None}
+        parts = {
+            "matrix": matrix,
+            "load": load,
+            "fixed_values": problem.fixed_values,
+            "volumes": problem.volumes,
+            "strain_free": None,
+        }
         return problem.restructured(**problem.inclined.of_problem(parts), inelastic=False)
 
     def _material(

@@ -152,12 +152,12 @@ class Posed(Boundaries):
 
     @cached_property
     def prescribed(self) -> np.ndarray:
-        """Return the displacement (n_nodes, dim) of held components and the jump of tied nodes, m; 0
-        elsewhere."""
+        """Return the displacement (n_nodes, dim) along what supports hold and the jump of tied nodes,
+        m; 0 elsewhere."""
         _, values = self._components
-        if not self.ties:
-            return values
         result = values.copy()
+        for moved in self.inclined.moved.values():
+            result[self.inclined.nodes] += moved
         for tie, part in zip(self.problem.ties, self.ties, strict=True):
             result[part.nodes] += jump_of(tie, part.nodes, self)
         return result
@@ -331,15 +331,7 @@ class Posed(Boundaries):
     @cached_property
     def contact(self) -> ContactNodes:
         """Return the nodes that carry contact conditions, in ascending order."""
-        contact = self._contact_nodes(self.rows)
-        moved_nodes = np.intersect1d(contact.nodes, self.inclined.nodes[self.inclined.moving])
-        if len(moved_nodes):
-            raise ValueError(
-                f"a support moves contact node {moved_nodes[0]} "
-                f"{tuple(self.mesh.points[moved_nodes[0]].tolist())} along the normal of its boundary, not "
-                "an axis: turn the geometry, or end one of the boundaries before the other begins"
-            )
-        return contact
+        return self._contact_nodes(self.rows)
 
 
 def nodal_law(posed: Posed, contact: ContactNodes) -> Law:

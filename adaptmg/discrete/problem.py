@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial, wraps
 from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
@@ -177,11 +177,15 @@ class DiscreteProblem(Unknowns):
         contact.check_nodes(n // dim)
         contact.check_name_contact()
         fixed_dofs = checked_mask("fixed", fixed, n)
+        inclined = Inclined.none(dim) if inclined is None else inclined
+        checks.instance("inclined", inclined, Inclined, "Inclined, as discretise makes it")
+        prescribed = fixed_dofs.copy()
+        prescribed.reshape(-1, dim)[inclined.nodes] = True
         values = np.zeros(n) if fixed_values is None else fixed_values
         if isinstance(values, np.ndarray) and values.shape == (n,) and values.dtype.kind in "iuf":
             # at free dofs anything may stand, NaN too
-            values = np.where(fixed_dofs, values, 0.0)
-        values = np.where(fixed_dofs, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
+            values = np.where(prescribed, values, 0.0)
+        values = np.where(prescribed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
         values.flags.writeable = False
         self.__dict__.update(
             matrix=indices_frozen(blocks),
@@ -195,7 +199,7 @@ class DiscreteProblem(Unknowns):
             coupling=coupling,
             bodies=bodies,
             strain_free=strain_free,
-            inclined=Inclined.none(dim) if inclined is None else inclined,
+            inclined=inclined,
             ties=ties,
             volumes=Volumes.none(n // dim, dim) if volumes is None else volumes,
             inelastic=checks.flag("inelastic", inelastic),
@@ -215,8 +219,6 @@ class DiscreteProblem(Unknowns):
         if volumes is not None:
             checks.instance("volumes", volumes, Volumes, "Volumes(...)")
             checks.sparse_matrix("volumes.rows", volumes.rows, (len(volumes), n))
-        if inclined is not None:
-            checks.instance("inclined", inclined, Inclined, "Inclined, as discretise makes it")
         if coupling is not None:
             checks.instance(
                 "coupling", coupling, Coupling, "a Coupling: use DiscreteProblem.coupled"
@@ -289,28 +291,28 @@ class DiscreteProblem(Unknowns):
         slip_reference: np.ndarray,
         accumulated_slip: np.ndarray,
         strain_free: tuple[np.ndarray, float] | None,
-        factors: Mapping[str, float],
         volumes: Volumes,
     ) -> DiscreteProblem:
         """Return the same bodies in another load step; only its data are checked and copied.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a
         coupling relative ones), N and m; slips count from ``slip_reference`` (n_contact, dim), as
-        :meth:`at_contact` has it, and come after ``accumulated_slip`` (n_contact,), m. ``factors``
-        are those of the step, and ``volumes`` have its initial strains."""
+        :meth:`at_contact` has it, and come after ``accumulated_slip`` (n_contact,), m.
+        ``volumes`` have the initial strains of the step."""
         contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
         object.__setattr__(contact, "accumulated_slip", accumulated_slip)
-        values = bounded("fixed_values", np.where(self.fixed, fixed_values, 0.0), (self.n_dofs,))
-        prescribed = self.inclined.prescribed(factors)
+        values = fixed_values - self.free_part(fixed_values)
+        values = bounded("fixed_values", values, (self.n_dofs,))
+        prescribed = self.inclined.along(values)
         acting = self.inclined.posed(load, prescribed)
         return self.posing(
             load=bounded("load", acting, (self.n_dofs,)),
             fixed_values=values,
             contact=contact,
             strain_free=self.inclined.strain_free(strain_free, prescribed),
-            inclined=self.inclined.at_step(factors, load),
+            inclined=replace(self.inclined, load=load),
             volumes=self.inclined.stretched(volumes, prescribed),
         )
 

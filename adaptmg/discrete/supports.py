@@ -49,7 +49,7 @@ class Inclined:
 
     nodes: np.ndarray  # (k,) int, ascending
     spans: np.ndarray  # (k, dim, dim): Z
-    moved: Mapping[str, np.ndarray]  # (k, dim) by name in a load path: what supports prescribe, m
+    moved: Mapping[str, np.ndarray]  # (k, dim) by name in a load path: parts of ubar, m
     rows: sparse.csr_array = field(
         default_factory=lambda: sparse.csr_array((0, 0))
     )  # (k * dim, n_dofs): of A
@@ -68,36 +68,18 @@ class Inclined:
     def __len__(self) -> int:
         return len(self.nodes)
 
-    def prescribed(self, factors: Mapping[str, float]) -> np.ndarray:
-        """Return the displacement (k, dim) that supports prescribe in a load step, m."""
-        return sum(
-            (factors.get(name, 1.0) * part for name, part in self.moved.items()),
-            np.zeros(self.spans.shape[:2]),
-        )
+    def at(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the projections (n, dim, dim) at some nodes, zero where no direction is held."""
+        result = np.zeros((len(nodes), *self.spans.shape[1:]))
+        inclined = np.isin(nodes, self.nodes)
+        result[inclined] = self.spans[np.searchsorted(self.nodes, nodes[inclined])]
+        return result
 
-    @property
-    def moving(self) -> np.ndarray:
-        """Return which of the nodes (k,) supports move."""
-        moving = sum(
-            (part.any(axis=1) for part in self.moved.values()),
-            np.zeros(len(self.nodes), dtype=bool),
-        )
-        return np.greater(moving, 0)
-
-    def at_step(self, factors: Mapping[str, float], load: np.ndarray) -> Inclined:
-        """Return the same in a load step with the load b (n_dofs,)."""
-        return replace(self, moved={"": self.prescribed(factors)}, load=load)
-
-    def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Return vectors (n, dim) at some nodes without their parts along the directions that are
-        held."""
-        if not len(self):
-            return vectors
-        at = np.minimum(np.searchsorted(self.nodes, nodes), len(self.nodes) - 1)
-        inclined = self.nodes[at] == nodes
-        return np.where(
-            inclined[:, None], vectors - np.einsum("nij,nj->ni", self.spans[at], vectors), vectors
-        )
+    def free_part(self, vector: np.ndarray) -> np.ndarray:
+        """Return a vector (n_dofs,) without its parts along the directions that are held."""
+        result = vector.copy()
+        result.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
+        return result
 
     def spread(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
         """Return the matrix of all nodes with blocks (k, dim, dim) on the diagonal."""
@@ -129,7 +111,7 @@ class Inclined:
             self, rows=rows, stiffness=stiffness, load=parts["load"], volumes=volumes.rows
         )
         free = volumes.rows - volumes.rows @ self.spread(self.spans, volumes.means.shape[1])
-        prescribed = supports.prescribed({})
+        prescribed = supports.along(parts["fixed_values"])
         volumes = supports.stretched(volumes, prescribed)
         return parts | {
             "matrix": supports._eliminated(matrix),
@@ -181,17 +163,16 @@ class Inclined:
             strains = (self.volumes @ moved.reshape(-1)) / volumes.areas
         return replace(volumes, prescribed=strains)
 
-    def imbalance(self, residual: np.ndarray, unknowns: np.ndarray) -> np.ndarray:
+    def imbalance(
+        self, residual: np.ndarray, unknowns: np.ndarray, prescribed: np.ndarray
+    ) -> np.ndarray:
         """Return b - A u (n_dofs,), N, of the residual b' - A' u of unknowns u (n_dofs,), which need
-        not be what supports prescribe."""
+        not be what supports prescribe (n_dofs,)."""
         if not len(self):
             return residual
-        short_of_prescribed = self.prescribed({}) - self.along(unknowns)
-        forces = (residual + self.rows.T @ short_of_prescribed.reshape(-1)).reshape(
-            -1, self.spans.shape[1]
-        )
-        free = self.free_part(np.arange(len(forces)), forces).reshape(-1)
-        return free - self.reaction(unknowns, NO_PRESSURES)
+        short_of_prescribed = self.along(prescribed - unknowns)
+        forces = residual + self.rows.T @ short_of_prescribed.reshape(-1)
+        return self.free_part(forces) - self.reaction(unknowns, NO_PRESSURES)
 
     def reaction(self, unknowns: np.ndarray, pressures: np.ndarray) -> np.ndarray:
         """Return the forces (n_dofs,) that the supports exert along these directions, of the
@@ -453,7 +434,8 @@ class Boundaries:
 
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return vectors (n, dim) at some nodes without their parts along what supports hold."""
-        return self.inclined.free_part(nodes, np.where(self.fixed[nodes], 0.0, vectors))
+        free = np.where(self.fixed[nodes], 0.0, vectors)
+        return free - np.einsum("nij,nj->ni", self.inclined.at(nodes), free)
 
     def averaged_normals(self, surface: Surface) -> np.ndarray:
         """Return the averaged normals (n_nodes, dim) of a surface, without components along what

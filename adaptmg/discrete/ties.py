@@ -83,8 +83,6 @@ def tie_interfaces(boundaries: Boundaries) -> list[MortarInterface]:
     if not boundaries.problem.ties:
         return []
     not_tied = np.all(boundaries.fixed, axis=1)
-    # nodes that supports move along inclined directions are prescribed by these
-    not_tied[boundaries.inclined.nodes[boundaries.inclined.moving]] = True
     parts: list[MortarInterface] = []
     for tie in boundaries.problem.ties:
         slave = boundaries.surfaces[tie.slave]
@@ -179,13 +177,13 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     if not problem.ties:
         return None
     nodal = residual.reshape(-1, problem.dim)
-    held = problem.held.reshape(-1, problem.dim)
     nodes = []
     forces = []
     boundary = []
     names = []
     for slave, master, tied, slave_nodes in problem.ties:
-        slave_forces = problem.inclined.free_part(tied, np.where(held[tied], 0.0, nodal[tied]))
+        spans = problem.held_spans(tied)
+        slave_forces = nodal[tied] - np.einsum("nij,nj->ni", spans, nodal[tied])
         # ties are rows of a coupling
         rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
         facing_nodes = np.unique(rows.indices)

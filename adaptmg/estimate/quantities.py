@@ -383,7 +383,7 @@ class ContactForce:
         vector = np.zeros((view.discrete.n_nodes, dim))
         vector[contact.nodes] = from_frames(contact.frames, local)
         # where a support holds, the force of contact cannot be separated from its reaction
-        return np.where(view.discrete.fixed, 0.0, vector.reshape(-1))
+        return view.discrete.free_part(vector)
 
 
 @dataclass(frozen=True)
@@ -502,7 +502,7 @@ def _direction(view: GoalView, source: GoalView, local: np.ndarray) -> np.ndarra
     contact = source.contact
     vector = np.zeros((source.discrete.n_nodes, view.mesh.dim))
     vector[contact.nodes] = from_frames(contact.frames, local)
-    direction = np.where(source.discrete.fixed, 0.0, vector.reshape(-1))
+    direction = source.discrete.free_part(vector)
     return direction if view is source else view.interpolated(direction)
 
 

@@ -176,7 +176,8 @@ def _exerted(discrete: DiscreteProblem, result: Result) -> np.ndarray:
     forces = np.where(discrete.held.reshape(forces.shape), result.reaction, forces)
     rest = result.reaction - forces
     # its part along directions that oblique supports hold
-    return forces + rest - discrete.inclined.free_part(np.arange(len(forces)), rest)
+    forces[discrete.inclined.nodes] += discrete.inclined.along(rest)
+    return forces
 
 
 def _constants(posed: Posed) -> np.ndarray:

@@ -267,11 +267,7 @@ class Solved:
         )
         # supports bear the components along held directions
         posed = inclined.posed(posed, inclined.along(unknowns))
-        nodes = np.arange(self.mesh.n_nodes)
-        load, expected, posed = (
-            inclined.free_part(nodes, nodal_forces.reshape(-1, self.mesh.dim)).reshape(-1)
-            for nodal_forces in (load, expected, posed)
-        )
+        load, expected, posed = map(inclined.free_part, (load, expected, posed))
         rounding = checks.ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         size = max(euclidean_norm(forces), euclidean_norm(load))
         allowed = max(checks.SIX_DIGITS * size, rounding)

@@ -551,10 +551,7 @@ class Guide:
             forces[part.indices] = part.targets + part.force_sizes * extra[part.indices]
             part_moves = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
             moves[nodes, :, part.indices] = part_moves * scales[part.indices]
-        everywhere = np.arange(discrete.n_nodes)
-        free = [discrete.inclined.free_part(everywhere, moves[:, :, k]) for k in range(n)]
-        moves = np.stack(free, axis=2).reshape(-1, n)
-        moves[discrete.fixed] = 0.0
+        moves = np.stack([discrete.free_part(moves[:, :, k]) for k in range(n)], axis=1)
         # motions without a meaning fill the last block of the matrix; they are fixed
         moves = np.pad(moves, ((0, 0), (0, -n % dim)))
         padded = moves.shape[1]
@@ -569,6 +566,7 @@ class Guide:
             load=load,
             fixed=np.append(discrete.fixed, np.arange(padded) >= n),
             fixed_values=np.pad(discrete.fixed_values, (0, padded)),
+            inclined=discrete.inclined,
             law=discrete.law,
             contact=contact,
             volumes=discrete.volumes.with_rows(discrete.volumes.rows @ basis),

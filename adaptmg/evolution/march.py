@@ -324,11 +324,7 @@ class March:
         """Return Cartesian vectors (n_nodes, dim) from relative ones, with ``share`` times the values
         that supports and ties prescribe."""
         discrete = self.discrete
-        inclined = discrete.inclined
-        fixed = np.where(discrete.fixed, share * discrete.fixed_values, relative.reshape(-1))
-        held = inclined.free_part(np.arange(discrete.n_nodes), fixed.reshape(relative.shape))
-        held[inclined.nodes] += share * inclined.prescribed({})
-        return discrete.physical(held)
+        return discrete.physical(discrete.free_part(relative) + share * discrete.fixed_values)
 
     def _overlap(self, displacement: np.ndarray) -> np.ndarray:
         """Return the overlap (n_contact,), m, at contact nodes: the normal displacement minus the gap."""
@@ -421,7 +417,6 @@ class March:
             discrete.at_contact(discrete.relative(self.displacement) - shifted),
             self.accumulated_slip,
             None,
-            {},
             discrete.volumes,
         )
         # the contact nodes of the step are a copy

@@ -216,7 +216,7 @@ class PathLoop:
         if posed is not None:
             factors = self._loading(k, motions)
             places = self.controls.placed(factors, motions)
-            check_held(posed, grids.finest.discrete, factors, places)
+            check_held(posed, grids.finest.discrete, places)
 
     def report(self, k: int, result: Result) -> str:
         """Return how a step ended, as text."""

@@ -161,7 +161,7 @@ class TruncatedStep:
     def begin(self, iterate: np.ndarray) -> TruncatedState:
         """Return the state of a start (n_unknowns,), which is made admissible in place."""
         contact = self.contact.copy()
-        contact.start(iterate)
+        contact.start(iterate[: self._n_dofs])
         return TruncatedState(iterate=iterate, contact=contact, residual=np.empty(self._n_dofs))
 
     def step(self, state: TruncatedState) -> TruncatedState:

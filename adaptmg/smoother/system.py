@@ -363,7 +363,10 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         # the unknown along such a tangent is 0, and its reference minus the prescribed slip
         first_held = held[:, 0] & ~held[:, 1]
         u = to_frames(frames, problem.at_contact(problem.fixed_values))
-        slip = u[:, 1] - np.einsum("nj,nj->n", frames[:, 1], problem.contact.slip_reference)
+        before = to_frames(frames, problem.contact.slip_reference)
+        slip = u[:, 1] - before[:, 1]
+        # along directions that are not axes rounding is no slip
+        slip[np.abs(slip) <= checks.ROUNDING * np.abs([u, before]).max()] = 0.0
         reference[first_held, 0] = -slip[first_held]
     gap = problem.contact.gaps
     lowest = None
@@ -417,18 +420,17 @@ def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) ->
 @remembered_of_structure
 def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     """Return the frames (n_contact, dim, dim), and the mask (n_dofs,) of fixed dofs in local
-    components: at contact nodes a tangent is fixed if it is a fixed Cartesian axis. Normals of scalar
-    problems, whose nodes have obstacles on both sides, point along the axis."""
+    components: at contact nodes the tangents that supports hold. Normals of scalar problems, whose
+    nodes have obstacles on both sides, point along the axis."""
     dim = problem.dim
     fixed = problem.fixed.reshape(-1, dim).copy()
-    frames = frames_of(problem.contact, fixed)
+    frames = frames_of(problem)
     if dim == 1:
         frames = np.abs(frames)
-    fixed_axes = fixed[problem.contact.nodes]
-    # tangent j is fixed if all of it lies in fixed Cartesian components
-    fixed_share = np.einsum("nij,nj->ni", frames**2, fixed_axes.astype(float))
-    fixed_tangents = fixed_share > 1 - 1e-10
-    oblique = fixed_tangents.sum(axis=1) != fixed_axes.sum(axis=1)
+    spans = problem.held_spans(problem.contact.nodes)
+    # tangent j is fixed if all of it lies in what supports hold
+    fixed_tangents = np.einsum("nij,njk,nik->ni", frames, spans, frames) > 1 - checks.ALIKE
+    oblique = fixed_tangents.sum(axis=1) != np.einsum("nii->n", spans).round()
     if oblique.any():
         i = int(np.argmax(oblique))
         raise ValueError(

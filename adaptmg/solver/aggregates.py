@@ -413,7 +413,7 @@ class _Smoothed(DenseSpan):
         self.span.eliminate_zeros()
         coarse = sparse.csc_array(self.span.T @ (matrix @ self.span))
         coarse = coarse + sparse.diags_array(raised(coarse.diagonal()), format="csc")
-        self.frames = frames_of(problem.contact, problem.fixed.reshape(-1, dim))
+        self.frames = frames_of(problem)
         rows = self.span[dofs_of(problem.contact.nodes, dim)]
         at_contact = sparse.csr_array(block_diagonal(self.frames) @ rows)
         touched = np.isin(np.arange(self.span.shape[1]), at_contact.indices)
@@ -471,7 +471,7 @@ def changed_status(
     load = coarse.span.T @ residual
     dim = problem.dim
     # where a support holds a tangent its reaction takes the place of friction
-    without_support = ~problem.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
+    without_support = ~problem.held_spans(problem.contact.nodes).any(axis=(1, 2))
     slip = to_frames(coarse.frames, claims.slip)[:, 1:]
     gap = claims.gap - compliance * np.maximum(claims.pressure, 0.0)
     conditions = Conditions(

@@ -335,7 +335,7 @@ class Evidence:
         np.subtract.at(self.unexplained, self.contact.master_node, self.contact.master_force)
         self.at_contact = self.unexplained[self.nodes]
         self.in_supports = self.unexplained[self.fixed]
-        self.left = np.where(self.fixed, 0.0, self.unexplained)
+        self.left = problem.free_part(self.unexplained).reshape(self.u.shape)
 
     def _set_scales(self) -> None:
         """Compute the scales of forces and displacements, and the levels of rounding."""
@@ -389,13 +389,7 @@ class Evidence:
     def _kinematics(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the gap (n,) and slip (n, dim) against the obstacle, or the other body."""
         problem = self.problem
-        moved = self.u[self.nodes]
-        if problem.coupling is not None:
-            moved = moved - problem.coupling.weights[self.nodes] @ self.u
-            for slaves, weights, component in problem.held_together():
-                of_component = self.u[:, component]
-                moved[slaves, component] = of_component[self.nodes[slaves]] - weights @ of_component
-        moved = problem.inclined.free_part(self.nodes, moved)
+        moved = problem.apart(self.u)
         u_n = np.einsum("nd,nd->n", moved, self.normals)
         along = moved - problem.contact.slip_reference
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
@@ -680,7 +674,8 @@ class Evidence:
         dim = self.problem.dim
         nodes = contact.nodes
         normals = contact.normals
-        free = (~self.fixed[nodes]).astype(float)
+        # projections onto what supports leave free
+        free = np.eye(dim) - self.problem.held_spans(nodes)
         d = self.stiffness
         gap = conditions.gap
         pressing = np.maximum(conditions.pressure, 0.0)
@@ -691,20 +686,24 @@ class Evidence:
         on_rigid = closed & ~on_spring
         spring = np.divide(1.0, self.compliance, out=np.zeros_like(gap), where=on_spring)
         limit = self.limit + np.where(closed, self.coefficient * pressing, 0.0)
-        friction = self._nearest_friction(conditions.slip, conditions.friction * free, limit, free)
+        claimed = np.einsum("nij,nj->ni", free, conditions.friction)
+        friction = self._nearest_friction(conditions.slip, claimed, limit, free)
         change = np.zeros(unknowns.shape)
         normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
-        change[nodes] = normal_change - friction.without_slip[:, None] * conditions.slip * free
-        change[self.fixed] = self.problem.fixed_values[self.problem.fixed] - unknowns[self.fixed]
+        free_slip = np.einsum("nij,nj->ni", free, conditions.slip)
+        change[nodes] = normal_change - friction.without_slip[:, None] * free_slip
+        missed = self.problem.fixed_values - unknowns.reshape(-1)
+        change += (missed - self.problem.free_part(missed)).reshape(change.shape)
         # free directions: tangents of nodes that slide, normals of nodes that touch nothing rigid
         along = normals[:, :, None] * normals[:, None]
         tangents = np.eye(dim) - along
-        fixed_elsewhere = np.setdiff1d(self.fixed.nonzero()[0], nodes)
+        inclined = self.problem.inclined
+        held_elsewhere = np.setdiff1d(np.append(self.fixed.nonzero()[0], inclined.nodes), nodes)
         projection = friction.slides[:, None, None] * tangents + ~on_rigid[:, None, None] * along
         projection = np.concatenate(
             [
-                projection * free[:, :, None] * free[:, None],
-                ~self.fixed[fixed_elsewhere][:, :, None] * np.eye(dim),
+                free @ projection @ free,
+                ~self.fixed[held_elsewhere][:, :, None] * np.eye(dim) - inclined.at(held_elsewhere),
             ]
         )
         # friction turns with the slip (3D) and grows with the pressure
@@ -718,7 +717,7 @@ class Evidence:
         # a spring presses in proportion to its penetration, which the gap of the surface misses
         pressed = -(np.where(closed, conditions.pressure, 0.0) - spring * gap)[:, None] * normals
         status = FrozenStatus(
-            np.append(nodes, fixed_elsewhere),
+            np.append(nodes, held_elsewhere),
             projection,
             nodes,
             friction.turning[:, None, None] * across + spring[:, None, None] * along,
@@ -736,7 +735,7 @@ class Evidence:
         size = np.linalg.norm(slip, axis=1)
         direction = -_directions(slip)
         excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
-        turned = limit[:, None] * direction * free
+        turned = limit[:, None] * np.einsum("nij,nj->ni", free, direction)
         without_slip = (limit > 0) & (
             d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d
         )
@@ -744,7 +743,8 @@ class Evidence:
         starts_to_slide = without_slip & (excess > 0)
         direction[starts_to_slide] = _directions(friction)[starts_to_slide]
         sticks = without_slip & ~starts_to_slide
-        lawful = np.where(sticks[:, None], friction, limit[:, None] * direction * free)
+        free_direction = np.einsum("nij,nj->ni", free, direction)
+        lawful = np.where(sticks[:, None], friction, limit[:, None] * free_direction)
         turns = ~without_slip & (size > 0)
         turning = np.divide(limit, size, out=np.zeros_like(size), where=turns)
         return _NearestFriction(without_slip, ~sticks, direction, lawful, turning)

@@ -340,17 +340,28 @@ class FreeBodies:
         discrete = evidence.problem
         contact = discrete.contact
         shape = self.points.shape
-        held = np.where(discrete.held.reshape(shape), evidence.unexplained, 0.0)
-        inclined = discrete.inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
-        held = held + inclined.reshape(shape)
+        inclined = discrete.inclined
+        reaction = inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
+        carried = evidence.unexplained + reaction.reshape(shape)
+        # friction along what supports hold counts as theirs: on masters it acts in other places
+        spans = discrete.held_spans(contact.nodes)
+        of_supports = np.einsum("nij,nj->ni", spans, evidence.claimed)
+        claimed = evidence.claimed - of_supports
+        carried[contact.nodes] += of_supports
+        if discrete.coupling is not None:
+            exerted_elsewhere = evidence.contact
+            np.add.at(carried, exerted_elsewhere.master_node, exerted_elsewhere.master_force)
+            carried += discrete.coupling.weights[contact.nodes].T @ claimed
+        held = np.where(discrete.held.reshape(shape), carried, 0.0)
+        held[inclined.nodes] += inclined.along(carried)
         # the forces on the slaves, of each contact boundary, then of each tie
         exerted = [np.zeros(shape) for _ in self.masters]
         ties = exerted[len(contact.names) :]
         for k, forces in enumerate(exerted[: len(contact.names)]):
             on_boundary = contact.boundary == k
-            forces[contact.nodes[on_boundary]] = evidence.claimed[on_boundary]
+            forces[contact.nodes[on_boundary]] = claimed[on_boundary]
             if contact.taken_over.shape[1]:
-                forces += contact.taken_over[on_boundary].T @ evidence.claimed[on_boundary]
+                forces += contact.taken_over[on_boundary].T @ claimed[on_boundary]
         for (_, _, nodes, slave_nodes), forces in zip(discrete.ties, ties, strict=True):
             tying = evidence.tying.reshape(shape)[nodes]
             forces[nodes] = tying

@@ -214,9 +214,8 @@ class _Preconditioner:
         blocks[: len(status.nodes)] += status.stiffening
         # directions that are projected away have no stiffness: their inverse is 0
         stiffness, axes = np.linalg.eigh(status.projections @ blocks @ status.projections)
-        stiffness_sizes = np.abs(stiffness)
-        rounding = 1e-12 * stiffness_sizes.max(axis=1, initial=0.0, keepdims=True)
-        stiffness[stiffness_sizes <= rounding] = np.inf
+        rounding = 1e-12 * np.abs(blocks).max(axis=(1, 2), initial=0.0)[:, None]
+        stiffness[np.abs(stiffness) <= rounding] = np.inf
         _invert(self._zero, inverse.reshape(-1))
         inverse[status.held] = (axes / stiffness[:, None]) @ axes.swapaxes(1, 2)
         self._inverse = inverse.reshape(-1)

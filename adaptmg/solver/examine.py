@@ -416,8 +416,8 @@ def _forces_on_other_nodes(
     them, their contact boundaries (m,), and whether they lie on these (m,) or on the masters.
 
     Nodes of a contact boundary without a condition carry the shares that their neighbours take over.
-    Nodes of a master carry -W' times the contact forces; in a component that supports fix at slave
-    and master only the fixed nodes of the master do."""
+    Nodes of a master carry -W' times the contact forces; along a tangent that supports hold at slave
+    and master only the held nodes of the master do."""
     contact = discrete.contact
     dim = discrete.dim
     pieces = [
@@ -431,29 +431,31 @@ def _forces_on_other_nodes(
         master_weights = sparse.csr_array(master_weights + taken_over)
         master_weights.data[np.abs(master_weights.data) < checks.ROUNDING] = 0.0
         master_weights.eliminate_zeros()
-    # by component, with other rows at slave nodes where both bodies are fixed
-    master_weights_by_component = []
-    for contacts, held_weights, _ in discrete.held_together():
-        row_of_contact = np.arange(len(contact))
-        row_of_contact[contacts] = len(contact) + np.arange(len(contacts))
-        held_weights = sparse.diags_array(1 + taken_over[contacts].sum(axis=1)) @ held_weights
-        rows = sparse.vstack([master_weights, held_weights], format="csr")[row_of_contact]
-        master_weights_by_component.append(sparse.csr_array(rows))
-    slave_weights_by_component = [-taken_over] * dim
+    rows = [master_weights]
+    row_forces = [forces.copy()]
+    boundaries = [contact.boundary]
+    for slaves, held_weights, tangents in discrete.held_together():
+        along = np.einsum("nd,nd->n", tangents, forces[slaves])[:, None] * tangents
+        row_forces[0][slaves] -= along
+        rows.append(held_weights)
+        row_forces.append((1 + taken_over[slaves].sum(axis=1))[:, None] * along)
+        boundaries.append(contact.boundary[slaves])
+    on_master = (
+        sparse.csr_array(sparse.vstack(rows, format="csr")),
+        np.concatenate(row_forces),
+        np.concatenate(boundaries),
+    )
     for k in np.unique(contact.boundary):
-        contacts = np.flatnonzero(contact.boundary == k)
-        for on_slave in (True, False):
-            by_component = slave_weights_by_component if on_slave else master_weights_by_component
-            weights = [component[contacts] for component in by_component]
-            node = np.unique(np.concatenate([part.indices for part in weights])).astype(np.int64)
-            exerted = [
-                -(part.T @ force)[node]
-                for part, force in zip(weights, forces[contacts].T, strict=True)
-            ]
+        for on_slave, (weights_of_rows, forces_of_rows, boundary_of_rows) in (
+            (True, (-taken_over, forces, contact.boundary)),
+            (False, on_master),
+        ):
+            rows_of_boundary = np.flatnonzero(boundary_of_rows == k)
+            weights_of_boundary = weights_of_rows[rows_of_boundary]
+            node = np.unique(weights_of_boundary.indices).astype(np.int64)
+            exerted = -(weights_of_boundary.T @ forces_of_rows[rows_of_boundary])[node]
             count = len(node)
-            pieces.append(
-                (node, np.column_stack(exerted), np.full(count, k), np.full(count, on_slave))
-            )
+            pieces.append((node, exerted, np.full(count, k), np.full(count, on_slave)))
     node, exerted, boundary, on_slave = map(np.concatenate, zip(*pieces, strict=True))
     return node, exerted, boundary, on_slave
 

@@ -349,7 +349,7 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     place_in_body = np.searchsorted(body.nodes, contact.nodes)
     on_body = place_in_body < len(body.nodes)
     on_body[on_body] = body.nodes[place_in_body[on_body]] == contact.nodes[on_body]
-    frames = frames_of(contact, problem.fixed.reshape(-1, dim))[on_body]
+    frames = frames_of(problem)[on_body]
     at_contact = body.motions.reshape(len(body.nodes), dim, -1)[place_in_body[on_body]]
     local_motions = np.einsum("nij,njk->nik", frames, at_contact)
     normal = local_motions[:, 0]

@@ -48,6 +48,21 @@ def pressed(dim, seed, elements="linear"):
     return problem, mesh
 
 
+def guided():
+    """A block that turned planes press, and push along an obstacle with which they share edges."""
+    turn = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
+    turn[:, 0] *= np.linalg.det(turn)
+    mesh = am.mesh.structured(CUBE, 5)
+    shifts = {"left": -1e-3, "right": 4e-4, "front": 2e-4, "top": -2e-3}
+    problem = am.ContactProblem(
+        material=am.Solid(young=1e7, poisson=0.3),
+        law=am.Coulomb(0.3),
+        contact=am.Contact("bottom", am.Plane((0.0, 0.0, 0.0), turn[:, -1])),
+        supports=[am.Support(name, normal=shift) for name, shift in shifts.items()],
+    )
+    return problem, replace(mesh, points=mesh.points @ turn.T)
+
+
 def periodic():
     """A cell whose mean shear is prescribed, on springs."""
     mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 6)
@@ -66,9 +81,10 @@ def periodic():
         lambda: pressed(2, 1),
         lambda: pressed(2, 2, "smoothed"),
         lambda: pressed(3, 3),
+        guided,
         periodic,
     ],
-    ids=["plane", "smoothed", "solid", "periodic"],
+    ids=["plane", "smoothed", "solid", "guided", "periodic"],
 )
 def test_a_problem_behind_many_nodes_is_the_problem_alone(posed):
     problem, mesh = posed()

@@ -310,20 +310,26 @@ def pressed(dim, **changes):
     return replace(problem, **changes)
 
 
+@pytest.mark.parametrize("moves", [False, True], ids=["rests", "moves"])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("dim", [2, 3])
-def test_supports_along_normals_turn_with_the_body(dim, seed):
+def test_supports_along_normals_turn_with_the_body(dim, seed, moves):
+    """Also where planes move the edges along which they meet the contact boundary."""
+    sides = {"left": -1e-3, "front": 4e-4} if moves else {}
+    guides = [am.Support(name, normal=shift) for name, shift in list(sides.items())[: dim - 1]]
+    changes = {"supports": (*guides, am.Support("top", normal=-2e-3))} if moves else {}
     rng = np.random.default_rng(seed)
     turn, shift = np.linalg.qr(rng.standard_normal((dim, dim)))[0], rng.uniform(-5, 5, dim)
     turn[0] *= np.linalg.det(turn)
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
     meshes = [am.mesh.structured(unit, n) for n in (2, 4)]
-    straight = am.Hierarchy.from_meshes(pressed(dim), meshes)
+    straight = am.Hierarchy.from_meshes(pressed(dim, **changes), meshes)
     turned = am.Hierarchy.from_meshes(
-        pressed(dim, contact=am.Contact("bottom", am.Plane(shift, turn[:, -1]))),
+        pressed(dim, contact=am.Contact("bottom", am.Plane(shift, turn[:, -1])), **changes),
         [replace(one, points=one.points @ turn.T + shift) for one in meshes],
     )
-    path = am.LoadPath({"top": [1.0, 1.0, 0.5], "right": [0.0, 1.0, 0.5]})
+    factors = {"top": [1.0, 1.0, 0.5], "right": [0.0, 1.0, 0.5]}
+    path = am.LoadPath(factors | ({"left": [0.5, 0.5, 1.0]} if moves else {}))
     one, other = (am.solve_path(grids, path, EXACT) for grids in (straight, turned))
     steps = [
         am.solve_path(turned, path, method)
@@ -363,8 +369,9 @@ def test_supports_along_normals_turn_with_the_body(dim, seed):
         assert estimates[0] == pytest.approx(estimates[1], rel=1e-5)
 
 
+@pytest.mark.parametrize("moves", [False, True], ids=["rest", "move"])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_pairs_between_planes_of_symmetry_turn_with_the_bodies(dim):
+def test_pairs_between_plane_supports_turn_with_the_bodies(dim, moves):
     box, sides = (
         (am.Box, ("left", "front", "bottom")) if dim == 3 else (am.Rectangle, ("left", "bottom"))
     )
@@ -381,8 +388,8 @@ def test_pairs_between_planes_of_symmetry_turn_with_the_bodies(dim):
         dim,
         contact=am.ContactPair("upper.bottom", "lower.top"),
         supports=tuple(
-            am.Symmetry(f"{body}.{side}")
-            for body in parts
+            am.Support(f"{body}.{side}", normal=moves * shift)
+            for body, shift in (("upper", -1e-3), ("lower", 4e-4))
             for side in sides
             if (body, side) != ("upper", "bottom")
         ),
@@ -405,7 +412,9 @@ def test_pairs_between_planes_of_symmetry_turn_with_the_bodies(dim):
     np.testing.assert_allclose(
         am.solve(grids, am.Multigrid(rtol=1e-9)).displacement, found.displacement, atol=1e-6 * size
     )
-    path = am.LoadPath({"upper.top": 1.0, "upper.right": [0, 1]})
+    path = am.LoadPath(
+        {"upper.top": 1.0, "upper.right": [0, 1]} | ({"upper.left": [0.5, 1]} if moves else {})
+    )
     steps = [am.solve_path(each, path, EXACT)[1].contact.slip for each in (one, grids)]
     np.testing.assert_allclose(
         np.linalg.norm(steps[1], axis=1), np.linalg.norm(steps[0], axis=1), atol=1e-10 * size
@@ -704,16 +713,22 @@ def test_a_slave_that_is_held_along_its_whole_surface_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("law", "pull"),
-    [(am.Coulomb(0.4), 1e-7), (am.Coulomb(0.4), 2e-5), (am.Tresca(1.5e7), 1e-7)],
-    ids=["little", "far", "tresca"],
+    ("law", "pull", "nu"),
+    [
+        (am.Coulomb(0.4), 1e-7, 0.2),
+        (am.Coulomb(0.4), 2e-5, 0.2),
+        (am.Tresca(1.5e7), 1e-7, 0.2),
+        (am.Coulomb(0.4), 2e-5, 0.49),
+    ],
+    ids=["little", "far", "tresca", "smoothed"],
 )
-def test_friction_is_opposite_to_all_of_the_slip(law, pull):
+def test_friction_is_opposite_to_all_of_the_slip(law, pull, nu):
     """On a rigid plane: one tangent is driven by the support, the other one free; Newton and cycles
     agree."""
     problem = am.ContactProblem(
         domain=am.Box(width=40e-3, depth=40e-3, height=30e-3),
-        material=am.Solid(young=1.3e11, poisson=0.2),
+        material=am.Solid(young=1.3e11, poisson=nu),
+        elements="smoothed" if nu > 0.4 else "linear",
         law=law,
         contact=am.Contact("bottom", am.Plane(point=(0, 0, 0), normal=(0, 0, 1))),
         loads=(am.Pressure("top", 5e7), am.Traction("back", (0, 5e6, 0))),
