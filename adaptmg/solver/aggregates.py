@@ -38,21 +38,25 @@ from adaptmg.discrete.problem import DiscreteProblem, remembered_of_structure
 from adaptmg.smoother.blocks import (
     AHEAD,
     ONE,
+    TWO,
     ZERO,
+    add,
     in_loop,
     increase,
-    inner,
     read,
     scale,
+    subtract,
     times,
+    write,
 )
 from adaptmg.smoother.interior_point import Conditions, DenseSpan, dense_factors, interior_point
 
 #: nodes of an aggregate and its depth in the graph, by dimension
 _SIZE = {1: (64, 4), 2: (64, 4), 3: (80, 3)}
 #: beyond this number of nodes, by dimension: least nodes of an aggregate, and about the most aggregates, which bound
-#: the cost of the coarse matrix
-_MANY, _LARGE, _MOST = {1: 40_000, 2: 40_000, 3: 24_000}, 100, {1: 3600, 2: 1800, 3: 200}
+#: the cost of the coarse matrix. Certificates of blocks with 36k and 118k nodes at two tolerances take 474 ms; with
+#: 200, 100 and 70 aggregates 552, 479 and 512, all with estimates of 1.05 to 1.13 times the error
+_MANY, _LARGE, _MOST = {1: 40_000, 2: 40_000, 3: 24_000}, 100, {1: 3600, 2: 1800, 3: 140}
 #: axes of the planes of rotations, by dimension
 _PLANES = {1: (), 2: ((0, 1),), 3: ((1, 2), (2, 0), (0, 1))}
 #: aggregates below this share of their size join a neighbour
@@ -120,16 +124,18 @@ def _joined(
 
 
 @kernel
-def _adjacent(indptr, indices, label, aggregate, neighbour):
-    """Write the pairs of different aggregates that entries of the matrix join; return the number of
-    pairs."""
+def _adjacent(indptr, indices, label, seen, aggregate, neighbour):
+    """Write the pairs of different aggregates that entries of the matrix join, few of them twice:
+    ``seen`` (n_aggregates,), -1 at first, has the aggregate that each was last paired with. Return
+    the number of pairs."""
     found = 0
     for i in range(len(indptr) - 1):
         if label[i] < 0:
             continue
         for p in range(indptr[i], indptr[i + 1]):
             other = label[indices[p]]
-            if other >= 0 and other != label[i]:
+            if other >= 0 and other != label[i] and seen[other] != label[i]:
+                seen[other] = label[i]
                 aggregate[found] = label[i]
                 neighbour[found] = other
                 found += 1
@@ -172,129 +178,178 @@ class Aggregates:
             (np.ones(len(matrix.indices), dtype=bool), matrix.indices, matrix.indptr), shape=(n, n)
         )
         label = _joined(graph, label, group, sizes)
-        inside = label >= 0
-        self.label = label[inside]
         self.count = int(label.max(initial=-1)) + 1
-        self.starts = np.append(0, np.cumsum(inside)).astype(np.int32)  # of the rows of the basis
-        self.offsets = np.empty((0, len(self.label)))  # motions of scalar problems are constant
-        if dim > 1:
-            points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
-            # by a mask of rows 4 times as slow
-            self.offsets = self._offsets(points.take(np.flatnonzero(inside), axis=0))
-        # the place of each aggregate in the order of a narrow band, and the width of this in aggregates
+        points = np.zeros((n, dim)) if problem.coordinates is None else problem.coordinates
+        self.offsets = _offsets(points[:, :dim], label, self.count)
         pairs = np.empty((2, len(matrix.indices)), dtype=np.int32)
-        found = _adjacent(matrix.indptr, matrix.indices, label, *pairs)
+        seen = np.full(self.count, -1, dtype=np.int32)
+        pairs = pairs[:, : _adjacent(matrix.indptr, matrix.indices, label, seen, *pairs)]
         coarse = sparse.csr_array(
-            (np.ones(found, dtype=bool), tuple(pairs[:, :found])), shape=(self.count, self.count)
+            (np.ones(pairs.shape[1], dtype=bool), tuple(pairs)), shape=(self.count, self.count)
         )
-        self.place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
-        rows = np.repeat(self.place, np.diff(coarse.indptr))
-        self.width = int(np.max(rows - self.place[coarse.indices], initial=0)) + 1
+        # (n_nodes,): numbers of aggregates in the order of a narrow band, -1 at wholly fixed nodes
+        place = np.argsort(reverse_cuthill_mckee(coarse, symmetric_mode=True)).astype(np.int32)
+        self.label = np.append(place, np.int32(-1)).take(label)
+        # of the band, in aggregates
+        self.width = int(np.abs(np.diff(place[pairs], axis=0)).max(initial=0)) + 1
 
-    def _offsets(self, points: np.ndarray) -> np.ndarray:
-        """Return the offsets (dim, n) of points (n, dim) from the centre of their aggregate, over its
-        extent (root of the mean square)."""
-        members = np.bincount(self.label, minlength=self.count)
-        offsets = points.T.copy()
-        for x in offsets:
-            x -= (np.bincount(self.label, x, self.count) / members).take(self.label)
-        extent = np.sqrt(
-            np.bincount(self.label, np.einsum("dn,dn->n", offsets, offsets), self.count) / members
-        )
-        offsets /= np.where(extent > 0, extent, 1.0).take(self.label)
-        return offsets
-
-    def projected(self, nodes: np.ndarray, projections: np.ndarray) -> np.ndarray:
-        """Return the rigid motions (n, modes, dim) of the aggregates, translations and turns about their
-        centres, at some nodes projected by ``projections`` (n, dim, dim)."""
-        dim = projections.shape[1]
-        motions = np.zeros((len(self.label), dim * (dim + 1) // 2, dim))
-        motions[:, :dim] = np.eye(dim)
+    def span(self, projections: np.ndarray) -> sparse.bsr_array:
+        """Return the rigid motions of the aggregates, translations and turns about their centres, as
+        columns (n_dofs, n_motions), projected by ``projections`` (n_nodes, dim, dim)."""
+        n, dim, _ = projections.shape
+        motions = np.zeros((n, dim, dim * (dim + 1) // 2))
+        motions[:, :, :dim] = np.eye(dim)
         for k, (a, b) in enumerate(_PLANES[dim], dim):
-            motions[:, k, a] = -self.offsets[b]
-            motions[:, k, b] = self.offsets[a]
-        basis_row = self.starts[nodes]
-        in_aggregate = self.starts[nodes + 1] > basis_row
-        rows = basis_row[in_aggregate]
-        motions[rows] = motions[rows] @ projections[in_aggregate].swapaxes(1, 2)
-        return motions
+            motions[:, a, k] = -self.offsets[:, b]
+            motions[:, b, k] = self.offsets[:, a]
+        inside = self.label >= 0
+        return sparse.bsr_array(
+            ((projections @ motions)[inside], self.label[inside], np.append(0, np.cumsum(inside))),
+            shape=(n * dim, motions.shape[2] * self.count),
+        )
+
+
+def _offsets(points: np.ndarray, label: np.ndarray, count: int) -> np.ndarray:
+    """Return the offsets (n, dim) of points from the centre of their aggregate, over its extent (root
+    of the mean square)."""
+    number = label + 1  # 0: in no aggregate
+    members = np.maximum(np.bincount(number, minlength=count + 1), 1)
+    centres = np.stack([np.bincount(number, x, count + 1) for x in points.T]) / members
+    offsets = points - centres.T.take(number, axis=0)
+    squares = np.einsum("nd,nd->n", offsets, offsets)
+    extent = np.sqrt(np.bincount(number, squares, count + 1) / members)
+    offsets /= np.where(extent > 0, extent, 1.0).take(number)[:, None]
+    return offsets
 
 
 aggregates_of = remembered_of_structure(Aggregates)
 
 
+@in_loop
+def _moment(offset, force):
+    """Return offset x force; with a rotation in place of the force minus the motion of the offset."""
+    if len(force) == 2:
+        return (offset[0] * force[1] - offset[1] * force[0],)
+    return (
+        offset[1] * force[2] - offset[2] * force[1],
+        offset[2] * force[0] - offset[0] * force[2],
+        offset[0] * force[1] - offset[1] * force[0],
+    )
+
+
+@in_loop
+def _projected(projections, number, v):
+    """Return v, projected if its node has a projection (``number`` >= 0)."""
+    if number < 0:
+        return v
+    return times(projections, np.uint64(len(v) * len(v)) * np.uint64(number), v)
+
+
+@in_loop
+def _increase(array, at, step, v):
+    """Add v to the entries from a position on, a ``step`` apart."""
+    array[at] += v[0]
+    if len(v) > 1:
+        array[at + step] += v[1]
+    if len(v) > 2:
+        array[at + TWO * step] += v[2]
+
+
 @kernel
-def _fill(indptr, indices, data, starts, label, motions, place, zero, forces, band):
-    """Add the lower half of B'AB to ``band`` (n_coarse, width), column by column. ``forces`` (modes
-    * dim,) comes as 0; it sums what the matrix makes at a node of the motions of one aggregate,
-    until an entry of another aggregate follows in the row. The half of the matrix up to the
-    diagonal is read: 11 ms for 263k nodes (all of it 16), 8 for 36k in 3D (13)."""
+def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, width, band):
+    """Add the lower half of B'AB to ``band`` (n_coarse, ``width``), column by column; the part of each
+    aggregate by itself stands as a block, whose symmetric part is half of it, in the last columns.
+
+    The half of the matrix up to the diagonal is read. ``sums`` (2 dim modes,) comes as 0: of a node
+    it sums the columns of A B for its own aggregate, and for another one until a third follows in
+    the row. A row of a block of the matrix is taken as a force that works on the motions, which spares
+    their products: 2.0 ms for 66k nodes and 4.9 for 36k in 3D, with products 2.8 and 24."""
     dim = np.uint64(len(zero))
-    modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
+    half = dim * dim * (dim + ONE) // TWO
     ahead = np.int64(data.ctypes.data) + AHEAD
     for row in range(len(indptr) - 1):
         i = np.uint64(row)
-        basis_row = np.uint64(starts[i])
-        if basis_row == np.uint64(starts[i + ONE]):
+        own = label[i]
+        if own < 0:
             continue
-        aggregate = place[np.uint64(label[basis_row])]
-        summed_aggregate = aggregate
+        other = own
         for p in range(np.uint64(indptr[i]), np.uint64(indptr[i + ONE])):
             j = np.uint64(indices[p])
             prefetch(np.uintp(ahead + np.int64(8 * dim * dim * p)))
             if j > i:
                 break
-            other_row = np.uint64(starts[j])
-            if other_row == np.uint64(starts[j + ONE]):
+            if label[j] < 0:
                 continue
-            other_aggregate = place[np.uint64(label[other_row])]
-            if other_aggregate != summed_aggregate:
-                _project(basis_row, motions, aggregate, summed_aggregate, zero, forces, band)
-                summed_aggregate = other_aggregate
+            first = np.uint64(0) if label[j] == own else half
+            if label[j] != own and label[j] != other:
+                _project(i, own, other, offsets, held, projections, zero, sums, width, band)
+                other = label[j]
             half_of_diagonal = 0.5 if j == i else 1.0
-            for q in range(modes):
-                v = scale(half_of_diagonal, read(motions, dim * (modes * other_row + q), zero))
-                increase(forces, dim * q, times(data, dim * dim * p, v))
-        _project(basis_row, motions, aggregate, summed_aggregate, zero, forces, band)
+            offset = read(offsets, dim * j, zero)
+            for a in range(dim):
+                force = scale(half_of_diagonal, read(data, dim * (dim * p + a), zero))
+                force = _projected(projections, held[j], force)
+                _increase(sums, first + a, dim, force)
+                if len(zero) > 1:
+                    _increase(sums, first + dim * dim + a, dim, _moment(offset, force))
+        if other != own:
+            _project(i, own, other, offsets, held, projections, zero, sums, width, band)
+        _project(i, own, own, offsets, held, projections, zero, sums, width, band)
 
 
 @in_loop
-def _project(basis_row, motions, aggregate, other_aggregate, zero, forces, band):
-    """Add to ``band`` the work of ``forces`` (the matrix times motions of ``other_aggregate``) on the
-    motions of a node of ``aggregate``, and the same of the transposed matrix, which doubles entries
-    on the diagonal; set the forces to zero."""
+def _project(i, own, other, offsets, held, projections, zero, sums, width, band):
+    """Add to ``band`` the work of the sums for the aggregate ``other`` on the motions of node i of the
+    aggregate ``own``; set the sums to zero."""
     dim = np.uint64(len(zero))
     modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
-    column = modes * np.uint64(min(aggregate, other_aggregate))
-    from_diagonal = modes * np.uint64(max(aggregate, other_aggregate)) - column
-    for q in range(modes):
-        v = read(motions, dim * (modes * basis_row + q), zero)
-        for r in range(modes):
-            work = inner(v, read(forces, dim * r, zero))
-            if aggregate == other_aggregate and q == r:
-                band[column + q, 0] += 2.0 * work
-            elif aggregate > other_aggregate or (aggregate == other_aggregate and q > r):
-                band[column + r, from_diagonal + q - r] += work
-            else:
-                band[column + q, from_diagonal + r - q] += work
-    forces[:] = 0.0
+    column = modes * np.uint64(min(own, other))
+    start = column * width + modes * np.uint64(max(own, other)) - column
+    first = dim * modes
+    # between motions of the node, and between those of the other aggregate
+    step = ONE if other < own else width - ONE
+    other_step = width - step
+    if own == other:
+        start += width - modes
+        first = np.uint64(0)
+        step = ONE
+        other_step = width
+    offset = read(offsets, dim * i, zero)
+    for r in range(modes):
+        force = _projected(projections, held[i], read(sums, first + dim * r, zero))
+        write(sums, first + dim * r, zero)
+        at = start + other_step * r
+        _increase(band, at, step, force)
+        if len(zero) > 1:
+            _increase(band, at + step * dim, step, _moment(offset, force))
 
 
 @kernel
-def _transfer(down, starts, label, motions, place, zero, vector, values):
+def _transfer(down, label, offsets, held, projections, zero, vector, values):
     """Restrict or prolong: if ``down``, add the work of a vector (n_dofs,) on the motions of the
     aggregates to ``values`` (n_coarse,), else add the motions times ``values`` to the vector."""
     dim = np.uint64(len(zero))
-    modes = len(zero) * (len(zero) + 1) // 2
-    for i in range(len(starts) - 1):
-        for at in range(starts[i], starts[i + 1]):
-            for q in range(modes):
-                place_of_motion = modes * place[label[at]] + q
-                motion = read(motions, dim * np.uint64(modes * at + q), zero)
-                if down:
-                    values[place_of_motion] += inner(motion, read(vector, dim * np.uint64(i), zero))
-                else:
-                    increase(vector, dim * np.uint64(i), scale(values[place_of_motion], motion))
+    modes = np.uint64(len(zero) * (len(zero) + 1) // 2)
+    for node in range(len(label)):
+        if label[node] < 0:
+            continue
+        i = np.uint64(node)
+        first = modes * np.uint64(label[i])
+        offset = read(offsets, dim * i, zero)
+        if down:
+            force = _projected(projections, held[i], read(vector, dim * i, zero))
+            increase(values, first, force)
+            if len(zero) > 1:
+                increase(values, first + dim, _moment(offset, force))
+            continue
+        motion = read(values, first, zero)
+        if len(zero) == 2:
+            turn = values[first + dim]
+            motion = add(motion, (-turn * offset[1], turn * offset[0]))
+        if len(zero) == 3:
+            turns = read(values, first + dim, zero)
+            motion = subtract(motion, _moment(offset, turns))
+        increase(vector, dim * i, _projected(projections, held[i], motion))
 
 
 class CoarseCorrection:
@@ -304,39 +359,38 @@ class CoarseCorrection:
         self,
         matrix: sparse.bsr_array,
         aggregates: Aggregates,
-        motions: np.ndarray,
+        held_nodes: np.ndarray,
+        projections: np.ndarray,
         nodes: np.ndarray,
         stiffening: np.ndarray,
     ) -> None:
-        """Factorise the coarse matrix of ``motions`` (n, modes, dim), with blocks ``stiffening`` at
-        ``nodes``."""
-        _, modes, dim = motions.shape
+        """Factorise the coarse matrix, of motions that ``projections`` (n, dim, dim), symmetric,
+        project at the held nodes (n,), with blocks ``stiffening`` at ``nodes``."""
+        dim = projections.shape[1]
+        modes = dim * (dim + 1) // 2
+        held = np.full(len(aggregates.label), -1, dtype=np.int32)
+        held[held_nodes] = np.arange(len(held_nodes))
         self._basis = (
-            aggregates.starts,
             aggregates.label,
-            motions.reshape(-1),
-            aggregates.place,
+            aggregates.offsets.reshape(-1),
+            held,
+            projections.reshape(-1),
             ZERO[dim],
         )
-        band = np.zeros((modes * aggregates.count, modes * aggregates.width))
-        _fill(
-            matrix.indptr,
-            matrix.indices,
-            matrix.data.reshape(-1),
-            *self._basis,
-            np.zeros(dim * modes),
-            band,
-        )
+        width = modes * (aggregates.width + 1)
+        band = np.zeros((modes * aggregates.count, width))
+        parts = [matrix]
         if stiffening.any():
-            stiffening_matrix = nodal_matrix(nodes, stiffening, matrix.shape[0])
-            _fill(
-                stiffening_matrix.indptr,
-                stiffening_matrix.indices,
-                stiffening_matrix.data.reshape(-1),
-                *self._basis,
-                np.zeros(dim * modes),
-                band,
-            )
+            parts.append(nodal_matrix(nodes, stiffening, matrix.shape[0]))
+        for part in parts:
+            arrays = part.indptr, part.indices, part.data.reshape(-1)
+            sums = np.zeros(2 * dim * modes)
+            _fill(*arrays, *self._basis, sums, np.uint64(width), band.reshape(-1))
+        blocks = band[:, -modes:].reshape(-1, modes, modes)
+        blocks = blocks + blocks.swapaxes(1, 2)
+        band[:, -modes:] = 0.0
+        for k in range(modes):
+            band[k::modes, : modes - k] += blocks[:, k, k:]
         band[:, 0] += raised(band[:, 0])
         # it fails where nothing holds a motion; then the sweeps alone precondition
         self._factor, self._failed = (
@@ -393,13 +447,7 @@ class _Smoothed(DenseSpan):
         self.dim = dim
         free = ~problem.fixed
         matrix = sparse.csr_array(problem.matrix)
-        nodes = np.arange(problem.n_nodes)
-        aggregates = aggregates_of(problem)
-        motions = aggregates.projected(nodes, free.reshape(-1, dim)[:, :, None] * np.eye(dim))
-        basis = sparse.bsr_array(
-            (motions.swapaxes(1, 2), aggregates.label, aggregates.starts),
-            shape=(len(free), motions.shape[1] * aggregates.count),
-        )
+        basis = aggregates_of(problem).span(free.reshape(-1, dim)[:, :, None] * np.eye(dim))
         inverse = np.where(free, 1 / matrix.diagonal(), 0.0)
         vector = np.where(free, np.sin(np.arange(len(free)) ** 2.0), 0.0)
         # damped Jacobi: ten power steps for the largest eigenvalue of D^-1 A

@@ -205,9 +205,13 @@ class _Preconditioner:
         self._zero = ZERO[dim]
         self._strips = Strips.of(matrix.indptr, matrix.indices, dim * dim, stored=False)
         self._matrix = matrix.indptr, matrix.indices, matrix.data.reshape(-1), self._strips.rank
-        motions = aggregates.projected(status.held, status.projections)
         self._coarse = CoarseCorrection(
-            matrix, aggregates, motions, status.nodes, status.stiffening
+            matrix,
+            aggregates,
+            status.held,
+            status.projections,
+            status.nodes,
+            status.stiffening,
         )
         inverse = nodal_blocks(problem)
         blocks = inverse[status.held]
