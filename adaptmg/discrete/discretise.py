@@ -139,8 +139,8 @@ def _strain_free(posed: Posed, volumes: Volumes) -> dict[str, Any]:
 
 
 def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> DiscreteProblem:
-    """Return what :func:`assembled` does, and take from ``old`` all that loads and the law do not
-    change.
+    """Return the problem of :func:`assembled`, with all parts of ``old`` that do not depend on loads and
+    the law.
 
     The problem of ``old`` differs in the parts ``changed``, and perhaps in its law."""
     problem = posed.problem

@@ -331,7 +331,7 @@ class AdaptiveLoop:
                 yield self._solve(*self._carry(last, mesh))
 
     def _ended(self, last: Step) -> str:
-        """Return as text why there are no more steps, whatever the estimate; empty if there are."""
+        """Return the reason why there are no more steps, apart from the estimate; empty if there are."""
         limits = self.limits
         every = self.parts.remesh_every
         if limits.max_seconds is not None and last.total_seconds >= limits.max_seconds:
@@ -342,7 +342,7 @@ class AdaptiveLoop:
         return ""
 
     def _reached(self, last: Step) -> str:
-        """Return as text which limit a step has reached; empty if none."""
+        """Return the limit that a step has reached, as text; empty if it has reached none."""
         limits = self.limits
         accurate = [
             limits.tolerance is not None and step.estimate.relative <= limits.tolerance
@@ -371,7 +371,7 @@ class AdaptiveLoop:
 
     @one_blas_thread()
     def _refine(self, last: Step) -> tuple[MeshArrays | None, str]:
-        """Return the next mesh; or None, and as text why there is none."""
+        """Return the next mesh, or None and the reason why there is none."""
         self._report("mesh", last.nodes)
         max_nodes = self.limits.max_nodes
         engine = self.parts.engine
@@ -594,8 +594,8 @@ def appended(hierarchy: Hierarchy, mesh: MeshArrays, engine: Engine) -> Hierarch
 
 def thinned(hierarchy: Hierarchy, last: bool = False) -> Hierarchy:
     """Return the hierarchy without the levels next to the finest that are too close to their
-    neighbours and not needed. A single one that is too close to the ``last`` mesh stays: its cycles
-    cost less than to do without it."""
+    neighbours and not needed. Before the ``last`` mesh a single level that is too close stays: its
+    cycles cost less than to set up others without it."""
     if last and (len(hierarchy) < 3 or hierarchy[-2].n_nodes >= CLOSE * hierarchy[-3].n_nodes):
         return hierarchy
     for level in (len(hierarchy) - 2, len(hierarchy) - 3):

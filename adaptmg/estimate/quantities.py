@@ -150,8 +150,8 @@ class Quantity(Protocol):
 
 
 def checked_functionals(view: GoalView, quantity: Quantity) -> list[Functional]:
-    """Return what a quantity asks for; TypeError or ValueError, which name it, unless these are
-    functionals of this view."""
+    """Return the functionals of a quantity; TypeError or ValueError, which name it, unless they fit this
+    view."""
     made = quantity.functionals(view)
     name = f"quantity {checks.shown(quantity)}: "
     if not isinstance(made, (list, tuple)) or not all(
@@ -545,13 +545,9 @@ class Opening:
         contact = view.contact
         posed = view.touching
         mesh = view.mesh
-        on_boundary, sign = _contact_mask(posed, self.boundary)
-        if sign < 0:
-            raise ValueError(
-                f"boundary {self.boundary!r} is the master of a pair: give the slave, which has the gaps"
-            )
+        weights = _of_slaves(view, self.boundary)
+        on_boundary = weights > 0
         if self.point is None:
-            weights = np.where(on_boundary, posed.weights, 0.0)
             name = f"mean opening of {self.boundary!r}"
             weights /= np.sum(posed.measures[on_boundary])
         else:

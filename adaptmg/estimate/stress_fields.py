@@ -234,10 +234,12 @@ class Solved:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
         unknowns, forces = self._moved
         inclined = self.discrete.inclined
-        changed = inclined.strain_free(None, inclined.along(unknowns))
-        if changed is None:
+        # inclined supports are eliminated from the matrix: their part of the energy is added
+        eliminated = inclined.strain_free(None, inclined.along(unknowns))
+        if eliminated is None:
             return energy_norm(unknowns, forces)
-        energy = unknowns @ (forces - 2 * changed[0]) + changed[1]
+        load, constant = eliminated
+        energy = unknowns @ (forces - 2 * load) + constant
         volumes = self.discrete.volumes
         energy += self.result.pressures @ (volumes.areas * volumes.prescribed)
         return float(np.sqrt(max(energy, 0.0)))
@@ -392,8 +394,9 @@ def _fill(surface: Surface, filled: np.ndarray, values: np.ndarray) -> None:
 def _on_surface(
     mesh: MeshArrays, contact: ContactResult, name: str, axisymmetric: bool
 ) -> SurfaceTraction:
-    """Return the contact traction on a boundary: nodal forces over nodal masses; nodes without a
-    force of this boundary take the traction of another one, or of their neighbours."""
+    """Return the contact traction on a boundary: nodal forces over nodal masses. Nodes without a force
+    of this boundary get the traction of another boundary that goes straight on, or that of their
+    neighbours."""
     surface = mesh.surface(name)
     nodes = surface.nodes
     mass = surface.lumped(axisymmetric)[surface.nodes]

@@ -72,22 +72,23 @@ _DIFFERENCE = 0.02
 # unknowns of the level on which motions are found first: half 535 cycles, twice 443 and 93 guides, 700 here 497, at
 # most 26 a step
 _GUIDING = 2500
-# what forces may miss there: half 510 cycles, at most 27 a step, twice 548, at most 48
+# deviation of forces, over their size, up to which they count as met there: half 510 cycles, at most 27 a step, twice
+# 548, at most 48
 _COARSE = 1e-3
-_RELINEARISED = 5  # times that they move to first order there
+_RELINEARISED = 5  # times that the motions are linearised there
 # springs of an obstacle there, over the largest stiffness; half, twice and 1e-7: the same cycles and guides; 1e-12:
 # the same cycles, a guide more
 _SOFT = 1e-9
 # share of the force of a bolt from which on it is resisted; half, twice, .1 and 1e-9: the same cycles
 _PULLS = 0.01
-_DOUBLINGS = 20  # of the strain of a bolt until then
+_DOUBLINGS = 20  # times that the strain of a bolt is doubled until then
 # tolerance of a contact problem, over what forces missed before it: half 547 cycles, at most 35 a step, twice 511, at
 # most 27
 _LOOSE = 0.01
 # tolerance for differences, over the size of the unknowns: half 530 cycles, twice 525, at most 38 a step, 1e-3 528
 _EXACT = 1e-5
-# share of what forces missed from which on a coarse level leads astray: half 505 cycles, at most 27 a step, twice 531,
-# at most 28, .6 563, at most 41
+# a step with the Jacobian of a coarse level must reduce the deviation of the forces to this share: half 505 cycles, at
+# most 27 a step, twice 531, at most 28, .6 563, at most 41
 _SLOW = 0.15
 _TINY = float(np.finfo(np.float64).tiny)
 #: solves a contact problem: from motions, a result with motions near to these and the tolerance that suffices to the
@@ -97,15 +98,15 @@ Solve = Callable[[dict[str, np.ndarray], Result | None, float], tuple[Result, Ca
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """The starts that a step has from the steps before it."""
+    """The starts that the steps before offer to a step."""
 
     levels: list[np.ndarray]  # displacements (n_dofs,) after the step before, coarsest level first
     extrapolated_levels: list[np.ndarray]  # (n_dofs,): from the last two steps in the loads
     last: np.ndarray  # solution (n_unknowns,) after the step before
     extrapolated: np.ndarray  # (n_unknowns,): from the last two steps in the loads
-    given: bool  # whether there is a step before
+    given: bool  # whether there was a step before
     near: bool = False  # whether ``extrapolated`` is a solution of this step with other motions
-    loose: float = 0.0  # tolerance that suffices
+    loose: float = 0.0  # tolerance that suffices, if it is larger than that of the solver
 
 
 def better_start(examiner: Examiner, past: Past, run: Run) -> np.ndarray:
@@ -136,10 +137,10 @@ def extrapolated_outcome(
     problem: DiscreteProblem, rtol: float, examiner: Examiner, run: Run, past: Past
 ) -> Outcome | None:
     """Return the extrapolation as the outcome of a step if the certificate finds it as accurate as
-    ``rtol``, else None. The result needs this certificate, too: a step that is proportional to the
-    last one costs nothing else (0.6 of a path of 20 steps on 4225 nodes). 17 paths with 340 steps
-    take 1241 cycles for 1326, and the certificate refuses 10 of 173 extrapolations; with a tenth of
-    the residual that is asked for, 1279 cycles, and it refuses none of 144."""
+    ``rtol``, else None. A step that is proportional to the last one then costs only this certificate,
+    which its result needs anyway (0.6 of a path of 20 steps on 4225 nodes). 17 paths with 340 steps
+    take 1241 cycles in place of 1326, and the certificate refuses 10 of 173 extrapolations; if a
+    tenth of the residual is required, 1279 cycles, and it refuses none of 144."""
     solution = problem.with_prescribed(problem.from_prescribed(past.extrapolated))
     with run.phase("start"):
         residual = examiner.relative_residual(solution)
@@ -344,7 +345,7 @@ class Controls:
             name = bolt.path_name
             if factors[name] == self.factors.get(name, 0.0):
                 continue
-            # a bolt that is let go has a target of 0: its scale is the force that it had
+            # the target of a bolt that is released is 0: its scale is the force that it had
             force = bolt.force * max(abs(factors[name]), abs(self.factors.get(name, 0.0)))
             material = cast("ContactProblem", self.problem).material
             strain = force / cut_stiffness(mesh, material, bolt)
@@ -513,8 +514,8 @@ class Guide:
         return self.balanced_values(values)
 
     def stiffness(self, values: np.ndarray) -> np.ndarray | None:
-        """Return the Jacobian (n, n) of forces by motions, the inverse of what small changes of the
-        forces move; None where equations are singular."""
+        """Return the Jacobian (n, n) of forces by motions, as the inverse of the differences of motions
+        for small changes of the forces; None where equations are singular."""
         try:
             rest = self._balancing_change(values, np.zeros(self.size))
             changes = _DIFFERENCE * np.eye(self.size)
@@ -552,7 +553,7 @@ class Guide:
             part_moves = _rigid_moves(arms)[:, list(part.free)].transpose(0, 2, 1)
             moves[nodes, :, part.indices] = part_moves * scales[part.indices]
         moves = np.stack([discrete.free_part(moves[:, :, k]) for k in range(n)], axis=1)
-        # motions without a meaning fill the last block of the matrix; they are fixed
+        # columns of zeros, which are fixed, complete the last block of the matrix
         moves = np.pad(moves, ((0, 0), (0, -n % dim)))
         padded = moves.shape[1]
         basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
@@ -724,7 +725,7 @@ def _rigid_moves(arms: np.ndarray) -> np.ndarray:
     """Return the displacements (n, 3 or 6, dim) of points with these arms (n, dim) in each rigid motion
     of size 1: translations, then rotations."""
     n, dim = arms.shape
-    axes = np.eye(3)[3 - 2 * dim :]  # of rotation: z alone in the plane
+    axes = np.eye(3) if dim == 3 else np.eye(3)[2:]  # of rotation
     spatial = np.pad(arms, ((0, 0), (0, 3 - dim)))
     turns = np.cross(axes, spatial[:, None])[:, :, :dim]
     return np.concatenate([np.broadcast_to(np.eye(dim), (n, dim, dim)), turns], axis=1)

@@ -77,7 +77,8 @@ class PathLoop:
         #: the solver with the tolerance of the steps, and what its truncated multigrid has set up
         self.step_solver = solver
         self.multigrid: TruncatedRun | None = None
-        #: displacements of the last step on the levels; the method has those of coarse ones, or they are interpolated
+        #: displacements of the last step on the levels: the method returns those of coarse levels, or they are
+        #: interpolated
         self.levels = [
             np.zeros(level.discrete.n_dofs)
             for level in grids.levels[0 if grids.discretised else -1 :]
@@ -258,7 +259,7 @@ class PathLoop:
         return self._factors_at(k) | bolts
 
     def _stress_data(self, k: int, motions: Mapping[str, np.ndarray]) -> StressData | None:
-        """Return what stresses of step k need, if the levels have meshes."""
+        """Return the stress data of step k; None if the levels have no meshes."""
         return self.finest_loads.stress_data(self._loading(k, motions))
 
     def _undeformed(

@@ -222,6 +222,7 @@ def vtk_series(
 
 
 def _collection(names: Sequence[str], times: np.ndarray) -> bytes:
+    """Return a ParaView collection (.pvd) of files at times, s."""
     lines = [
         f'<DataSet timestep="{float(time)!r}" part="0" file={quoteattr(printable(name))}/>'
         for name, time in zip(names, times, strict=True)

@@ -635,7 +635,7 @@ def _name(value: str) -> str:
 
 
 def _keys(column: pd.Series) -> pd.Series:
-    """Values as texts, floats in few digits where these differ."""
+    """Return values as texts, floats in few digits if these still differ."""
     texts = column.map(
         lambda value: f"{value:g}" if isinstance(value, float) else str(value)
     ).astype(object)

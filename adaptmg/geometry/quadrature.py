@@ -25,6 +25,7 @@ def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _radon() -> tuple[np.ndarray, np.ndarray]:
+    """Return Radon's rule of degree 5 on a triangle: barycentric points (7, 3) and weights."""
     root = np.sqrt(15)
     near = (6 - root) / 21
     far = (6 + root) / 21

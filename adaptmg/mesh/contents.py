@@ -184,12 +184,11 @@ def _names(
     called = [unnamed] * len(sizes)
     least = np.full(len(sizes), len(parts) + 1)
     for name, inside in sets.items():
-        count = np.count_nonzero(inside)
-        for k in np.flatnonzero(
-            (np.bincount(parts[inside], minlength=len(sizes)) == sizes) & (count < least)
-        ):
+        size = np.count_nonzero(inside)
+        contains_piece = np.bincount(parts[inside], minlength=len(sizes)) == sizes
+        for k in np.flatnonzero(contains_piece & (size < least)):
             called[k] = name.replace(".", "_") if split else name
-            least[k] = count
+            least[k] = size
     # pieces of one name are numbered
     names = []
     count = Counter()

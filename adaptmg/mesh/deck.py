@@ -187,6 +187,7 @@ class _Deck:
         return np.concatenate(self.sets[kind][name])
 
     def _nodes(self, block: _Block) -> None:
+        """Read the nodes of *NODE: the number and the coordinates of each."""
         table = np.array(
             [([_number(word) for word in row[:4]] + [0.0] * 3)[:4] for row in block.rows()]
         ).reshape(-1, 4)
@@ -269,6 +270,7 @@ class _Deck:
         )
 
     def _constants(self, block: _Block) -> None:
+        """Note the constants of *ELASTIC or *FRICTION, which are not taken over."""
         words = [word for word in next(block.rows(), []) if word]
         if block.keyword == "FRICTION":
             self.notes.append(f"friction {', '.join(words[:1])} of {self.interaction!r}")

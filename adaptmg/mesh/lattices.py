@@ -77,7 +77,7 @@ def structured(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -
 
 
 def lattices(domain: Domain, divisions: Divisions | Mapping[str, Divisions]) -> MeshArrays:
-    """Return what :func:`structured` does, without a warning."""
+    """Return the mesh of :func:`structured` without its warning."""
     meshes = {
         body: _lattice(part, counts) for body, (part, counts) in _parts(domain, divisions).items()
     }

@@ -448,6 +448,7 @@ def step_shape(path: str, number: int) -> tuple[ShapeTables, np.ndarray, float]:
 
 
 def _hold(solid: Solid) -> ShapeTables:
+    """Store a solid for further requests, and return the tables of its faces."""
     _Held.shape = solid
     faces = list(solid.faces)
     return (

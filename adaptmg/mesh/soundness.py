@@ -165,6 +165,7 @@ def _check_bodies(mesh: MeshArrays, table: FacetTable) -> None:
 
 
 def _check_names(mesh: MeshArrays, boundaries: Sequence[str]) -> None:
+    """Raise ValueError unless the mesh has facets on all these boundaries."""
     present = np.bincount(mesh.facet_labels, minlength=len(mesh.boundaries)) > 0
     known = [name for name, there in zip(mesh.boundaries, present, strict=True) if there]
     for name in boundaries:

@@ -546,6 +546,7 @@ def _shown(results: list[Result], factors: np.ndarray, steps: int) -> np.ndarray
 def _evaluate(
     results: list[Result], quantities: Mapping[str, Callable[[Result], float]]
 ) -> dict[str, np.ndarray]:
+    """Return the values (n,) of each quantity for the results, by label."""
     if not isinstance(quantities, Mapping) or not all(map(callable, quantities.values())):
         raise TypeError(f"quantities must map labels to functions of a Result, got {quantities!r}")
     return {

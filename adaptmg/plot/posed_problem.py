@@ -461,6 +461,7 @@ def _legend(
 
 
 def _law_text(law: laws.Law) -> str:
+    """Return a law as text for a legend."""
     if isinstance(law, laws.Frictionless):
         return "frictionless contact"
     if isinstance(law, laws.Coulomb):

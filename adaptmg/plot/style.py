@@ -260,6 +260,7 @@ def legend_next_to(ax: Axes, handles: Sequence[Artist], **options: Any) -> None:
 
 
 def _inside(ax: Axes, handles: Sequence[Artist], columns: int) -> Legend:
+    """Put a legend with some columns at the top inside the axes."""
     legend = ax.legend(
         handles=handles,
         loc="upper center",

@@ -112,8 +112,8 @@ class LoadPath:
 
 
 def _acting(problem: ContactProblem) -> Sequence[Acting]:
-    """Return what a path scales: loads, prescribed displacements and jumps other than zero, and
-    moving obstacles."""
+    """Return the parts of a problem that a path scales: loads, prescribed displacements and jumps other
+    than zero, and moving obstacles."""
     prescribed = [
         support
         for support in (*problem.supports, *problem.ties)

@@ -217,14 +217,14 @@ class _NewtonState:
 class _Newton:
     """The Newton steps on one level."""
 
-    #: tolerances of the interior point method, one after the other where the status that it finds comes
-    #: back, and its steps at most
+    #: tolerances of the interior point method: the next one is taken when the Newton steps return to an earlier status;
+    #: and its steps at most
     #: TOLERANCES: a hundredth changes 24 of 119 solves, paths and loops, a hundred times 21
     #: (campaign constants)
     TOLERANCES = (1e-9, 1e-12, 1e-15)
     MOST = 60
-    #: steps after which the iteration counts as repeating itself: in 3D the direction of a slip may go round while no
-    #: status comes back
+    #: Newton steps after which the iteration counts as repeating itself: in 3D the direction of a slip may rotate
+    #: without end while no status returns
     LONG = 15
     #: augmentation c over the diagonal of the matrix: it weighs gaps against forces where a status is decided: 156
     #: solves take 1195 cycles and steps; 1246 at .001, 1237 at 1, 1299 at 1000
@@ -284,6 +284,7 @@ class _Newton:
         return self.run.shortfall(self._whole(self.local.to_cartesian(state.unknowns)), rtol)
 
     def measure(self, state: _NewtonState) -> Measured:
+        """Return the norms of a state, with the numbers of active and of slipping nodes."""
         if state.gives_up is not None:
             return Measured(state.cycles, gives_up=state.gives_up)
         active = state.equations.active
@@ -472,6 +473,8 @@ class SparseSteps:
         return interior.unknowns
 
     def solve(self, equations: Linearised, residual: np.ndarray) -> np.ndarray:
+        """Return the change (n_dofs,) for a residual (n_dofs,); LinAlgError if the equations are
+        singular or an iterative linear solver does not converge."""
         system = self.local.system
         # the equations of contact nodes take the place of theirs
         prescribed = np.zeros((system.n_nodes, system.dim), dtype=bool)
@@ -538,6 +541,7 @@ class SparseSteps:
         return lambda rhs: self._solution(prepared, rhs, self.RTOL).unknowns
 
     def _solution(self, prepared: Prepared, rhs: np.ndarray, rtol: float) -> LinearSolution:
+        """Solve with a prepared matrix, count the passes, and log if an iterative solver stops early."""
         solution = solution_of(self.linear, prepared, rhs, rtol)
         self.run.count(solution.passes, self.local.system.nonzeros)
         if not solution.converged and not isinstance(self.linear, Direct):

@@ -24,6 +24,7 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.sides import STIFFER, exchangeable
 from adaptmg.discrete.stress import LOCKING, element_strain, hoop_strain
+from adaptmg.mesh.arrays import mask_of
 from adaptmg.problem import Contact, ContactPair, InitialStrain, Plane, PlaneStress
 from adaptmg.problem.laws import FollowsState
 from adaptmg.problem.surfaces import moving_parts
@@ -145,7 +146,8 @@ def advise_on_problem(posed: Posed | None) -> None:
 def advise_on_chords(
     posed: Posed | None, discrete: DiscreteProblem, results: Sequence[Result]
 ) -> None:
-    """Warn of pairs with unknown curved surfaces if chords are as high as gaps, or press."""
+    """Warn of pairs with curved surfaces that are known only by chords, if these are nearly as high as
+    the gap, or add considerably to the largest pressure."""
     if posed is None or discrete.coupling is None:
         return
     peaks = np.max([result.contact.pressure for result in results], axis=0, initial=0.0)
@@ -156,8 +158,7 @@ def advise_on_chords(
             continue
         nodes = contact.nodes[pressed]
         facing = discrete.coupling.weights[nodes]
-        near_pressed = np.zeros(discrete.n_nodes, dtype=bool)
-        near_pressed[nodes] = near_pressed[facing.indices] = True
+        near_pressed = mask_of(np.append(nodes, facing.indices), discrete.n_nodes)
         heights, lengths = np.concatenate(
             [
                 chord_heights(side)[:, near_pressed[side.facets].all(axis=1)]
@@ -173,14 +174,9 @@ def advise_on_chords(
         length = lengths[highest]
         mean_gap = np.average(np.abs(contact.gaps[pressed]), weights=contact.weights[pressed])
         modulus_in_series = 1 / (1 / posed.young(pair.slave) + 1 / posed.young(pair.master))
-        # what chords press, over what they may
-        excess = (
-            PRESSED
-            * modulus_in_series
-            * height
-            / length
-            / max(EXCESS * peaks[pressed].max(), 1e-300)
-        )
+        # pressure by chords over the largest that is not reported
+        pressure_by_chords = PRESSED * modulus_in_series * height / length
+        excess = pressure_by_chords / max(EXCESS * peaks[pressed].max(), 1e-300)
         if height > CHORDS * mean_gap or excess > 1:
             size_needed = length * min(np.sqrt(CHORDS * mean_gap / height), 1 / excess)
             advise(

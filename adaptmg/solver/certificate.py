@@ -591,7 +591,8 @@ class Evidence:
     ) -> tuple[float, bool]:
         """Return ||u - u_h||_A of ``unknowns`` (n_nodes, dim) with the contact status held, infinite
         where it leaves a loaded motion free, and whether the corrected displacement contradicts this
-        status. ``forces`` (n_nodes, dim) are those that nothing explains."""
+        status: an open node penetrates, or a closed one pulls. ``forces`` (n_nodes, dim) are the
+        unexplained ones."""
         contact = self.problem.contact
         matrix = self.problem.matrix
         status, change, lawful, closed = self._frozen(conditions, unknowns)
@@ -607,12 +608,12 @@ class Evidence:
         # gaps and pressures after the correction
         gap = conditions.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)
         pressure = -_along(exerted - corrected.forces, contact.normals)
-        deepest = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)
-        pulled = -_WRONG * max(pressure.max(initial=0.0), conditions.pressure.max(initial=0.0))
-        wrong = np.where(closed, pressure < pulled, gap < deepest).any() or not np.isfinite(
-            corrected.energy
-        )
-        return float(moved + np.sqrt(corrected.energy)), bool(wrong)
+        least_gap = -_WRONG * np.linalg.norm(corrected.moved, axis=1).max(initial=0.0)
+        largest_pressure = max(pressure.max(initial=0.0), conditions.pressure.max(initial=0.0))
+        least_pressure = -_WRONG * largest_pressure
+        contradicts = np.where(closed, pressure < least_pressure, gap < least_gap).any()
+        wrong = bool(contradicts) or not np.isfinite(corrected.energy)
+        return float(moved + np.sqrt(corrected.energy)), wrong
 
     def _with_changed_status(
         self, conditions: ContactValues, held: float, aggregates: Aggregates

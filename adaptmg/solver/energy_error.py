@@ -317,7 +317,7 @@ class _Equations:
         values = nodal
         energetic = forces
         image = forces.copy()
-        compressed = None
+        compressed = None  # rows of the pressures in the image
         if len(self.volumes):
             soft = self.volumes.areas * self.volumes.compliance
             areas = self.volumes.areas

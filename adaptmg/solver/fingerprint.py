@@ -159,9 +159,9 @@ class Fingerprint:
 def fingerprint(
     function: Callable[..., object], depends: Mapping[str, object] | None = None
 ) -> Fingerprint:
-    """Return what a plain function depends on; TypeError for what it reads and cannot be compared.
-    ``depends`` has values by name, in place of globals and variables of closures, or for anything
-    else; a :class:`pathlib.Path` in it stands for the content of the file."""
+    """Return the parts that a plain function depends on; TypeError if it reads a value that cannot be
+    compared. ``depends`` has values by name that are compared in place of globals and variables of
+    closures, or in addition; a :class:`pathlib.Path` in it stands for the content of the file."""
     if not isinstance(function, FunctionType):
         raise TypeError(
             f"run must be a plain function (def), got {function!r}; give constants with fixed={{...}}"
@@ -473,8 +473,8 @@ def _plain_code(code: CodeType) -> tuple[object, ...]:
 def _reads(
     code: CodeType,
 ) -> tuple[list[tuple[str, ...]], list[tuple[int, str, tuple[str, ...] | None]]]:
-    """Return what code reads: globals and variables of closures, each with the attributes taken from
-    it, and imports (level, module, names)."""
+    """Return the globals and variables of closures that code reads, each with the attributes taken
+    from it, and its imports (level, module, names)."""
     chains = []
     imports = []
     parts = [code]

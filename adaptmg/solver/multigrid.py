@@ -189,7 +189,8 @@ class Multigrid:
     def prepared(
         self, hierarchy: Grids, run: Run, keeps: bool = False
     ) -> TruncatedRun | ProjectedRun:
-        """Return what the method sets up for a hierarchy; ``keeps``: for several load steps."""
+        """Return a run of the method that is set up for a hierarchy; with ``keeps`` the set-up serves
+        several load steps."""
         if len(hierarchy) < 2:
             raise ValueError(
                 "grids must have at least two levels for multigrid, got one: use SingleGrid or "
@@ -246,7 +247,7 @@ CONDENSED = 6_000
 
 
 def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
-    """Return the outcome, or where it leaves cycles to another method that of this one."""
+    """Return the outcome; if it leaves cycles to another method, that of the other method."""
     problem = hierarchy.finest.discrete
     start = outcome.solution if outcome.better else None
     if outcome.left and factorisable(problem):

@@ -58,8 +58,8 @@ def tolerance_argument(rtol: float | None, solver: Solver | Method | None) -> fl
 def method_argument(
     solver: Solver | Method | None, grids: Grids, rtol: float | None = None
 ) -> tuple[Grids, Solver, str]:
-    """Return a solver and the grids for it; for None the quickest, with ``rtol`` if it is given,
-    and why if it is not full multigrid on all."""
+    """Return the grids, the solver, and the reason for the choice. Without a solver the quickest one is
+    chosen, with ``rtol`` if it is given; the reason is empty for full multigrid on all levels."""
     rtol = tolerance_argument(rtol, solver)
     grids, method, why = _method(solver, grids)
     return grids, method if rtol is None else replace(cast("Any", method), rtol=rtol), why
@@ -166,8 +166,8 @@ def grids_argument(value: Grids | DiscreteProblem) -> Grids:
 
 
 def checked_outcome(outcome: Outcome, solver: Solver, discrete: DiscreteProblem) -> Outcome:
-    """Return what a solver, perhaps user-defined, returns: checked, and DIVERGED where its numbers
-    are not finite."""
+    """Return the outcome of a solver, which may be user-defined, after checks; its status is DIVERGED if
+    its numbers are not finite."""
     name = f"solver: of the Outcome of {type(solver).__name__}"
     checks.instance(f"solver: what {type(solver).__name__} returns", outcome, Outcome)
     solution = checks.real_array(outcome.solution)

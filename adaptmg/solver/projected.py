@@ -128,7 +128,7 @@ class ProjectedRun:
         return unknowns
 
     def _remember(self, multigrid: MultigridCycle, level: int, unknowns: np.ndarray) -> None:
-        """Keep of a first solution what the correction needs."""
+        """Store slips and limits of a first solution, if the correction needs them."""
         if self.correction.needs_initial:
             local = self.problems[level]
             r = multigrid.residual(level, local.load, unknowns)
@@ -282,7 +282,7 @@ class _CondensedSizes(Sizes):
         super().__init__(full.discrete, full.frames)
         self._condensed = condensed
         hidden = condensed.recover(np.zeros(condensed.problem.system.n_dofs))
-        # the energy that the Schur complement does not see
+        # the energy of the interior that is missing in the Schur complement
         self._hidden = float(np.einsum("i,i->", hidden, full.system.matrix @ hidden))
 
     def norm(self, unknowns: np.ndarray, energy: float) -> float:

@@ -282,6 +282,7 @@ class Quantities:
         return in_units(pandas.DataFrame(rows), units)
 
     def _data(self) -> StressData:
+        """Return the stress data; ValueError without them."""
         if self.dim == 1:
             raise ValueError(
                 "result must be that of a body, got that of a scalar problem, which has no stresses and "

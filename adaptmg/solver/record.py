@@ -99,6 +99,7 @@ class Run:
         self.path.append((level, action, times))
 
     def record(self, *, cycle: int, **values: float) -> None:
+        """Append a row to the history, and pass it to the callback."""
         seconds = clock() - self.started - self.untimed_seconds
         row = {
             "cycle": self.first_cycle + cycle,

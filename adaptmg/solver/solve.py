@@ -157,7 +157,8 @@ def solve(
         check_statics_of(grids)
     with run.phase("setup"):
         bodies = free_bodies(grids.posed, discrete)
-        run.examiner = examiner = Examiner(discrete, bodies)
+        examiner = Examiner(discrete, bodies)
+        run.examiner = examiner
         warn_of_several_solutions(grids)
         advise_on_problem(grids.posed)
     outcome = handed_over(

@@ -29,7 +29,7 @@ from adaptmg.solver.record import Outcome, Run, Status
 
 
 class Stepper(Protocol):
-    """Matrices and transfers that a method keeps for one hierarchy, without an iterate."""
+    """The set-up of a method for one hierarchy (matrices, transfers), without an iterate."""
 
     def step(self, state: State) -> State:
         """Return the next state; the arrays of ``state`` must not be changed."""
@@ -60,7 +60,7 @@ class Cycles:
     n_dofs: int
 
     def step(self, state: State) -> State:
-        """Return the state after a cycle; unknowns that the method has not left itself are smoothed
+        """Return the state after a cycle; unknowns that do not come from the last cycle are smoothed
         first."""
         checks.instance("state", state, State, "a State")
         if len(state.unknowns) != self.n_dofs:
@@ -131,7 +131,7 @@ class Stepped:
         return local.to_local(solution)
 
     def start_steps(self, levels: LocalLevels, number: int, unknowns: np.ndarray) -> np.ndarray:
-        """Return what a few steps on a level of the nested start make of unknowns."""
+        """Return unknowns after a few steps on a level of the nested start."""
         step = self.step_on(levels, number, unknowns)
         state = State(unknowns=unknowns)
         for _ in range(self.start_cycles):
@@ -212,6 +212,6 @@ class LocalLevels:
         return self.run.shortfall(self.finest.to_cartesian(state.unknowns), rtol)
 
     def outcome(self, state: State, status: Status, stop: StopTest, rtol: float) -> Outcome:
-        """Return what a method ends with."""
+        """Return the outcome of a method that ended in a state with a status."""
         solution = self.finest.to_cartesian(state.unknowns).reshape(-1)
         return Outcome(solution, status, state.cycles, rtol, stop.error_estimate, stop.rate)

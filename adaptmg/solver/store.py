@@ -127,6 +127,7 @@ class _Reader:
         self.seen = []
 
     def value(self, plain: Any) -> Any:
+        """Return the value that :meth:`_Writer.plain` has turned into JSON."""
         if isinstance(plain, list):
             return [self.value(part) for part in plain]
         if not isinstance(plain, dict):

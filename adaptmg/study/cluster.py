@@ -498,7 +498,7 @@ class _Runs:
             self._client.run(_kill_worker, nanny=True, workers=workers, on_error="ignore")
 
     def _come_back(self) -> list[tuple[str, Finished | BaseException]]:
-        """Return what is back, after a while nothing."""
+        """Return the results that have come back; after a while without any, none."""
         self._stop_late()
         results = []
         with contextlib.suppress(queue.Empty):

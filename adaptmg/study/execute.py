@@ -161,8 +161,8 @@ def _sorted_out(returned: object, point: Point) -> tuple[dict[str, Scalar], dict
 
 
 def study_fingerprint(function: RunFunction, depends: Mapping[str, object]) -> Fingerprint:
-    """Return what rows depend on: the fingerprint of the run function, and versions of Python and
-    packages."""
+    """Return the fingerprint on which rows depend: that of the run function, with the versions of Python
+    and packages."""
     versions = {f"package {name}": version for name, version in environment().items()}
     return Fingerprint(versions | fingerprint(function, depends).parts)
 

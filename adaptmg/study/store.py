@@ -116,6 +116,7 @@ def _loaded(module: str, name: str) -> tuple[type, ...]:
 
 
 def _array(array: np.ndarray) -> bytes:
+    """Return an array in numpy's file format; TypeError for kinds that cannot be stored."""
     if isinstance(array, np.ma.MaskedArray):
         raise TypeError(
             "a masked array cannot be kept, as its mask would be lost: return its data and mask"
@@ -387,6 +388,7 @@ class Store:
         return self._records("WHERE study = ? AND parameters = ?", study, key).get(key)
 
     def _records(self, condition: str, *values: str) -> dict[str, Record]:
+        """Return the records of the runs that meet an SQL condition, by their parameters."""
         columns = ", ".join(f"CAST({name} AS BLOB)" for name in ("parameters", "record", "hash"))
         with self._explained():
             rows = self._connection.execute(
@@ -398,7 +400,7 @@ class Store:
             }
 
     def kept(self, study: str, key: str) -> dict[str, Packed]:
-        """Return what a run keeps, by name; ValueError if it is not what was stored."""
+        """Return the values that a run keeps, by name; ValueError if they are damaged."""
         with self._explained():
             rows = self._connection.execute(
                 "SELECT name, kind, content, hash FROM kept WHERE study = ? AND parameters = ?",

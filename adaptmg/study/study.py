@@ -479,6 +479,7 @@ class Study:
 
 
 def _check_names(run: RunFunction, names: Sequence[str], fixed: Mapping[str, Value]) -> None:
+    """Raise unless the run function takes exactly these parameters and fixed values."""
     if set(names) & set(fixed):
         raise ValueError(f"{sorted(set(names) & set(fixed))} are both in parameters and in fixed")
     arguments = [*fixed, *names]

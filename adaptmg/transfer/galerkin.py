@@ -60,10 +60,10 @@ def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.b
 
 
 def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
-    """Return a prolongation without what it gives to nodes of which the next finer level takes
-    nothing. The diagonal that :func:`galerkin_product` lends such a node (where a mesh is locally
-    finer than the next) is not stiffness: in the next product it would hold the coarser functions
-    at zero there."""
+    """Return a prolongation without the rows of nodes that the next ``finer`` prolongation does not
+    read (where a mesh is locally finer than the next one). The diagonal that
+    :func:`galerkin_product` gives such a node is not stiffness: in the next product it would hold the
+    coarser functions at zero there."""
     if finer is None:
         return nodal
     idle = np.bincount(finer.indices, weights=np.abs(finer.data), minlength=finer.shape[1]) == 0
@@ -94,6 +94,7 @@ def _with_diagonal_blocks(
 
 
 def _prolongation(name: str, value: object) -> sparse.csr_array:
+    """Return a checked copy of a user's prolongation, without duplicate entries."""
     # a copy: duplicates are summed in place
     given = checks.sparse_matrix(name, value)
     P = sparse.csr_array(given, dtype=np.float64, copy=True)  # pyright: ignore[reportCallIssue, reportArgumentType]  scipy-stubs

@@ -104,6 +104,7 @@ def nodes_of_bodies(mesh: MeshArrays, name: str = "fine") -> np.ndarray:
 
 
 def _check_meshes(coarse: MeshArrays, fine: MeshArrays) -> None:
+    """Raise ValueError unless both meshes have sound elements of the same dimension."""
     for name, mesh in (("coarse", coarse), ("fine", fine)):
         checks.instance(name, mesh, MeshArrays, "MeshArrays")
         if not (mesh.sound or (mesh.volumes > 0).all()):
