@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Self
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import shape_of
 from adaptmg._numba import clock
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
@@ -47,7 +46,7 @@ class Grids:
         for k, (coarse, fine) in enumerate(pairwise(levels), start=1):
             shape = (fine.n_nodes, coarse.n_nodes)
             if coarse.discrete_or_none is None and coarse.matrix.blocksize[0] == 1:
-                shape = (shape_of(fine.matrix)[0], shape_of(coarse.matrix)[0])
+                shape = (checks.shape_of(fine.matrix)[0], checks.shape_of(coarse.matrix)[0])
             prolongations = {"prolongation": fine.prolongation_or_none}
             if fine.surface_prolongation is not None:
                 prolongations["surface_prolongation"] = fine.surface_prolongation

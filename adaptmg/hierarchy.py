@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import combinations, product
 from pathlib import Path
@@ -111,6 +111,7 @@ class Hierarchy(Grids):
     """
 
     @classmethod
+    @one_blas_thread()
     def uniform(
         cls,
         problem: ContactProblem | ScalarProblem,
@@ -129,7 +130,7 @@ class Hierarchy(Grids):
             bodies also body name -> cells. Cells more than three times as long as wide take many
             cycles (a warning).
         """
-        begin = clock()
+        begin = clock(), compiling_seconds()
         from adaptmg.mesh.lattices import lattices, warn_of_stretched
 
         domain = cast("Rectangle | Box | Assembly", need_domain(problem))
@@ -141,13 +142,14 @@ class Hierarchy(Grids):
         warn_of_stretched(domain, divisions[-1])
         return cls._build(
             problem,
-            lambda: [lattices(domain, n) for n in divisions],
+            [lattices(domain, n) for n in divisions],
             None,
             f"uniform {', '.join(map(_label, divisions))}",
             begin,
         )
 
     @classmethod
+    @one_blas_thread()
     def graded(
         cls,
         problem: ContactProblem | ScalarProblem,
@@ -193,7 +195,7 @@ class Hierarchy(Grids):
             Growth of the size per distance from contact on the coarsest level, above 0 and at most
             1; on finer ones it is smaller in the ratio of their sizes.
         """
-        begin = clock()
+        begin = clock(), compiling_seconds()
         from adaptmg.mesh import graded
         from adaptmg.mesh.grading import gradings_of, sensible_sizes
 
@@ -225,25 +227,23 @@ class Hierarchy(Grids):
                 size_function=finer and (lambda x: size / sizes[0] * finer(x)),
             )
 
-        def meshes() -> list[MeshArrays]:
-            """Return the meshes of all levels."""
-            coarsest = mesh(0)
-            finer = None
-            if by_default:
-                from adaptmg.contact_sizes import finer_at_contact
+        coarsest = mesh(0)
+        finer = None
+        if by_default:
+            from adaptmg.contact_sizes import finer_at_contact  # given sizes start sooner
 
-                coarsest, finer = finer_at_contact(
-                    cast("ContactProblem", problem),
-                    coarsest,
-                    lambda field: mesh(0, field),
-                    sizes[-1] / sizes[0],
-                    grading,
-                )
-            return [coarsest, *(mesh(level, finer) for level in range(1, len(sizes)))]
-
+            coarsest, finer = finer_at_contact(
+                cast("ContactProblem", problem),
+                coarsest,
+                lambda field: mesh(0, field),
+                sizes[-1] / sizes[0],
+                grading,
+            )
+        meshes = [coarsest, *(mesh(level, finer) for level in range(1, len(sizes)))]
         return cls._build(problem, meshes, transfer, origin, begin, contact_rows)
 
     @classmethod
+    @one_blas_thread()
     def from_meshes(
         cls,
         problem: ContactProblem | ScalarProblem,
@@ -266,29 +266,27 @@ class Hierarchy(Grids):
             boundary, whatever the transfer does elsewhere: the monotone correction is proven only
             so (or where the transfer does it).
         """
-        begin = clock()
+        begin = clock(), compiling_seconds()
         from adaptmg.mesh import as_mesh
 
         check_problem(problem)
         is_single = isinstance(meshes, (MeshArrays, str, os.PathLike)) or hasattr(meshes, "ngmesh")
         arrays = [as_mesh(mesh) for mesh in _each("meshes", (meshes,) if is_single else meshes, ())]
-        return cls._build(problem, lambda: arrays, transfer, "given meshes", begin, contact_rows)
+        return cls._build(problem, arrays, transfer, "given meshes", begin, contact_rows)
 
     @classmethod
-    @one_blas_thread()
     def _build(
         cls,
         problem: ContactProblem | ScalarProblem,
-        mesh: Callable[[], list[MeshArrays]],
+        meshes: list[MeshArrays],
         transfer: Transfer | None,
         origin: str,
-        begin: float,
+        begin: tuple[float, float],
         contact_rows: bool = True,
     ) -> Self:
-        """Return the hierarchy on the meshes that ``mesh`` makes; ``begin`` is the time at which the
-        caller began."""
-        compiled = compiling_seconds()
-        meshes = mesh()
+        """Return the hierarchy on some meshes; ``begin`` is the time at which their making began, and
+        the seconds of compiling until then."""
+        started, compiled = begin
         if isinstance(problem, ContactProblem):
             problem = Posed.of(problem, meshes[-1]).problem
             for message in (*_elsewhere(problem, meshes[-1]), *_overlaps(problem, meshes[-1])):
@@ -302,7 +300,7 @@ class Hierarchy(Grids):
         for k in range(1, len(levels)):
             levels[k] = joined(levels[k - 1], levels[k], builder, contact_rows)
         timings = {
-            "mesh": meshed - begin,
+            "mesh": meshed - started,
             "assembly": assembled - meshed,
             "transfer": clock() - assembled,
         }

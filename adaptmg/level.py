@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import indices_frozen, shape_of
 from adaptmg._text import shortened
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
@@ -79,10 +78,10 @@ class Level:
                 f"{checks.described(galerkin)}"
             )
         if galerkin is not None:
-            rows, columns = shape_of(checks.sparse_matrix("galerkin", galerkin))
+            rows, columns = checks.shape_of(checks.sparse_matrix("galerkin", galerkin))
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
-            galerkin = indices_frozen(galerkin)
+            galerkin = checks.indices_frozen(galerkin)
         if mesh is not None:
             checks.instance(
                 "mesh", mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts"
@@ -136,7 +135,7 @@ class Level:
     @property
     def n_nodes(self) -> int:
         """Return the number of nodes; of a coarse space of the rows of blocks of its matrix."""
-        return shape_of(self.matrix)[0] // self.matrix.blocksize[0]
+        return checks.shape_of(self.matrix)[0] // self.matrix.blocksize[0]
 
     def prolong(self, u: ArrayLike) -> np.ndarray:
         """Return values on this level from those on the next coarser one (primal): P u.
@@ -158,7 +157,7 @@ class Level:
         >>> level.inject(level.prolong(range(9))).astype(int).tolist()
         [0, 1, 2, 3, 4, 5, 6, 7, 8]
         """
-        return self.prolongation @ _nodal("u", u, shape_of(self.prolongation)[1])
+        return self.prolongation @ _nodal("u", u, checks.shape_of(self.prolongation)[1])
 
     def restrict(self, r: ArrayLike) -> np.ndarray:
         """Return forces or residuals (dual) on the next coarser level from those on this one: P' r,
@@ -168,7 +167,7 @@ class Level:
         ----------
         r : (n_nodes,) or (n_nodes, k) array
         """
-        return self.prolongation.T @ _nodal("r", r, shape_of(self.prolongation)[0])
+        return self.prolongation.T @ _nodal("r", r, checks.shape_of(self.prolongation)[0])
 
     def inject(self, u: ArrayLike) -> np.ndarray:
         """Return values (primal) on the next coarser level from those on this one: of the node with
@@ -179,7 +178,7 @@ class Level:
         u : (n_nodes,) or (n_nodes, k) array
         """
         nodes = np.asarray(sparse.csc_array(self.prolongation).argmax(axis=0)).reshape(-1)
-        return _nodal("u", u, shape_of(self.prolongation)[0])[nodes]
+        return _nodal("u", u, checks.shape_of(self.prolongation)[0])[nodes]
 
 
 def _nodal(name: str, value: ArrayLike, rows: int) -> np.ndarray:
@@ -198,7 +197,7 @@ def _checked_csr(name: str, matrix: object) -> sparse.csr_array | None:
     checked = checks.sparse_matrix(name, matrix)
     if not isinstance(checked, sparse.csr_array) or checked.dtype != np.float64:
         checked = sparse.csr_array(checked).astype(np.float64, copy=False)
-    return indices_frozen(checked)
+    return checks.indices_frozen(checked)
 
 
 def the_transfer(transfer: Transfer | None) -> Transfer:
@@ -247,8 +246,6 @@ def touches_alike(a: DiscreteProblem, b: DiscreteProblem) -> bool:
             result += [weights.indptr, weights.indices, weights.data, problem.fixed]
         return result
 
-    if a.contact is b.contact and a.coupling is b.coupling:
-        return True
     return len(parts(a)) == len(parts(b)) and all(map(np.array_equal, parts(a), parts(b)))
 
 
@@ -268,8 +265,8 @@ def joined(below: Level, above: Level, transfer: Transfer, contact_rows: bool) -
         contact_rows,
     )
     return above.posing(
-        prolongation=indices_frozen(rows.prolongation),
-        surface_prolongation=None if rows.surface is None else indices_frozen(rows.surface),
+        prolongation=checks.indices_frozen(rows.prolongation),
+        surface_prolongation=None if rows.surface is None else checks.indices_frozen(rows.surface),
     )
 
 
@@ -299,16 +296,18 @@ def meshed_domain(problem: ContactProblem | ScalarProblem) -> Domain:
         """Return the domain of a body with these vertices."""
         if domain.dim != 2:
             return domain
-        for part in (*problem.supports, *problem.loads):
-            if not isinstance(part, PointSupport | PointSpring | PointForce):
-                continue
-            # a single body has no name here; a part without a body may be at any of them
-            if body is not None and part.body not in (None, body):
-                continue
+        # a single body has no name here; a part without a body may be at any of them
+        points = [
+            part.point
+            for part in (*problem.supports, *problem.loads)
+            if isinstance(part, PointSupport | PointSpring | PointForce)
+            and (body is None or part.body in (None, body))
+        ]
+        for point in points:
             if isinstance(domain, Cracked):
-                domain = replace(domain, domain=with_vertex(domain.domain, part.point))
+                domain = replace(domain, domain=with_vertex(domain.domain, point))
             else:
-                domain = with_vertex(domain, part.point)
+                domain = with_vertex(domain, point)
         return domain
 
     whole = need_domain(problem)

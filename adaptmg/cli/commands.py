@@ -397,9 +397,8 @@ def _study_of(path: Path, store: Path | None) -> Study:
     file_size("FILE", file)
     # as Python does for a script, so that it can import files next to it
     sys.path.insert(0, os.fspath(file.resolve().parent))
-    spec = importlib.util.spec_from_file_location(file.stem, file)
     # a file whose name ends with .py has a spec and a loader
-    spec = cast("ModuleSpec", spec)
+    spec = cast("ModuleSpec", importlib.util.spec_from_file_location(file.stem, file))
     loader = cast("Loader", spec.loader)
     module = sys.modules[file.stem] = importlib.util.module_from_spec(spec)
     # workers cannot import it, and it may run its study on workers while it is imported

@@ -33,7 +33,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import narrowed
 from adaptmg.discrete.contact_nodes import ContactNodes
 from adaptmg.discrete.supports import Inclined
 from adaptmg.problem.laws import Law, sampled_friction
@@ -67,9 +66,9 @@ class Coupling:
             )
         by_dof.eliminate_zeros()
         upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
-        object.__setattr__(self, "upward", narrowed(upward))
-        object.__setattr__(self, "_by_dof", narrowed(by_dof))
-        object.__setattr__(self, "_series", narrowed(_series(by_dof)))
+        object.__setattr__(self, "upward", checks.narrowed(upward))
+        object.__setattr__(self, "_by_dof", checks.narrowed(by_dof))
+        object.__setattr__(self, "_series", checks.narrowed(_series(by_dof)))
 
     @property
     def between_bodies(self) -> bool:
@@ -102,7 +101,7 @@ class Coupling:
         """Return B T for rows (n, n_dofs) that act on displacements."""
         result = sparse.csr_array(rows + rows @ self._series)
         result.sort_indices()
-        return narrowed(result)
+        return checks.narrowed(result)
 
     def transformed(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
         """Return T' A T in blocks, exactly symmetric, for a symmetric A (n_dofs, n_dofs)."""
@@ -111,7 +110,9 @@ class Coupling:
         right = sparse.bsr_array(matrix @ series)
         change = right + sparse.bsr_array(right.T) + sparse.bsr_array(series.T @ right)
         change = 0.5 * (change + sparse.bsr_array(change.T))
-        return narrowed(sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices())
+        return checks.narrowed(
+            sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices()
+        )
 
 
 def relative_prolongation(
@@ -127,7 +128,7 @@ def relative_prolongation(
     result.data[np.abs(result.data) < checks.ROUNDING] = 0.0
     result.eliminate_zeros()
     result.sort_indices()
-    return narrowed(result)
+    return checks.narrowed(result)
 
 
 def _series(step: sparse.csr_array) -> sparse.csr_array:

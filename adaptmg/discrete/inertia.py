@@ -14,7 +14,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import narrowed
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.posed import Posed
 from adaptmg.problem.dynamics import Dynamics
@@ -62,4 +61,6 @@ def with_mass(matrix: sparse.bsr_array, factor: float, mass: np.ndarray) -> spar
     diagonal."""
     size = matrix.blocksize
     masses = sparse.bsr_array(sparse.diags_array(np.repeat(mass, size[0])), blocksize=size)
-    return narrowed(sparse.bsr_array(factor * matrix + masses, blocksize=size).sorted_indices())
+    return checks.narrowed(
+        sparse.bsr_array(factor * matrix + masses, blocksize=size).sorted_indices()
+    )

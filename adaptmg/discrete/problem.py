@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import indices_frozen
 from adaptmg._text import shortened
 from adaptmg.discrete.contact_nodes import (
     Bounds,
@@ -188,7 +187,7 @@ class DiscreteProblem(Unknowns):
         values = np.where(prescribed, bounded("fixed_values", values, (n,), checks.VAST), 0.0)
         values.flags.writeable = False
         self.__dict__.update(
-            matrix=indices_frozen(blocks),
+            matrix=checks.indices_frozen(blocks),
             load=bounded("load", load, (n,)),
             fixed=fixed_dofs,
             fixed_values=values,
@@ -239,7 +238,7 @@ class DiscreteProblem(Unknowns):
             parts = _in_relative_coordinates(weights, parts)
         parts = parts["inclined"].of_problem(parts)
         motions = parts.pop("motions", None)
-        matrix = indices_frozen(parts["matrix"])
+        matrix = checks.indices_frozen(parts["matrix"])
         result = cls.__new__(cls)
         result.__dict__.update(parts, matrix=matrix, _motions=motions)
         result._complete()

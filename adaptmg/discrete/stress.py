@@ -33,7 +33,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import shape_of
 from adaptmg.discrete.elasticity import (
     apart,
     element_measures,
@@ -361,7 +360,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     corners = cells.shape[1]
     centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
     of_nodes = elements_of_nodes(cells, len(points))
-    rows, columns = shape_of(of_nodes)
+    rows, columns = checks.shape_of(of_nodes)
     # the elements of each node, and the nodes of each element
     elements_of_node = sparse.csr_array(
         (np.ones(cells.size), of_nodes.indices, of_nodes.indptr), shape=(columns, rows)

@@ -27,7 +27,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import narrowed
 from adaptmg.discrete.volumes import NO_PRESSURES, Volumes
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
@@ -118,7 +117,7 @@ class Inclined:
             "load": supports.posed(parts["load"], prescribed),
             "strain_free": supports.strain_free(parts.get("strain_free"), prescribed),
             "inclined": supports,
-            "volumes": volumes.with_rows(narrowed(sparse.csr_array(free))),
+            "volumes": volumes.with_rows(checks.narrowed(sparse.csr_array(free))),
         }
 
     def _eliminated(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
@@ -130,7 +129,7 @@ class Inclined:
         )
         held_stiffness = self.spread(self.stiffness[:, None, None] * self.spans, n // size[0])
         half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
-        return narrowed(sparse.bsr_array(half + half.T, blocksize=size).sorted_indices())
+        return checks.narrowed(sparse.bsr_array(half + half.T, blocksize=size).sorted_indices())
 
     def posed(self, load: np.ndarray, prescribed: np.ndarray) -> np.ndarray:
         """Return b' (n_dofs,) of a load b and what supports prescribe (k, dim)."""

@@ -71,10 +71,8 @@ def mesh(mesh: MeshArrays, path: str | os.PathLike[str], *, unit: float = 1.0) -
     True
     """
     check_mesh(mesh)
-    target = checks.file_path("path", path)
+    target = _file(path, ".msh", ".inp")
     unit = checks.quantity("unit", unit, positive=True)
-    if target.suffix not in (".msh", ".inp"):
-        raise ValueError(f"path must end in .msh or .inp, got {os.fspath(path)!r}")
     deck = target.suffix == ".inp"
     for names in (mesh.boundaries, mesh.bodies):
         for name in names:
@@ -85,6 +83,14 @@ def mesh(mesh: MeshArrays, path: str | os.PathLike[str], *, unit: float = 1.0) -
                 f"names of a deck must differ in more than capitals, got {', '.join(names)}"
             )
     write_bytes(target, (_deck if deck else _gmsh)(mesh, mesh.points / unit))
+
+
+def _file(path: str | os.PathLike[str], *suffixes: str) -> Path:
+    """Return the path of a file to write; ValueError unless it ends in one of ``suffixes``."""
+    target = checks.file_path("path", path)
+    if target.suffix not in suffixes:
+        raise ValueError(f"path must end in {' or '.join(suffixes)}, got {os.fspath(path)!r}")
+    return target
 
 
 def _gmsh(mesh: MeshArrays, points: np.ndarray) -> bytes:
@@ -151,9 +157,7 @@ def vtk(result: Result, path: str | os.PathLike[str]) -> None:
     >>> result = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4)))
     >>> am.export.vtk(result, "bar.vtu")                               # opens in ParaView
     """
-    target = checks.file_path("path", path)
-    if target.suffix != ".vtu":
-        raise ValueError(f"path must end in .vtu, got {os.fspath(path)!r}")
+    target = _file(path, ".vtu")
     with waiting_folder() as folder:
         _write(result, folder / "result.vtu")
         write_bytes(target, (folder / "result.vtu").read_bytes())
@@ -195,9 +199,7 @@ def vtk_series(
         raise ValueError(
             f"times must increase strictly, got {moments.tolist()}: give pseudo-times, or leave times out"
         )
-    target = checks.file_path("path", path)
-    if target.suffix != ".pvd":
-        raise ValueError(f"path must end in .pvd, got {os.fspath(path)!r}")
+    target = _file(path, ".pvd")
     old = read_bytes(target).decode("utf-8", "replace") if target.exists() else ""
     # files of the steps: ``names`` will be written, ``listed`` are those of an older series
     steps = [f"{target.stem}_{k:04d}.vtu" for k in range(max(len(results), old.count("<DataSet")))]

@@ -20,7 +20,6 @@ from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
-from adaptmg._checks import FieldLike
 from adaptmg.discrete.loads import load_density
 from adaptmg.level import meshed_domain
 from adaptmg.mesh.arrays import MeshArrays
@@ -410,37 +409,40 @@ def _legend(
     """List bodies, uses of boundaries and loads under the name of the law; of a single body the
     free boundaries too."""
     fills = style.body_fills(len(mesh.bodies))
-    entries: list[tuple[Artist, str]] = []
+    entries: list[Artist] = []
     if len(mesh.bodies) > 1:
         entries += [
-            (Patch(facecolor=fill, edgecolor=style.INK), style.plain(body))
+            Patch(facecolor=fill, edgecolor=style.INK, label=style.plain(body))
             for body, fill in zip(mesh.bodies, fills, strict=True)
         ]
     for boundary, color, text in _uses(posed):
         times = enlarged.get(boundary, 1)
-        text = f"{text} on" if color != _MASTER else text
-        entries.append(
-            (
-                Patch(facecolor=color, edgecolor=style.INK),
-                f"{text} {style.quoted(boundary)}"
-                + (f"\n(gap drawn {times} times)" if times > 1 else ""),
-            )
-        )
+        text += f"{' on' if color != _MASTER else ''} {style.quoted(boundary)}"
+        text += f"\n(gap drawn {times} times)" if times > 1 else ""
+        entries.append(Patch(facecolor=color, edgecolor=style.INK, label=text))
     acting = [loading for loading in loadings if loading.tractions.any()]
     entries += [
-        (
-            Line2D([], [], color=style.BLUE),
-            f"{_surface_text(load, tractions)} on {style.quoted(load.boundary)}",
+        Line2D(
+            [],
+            [],
+            color=style.BLUE,
+            label=f"{_surface_text(load, tractions)} on {style.quoted(load.boundary)}",
         )
         for load, _, _, tractions in acting
     ]
     entries += [
-        (Line2D([], [], color=style.BLUE, linestyle=":"), _volume_text(load, _axis_names(posed)))
+        Line2D(
+            [],
+            [],
+            color=style.BLUE,
+            linestyle=":",
+            label=_volume_text(load, _axis_names(posed)),
+        )
         for load in posed.loads
         if isinstance(load, loads.BodyForce | loads.InitialStrain | loads.Preload)
     ]
     entries += [
-        (Line2D([], [], color=style.BLUE), f"{_force_text(load, posed)} at {load.place}")
+        Line2D([], [], color=style.BLUE, label=f"{_force_text(load, posed)} at {load.place}")
         for load in posed.loads
         if isinstance(load, loads.PointForce)
     ]
@@ -448,12 +450,11 @@ def _legend(
     if len(mesh.bodies) == 1 and (
         free := [style.quoted(name) for name in mesh.boundaries if name not in used]
     ):
-        entries.append((Patch(facecolor=fills[0], edgecolor=style.INK), f"free: {', '.join(free)}"))
-    for handle, label in entries:
-        handle.set_label(label)
+        text = f"free: {', '.join(free)}"
+        entries.append(Patch(facecolor=fills[0], edgecolor=style.INK, label=text))
     style.legend_next_to(
         ax,
-        [handle for handle, _ in entries],
+        entries,
         fontsize="small",
         alignment="left",
         title=_law_text(posed.law) if posed.contact else None,
@@ -471,7 +472,7 @@ def _law_text(law: laws.Law) -> str:
     return f"contact ({type(law).__name__})"
 
 
-def _value(value: FieldLike | ArrayLike, unit: str = "") -> str:
+def _value(value: checks.FieldLike | ArrayLike, unit: str = "") -> str:
     """Return a parameter as text: f(x), a number with its prefixed unit, or the largest of nodal
     values."""
     if callable(value):

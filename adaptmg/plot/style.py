@@ -312,10 +312,9 @@ def scaled(largest: float, unit: str) -> tuple[float, str]:
         return converted(unit)
     if not (np.isfinite(largest) and largest > 0):
         return 1.0, unit
-    for size, prefix in _PREFIXES:
-        if largest >= 0.9999 * size:
-            return 1.0 / size, prefix + unit
-    return 1.0 / _PREFIXES[-1][0], _PREFIXES[-1][1] + unit
+    reached = (entry for entry in _PREFIXES if largest >= 0.9999 * entry[0])
+    size, prefix = next(reached, _PREFIXES[-1])
+    return 1.0 / size, prefix + unit
 
 
 def stresses() -> tuple[float, str]:

@@ -35,7 +35,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import FieldLike
 from adaptmg.discrete.coordinates import Coupling
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.loads import body_elements, load_vector, spring_elements
@@ -142,7 +141,7 @@ def _kinds_of_nodes(mesh: MeshArrays, materials: tuple[Elastic, ...]) -> np.ndar
     return result if (result[mesh.elements] == kinds).all() else None
 
 
-def _numbers(*values: FieldLike) -> np.ndarray | None:
+def _numbers(*values: checks.FieldLike) -> np.ndarray | None:
     """Return values that are constant in space; None if one of them is not."""
     constant = [value for value in values if not callable(value)]
     return np.array(constant, dtype=float) if len(constant) == len(values) else None

@@ -409,11 +409,8 @@ class _Runs:
         slots = self._slots()
         while len(self._out) < slots:
             point = next(self._points, _END)
-            if point is _END:
-                self._open = False
-                return
-            if point is None:  # other processes compute those that are left
-                self._open = True
+            if point is None or point is _END:
+                self._open = point is None  # other processes compute those that are left
                 return
             name = f"{self._name}-{next(self._numbers)}"
             # workers report the start of runs with a limit

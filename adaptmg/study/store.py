@@ -354,8 +354,14 @@ class Store:
         def renew() -> None:
             while not ended.wait(_RENEWAL_S):
                 # a store that has gone, say, is reported where a run is stored
-                with contextlib.suppress(OSError, ValueError):
-                    self._renew(owner)
+                with (
+                    contextlib.suppress(OSError, ValueError),
+                    self._explained(),
+                    self._transaction() as connection,
+                ):
+                    connection.execute(
+                        "UPDATE claims SET renewals = renewals + 1 WHERE owner = ?", (owner,)
+                    )
 
         threading.Thread(target=renew, daemon=True).start()
         try:
@@ -364,12 +370,6 @@ class Store:
             ended.set()
             with contextlib.suppress(OSError, ValueError):
                 self.release(owner)
-
-    def _renew(self, owner: str) -> None:
-        with self._explained(), self._transaction() as connection:
-            connection.execute(
-                "UPDATE claims SET renewals = renewals + 1 WHERE owner = ?", (owner,)
-            )
 
     def release(self, owner: str, key: str = "%") -> None:
         """Give up the claims of an owner, or that on one run."""

@@ -512,9 +512,8 @@ def in_order(todo: dict[str, Stored], cost: Cost | None) -> dict[str, Stored]:
             return checks.number("cost", cost(dict(point)))
         if cost in point:
             return checks.number(f"cost: parameter {cost!r}", point[cost])
-        value = None
-        if record is not None:
-            value = record.results.get(cost, record.seconds if cost == "seconds" else None)
+        measured = {} if record is None else {"seconds": record.seconds, **record.results}
+        value = measured.get(cost)
         # a run without a record may be long
         return (
             float(value) if isinstance(value, int | float) and not math.isnan(value) else math.inf

@@ -80,12 +80,8 @@ class PointLocator(SimplexLocator):
         checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
         chosen = None if body is None else np.flatnonzero(mesh.element_body == body)
         if len(mesh.elements if chosen is None else chosen) == 0:
-            refusal = (
-                "mesh has no elements"
-                if body is None
-                else f"body {body} of the mesh has no elements"
-            )
-            raise ValueError(f"mesh: {refusal}")
+            where = "mesh" if body is None else f"body {body} of the mesh"
+            raise ValueError(f"mesh: {where} has no elements")
         super().__init__(mesh.points, mesh.elements, chosen)
         self.mesh = mesh
 

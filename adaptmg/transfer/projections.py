@@ -25,7 +25,6 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg._checks import narrowed
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.clipping import PIECES, SNAP, common_moments
 from adaptmg.geometry.location import affine_maps
@@ -279,7 +278,7 @@ class MixedMass:
         )
         result = tests @ integrals
         result.sort_indices()
-        return narrowed(result)
+        return checks.narrowed(result)
 
     def shape_coefficients(self) -> np.ndarray:
         """Return coefficients that test with the shape function of the node: a_iek = 1 at the
