@@ -119,6 +119,27 @@ def test_a_limit_of_the_theory_is_named_once_at_the_users_line(message):
         assert not warned(lambda one=one: am.solve(bar(**one)))
 
 
+def test_large_strains_count_from_a_hundredth_of_a_body_on():
+    """They fall like 1 / young, which tells how stiff a body has so many elements beyond 5 %."""
+
+    def solved(young):
+        grids = bar(young=young)
+        held = replace(grids.problem, supports=am.Support("top", x=0.0, y=0.0))
+        return am.solve(grids.with_problem(held))
+
+    result = solved(1.3e11)
+    corners, moved = (
+        values[result.mesh.elements] for values in (result.mesh.points, result.displacement)
+    )
+    gradient = np.linalg.solve(corners[:, 1:] - corners[:, :1], moved[:, 1:] - moved[:, :1])
+    strains = 0.5 * (gradient + gradient.swapaxes(1, 2))
+    sizes = np.sort(np.linalg.norm(strains, ord=2, axis=(1, 2)))[::-1]
+    few = len(sizes) // 100
+    for beyond in (few, few + 1):
+        young = 1.3e11 * sizes[beyond - 1 : beyond + 1].mean() / 0.05
+        assert len(warned(lambda young=young: solved(young))) == (beyond > few)
+
+
 def test_slips_beyond_an_element_count_between_bodies_alone():
     def pushed(by):
         problem = bar_on_block(am.Coulomb(0.1))
