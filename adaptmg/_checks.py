@@ -268,7 +268,11 @@ def field(
     """Return the values (n,) of a number or a function of position at points (n, dim)."""
     n = len(points)
     if callable(value):
-        result = value(points)
+        try:
+            result = value(points)
+        except Exception as error:
+            error.add_note(f"in the function that {name} is, at points of shape {points.shape}")
+            raise
         array = real_array(result)
         if array is None:
             raise TypeError(f"{name}: the function must return real numbers, got {shown(result)}")

@@ -91,9 +91,8 @@ class HertzContact:
 
     def pressure(self, distance: np.ndarray) -> np.ndarray:
         """Return the pressure at distances from the middle (m), Pa."""
-        return self.peak * np.sqrt(
-            np.maximum(0.0, 1 - (np.asarray(distance) / self.half_width) ** 2)
-        )
+        distances = checks.array("distance", distance, np.shape(distance))
+        return self.peak * np.sqrt(np.maximum(0.0, 1 - (distances / self.half_width) ** 2))
 
 
 def _form(

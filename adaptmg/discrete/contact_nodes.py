@@ -312,6 +312,23 @@ class Bounds:
     upper: ArrayLike | None = None
     weights: ArrayLike | None = None
 
+    def __post_init__(self) -> None:
+        """Check what no number of nodes is needed for."""
+        for name in ("lower", "upper", "weights"):
+            value = getattr(self, name)
+            if value is not None and checks.real_array(value) is None:
+                raise TypeError(
+                    f"{name} must be an array of real numbers, got {checks.shown(value)}"
+                )
+        if self.lower is None or self.upper is None:
+            return
+        lower = np.asarray(self.lower)
+        upper = np.asarray(self.upper)
+        if (lower.shape == upper.shape or not lower.ndim * upper.ndim) and (lower > upper).any():
+            lower, upper = np.broadcast_arrays(lower, upper)
+            worst = np.unravel_index(np.argmax(lower > upper), lower.shape)
+            raise ValueError(f"lower must be <= upper, got {lower[worst]:g} and {upper[worst]:g}")
+
     def at_nodes(self, fixed: np.ndarray) -> ContactNodes:
         """Return the contact nodes of a problem: those with a finite limit, without the limits of the
         ``fixed`` dofs, a mask (n_dofs,)."""

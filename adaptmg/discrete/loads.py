@@ -160,11 +160,12 @@ def load_density(
         return -value[:, :, None] * cast("np.ndarray", normals)[:, None, :]
     if len(load.components) != dim:
         raise ValueError(f"{load!r} has {len(load.components)} components on a {dim}D mesh")
+    named = type(load).__name__
+    if isinstance(load, Traction):
+        named += f" on {load.boundary!r}"
     return np.stack(
         [
-            checks.field(f"component {'xyz'[k]} of {type(load).__name__}", component, flat).reshape(
-                shape
-            )
+            checks.field(f"component {'xyz'[k]} of {named}", component, flat).reshape(shape)
             for k, component in enumerate(load.components)
         ],
         axis=-1,

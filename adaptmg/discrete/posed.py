@@ -334,6 +334,12 @@ class Posed(Boundaries):
         return self._contact_nodes(self.rows)
 
 
+def _evaluated(law: Law, points: np.ndarray, weights: np.ndarray) -> Law:
+    """Return a law evaluated at contact nodes. A user-defined one may store what it evaluates and
+    return itself: a copy for each mesh keeps that of the others."""
+    return check_law("law", copy.copy(law).at_nodes(points, weights))
+
+
 def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
     """Return the law of a problem at contact nodes."""
     problem = posed.problem
@@ -343,17 +349,14 @@ def nodal_law(posed: Posed, contact: ContactNodes) -> Law:
         for contact_part in problem.contact
     ]
     if all(law is problem.law for law in laws):
-        law = problem.law.at_nodes(points, contact.weights)
-        check_law("law", law)  # a user-defined law may return anything
-        return law
+        return _evaluated(problem.law, points, contact.weights)
     bounds = np.zeros((2, len(contact)))
     following: list[tuple[FollowsState, np.ndarray]] = []
     for k, boundary_law in enumerate(laws):
         on_boundary = contact.boundary == k
         if not on_boundary.any():
             continue
-        law = boundary_law.at_nodes(points[on_boundary], contact.weights[on_boundary])
-        check_law("law", law)
+        law = _evaluated(boundary_law, points[on_boundary], contact.weights[on_boundary])
         check_bounds(law, int(on_boundary.sum()))
         bounds[:, on_boundary] = law.bounds(int(on_boundary.sum()))
         if isinstance(law, FollowsState):

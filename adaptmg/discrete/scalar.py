@@ -61,7 +61,10 @@ class ScalarProblem(checks.Checked):
     """
 
     domain: Annotated[Domain, partial(checks.instance, types=Domain)] | None = None
-    conductivity: checks.Value = 1.0
+    conductivity: Annotated[
+        checks.FieldLike,
+        partial(checks.function_or, check=partial(checks.quantity, positive=True)),
+    ] = 1.0
     load: checks.Value = 0.0
     lower: checks.Value | None = None
     upper: checks.Value | None = None
@@ -81,6 +84,12 @@ class ScalarProblem(checks.Checked):
 
     __repr__ = brief
     _repr_html_ = html_fields
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        known = None if self.domain is None else self.domain.boundaries
+        for boundary in self.held or ():
+            checks.choice("held", boundary, known or (boundary,))
 
     def conductivity_on(self, mesh: MeshArrays) -> np.ndarray:
         """Return the conductivity (n_elements,) at the centroids of elements."""

@@ -66,7 +66,10 @@ def scalar_squares(
     pressures = np.zeros(distances.shape)
     pressures[:, contact.node] = contact.pressure * (contact.normal[:, 0] == -_PRESSING)
     # held nodes have no contact, but may lie on an obstacle
-    on_limit = level.discrete.fixed & (distances <= checks.ROUNDING * np.abs(values).max())
+    # all of a body may lie on an obstacle at zero: then the load says how large values are
+    discrete = level.discrete
+    size = max(np.abs(values).max(), np.abs(discrete.load).sum() / discrete.matrix.diagonal().max())
+    on_limit = level.discrete.fixed & (distances <= checks.ROUNDING * size)
     lower, upper = ((pressures > 0) | on_limit)[:, mesh.elements].all(axis=2).astype(int)
     full_contact = lower - upper  # 1 with the lower obstacle, -1 with the upper one, else 0
     equation, complementarity = _integrals(problem, mesh, distances, pressures, full_contact)

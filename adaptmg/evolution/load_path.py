@@ -83,6 +83,10 @@ class PathResult(Sequence[Result]):
     def __getitem__(self, index: int | slice) -> Result | tuple[Result, ...]:
         return self.results[index]
 
+    def count(self, value: Result) -> int:
+        """Return how often a result is a step."""
+        return self.results.count(checks.instance("value", value, Result))
+
     def __repr__(self) -> str:
         return shortened(str(self))
 

@@ -19,7 +19,7 @@ from adaptmg.problem.laws import (
     Frictionless,
     Law,
     PlaneStress,
-    check_law,
+    law_of_position,
 )
 from adaptmg.problem.loads import AnySupport, InitialStrain, Load, Preload, Pressure, Traction
 from adaptmg.problem.plane_domains import Domain
@@ -200,7 +200,7 @@ class ContactProblem(checks.Checked):
         super().__post_init__()
         if self.law is None and all(contact.law is not None for contact in self.contact):
             object.__setattr__(self, "law", Frictionless())
-        check_law("law", self.law)
+        law_of_position("law", self.law)
         self._check_elements()
         for load in self.loads:
             if isinstance(load, Preload):

@@ -404,6 +404,19 @@ def check_law(name: str, law: object) -> Law:
     return cast("Law", law)
 
 
+def law_of_position(name: str, law: object) -> Law:
+    """Return ``law`` if it is a law that every mesh can evaluate at its own contact nodes."""
+    checked = check_law(name, law)
+    for parameter in ("limit", "friction"):
+        shape = np.shape(getattr(law, parameter, 0.0))
+        if isinstance(law, Tresca | Coulomb) and shape:
+            raise TypeError(
+                f"{parameter} of {name} must be a number or a function of position on a ContactProblem, got "
+                f"shape {shape}: arrays over contact nodes belong on a DiscreteProblem"
+            )
+    return checked
+
+
 @runtime_checkable
 class FollowsState(Protocol):
     """The further method of a law whose coefficient depends on pressure and slip."""
@@ -501,11 +514,6 @@ FieldLikeOrArray = Annotated[FieldLike | ArrayLike, partial(checks.function_or, 
 
 def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> np.ndarray:
     """Return a parameter of a law, a number or a function, at points (n, dim)."""
-    if isinstance(value, np.ndarray) and value.ndim:
-        raise TypeError(
-            f"{name} must be a number or a function of position on a ContactProblem; arrays over contact "
-            "nodes belong on a DiscreteProblem"
-        )
     return checks.field(name, cast("FieldLike", value), points, minimum=0.0)
 
 

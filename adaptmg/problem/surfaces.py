@@ -26,10 +26,10 @@ from numpy.typing import ArrayLike
 from adaptmg import _checks as checks
 from adaptmg._checks import Flag, Name, Size, Value
 from adaptmg._text import brief
-from adaptmg.problem.laws import Law, NormalCompliance, check_law
+from adaptmg.problem.laws import Law, NormalCompliance, law_of_position
 from adaptmg.problem.loads import Acting, Point, point, times
 
-OwnLaw = Annotated[Law, check_law]
+OwnLaw = Annotated[Law, law_of_position]
 OwnCompliance = Annotated[NormalCompliance, partial(checks.instance, types=NormalCompliance)]
 Coordinates = Annotated[np.ndarray, point]
 _NO_ROTATION = cast("np.ndarray", 0.0)  # an array once it is checked

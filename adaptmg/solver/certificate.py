@@ -110,6 +110,8 @@ class Certificate:
     def contradictions(self, rtol: float, energy_factor: float = ENERGY_FACTOR) -> tuple[str, ...]:
         """Return the names of the conditions that are violated by more than a displacement accurate
         to ``rtol`` violates them."""
+        checks.nonnegative("rtol", rtol)
+        checks.nonnegative("energy_factor", energy_factor)
 
         def beyond(value: float, allowed: float, rounding: float) -> bool:
             return not value <= max(allowed, min(rounding, self.MOST_ROUNDING))

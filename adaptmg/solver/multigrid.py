@@ -46,6 +46,12 @@ PROJECTED: dict[str, Any] = {
     "coarse_matrices": "galerkin",
     "stop": "error",
 }
+#: where Truncated() takes what an option of that method is
+_OF_TRUNCATED = {
+    "cycle": "am.Truncated(correct=am.Cycle(...))",
+    "smoother": "am.Truncated(smooth=...)",
+    "coarse": "am.Truncated(coarse_solve=...)",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,9 +128,10 @@ class Multigrid:
         named = self._named
         if truncated and named:
             name, value = next(iter(named.items()))
+            remedy = _OF_TRUNCATED.get(name, "am.Monotone()")
             raise ValueError(
                 f"{name} must not be given with the correction Truncated(), which defines its own, got "
-                f"{checks.shown(value)}: give correction=am.Monotone()"
+                f"{checks.shown(value)}: give correction={remedy}"
             )
         options = PROJECTED | named
         checks.instance("cycle", options["cycle"], Cycle, "a Cycle")
@@ -193,8 +200,8 @@ class Multigrid:
         several load steps."""
         if len(hierarchy) < 2:
             raise ValueError(
-                "grids must have at least two levels for multigrid, got one: use SingleGrid or "
-                "ActiveSet"
+                "grids must have at least two levels for multigrid, got one: give coarser ones too, as in "
+                "Hierarchy.uniform(problem, divisions=(4, 8)), or use ActiveSet"
             )
         if isinstance(self.correction, Truncated):
             return TruncatedRun(self.correction, hierarchy, run, self.rtol, self.max_cycles, keeps)

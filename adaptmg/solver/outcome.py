@@ -236,10 +236,11 @@ def result_of(
         error = np.fmax(error, checked.energy_error)
         least = checked.energy_rounding
         if status.ok and 0 < rtol < checked.energy_error <= least:
+            default = "the default " if rtol == getattr(type(solver), "rtol", None) else ""
             advise(
                 "rounding",
-                f"rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} (slender "
-                "ones answer to rounding with their condition): the result has that tolerance, in "
+                f"{default}rtol={rtol:.3g} is below what double precision reaches on these bodies, {least:.1e} "
+                "(slender ones answer to rounding with their condition): the result has that tolerance, in "
                 "result.rtol",
             )
             rtol = least

@@ -323,6 +323,8 @@ def _summary(result: Result) -> str:
 
 #: lines of the certificate that compare mesh, posed problem and assembly: no method changes them
 _OF_ASSEMBLY = {"stiffness", "loads", "measures", "bodies", "stresses"}
+#: relative residual from which iterates have grown: those of iterates that converge are at most about 1
+_GROWN = 1e3
 
 
 def _remedy(result: Result, violated: tuple[str, ...]) -> str:
@@ -337,6 +339,13 @@ def _remedy(result: Result, violated: tuple[str, ...]) -> str:
             "the method has converged, but forces of the mesh and of the assembled matrices differ, which no "
             "other method changes: print(result.certificate()) shows by how much; look at places where "
             "supports, ties and contact boundaries meet"
+        )
+    residuals = result.history.get("residual", np.empty(0))
+    grew = residuals.max(where=np.isfinite(residuals), initial=0.0) > _GROWN
+    if result.status is Status.DIVERGED and not np.isfinite(result.residual) and not grew:
+        return (
+            "numbers that are not finite came from one step, before which the residual had not grown: look for "
+            "a division by zero in what user-defined parts return"
         )
     advice = result.status.value
     if "ActiveSet" not in result.method or "am.ActiveSet()" not in advice:

@@ -47,6 +47,8 @@ _LOG = logging.getLogger(__name__)
 # rollers with 16, 32, 64 divisions converges, to 5e-6, with 2.5e-11, 3.5e-11, 4.4e-11; with 32, 64
 # it stalls at 1.8e-11, 2.5e-11
 _SOFTEST = 4e-11
+# friction up to which it is said which one would hold a body: the tangent of 89 degrees
+_STEEPEST = 57.0
 _SEGMENTS = 8  # of the friction polygon in 3D, which has twice as many sides
 
 
@@ -140,6 +142,13 @@ class _Body:
     nodes: np.ndarray
     motions: np.ndarray  # (n_nodes * dim, k): free rigid motions, with amplitudes about 1
     several: bool  # whether the problem has other parts
+
+    @property
+    def remedy(self) -> str:
+        """Return what to add where a motion is free, as text."""
+        if self.problem.dim == 1:
+            return "prescribe values (held of a ScalarProblem, fixed of a DiscreteProblem)"
+        return "add a support that fixes it"
 
     @property
     def pieces(self) -> list[tuple[str, np.ndarray]]:
@@ -247,13 +256,13 @@ def _check_body(body: _Body) -> None:
         motion = _motion_to_blame(body, forces, work, motion)
         raise ValueError(
             f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact cannot "
-            "balance the load on it; add a support that fixes it"
+            f"balance the load on it{_too_steep(body, limit / scale, friction, work)}; {body.remedy}"
         )
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if len(neutral):
         raise ValueError(
             f"the solution is not unique: a {body.describe(_axis_motion_in_span(body, neutral))} is left free by "
-            "supports, contact and load; add a support that fixes it"
+            f"supports, contact and load; {body.remedy}"
         )
     if np.abs(work).max() <= checks.SIX_DIGITS:
         # no load on the free motions: only bodies that contact encloses are held, whose pressures
@@ -265,8 +274,26 @@ def _check_body(body: _Body) -> None:
             motion = _axis_motion_or(body, forces, away, motion)
             raise ValueError(
                 f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
-                "by supports and load; add a support that fixes it, or a load"
+                f"by supports and load; {body.remedy}, or a load"
             )
+
+
+def _too_steep(body: _Body, limit: np.ndarray, friction: np.ndarray, work: np.ndarray) -> str:
+    """Return which friction would balance the work on the free motions, as text; "" if none does."""
+
+    def unheld(coefficient: float) -> float:
+        forces = _contact_forces(body, limit, np.full(len(friction), coefficient))
+        return 1.0 if forces.least_unbalanced(work)[0] > checks.SIX_DIGITS else -1.0
+
+    if body.problem.dim == 1 or unheld(_STEEPEST) > 0:
+        return ""
+    from scipy.optimize import bisect
+
+    least = bisect(unheld, 0.0, _STEEPEST, rtol=1e-4)
+    return (
+        f" with friction of at most {friction.max():.3g}: it takes {least:.3g}, the tangent of "
+        f"{np.degrees(np.arctan(least)):.3g} degrees"
+    )
 
 
 def advise_on_free_motions(problem: DiscreteProblem, contact: ContactResult) -> None:

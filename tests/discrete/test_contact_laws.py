@@ -110,6 +110,29 @@ def test_a_hierarchy_with_other_laws_shares_its_matrices():
     assert result.resultant("c.bottom").force[0] == pytest.approx(0.249 * PRESSURE)
 
 
+class Wearing:
+    """Friction that varies, stored by ``at_nodes``, which returns the law itself."""
+
+    def at_nodes(self, points, weights):
+        self.friction = 0.2 + 10 * points[:, 0]
+        return self
+
+    def bounds(self, n_contact):
+        return np.zeros(n_contact), self.friction
+
+
+@pytest.mark.parametrize("name", [None, "bottom"], ids=["of the problem", "of a boundary"])
+def test_a_law_may_return_itself_from_every_mesh(name):
+    results = []
+    for law in (Wearing(), am.Coulomb(lambda x: 0.2 + 10 * x[:, 0])):
+        problem = am.cases.greco_bar(law=law)
+        if name is not None:
+            own = replace(problem.contact[0], law=law)
+            problem = replace(problem, contact=own, law=am.Frictionless())
+        results.append(am.solve(am.Hierarchy.uniform(problem, (4, 8, 16))).displacement)
+    assert np.array_equal(*results)
+
+
 test_refused = refused(
     (lambda: am.Contact("bottom", am.Plane((0, 0), (0, 1)), law=0.3), TypeError, "law must be"),
     (lambda: am.ContactPair("a", "b", law=am.Coulomb), TypeError, "law must be"),

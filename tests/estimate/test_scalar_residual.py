@@ -196,6 +196,13 @@ def test_waves_of_the_obstacle_between_nodes_count_by_their_bubbles(cells, heigh
     assert max(others) < 1e-12
 
 
+def test_a_membrane_at_rest_on_an_obstacle_at_zero_up_to_rounding_has_no_error():
+    for lower in (0.0, -1e-17):
+        problem = am.ScalarProblem(domain=am.Rectangle(width=1, height=1), load=-1.0, lower=lower)
+        grids = am.Hierarchy.uniform(problem, (2, 4))
+        assert am.Residual().indicate(grids, am.solve(grids)).total < 1e-8
+
+
 @pytest.mark.parametrize("side", [1, -1], ids=["lower", "upper"])
 def test_pressure_next_to_gaps_counts_in_the_equation_and_as_complementarity(side):
     """A membrane of eight triangles lies at its only free node on the tip of an obstacle."""

@@ -375,11 +375,33 @@ def computed():
         (lambda: am.solve(grids()).resultant([]), "boundary must be a string"),
         (lambda: am.solve_path(grids(), am.LoadPath(), depends=3), "depends must map"),
         (lambda: am.Step.table([3]), r"steps\[0\] must be Step"),
+        (lambda: am.Bounds(lower=[0.0, 1.0], upper=0.5), "lower must be <= upper, got 1 and 0.5"),
+        (lambda: am.Bounds(upper="1"), "upper must be an array of real numbers, got '1'"),
+        (lambda: am.Bounds(weights=OTHER), "weights must be an array of real numbers"),
+        (lambda: am.ScalarProblem(conductivity=0), "conductivity must be > 0, got 0"),
+        (
+            lambda: am.ScalarProblem(domain=UNIT, held=("lft",)),
+            "held must be one of .*'left'.* got 'lft'",
+        ),
+        (lambda: am.Contact("a", PLANE, law=am.Tresca([1.0])), "limit of law must be a number"),
+        (lambda: line().pressure([0.0, NAN]), "distance must be finite"),
+        (lambda: solved().certificate().contradictions(NAN), "rtol must be finite, got nan"),
+        (lambda: am.solve_path(grids(), am.LoadPath()).count(OTHER), "value must be Result"),
+        (lambda: am.solve(grids(), am.Multigrid(), rtol=0.1), "rtol must not be given with a sol"),
+        (lambda: am.Multigrid(cycle=am.Cycle()), r"give correction=am.Truncated\(correct="),
     ],
 )
 def test_what_no_type_shows_is_refused_by_name(call, says):
     with pytest.raises((TypeError, ValueError), match=says):
         call()
+
+
+def test_an_error_in_a_function_of_the_user_names_its_place():
+    push = am.Traction("top", (0.0, lambda x: x[:, 7]))
+    problem = dataclasses.replace(bar(), loads=(push,), reference={})
+    with pytest.raises(IndexError) as error:
+        am.discretise(problem, mesh())
+    assert "component y of Traction on 'top'" in error.value.__notes__[0]
 
 
 def posed(**changes):

@@ -336,7 +336,7 @@ VALUES = {
 }
 TYPES = {
     "must be evaluated at the nodes first": lambda: am.Tresca(lambda x: x[:, 0]).bounds(3),
-    "belong on a DiscreteProblem": lambda: am.Coulomb(np.ones(3)).at_nodes(POINTS, np.ones(3)),
+    "belong on a DiscreteProblem": lambda: am.cases.greco_bar(law=am.Coulomb(np.ones(3))),
     "one a component": lambda: am.Traction("top", lambda x: x),
     "contact must be a sequence of Contact or ContactPair": lambda: two(contact="upper.bottom"),
 }

@@ -205,7 +205,7 @@ def test_a_membrane_without_edges_rests_on_its_floor():
     result = am.solve(grids)
     assert np.abs(result.displacement - exact).max() < 1e-7
     assert result.contact.force_n.sum() == pytest.approx(-grids.finest.discrete.load.sum())
-    with pytest.raises(ValueError, match="nothing holds a constant"):
+    with pytest.raises(ValueError, match=r"nothing holds a constant.*prescribe values"):
         am.solve(am.Hierarchy.uniform(replace(problem, load=1.0), (4, 8)))
 
 
@@ -262,7 +262,6 @@ def estimated(other):
     ("call", "words"),
     [
         (lambda: posed(), "one of them"),
-        (lambda: posed(bounds=am.Bounds(lower=1.0, upper=0.0)), "room between two"),
         (lambda: posed(bounds=am.Bounds(lower=1.0, upper=1.0)), "prescribe values"),
         (lambda: posed(bounds=am.Bounds(lower=np.inf)), r"bounds\.lower must be < inf"),
         (lambda: posed(bounds=am.Bounds(upper=-np.inf)), r"bounds\.upper must be > -inf"),

@@ -184,6 +184,17 @@ def test_sliding_in_any_direction(direction, law):
         check_statics(block(law=law, loads=weight(*(0.511 * side), -1.0)))
 
 
+@pytest.mark.parametrize("angle", [20.0, 40.0])
+def test_of_a_slope_the_tangent_is_named_beside_the_friction(angle):
+    slope = np.radians(angle)
+    problem = plate(law=am.Coulomb(0.3), loads=weight(np.sin(slope), -np.cos(slope)))
+    said = (
+        f"friction of at most 0.3: it takes {np.tan(slope):.3g}, the tangent of {angle:g} degrees"
+    )
+    with pytest.raises(ValueError, match=said):
+        check_statics(problem)
+
+
 class TestBareProblems:
     def test_modes_without_coordinates_and_none(self):
         lifted, turning = plate(loads=weight(0.0, 1.0)), plate(law=am.Coulomb(1.0), loads=TIPPING)
