@@ -82,10 +82,12 @@ class Level:
             if rows != columns:
                 raise ValueError(f"galerkin must be square, got {(rows, columns)}")
             galerkin = checks.indices_frozen(galerkin)
-        if mesh is not None:
-            checks.instance(
-                "mesh", mesh, MeshArrays, "MeshArrays or None; adaptmg.mesh.as_mesh converts"
-            )
+        checks.instance(
+            "mesh",
+            mesh,
+            (MeshArrays, type(None)),
+            "MeshArrays or None; adaptmg.mesh.as_mesh converts",
+        )
         self.__dict__.update(
             discrete_or_none=discrete,
             mesh=mesh,

@@ -224,6 +224,21 @@ def test_paper_grids():
         _ = part[0].prolongation
 
 
+def test_every_constructor_makes_hierarchies():
+    finest = three().finest
+    made = (
+        am.Hierarchy.single(finest.discrete),
+        am.Hierarchy.algebraic(finest.discrete, max_coarse=20),
+        am.Hierarchy.from_prolongations(finest.discrete, [finest.prolongation]),
+        am.Hierarchy.graded(BAR),
+        three().without(1),
+        three().truncated(finest=1),
+        three().with_problem(replace(BAR, law=am.Frictionless())),
+        pickle.loads(pickle.dumps(three())),
+    )
+    assert {type(grids) for grids in made} == {am.Hierarchy}
+
+
 def test_contact_rows_stay_on_the_contact_boundary():
     sizes = (20e-3, 8e-3)
     grids = am.Hierarchy.graded(BAR, sizes=sizes, transfer=Nearest())

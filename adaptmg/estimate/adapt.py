@@ -171,8 +171,7 @@ def adapt(
     _check_parts(parts)
     if not isinstance(progress, bool):
         checks.optional_callable("progress", progress, "what is being done (or a bool)")
-    if depends is not None:
-        checks.mapping("depends", depends, "names to what stands for them")
+    checks.mapping("depends", {} if depends is None else depends, "names to what stands for them")
     if not isinstance(problem, ScalarProblem):
         _check_bodies(problem, parts)
     elif load_path is not None or isinstance(indicator, Recovery | Goal):

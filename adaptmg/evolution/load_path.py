@@ -353,8 +353,7 @@ def solve_path(
         checks.optional_callable(
             "progress", progress, "the number of a step and a row of its history (or a bool)"
         )
-    if depends is not None:
-        checks.mapping("depends", depends, "names to what stands for them")
+    checks.mapping("depends", {} if depends is None else depends, "names to what stands for them")
     loop = _loop(grids, path, solver)
     start_state = () if start is None else _check_start(loop, start)
     parts: dict[str, object] = {"solver": solver}
