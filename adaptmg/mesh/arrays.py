@@ -336,7 +336,10 @@ class Surface:
         start, *ends = [self.points.take(corners, axis=0) for corners in self.facets.T]
         if self.points.shape[1] == 2:
             return (ends[0] - start)[:, ::-1] * [1.0, -1.0]
-        return 0.5 * np.cross(ends[0] - start, ends[1] - start)
+        a, b = [(end - start).T for end in ends]
+        # the cross product, by numpy.cross 3 to 5 times as slow for 94k facets
+        components = [a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)]
+        return 0.5 * np.stack(components, axis=1)
 
     @cached_property
     def measures(self) -> np.ndarray:
