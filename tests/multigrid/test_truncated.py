@@ -271,3 +271,22 @@ def test_bodies_all_of_whose_nodes_are_contact_nodes_take_few_cycles(n, coarser)
     result = am.solve(membrane(n, coarser), am.Multigrid())
     assert result.cycles <= 25 and not result.fallback
     assert 0.1 < result.contact.closed.mean() < 0.3
+
+
+def test_levels_are_smoothed_once_where_their_matrix_is_denser():
+    """The mesh next to the coarsest one is not nested in the others."""
+    domain = am.cases.greco_bar().domain
+    meshes = [am.mesh.structured(domain, n) for n in (2, 8, 16)]
+    meshes.insert(1, am.mesh.graded(domain, 8e-3, (), 1))
+    grids = am.Hierarchy.from_meshes(am.cases.greco_bar(), meshes)
+    path = am.solve(grids, am.Multigrid()).path
+    blocks = grids.finest.matrix
+    entries = sparse.csr_array((np.ones(len(blocks.indices)), blocks.indices, blocks.indptr))
+    density = []
+    for level in (3, 2, 1):
+        density.append(entries.nnz / entries.shape[0])
+        sweeps = {times for number, action, times in path if (number, action) == (level, "smooth")}
+        assert sweeps == {1 if density[-1] > 1.25 * density[0] else 2}
+        P = abs(grids[level].prolongation)
+        entries = P.T @ entries @ P
+    assert density[1] < density[0] < 0.7 * density[2]
