@@ -62,7 +62,9 @@ def html_table(table: pandas.DataFrame) -> str:
     import pandas
 
     with pandas.option_context("display.max_colwidth", MOST):
-        return table.to_html(index=False, max_rows=20, border=0, float_format="{:.4g}".format)
+        return table.to_html(
+            index=False, max_rows=20, border=0, float_format=lambda x: f"{x + 0.0:.4g}"
+        )
 
 
 def html_fields(self: DataclassInstance) -> str:

@@ -67,6 +67,7 @@ SYSTEMS = {
     ),
 }
 _HEAD = re.compile(r"(.*) \[(.+)\]")
+_LENGTHS = re.compile(r"([\d.e+-]+(?:, [\d.e+-]+)*) m\b")
 
 
 class _Chosen:
@@ -101,6 +102,18 @@ def converted(unit: str, units: str | None = None) -> tuple[float, str]:
     system = SYSTEMS[checks.choice("units", _Chosen.name if units is None else units, SYSTEMS)]
     length, force = _POWERS.get(unit, (0, 0))
     return system.length**length * system.force**force, system.names.get(unit, unit)
+
+
+def lengths_in_units(text: str) -> str:
+    """Return a text of the package in which lengths, numbers before "m", are converted."""
+    factor, unit = converted("m")
+
+    def shown(found: re.Match[str]) -> str:
+        return (
+            ", ".join(f"{factor * float(part):.6g}" for part in found[1].split(", ")) + f" {unit}"
+        )
+
+    return _LENGTHS.sub(shown, text)
 
 
 def with_prefixes() -> bool:

@@ -15,6 +15,7 @@ from adaptmg import _checks as checks
 from adaptmg._numba import clock
 from adaptmg._text import html_table, in_html_lines, shortened
 from adaptmg._threads import one_blas_thread
+from adaptmg._units import lengths_in_units
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.level import Level, check_problem, joined, the_transfer
@@ -273,7 +274,7 @@ class Grids:
     def __str__(self) -> str:
         name = self.problem.name if self.problem is not None else self.finest.discrete.name
         lines = [
-            f"Hierarchy of {len(self)} levels ({self.origin}) for {name}",
+            f"Hierarchy of {len(self)} levels ({lengths_in_units(self.origin)}) for {name}",
             f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11}",
         ]
         lines += [

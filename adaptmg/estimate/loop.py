@@ -35,6 +35,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._text import html_table, in_html_lines, shortened, warn_user
 from adaptmg._threads import one_blas_thread
+from adaptmg._units import in_units
 from adaptmg.discrete.named_loads import load_steps, whole_load
 from adaptmg.discrete.posed import Posed
 from adaptmg.estimate.engines import Engine, divisible, sound_mesh
@@ -168,12 +169,12 @@ class Step(Generic[AnyEstimate]):
 
     @staticmethod
     def table(steps: Sequence[Step]) -> pandas.DataFrame:
-        """Return one row a step, with units in the heads:
+        """Return one row a step, with units in the heads, those of :func:`adaptmg.set_units`:
         ``am.Step.table(list(am.adapt(...)))``."""
         import pandas
 
         steps = checks.items("steps", steps, Step)
-        return pandas.DataFrame(
+        table = pandas.DataFrame(
             [
                 {
                     "step": step.number,
@@ -193,6 +194,7 @@ class Step(Generic[AnyEstimate]):
                 for step in steps
             ]
         )
+        return in_units(table)
 
 
 def settled(estimate: Estimate, before: Estimate | None) -> bool | None:

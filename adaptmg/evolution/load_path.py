@@ -91,9 +91,11 @@ class PathResult(Sequence[Result]):
         return shortened(str(self))
 
     def _repr_html_(self) -> str:
-        return in_html_lines(str(self).partition("\n")[0]) + html_table(
-            self.table().drop(columns=["work_units", "seconds", "residual"])
-        )
+        # what fits on a narrow page
+        status = "" if self.complete else "status|"
+        columns = rf"^(step|factor |{status}open|slip$|stick|force_|pressure)"
+        title = str(self).partition("\n")[0]
+        return in_html_lines(title) + html_table(self.table().filter(regex=columns))
 
     def __str__(self) -> str:
         about = (

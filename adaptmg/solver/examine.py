@@ -219,7 +219,10 @@ class ContactResult:
         )
 
     def _repr_html_(self) -> str:
-        return in_html_lines(repr(self)) + html_table(self.table())
+        # what fits on a page: of solids all 18 columns are twice as wide
+        several = "pair|" if len(self.names) > 1 else ""
+        columns = rf"^({several}state|[xyz] |gap|slip|pressure|traction)"
+        return in_html_lines(repr(self)) + html_table(self.table().filter(regex=columns))
 
     @property
     def pressure(self) -> np.ndarray:
@@ -608,12 +611,13 @@ def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
     if contact.frames.shape[1] == 1:
         return []
     nodes_needed = FEW_NODES[mesh.dim]
+    factor, unit = converted("m")
     smallest: dict[str, Patch] = {}
     for patch in touching_patches(contact, mesh):
         if len(patch.nodes) < min(nodes_needed, len(smallest.get(patch.name, patch).nodes) + 1):
             smallest[patch.name] = patch
     return [
         f"contact {name!r}: {len(patch.nodes)} nodes touch in a patch, and peaks of pressure need {nodes_needed}; "
-        f"take elements of at most {patch.size * patch.share_for(nodes_needed, mesh.dim):.2g} m there"
+        f"take elements of at most {factor * patch.size * patch.share_for(nodes_needed, mesh.dim):.2g} {unit} there"
         for name, patch in smallest.items()
     ]

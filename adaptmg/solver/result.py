@@ -184,8 +184,11 @@ class Result(Quantities):
         return shortened(_summary(self))
 
     def _repr_html_(self) -> str:
-        table = "" if self.mesh is None else html_table(self.pairs())
-        return in_html_lines(_summary(self)) + table
+        if self.mesh is None:
+            return in_html_lines(_summary(self))
+        # what fits on a page
+        pairs = self.pairs().filter(regex=r"^(?!moment|half_width)")
+        return in_html_lines(_summary(self)) + html_table(pairs)
 
     def certificate(
         self, problem: DiscreteProblem | None = None, *, bound: bool = False

@@ -53,6 +53,18 @@ def test_pictures_have_the_units_that_are_set(chosen):
     assert f"pressure up to {RESULT.contact.pressure.max() / PSI:.3g} psi" in str(RESULT.contact)
 
 
+def test_printed_texts_have_the_units_that_are_set(chosen):
+    grids = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), contact_ratio=2)
+    assert "(graded 0.02, 0.01 m, ratio 2 at contact)" in str(grids)
+    result = am.solve(grids)
+    size = float(result.advice[0].split("at most ")[1].split(" m ")[0])
+    step, *_ = am.adapt(am.cases.greco_bar(), start=20e-3, max_nodes=20)
+    chosen("mm-MPa")
+    assert "(graded 20, 10 mm, ratio 2 at contact)" in str(grids)
+    assert f"at most {1e3 * size:.2g} mm there" in result.advice[0]
+    assert am.Step.table([step])["pressure [MPa]"][0] == 1e-6 * step.result.max_pressure
+
+
 def test_units_change_no_shape_of_a_curve(chosen):
     slip = np.abs(RESULT.contact.slip).max()
 

@@ -142,6 +142,7 @@ def test_short_options_read_as_they_are_written():
 
 def test_printing_and_notebooks_show_tables_and_pictures():
     grids, result = solved()
+    block = am.solve(am.Hierarchy.uniform(am.cases.greco_block(), (1, 2)))
     assert str(along()).count("CONVERGED") == 6 and len(str(grids).splitlines()) == 7
     line = str(adapted()[0])
     assert all(
@@ -153,11 +154,14 @@ def test_printing_and_notebooks_show_tables_and_pictures():
         along(),
         adapted()[-1],
         result.contact,
+        block.contact,
         grids.problem,
         am.Coulomb(lambda x: x[:, 0]),
     ):
         shown = one._repr_html_()
         assert shown.count("<table") == shown.count("</table>") == 1
+        # ten columns fit on a page
+        assert shown.count("<th>") <= 10 or one is adapted()[-1]
     assert "force_x [N/m]" in result._repr_html_() and "max_nodes" in adapted()[-1]._repr_html_()
     assert repr(grids.problem.loads[0]) in html.unescape(grids.problem._repr_html_())
     assert "equilibrium" in result.certificate()._repr_html_()
