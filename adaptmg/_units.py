@@ -107,13 +107,12 @@ def converted(unit: str, units: str | None = None) -> tuple[float, str]:
 def lengths_in_units(text: str) -> str:
     """Return a text of the package in which lengths, numbers before "m", are converted."""
     factor, unit = converted("m")
-
-    def shown(found: re.Match[str]) -> str:
-        return (
+    return _LENGTHS.sub(
+        lambda found: (
             ", ".join(f"{factor * float(part):.6g}" for part in found[1].split(", ")) + f" {unit}"
-        )
-
-    return _LENGTHS.sub(shown, text)
+        ),
+        text,
+    )
 
 
 def with_prefixes() -> bool:

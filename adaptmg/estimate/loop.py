@@ -174,27 +174,28 @@ class Step(Generic[AnyEstimate]):
         import pandas
 
         steps = checks.items("steps", steps, Step)
-        table = pandas.DataFrame(
-            [
-                {
-                    "step": step.number,
-                    "nodes": step.nodes,
-                    "levels": len(step.hierarchy),
-                    "contact_nodes": len(step.result.contact),
-                    "estimate": step.estimate.relative,
-                    "status": step.result.status.name,
-                    "rtol": step.result.rtol,
-                    "cycles": step.result.cycles,
-                    "work_units": step.work_units,
-                    "total_work_units": step.total_work_units,
-                    "seconds [s]": step.seconds,
-                    "total_seconds [s]": step.total_seconds,
-                    "pressure [Pa]": step.result.max_pressure,
-                }
-                for step in steps
-            ]
+        return in_units(
+            pandas.DataFrame(
+                [
+                    {
+                        "step": step.number,
+                        "nodes": step.nodes,
+                        "levels": len(step.hierarchy),
+                        "contact_nodes": len(step.result.contact),
+                        "estimate": step.estimate.relative,
+                        "status": step.result.status.name,
+                        "rtol": step.result.rtol,
+                        "cycles": step.result.cycles,
+                        "work_units": step.work_units,
+                        "total_work_units": step.total_work_units,
+                        "seconds [s]": step.seconds,
+                        "total_seconds [s]": step.total_seconds,
+                        "pressure [Pa]": step.result.max_pressure,
+                    }
+                    for step in steps
+                ]
+            )
         )
-        return in_units(table)
 
 
 def settled(estimate: Estimate, before: Estimate | None) -> bool | None:

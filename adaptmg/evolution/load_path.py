@@ -92,10 +92,8 @@ class PathResult(Sequence[Result]):
 
     def _repr_html_(self) -> str:
         # what fits on a narrow page
-        status = "" if self.complete else "status|"
-        columns = rf"^(step|factor |{status}open|slip$|stick|force_|pressure)"
-        title = str(self).partition("\n")[0]
-        return in_html_lines(title) + html_table(self.table().filter(regex=columns))
+        narrow = self.table().filter(regex=r"^(step|factor |status|open|slip$|stick|force_|press)")
+        return in_html_lines(str(self).partition("\n")[0]) + html_table(narrow)
 
     def __str__(self) -> str:
         about = (

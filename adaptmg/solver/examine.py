@@ -220,9 +220,9 @@ class ContactResult:
 
     def _repr_html_(self) -> str:
         # what fits on a page: of solids all 18 columns are twice as wide
-        several = "pair|" if len(self.names) > 1 else ""
-        columns = rf"^({several}state|[xyz] |gap|slip|pressure|traction)"
-        return in_html_lines(repr(self)) + html_table(self.table().filter(regex=columns))
+        names = "pair|state" if len(self.names) > 1 else "state"
+        narrow = self.table().filter(regex=rf"^({names}|[xyz] |gap|slip|pressure|traction)")
+        return in_html_lines(repr(self)) + html_table(narrow)
 
     @property
     def pressure(self) -> np.ndarray:

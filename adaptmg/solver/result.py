@@ -184,11 +184,9 @@ class Result(Quantities):
         return shortened(_summary(self))
 
     def _repr_html_(self) -> str:
-        if self.mesh is None:
-            return in_html_lines(_summary(self))
-        # what fits on a page
-        pairs = self.pairs().filter(regex=r"^(?!moment|half_width)")
-        return in_html_lines(_summary(self)) + html_table(pairs)
+        narrow = r"^(?!moment|half_width)"  # what fits on a page
+        table = "" if self.mesh is None else html_table(self.pairs().filter(regex=narrow))
+        return in_html_lines(_summary(self)) + table
 
     def certificate(
         self, problem: DiscreteProblem | None = None, *, bound: bool = False
