@@ -56,8 +56,8 @@ def finer_at_contact(
                 warnings.simplefilter("ignore")
                 # the active set needs no coarse spaces, which the default method makes from the matrix:
                 # .7 s in place of 13 s on the 1987 nodes of a bolted sector
-                posed = Posed.of(problem, mesh).problem
-                grids = Grids((level_of(posed, mesh),), posed)
+                with_sides = Posed.of(problem, mesh).problem
+                grids = Grids((level_of(with_sides, mesh),), with_sides)
                 contact = solve(grids, ActiveSet(), throw=False).contact
         except (ValueError, RuntimeError) as error:
             _LOG.info("default sizes do not follow the contact: %s", error)

@@ -230,7 +230,7 @@ class Hierarchy(Grids):
         coarsest = mesh(0)
         finer = None
         if by_default:
-            from adaptmg.contact_sizes import finer_at_contact  # given sizes start sooner
+            from adaptmg.contact_sizes import finer_at_contact  # else the solvers are not needed
 
             coarsest, finer = finer_at_contact(
                 cast("ContactProblem", problem),
@@ -284,8 +284,8 @@ class Hierarchy(Grids):
         begin: tuple[float, float],
         contact_rows: bool = True,
     ) -> Self:
-        """Return the hierarchy on some meshes; ``begin`` is the time at which their making began, and
-        the seconds of compiling until then."""
+        """Return the hierarchy on meshes, coarse to fine; ``begin``: the time when their making began,
+        and the seconds of compiling until then."""
         started, compiled = begin
         if isinstance(problem, ContactProblem):
             problem = Posed.of(problem, meshes[-1]).problem
