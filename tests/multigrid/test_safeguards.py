@@ -163,6 +163,23 @@ def test_a_large_coarsest_grid_is_factorised_sparse():
     assert not result.fallback and result.cycles <= 15 and result.history["true_error"][-1] < 3e-8
 
 
+def test_cycles_that_rest_while_nodes_open_go_on():
+    """A heated block that nothing but friction holds opens from its edges inwards."""
+    block = am.Box(width=0.98306, depth=0.98306, height=1.12838)
+    problem = am.ContactProblem(
+        domain=block,
+        material=am.Solid(young=2e11, poisson=0.3),
+        law=am.Coulomb(0.1),
+        contact=am.Contact("bottom", am.Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))),
+        loads=(am.Pressure("top", 2.79609e5), am.InitialStrain("body", (5.757562e-6,) * 3)),
+    )
+    grids = am.Hierarchy.uniform(problem, (2, 4))
+    exact = am.solve(grids, am.ActiveSet(rtol=1e-12)).displacement
+    result = am.solve(grids, am.Multigrid(rtol=1e-6))
+    assert not result.fallback
+    assert np.abs(result.displacement - exact).max() <= 1e-5 * np.abs(exact).max()
+
+
 @pytest.mark.parametrize(("pull", "ratio", "finest"), [(-2e7, 25, 12), (5e7, 100, 16)])
 def test_a_stiff_slave_on_a_soft_master_is_handed_over(pull, ratio, finest):
     """Little friction: left alone, cycles from zero take 39, in the last case more than 100."""
