@@ -123,11 +123,12 @@ class PathResult(Sequence[Result]):
         relative); open, slip and stick (contact nodes); "force_x [N]", ... (plane problems: [N/m]):
         resultant of the contact forces; "pressure [Pa]": the largest contact pressure; "slip_size
         [m]": the largest slip of the step at a node in contact; "slip_path [m]": the largest of
-        :meth:`slip_path`."""
+        :meth:`slip_path`; "dissipation [J]" (plane problems: [J/m]): see :attr:`dissipation`."""
         import pandas
 
         rows = []
         paths = self.slip_path()
+        dissipation = self.dissipation
         for k, result in enumerate(self.results):
             force = result.resultant("contact").force
             c = result.contact
@@ -151,6 +152,7 @@ class PathResult(Sequence[Result]):
                     "pressure [Pa]": result.max_pressure,
                     "slip_size [m]": float(slips.max(initial=0.0)),
                     "slip_path [m]": float(paths[k].max(initial=0.0)),
+                    f"dissipation [{c.units[0].replace('N', 'J')}]": float(dissipation[k]),
                 }
             )
         return in_units(pandas.DataFrame(rows), units)
@@ -163,6 +165,15 @@ class PathResult(Sequence[Result]):
         """
         lengths = [slip_lengths(result) for result in self.results]
         return np.cumsum(lengths, axis=0) if lengths else np.zeros((0, 0))
+
+    @property
+    def dissipation(self) -> np.ndarray:
+        """Return the energy that friction has dissipated up to each step (n_steps,), J (plane
+        problems: J/m).
+
+        The sum of ``result.dissipation`` over the steps. A step counts its last friction for all of
+        its slip: short steps give that of a load that changes continuously."""
+        return np.cumsum([result.dissipation for result in self.results])
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Write a file a step, and the factors; ValueError if the folder holds steps already."""

@@ -62,8 +62,8 @@ class ContactResult:
     balance them.
 
     Of a step of a load path, slips and forces of friction are those of that step: the slip counts
-    from the displacement of the step before. The energy that friction dissipates in a step is
-    ``-(force_t * slip).sum()``, J (2D: J/m); that of a path is the sum over its steps.
+    from the displacement of the step before. ``Result.dissipation`` is the energy that friction
+    dissipates in a step, ``PathResult.dissipation`` that of a path.
 
     Attributes
     ----------
@@ -118,9 +118,6 @@ class ContactResult:
     >>> contact = am.solve(am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))).contact
     >>> contact.force_n.shape, contact.force_t.shape
     ((5,), (5, 1))
-    >>> dissipated = -(contact.force_t * contact.slip).sum()          # J/m
-    >>> bool(dissipated > 0)
-    True
     """
 
     node: np.ndarray

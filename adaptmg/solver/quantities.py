@@ -201,6 +201,17 @@ class Quantities:
         return self._data().energy(need_mesh(self), self.displacement)
 
     @property
+    def dissipation(self) -> float:
+        """Return the energy that friction dissipates in the (last) step of loading, J (plane: J/m):
+        minus the tangential forces on the body times the slips.
+
+        That of a load path is in :attr:`adaptmg.PathResult.dissipation`."""
+        contact = self.contact
+        # a node that takes over the part of others has the sum of their slips
+        slips = contact.slip * (contact.measures / contact.weights)[:, None]
+        return float(-np.sum(contact.force_t * slips))
+
+    @property
     def contact_area(self) -> float:
         """Return the area in contact, m^2 (plane problems: length, m): boundary masses of nodes not
         open."""
