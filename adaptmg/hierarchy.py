@@ -335,7 +335,7 @@ class Hierarchy(Grids):
         return replace(self, levels=(*self.levels, new), timings=self._with(spent), origin=origin)
 
     def forecast(self, finer: float = 1.0) -> Forecast:
-        """Return what a solve will take, from measured costs.
+        """Return the memory and time that a solve will take, from measured costs.
 
         Parameters
         ----------

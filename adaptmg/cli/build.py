@@ -312,8 +312,8 @@ def refinement_of(values: Arguments) -> float:
 
 
 def forecast(settings: Mapping[str, Arguments]) -> am.Forecast:
-    """Return what a solve will take; of several sizes or divisions the coarsest grid alone is
-    made."""
+    """Return the time and memory that a solve will take; of several sizes or divisions only the
+    coarsest grid is made."""
     problem = problem_of(settings["case"])
     solver_of(settings["solver"])
     values = dict(settings["hierarchy"])

@@ -1,4 +1,4 @@
-r"""Posed: a contact problem on one mesh, with what is said of each node of its boundaries.
+r"""Posed: a contact problem on one mesh, with the conditions at each node of its boundaries.
 
 All that a problem says of boundaries is resolved once: surfaces by name and the directions that
 supports hold in :class:`~adaptmg.discrete.supports.Boundaries`; here materials by body, the sides of
@@ -50,7 +50,7 @@ from adaptmg.discrete.obstacles import free_normals, in_front_of, may_overlap, w
 from adaptmg.discrete.sides import with_sides, young_of
 from adaptmg.discrete.supports import Boundaries, supported_nodes
 from adaptmg.discrete.ties import jump_of, tie_interfaces
-from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Elastic, FollowsState, Law, NodalLaw, NodalStateLaw, check_law
 from adaptmg.problem.surfaces import ContactPair
@@ -98,7 +98,7 @@ class Posed(Boundaries):
         return cls(with_sides(problem, mesh), mesh)
 
     def under(self, problem: ContactProblem) -> Posed:
-        """Return the same under another law, or other loads."""
+        """Return a copy on the same mesh for a problem that differs in its law or loads."""
         problem.check_boundaries(self.mesh.boundaries)
         problem.check_bodies(self.mesh.bodies)
         result = copy.copy(self)
@@ -143,17 +143,15 @@ class Posed(Boundaries):
         mesh = self.mesh
         if len(mesh.bodies) == 1:
             return {mesh.bodies[0]: np.arange(mesh.n_nodes)}
-        result = {}
-        for k, name in enumerate(mesh.bodies):
-            used = np.zeros(mesh.n_nodes, dtype=bool)
-            used[mesh.elements[mesh.element_body == k]] = True
-            result[name] = np.flatnonzero(used)
-        return result
+        return {
+            name: np.flatnonzero(mask_of(mesh.elements[mesh.element_body == k], mesh.n_nodes))
+            for k, name in enumerate(mesh.bodies)
+        }
 
     @cached_property
     def prescribed(self) -> np.ndarray:
-        """Return the displacement (n_nodes, dim) along what supports hold and the jump of tied nodes,
-        m; 0 elsewhere."""
+        """Return the displacement (n_nodes, dim) along directions that supports hold, and the jump of
+        tied nodes, m; 0 elsewhere."""
         _, values = self._components
         result = values.copy()
         for moved in self.inclined.moved.values():
@@ -175,8 +173,7 @@ class Posed(Boundaries):
     def check_held(self) -> None:
         """Raise ValueError if a body, with those glued to it, has neither a support nor a surface in
         contact."""
-        mentioned = np.zeros(self.mesh.n_nodes, dtype=bool)
-        mentioned[self.nodes] = True
+        mentioned = mask_of(self.nodes, self.mesh.n_nodes)
         for piece in nodes_of_pieces(self.mesh):
             if not mentioned[piece].any():
                 name = next(
@@ -214,8 +211,8 @@ class Posed(Boundaries):
 
     @cached_property
     def rows(self) -> Rows:
-        """Return the rows of all nodes of which something is said; slave nodes that supports hold along a
-        surface with friction carry no condition."""
+        """Return the rows of all nodes of contacts, ties, supports and springs; slave nodes that supports
+        hold along a surface with friction carry no condition."""
         excluded = np.empty(0, dtype=np.int64)
         while True:  # each pass excludes further nodes
             rows = self._rows(excluded)

@@ -292,7 +292,7 @@ class DiscreteProblem(Unknowns):
         strain_free: tuple[np.ndarray, float] | None,
         volumes: Volumes,
     ) -> DiscreteProblem:
-        """Return the same bodies in another load step; only its data are checked and copied.
+        """Return the problem of another load step; only its data are checked and copied.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a
         coupling relative ones), N and m; slips count from ``slip_reference`` (n_contact, dim), as

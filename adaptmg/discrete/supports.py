@@ -132,7 +132,7 @@ class Inclined:
         return checks.narrowed(sparse.bsr_array(half + half.T, blocksize=size).sorted_indices())
 
     def posed(self, load: np.ndarray, prescribed: np.ndarray) -> np.ndarray:
-        """Return b' (n_dofs,) of a load b and what supports prescribe (k, dim)."""
+        """Return b' (n_dofs,) for a load b and the displacements (k, dim) that supports prescribe."""
         if not len(self):
             return load
         result = (load - self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
@@ -142,7 +142,8 @@ class Inclined:
     def strain_free(
         self, before: tuple[np.ndarray, float] | None, prescribed: np.ndarray
     ) -> tuple[np.ndarray, float] | None:
-        """Return what makes the energy of A' that of A; see ``DiscreteProblem.stress_energy``."""
+        """Return load and energy of suppressed strains, N and N m: those ``before`` and those of moved
+        supports; ``DiscreteProblem.stress_energy`` subtracts them."""
         if not prescribed.any():
             return before
         forces = (self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
@@ -154,7 +155,7 @@ class Inclined:
         return load - forces.reshape(-1), energy + held_energy
 
     def stretched(self, volumes: Volumes, prescribed: np.ndarray) -> Volumes:
-        """Return the volumes under what supports prescribe (k, dim)."""
+        """Return the volumes with the strains of the displacements (k, dim) that supports prescribe."""
         strains: np.ndarray | float = 0.0
         if prescribed.any():
             moved = np.zeros((self.volumes.shape[1] // prescribed.shape[1], prescribed.shape[1]))
@@ -432,7 +433,8 @@ class Boundaries:
         return inclined_supports(self.mesh.points, self.holds)
 
     def free_part(self, nodes: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Return vectors (n, dim) at some nodes without their parts along what supports hold."""
+        """Return vectors (n, dim) at some nodes without their parts along directions that supports
+        hold."""
         free = np.where(self.fixed[nodes], 0.0, vectors)
         return free - np.einsum("nij,nj->ni", self.inclined.at(nodes), free)
 

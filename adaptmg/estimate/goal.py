@@ -318,20 +318,20 @@ class HalvedError:
 
 
 def _on_elements(fine: GoalView, origin: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Return the sums (n_elements,) of the parts (n_nodes,) of the nodes of the halved mesh, each shared
-    evenly by the elements around the node, over the element (``origin``) that holds these."""
+    """Return for each element the sum (n_elements,) of ``parts`` (n_nodes,) of the nodes of the halved
+    mesh. Elements around a node share its part evenly; ``origin`` is the element that holds each."""
     elements = fine.mesh.elements
     around = np.bincount(elements.ravel(), minlength=len(parts))
     return np.bincount(origin, (parts / around)[elements].sum(axis=1))
 
 
 def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) -> float:
-    r"""Return what the solver has left: J of the discrete solution minus J of the result, in the
+    r"""Return the error of the solver: J of the discrete solution minus J of the result, in the
     unit of the quantity.
 
-    With the residual r = A u - b, the slip force s f of Tresca's law, and what is left of
-    prescribed values,
-    :math:`\delta` (a gap where bodies touch, a slip where they stick),
+    With the residual r = A u - b, the slip force s f of Tresca's law, and the amount
+    :math:`\delta` by which the result misses prescribed values (a gap where bodies touch, a slip
+    where they stick),
 
     .. math:: -z \cdot r + \sum_{\mathrm{slip}} s\, f \cdot z_t - \lambda^* \cdot \delta, \qquad \lambda^* = A z - j .
     """

@@ -229,7 +229,7 @@ class Displacement:
             checks.boundary_name("body", self.body)
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """Return one functional a point."""
+        """Return the displacement component at each point, one functional a point."""
         mesh = view.mesh
         points = np.array(self.points)
         k = _axis("component", self.component, view.mesh.dim)
@@ -285,7 +285,7 @@ class MeanDisplacement:
         _axis("component", self.component)
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """Return the functional."""
+        """Return the mean displacement over the boundary, as one functional."""
         mesh = view.mesh
         k = _axis("component", self.component, view.mesh.dim)
         surface = mesh.surface(self.boundary)
@@ -351,7 +351,7 @@ class ContactForce:
             _axis("direction", self.direction, others="'normal', 'tangential', ")
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """Return the functional."""
+        """Return the force on the boundary, as one functional."""
         source = view if view.coarse is None else view.coarse
         direction = self._direction(source)
         value = float(direction @ source.contact.residual)
@@ -416,7 +416,7 @@ class PeakPressure:
         checks.integer("power", self.power, 1)
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """Return the functional."""
+        """Return the smoothed peak of the pressure on the boundary, as one functional."""
         source = view if view.coarse is None else view.coarse
         contact = source.contact
         weights = _of_slaves(source, self.boundary)
@@ -458,7 +458,7 @@ class Dissipation:
         checks.boundary_name("boundary", self.boundary)
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """Return the functional."""
+        """Return the energy that friction dissipates on the boundary, as one functional."""
         source = view if view.coarse is None else view.coarse
         contact = source.contact
         on_boundary = _of_slaves(source, self.boundary) > 0
@@ -541,7 +541,7 @@ class Opening:
             object.__setattr__(self, "point", tuple(float(c) for c in point))
 
     def functionals(self, view: GoalView) -> list[Functional]:
-        """Return the functional."""
+        """Return the opening at the point, or its mean over the boundary, as one functional."""
         contact = view.contact
         posed = view.touching
         mesh = view.mesh

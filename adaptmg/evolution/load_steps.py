@@ -318,7 +318,6 @@ class Controls:
         )
         first = 0
         for number, obstacle in self.rigid.items():
-            name = obstacle.name
             dim = obstacle.dim
             loaded = obstacle.loaded(factors).targets
             targets = loaded[list(obstacle.free)]
@@ -331,7 +330,7 @@ class Controls:
             arms = np.where(is_rotation, extent, 1.0)
             result.append(
                 _Unknowns(
-                    name,
+                    obstacle.name,
                     first,
                     targets,
                     sizes=force / stiffness / arms,

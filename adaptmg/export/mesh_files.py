@@ -291,5 +291,5 @@ def _contact_data(result: Result) -> dict[str, np.ndarray]:
 
 
 def _three(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (n, 2) or (n, 3) with three components."""
+    """Return vectors (n, 2) or (n, 3) with three components, the third one 0 in the plane."""
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))

@@ -237,7 +237,7 @@ _PAGES.globals |= {"LONGEST": LONGEST}
 
 
 def _made() -> dict[str, str]:
-    """Facts of every report."""
+    """Return the facts that every report states: when and with which versions it was written."""
     packages = {"Python": platform.python_version(), **versions()}
     return {
         "Written": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}",
@@ -609,7 +609,7 @@ def curves(
 
 
 def caption(axis: Axis, result: str) -> str:
-    """Return what :func:`curves` shows."""
+    """Return the caption of the figure that :func:`curves` draws."""
     lines = f", a line for each value of {worded(axis.lines)[0]}" if axis.lines else ""
     return (
         f"{worded(result)[0]} against {worded(axis.along)[0]}{lines}; where runs share a point their median, and "
@@ -618,8 +618,7 @@ def caption(axis: Axis, result: str) -> str:
 
 
 def _scale(ax: Axes, name: str, values: pd.Series) -> None:
-    """Choose a logarithmic scale where values span much; on x, ticks at the values where these are
-    few integers."""
+    """Choose a logarithmic scale where values span much; few integers on x become the ticks."""
     axis = getattr(ax, f"{name}axis")
     single = np.unique(values)
     if len(single) and single[0] > 0 and single[-1] >= _LOGARITHMIC * single[0]:

@@ -381,8 +381,8 @@ class Surface:
         return self.vectors
 
     def rises(self, facets: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return how far (n, n_points) what is meshed is from points (n, n_points, dim) of some facets
-        (n,), along unit vectors: 0 as long as nothing else is known."""
+        """Return how far (n, n_points) the surface of the meshed body is from points (n, n_points, dim)
+        of some facets (n,), along unit vectors: 0 where only the facets are known."""
         return np.zeros(points.shape[:2])
 
     def shares(self, axisymmetric: bool) -> np.ndarray:
@@ -394,7 +394,7 @@ class Surface:
         return 2 * np.pi * (r + r.sum(axis=1, keepdims=True)) / 6
 
     def shape_integrals(self, axisymmetric: bool) -> np.ndarray:
-        """Return the integrals (n, dim) of the same."""
+        """Return the integrals (n, dim) of the shape functions of the corners over each facet."""
         return self.measures[:, None] * self.shares(axisymmetric)
 
     def lumped(self, axisymmetric: bool) -> np.ndarray:
@@ -543,7 +543,7 @@ def need_mesh(owner: HasMesh) -> MeshArrays:
 
 
 def trusted(mesh: MeshArrays, sound: bool = True) -> MeshArrays:
-    """Return the same arrays, not copied, as a mesh that is known to be sound."""
+    """Return the arrays of a mesh, not copied, as a mesh that is known to be sound."""
     result = object.__new__(MeshArrays)
     result.__dict__.update(mesh.__dict__)
     result.__dict__.update(sound=sound)
@@ -551,10 +551,9 @@ def trusted(mesh: MeshArrays, sound: bool = True) -> MeshArrays:
 
 
 def swept(mesh: MeshArrays) -> MeshArrays:
-    """Return the same sound mesh with its nodes in the order of the longest side of its bounding
-    box, elements in that of their first nodes. Gauss-Seidel takes a fifth more cycles in the order
-    that refinement leaves behind, where new nodes come last, and where bodies come one after the
-    other."""
+    """Return a sound mesh with its nodes sorted along the longest side of its bounding box, and its
+    elements by their first nodes. Gauss-Seidel takes a fifth more cycles in the order that
+    refinement leaves behind, where new nodes come last, and where bodies come one after the other."""
     order, number, rows, elements = sweep(mesh.points, mesh.elements)
     return sound_by_construction(
         replace(

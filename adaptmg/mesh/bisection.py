@@ -38,6 +38,7 @@ from adaptmg.mesh.arrays import (
     Refinement,
     element_facets,
     facet_keys,
+    mask_of,
     sound_by_construction,
     trusted,
 )
@@ -190,11 +191,9 @@ def refine_near(
 
 
 def _touching(mesh: MeshArrays, names: Sequence[str]) -> np.ndarray:
-    """Mask of the elements with a node on one of some boundaries."""
-    near = np.zeros(mesh.n_nodes, dtype=bool)
-    for name in names:
-        near[mesh.boundary_nodes(name)] = True
-    return np.any(near[mesh.elements], axis=1)
+    """Return the mask of the elements with a node on one of some boundaries."""
+    facets = np.concatenate([mesh.boundary_facets(name) for name in names])
+    return np.any(mask_of(facets, mesh.n_nodes)[mesh.elements], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,8 +205,8 @@ class Refined:
 
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
-    """Bisect the marked elements (n_elements,) until all their edges are halved, or ``passes``
-    times: then what came of them, too, as long as it is of less than that number of generations."""
+    """Bisect the marked elements (n_elements,) until all their edges are halved; with ``passes``,
+    bisect them and the elements made from them until these are that number of generations younger."""
     if passes is None:
         return _once(mesh, marked, True)
     result = _once(mesh, marked, False)
@@ -258,7 +257,7 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
 
 
 def _parents(mesh: MeshArrays) -> np.ndarray:
-    """Parents (n_nodes, 2) of each node since the initial mesh."""
+    """Return the parents (n_nodes, 2) of each node; those of a node of the initial mesh are itself."""
     if mesh.refinement is not None:
         return mesh.refinement.parents
     return np.repeat(np.arange(mesh.n_nodes, dtype=np.int32), 2).reshape(-1, 2)
@@ -363,7 +362,8 @@ def _mesh_of(
 
 
 def with_refinement(mesh: MeshArrays, refinement: Refinement | None) -> MeshArrays:
-    """Return the same mesh with another history, its soundness kept."""
+    """Return a mesh with the nodes and elements of another one, as sound as that, and this history
+    of bisections."""
     result = trusted(mesh, mesh.sound)
     object.__setattr__(result, "refinement", refinement)
     return result

@@ -373,6 +373,7 @@ def gradings_of(
         # levels whose sizes rise are refused once they are meshed
         return coarsest * min(checks.positive("size", size) / checks.positive("size", first), 1.0)
 
+    # sizes that name no bodies are those of a single body ""
     bodies = next((tuple(size) for size in sizes if isinstance(size, Mapping)), ("",))
     tables = [per_body("size", size, bodies) for size in sizes]
     gradings = [{body: of(table[body], tables[0][body]) for body in bodies} for table in tables]

@@ -128,7 +128,7 @@ def _file(name: str, path: str | os.PathLike[str]) -> Path:
 
 
 def _read(function: str, path: Path) -> Any:
-    """Return what a reader of the other process makes of a file."""
+    """Return the answer of a ``function`` of the Netgen process that reads a file."""
     with netgen() as worker:
         return worker(function, str(path.absolute()), seconds=read_s(path))
 

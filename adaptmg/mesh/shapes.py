@@ -332,8 +332,8 @@ def _cones(facets: tuple[Corners, ...], part: np.ndarray, apex: np.ndarray) -> t
 
 
 def cut_note(kind: str, counts: np.ndarray) -> str:
-    """Return what became of the cells of a kind: '12 8-node bricks: each split into 6 tetrahedra';
-    "" of simplices."""
+    """Return how the cells of a kind were cut, '12 8-node bricks: each split into 6 tetrahedra'; ""
+    for simplices, which stay whole."""
     shape, n = KINDS[kind]
     if kind in ("triangle", "tetra"):
         return ""

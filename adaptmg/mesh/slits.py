@@ -22,6 +22,7 @@ from adaptmg.mesh.arrays import (
     Surface,
     facet_keys,
     facet_table,
+    mask_of,
     pair_keys,
     positive,
     same_orientation,
@@ -40,9 +41,8 @@ def opened(
     keys = facet_keys(facets, n_nodes)
     slit, counts = np.unique(keys, return_counts=True)
     slit = slit[counts > 1]
-    at_slit = np.zeros(n_nodes, dtype=bool)
+    at_slit = mask_of(facets[np.isin(keys, slit)], n_nodes)
     k = elements.shape[1]
-    at_slit[facets[np.isin(keys, slit)]] = True
     near = np.flatnonzero(at_slit[elements].any(axis=1))
     cells = elements[near]
     table = facet_table(cells, n_nodes)

@@ -71,8 +71,8 @@ def check_mesh(mesh: MeshArrays, boundaries: Sequence[str] = ()) -> MeshArrays:
 
 
 def check_stranger(mesh: MeshArrays) -> MeshArrays:
-    """Return the same for a mesh that was not made here: none of its bodies lies over itself
-    either."""
+    """Return a mesh that was not made here, checked by :func:`check_mesh`; ValueError also if one of
+    its bodies lies over itself."""
     return sound_by_construction(check_overlap(check_mesh(mesh)))
 
 

@@ -149,7 +149,7 @@ class Curved(Surface):
 
     @property
     def behind(self) -> np.ndarray:
-        """Return the same, -1 also where it is plane."""
+        """Return the number (n,) of the curved surface behind each facet, -1 where there is none."""
         plane = np.array([surface.plane for surface in self.exact] + [True])
         return np.where(plane[self.nearest], -1, self.nearest)
 

@@ -160,7 +160,7 @@ class CorrectionLevel:
 
     @cached_property
     def supports(self) -> Supports:
-        """The fine contact nodes that each coarse one reaches; ValueError if a weight is
+        """Return the fine contact nodes that each coarse one reaches; ValueError if a weight is
         negative."""
         return supports(self.contact_prolongation)
 

@@ -471,7 +471,7 @@ def _fill(
 
 
 def _rgba(colors: Coloring | Sequence[str], mesh: MeshArrays, index: np.ndarray) -> np.ndarray:
-    """Colours (..., 4) of elements, or nodes, by their numbers."""
+    """Return the colours (..., 4) of elements, or nodes, with the numbers ``index``."""
     if isinstance(colors, Coloring):
         return ScalarMappable(colors.norm).to_rgba(colors.values[index])
     return to_rgba_array(colors)[mesh.element_body[index]]

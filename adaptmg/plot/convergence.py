@@ -311,7 +311,7 @@ def adaptation(steps: Sequence[Step]) -> Figure:
 
 
 def _panel(figure: Figure, place: tuple[int, int, int], dim: int, title: str) -> Axes:
-    """Axes for a mesh, in a place among rows and columns."""
+    """Return new axes for a mesh; ``place`` has the numbers of rows and columns, and its position."""
     ax = figure.add_subplot(*place, projection="3d" if dim == 3 else None)
     ax.set_title(title, wrap=True)
     if dim == 3:

@@ -131,7 +131,7 @@ class ShadedSurface(Artist):
         return np.round(255 * mean).astype(np.uint8), float(lower[0]), float(lower[1])
 
     def _project(self, points: np.ndarray) -> np.ndarray:
-        """Pixels of the figure and depth (..., 3) of points (..., 3)."""
+        """Return pixels of the figure and depth (..., 3) of points (..., 3)."""
         axes = solid_axes(self.axes)
         homogeneous = np.column_stack([points.reshape(-1, 3), np.ones(points.size // 3)])
         flat = homogeneous @ np.asarray(axes.get_proj()).T

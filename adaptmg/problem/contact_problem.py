@@ -324,7 +324,7 @@ class ContactProblem(checks.Checked):
                     )
 
     def _uses(self) -> dict[str, str]:
-        """Return by the names of boundaries what they are used for, as text."""
+        """Return the use of each boundary in words, by its name; of several uses the last one listed here."""
         used = dict.fromkeys(self.tied_boundaries, "a tie") | dict.fromkeys(
             self.pair_boundaries, "contact"
         )

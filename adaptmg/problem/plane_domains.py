@@ -108,7 +108,7 @@ class Rectangle(Domain):
 
     @cached_property
     def outline(self) -> Outline:
-        """Return the same as an outline."""
+        """Return the rectangle as an outline."""
         x0, y0 = self.lower
         x1, y1 = self.upper
         return Outline(
@@ -427,7 +427,7 @@ class Circle(Domain):
 
     @property
     def outline(self) -> Outline:
-        """Return the same as an outline of four arcs, which begins at the right."""
+        """Return the circle as an outline of four arcs, which begins at the right."""
         x, y = self.centre
         r = self.radius
         return Outline(

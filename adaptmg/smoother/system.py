@@ -79,10 +79,11 @@ class Layer:
         """Return the gaps (n_contact,), m, and compliances, m/N, of linear laws near these forces and
         normal displacements (n_contact,).
 
-        The law is taken at the force, and at the depth where it is softer than the node: a residual
-        changes that force by more than the depth. A node that does not touch has the mean force of the
-        others; where none touches, surfaces are rigid. The linear law is the tangent, or where this
-        leaves less than half of the force at the depth, the secant."""
+        The law is linearised at the force. Where it is softer than the rest of the node, it is
+        linearised at the depth instead: a residual changes the force there by more than the depth. A
+        node that does not touch takes the mean force of the others; where none touches, surfaces are
+        rigid. The linear law is the tangent, or the secant where the tangent has less than half of the
+        force at the depth."""
         depth = np.maximum(normal - self.gap, 0.0)
         # 72 solves of the GRECO bar, a Hertzian cylinder and a block in 3D, exponents 2 to 8: 812 cycles; 821 at .3
         # times the stiffness, 812 at 3 times, 1211 without; tangents that leave a tenth or nine tenths 812 and 813,
@@ -90,17 +91,17 @@ class Layer:
         soft = (self.tangent(force)[1] * self.stiffness > 1) & (depth > 0)
         with np.errstate(over="ignore"):
             over_scale = np.divide(depth, self.compliance, out=np.zeros_like(depth), where=soft)
-            force = np.where(soft, over_scale**self.exponent, force)
+            expected = np.where(soft, over_scale**self.exponent, force)
             # with rigid surfaces in place of the mean force, sweeps of a single grid stall (a block on a dome in 3D,
             # 1e-10 m/Pa at 50 MPa, exponent 20: they converge after 1540); 60 solves by multigrid
             # take the same 580 cycles
-            touching = force > 0
-            elsewhere = force[touching].mean() if touching.any() else np.inf
-        force = np.clip(np.where(touching, force, elsewhere), *_FORCES)
-        gap, compliance = self.tangent(force)
+            touching = expected > 0
+            elsewhere = expected[touching].mean() if touching.any() else np.inf
+        point = np.clip(np.where(touching, expected, elsewhere), *_FORCES)
+        gap, compliance = self.tangent(point)
         secant = self.exponent * compliance
-        near = depth > (1 - 0.5 / self.exponent) * secant * force
-        return np.where(near, gap, self.gap), np.where(near, compliance, secant)
+        by_tangent = depth > (1 - 0.5 / self.exponent) * secant * point
+        return np.where(by_tangent, gap, self.gap), np.where(by_tangent, compliance, secant)
 
 
 @dataclass
@@ -449,10 +450,10 @@ def _rotated(matrix: sparse.bsr_array, frames: np.ndarray, nodes: np.ndarray) ->
     in_row = np.repeat(frame_of, np.diff(matrix.indptr))
     in_column = frame_of[matrix.indices]
     data = matrix.data.copy()
-    at = np.flatnonzero(in_row >= 0)
-    data[at] = np.einsum("nij,njk->nik", frames[in_row[at]], data[at])
-    at = np.flatnonzero(in_column >= 0)
-    data[at] = np.einsum("nij,nkj->nik", data[at], frames[in_column[at]])
+    for_row = np.flatnonzero(in_row >= 0)
+    data[for_row] = np.einsum("nij,njk->nik", frames[in_row[for_row]], data[for_row])
+    for_column = np.flatnonzero(in_column >= 0)
+    data[for_column] = np.einsum("nij,nkj->nik", data[for_column], frames[in_column[for_column]])
     return sparse.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 

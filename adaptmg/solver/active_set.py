@@ -399,7 +399,7 @@ class CondensedSteps:
             )
 
     def from_interior(self, interior: Interior) -> np.ndarray:
-        """Return the unknowns (n_dofs,) for what the interior point method found."""
+        """Return the unknowns (n_dofs,) of a solution of the interior point method."""
         with self.run.phase("solve"):
             return self.condensed.recover(interior.values.reshape(-1))
 

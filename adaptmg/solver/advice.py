@@ -279,8 +279,8 @@ def _advise_on_contact(results: Sequence[Result]) -> None:
 
 
 def _advise_on_strains(posed: Posed, result: Result) -> bool:
-    """Warn if strains are large in a considerable share of the volume of a body; returns whether they
-    are."""
+    """Return whether strains are large in a considerable share of the volume of a body, and warn if
+    they are."""
     problem = posed.problem
     mesh = posed.mesh
     materials = posed.materials

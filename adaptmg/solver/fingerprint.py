@@ -131,7 +131,7 @@ class Fingerprint:
 
     @cached_property
     def code(self) -> str:
-        """One hash of all parts."""
+        """Return one hash of all parts."""
         text = "\n".join(f"{name}\0{value}" for name, value in sorted(self.parts.items()))
         return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
@@ -353,6 +353,7 @@ class _Pickler(pickle.Pickler):
             return found.name_of(value)
         if kind is BuiltinFunctionType and isinstance(value.__self__, ModuleType):
             return found.name_of(value.__self__), value.__name__
+        # builtin objects whose pickle depends on the order of a hash, or that have none
         if kind in (set, frozenset):
             return kind.__name__, sorted(_pickled(item, found, self.files) for item in value)
         if kind in (CodeType, MappingProxyType):
@@ -360,12 +361,14 @@ class _Pickler(pickle.Pickler):
         if kind in _COMPARED_BY:
             return kind.__name__, [getattr(value, name) for name in _COMPARED_BY[kind]]
         module = kind.__module__ if isinstance(kind.__module__, str) else "builtins"
+        # what numba compiles is compared by its source
         if module.startswith("numba.") and hasattr(value, "jit_methods"):  # of a jitclass
             return str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
         if module.startswith("numba.") and isinstance(
             inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType
         ):
             return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
+        # objects with a state outside of the run
         if value is _NUMPY_GENERATOR:  # its state belongs to the library
             return "numpy.random"
         if isinstance(value, _REFUSED) or isinstance(getattr(value, "__self__", None), _REFUSED):
@@ -381,6 +384,7 @@ class _Pickler(pickle.Pickler):
             # scipy notes there whether the indices are sorted, when it is asked
             noted = ("_has_sorted_indices", "_has_canonical_format")
             return kind, {name: part for name, part in vars(value).items() if name not in noted}
+        # instances of classes of the user, and of those that remember results in themselves
         leaves_out = bool(_measured(kind)) or any(
             type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
         )
@@ -508,9 +512,9 @@ def _is_compiled(thing: object) -> bool:
 
 @cache
 def _installed(module: str) -> str | None:
-    """Return what a module is compared by: an installed one by its version, a compiled one by its
-    hash; "" for a module of Python, whose version is compared elsewhere; None for a module of the
-    user, whose functions and classes are examined."""
+    """Return the text by which a module is compared: the version of an installed one, the hash of a
+    compiled one; "" for a module of Python, whose version is compared elsewhere; None for a module
+    of the user, whose functions and classes are examined."""
     if (top := module.split(".")[0]) == "adaptmg":
         return _sources()
     try:

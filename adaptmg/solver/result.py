@@ -166,8 +166,8 @@ class Result(Quantities):
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """Return what would make the answer better, which printing the result shows too: contact
-        that does not fill its boundary needs 12 nodes in each patch, in 3D 60.
+        """Return advice to make the answer better, which printing the result shows too: contact that
+        does not fill its boundary needs 12 nodes in each patch, in 3D 60.
 
         Examples
         --------

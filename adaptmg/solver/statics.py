@@ -386,12 +386,13 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     rubs = friction > 0
     is_limited = limit > 0
     corners, directions, half_length = _friction_polygon(dim)
-    # edges of the cones: the pressure of a node with friction towards one of the corners
-    edges = friction[rubs, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubs])
+    # work of the friction at unit pressure, towards each corner of the polygon for the circle
+    rubbing = friction[rubs, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubs])
     k = body.motions.shape[1]
     in_front = ~rubs & np.isfinite(contact.gaps[on_body])
     behind = normal[np.isfinite(contact.opposite_gaps[on_body])] if dim == 1 else normal[:0]
-    edges = np.concatenate([-normal[in_front], behind, (edges - normal[rubs, None]).reshape(-1, k)])
+    cones = (rubbing - normal[rubs, None]).reshape(-1, k)
+    edges = np.concatenate([-normal[in_front], behind, cones])
     segments = np.einsum("st,ntk->nsk", directions, tangential[is_limited]).reshape(-1, k)
     return _Forces(edges.T, segments.T, np.repeat(limit[is_limited] * half_length, len(directions)))
 

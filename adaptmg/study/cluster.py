@@ -447,7 +447,7 @@ class _Runs:
         return max(count, 1)
 
     def _fetch(self, name: str, future: Future) -> None:
-        """Fetch what a run gave, in a thread of dask."""
+        """Put the result of a run, or its error, into the queue, in a thread of dask."""
         try:
             result = future.result()
         except BaseException as error:
@@ -455,8 +455,7 @@ class _Runs:
         self._back.put((name, result))
 
     def _begun(self, event: tuple[float, dict[str, str]]) -> None:
-        """A worker reports that a run begins, perhaps again, as dask started it on another
-        worker."""
+        """Note the worker of a run, and when it began: dask may start it again on another worker."""
         if (run := self._out.get(event[1]["run"])) is not None:
             run.worker = event[1]["worker"]
             run.began = time.monotonic()

@@ -230,8 +230,8 @@ class Store:
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
-        """Errors of SQLite, and of content that is not what was written, become ones that name the
-        file."""
+        """Raise errors of SQLite, and of content that is not what was written, as errors that name
+        the file."""
         try:
             with self._lock:
                 yield
@@ -257,8 +257,8 @@ class Store:
         return None if status is None else (status.st_dev, status.st_ino)
 
     def _check_there(self) -> None:
-        """SQLite goes on writing into a file that was removed: the path must still name the file
-        that was opened."""
+        """Raise OSError unless the path still names the file that was opened: SQLite goes on writing
+        into a file that was removed."""
         now = self._identity()
         if now != self._opened:
             how = "removed" if now is None else "replaced by another file"
@@ -315,8 +315,8 @@ class Store:
                     )
 
     def claim(self, study: str, keys: Sequence[str], owner: str) -> list[bool]:
-        """Claim runs, in one transaction; whether each is claimed: not where a process that may
-        live has claimed it."""
+        """Claim the runs that no process which may live has claimed, in one transaction; return for
+        each whether it is claimed now."""
         with self._explained():
             self._check_there()
             with self._transaction() as connection:
@@ -457,5 +457,5 @@ def _record(study: str, key: bytes, record: bytes, written: bytes) -> Record:
 
 
 def _restored(value: Scalar | list) -> Value:
-    """Undo what JSON does to tuples."""
+    """Return a value read from JSON with its lists as the tuples that they were."""
     return tuple(map(_restored, value)) if isinstance(value, list) else value

@@ -455,8 +455,8 @@ class Study:
                 )
 
     def _rows(self, code: Fingerprint) -> list[tuple[Point, Record | None, str]]:
-        """Return the points in the order of the design, with what is stored of them and its
-        state."""
+        """Return the points in the order of the design, each with its record and the state of that:
+        "missing", "stale" where the code has changed, or how the run ended."""
         stored = self._store.get(self.name)
         records = [(point, stored.get(canonical(point))) for point in self.points()]
         return [

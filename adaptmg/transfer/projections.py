@@ -287,7 +287,7 @@ class MixedMass:
 
     @cached_property
     def lumped_mass(self) -> np.ndarray:
-        """Integrals of the fine shape functions (n_fine,), m^2 or m^3."""
+        """Return the integrals of the fine shape functions (n_fine,), m^2 or m^3."""
         share = np.repeat(self.fine.volumes / (self.fine.dim + 1), self.fine.dim + 1)
         return np.bincount(self.fine.elements.ravel(), weights=share, minlength=self.fine.n_nodes)
 
@@ -308,9 +308,10 @@ def mixed_mass(coarse: MeshArrays, fine: MeshArrays) -> MixedMass:
 
 
 def overlaps(coarse: MeshArrays, fine: MeshArrays, density: np.ndarray) -> sparse.csr_array:
-    """Return the masses (n_fine_elements, n_coarse_elements) that elements have in common, of a
-    ``density`` (n_fine_nodes,), linear in each fine element; of fine elements that stick out the
-    coarse ones next to them have the rest. No coarse elements share a node."""
+    """Return the mass (n_fine_elements, n_coarse_elements) in the common part of each fine and coarse
+    element, for a ``density`` (n_fine_nodes,) that is linear in each fine element. The mass of fine
+    elements outside the coarse mesh counts to the nearest coarse elements. No two coarse elements
+    may share a node."""
     integrals = mixed_mass(coarse, fine)
     weights = density[fine.elements[integrals.elements]]
     masses = np.einsum("ek,ek->e", integrals.values, weights)
