@@ -10,7 +10,8 @@ only what the step changes: level l solves its step from
 with its history :math:`u_l^0, u_l^1, \dots` and slips measured against that. The error of such a
 start is the discretisation error of the increment, not of the whole displacement; it finds nodes
 that stick, and slips that turn round when a load is taken back, where the interpolation of the
-whole displacement would let every node slip.
+whole displacement would let every node slip. Before it the certificate is asked whether the
+extrapolation of the last two steps solves the step, as it does under proportional loading.
 
 The motion of a Rigid obstacle and the strain of a Preload, which transmit a force, are a few
 unknowns z next to the contact problem, with the equations

@@ -292,9 +292,9 @@ def _fill(indptr, indices, data, label, offsets, held, projections, zero, sums, 
                 _increase(sums, first + a, dim, force)
                 if len(zero) > 1:
                     _increase(sums, first + dim * dim + a, dim, _moment(offset, force))
-        if other != own:
-            _project(i, own, other, offsets, held, projections, zero, sums, width, band)
-        _project(i, own, own, offsets, held, projections, zero, sums, width, band)
+        for k in range(1 if other == own else 2):
+            last = own if k == 0 else other
+            _project(i, own, last, offsets, held, projections, zero, sums, width, band)
 
 
 @in_loop
