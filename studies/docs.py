@@ -175,7 +175,8 @@ def write_reference(folder: Path) -> None:
     """Write the pages of the reference, by task."""
     folder.mkdir()
     index = _title("API by task") + (
-        "\nEvery public name has a page with its arguments, units, errors and an example. "
+        "\nEvery public name has a page with its arguments, units and errors, an example (protocols: the "
+        "methods that an object of yours offers), and links to the how-tos and tutorials that use it. "
         "Scripts begin with ``import adaptmg as am``; names without a module are in ``am``. "
         "A solve goes through these pages from top to bottom.\n"
     )

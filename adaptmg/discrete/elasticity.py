@@ -93,7 +93,15 @@ def stiffness(
 
     On the axis r = 0 the user prescribes u_r = 0, e.g. ``Support("axis", x=0.0)``: the hoop strain
     is bounded for no other displacement. Without it the matrix is finite still. ``tangents`` are
-    stiffnesses of patches in place of those of their bodies."""
+    stiffnesses of patches in place of those of their bodies.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> matrix = am.discrete.stiffness(mesh, am.PlaneStrain(young=1.0, poisson=0.25))
+    >>> matrix.shape, matrix.blocksize, bool(abs(matrix @ np.ones(18)).max() < 1e-12)
+    ((18, 18), (2, 2), True)
+    """
     dim = checks.instance("mesh", mesh, MeshArrays).dim
     checks.choice("elements", elements, ("linear", "smoothed"))
     materials = body_materials(mesh, material)
@@ -597,7 +605,14 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
 
     Per body 3 columns in 2D, 6 in 3D, 1 in axisymmetry (x = r, y = z), zero outside the body, in
     the order of ``mesh.bodies``. Bodies that share nodes (glued materials) move together and count
-    as one."""
+    as one.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> am.discrete.rigid_motions(mesh).shape
+    (18, 3)
+    """
     checks.instance("mesh", mesh, MeshArrays)
     checks.flag("axisymmetric", axisymmetric)
     columns = []

@@ -79,7 +79,15 @@ def load_vector(
     position are called once each, with all quadrature points (n, dim). Axisymmetric materials
     weight all with 2 pi r; initial strains need the elastic constants, and depend on the
     ``elements``. ValueError for a boundary or body the mesh does not have, components of the wrong
-    number, data that are not finite, or an initial strain without ``material``."""
+    number, data that are not finite, or an initial strain without ``material``.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> force = am.discrete.load_vector(mesh, [am.Pressure("top", 2e6)])
+    >>> force.reshape(-1, 2).sum(axis=0).tolist()                                  # N/m
+    [0.0, -2000000.0]
+    """
     materials = None if material is None else body_materials(mesh, material)
     axisymmetric = materials is not None and is_axisymmetric(materials)
     vector = np.zeros(check_mesh(mesh).points.size)

@@ -65,6 +65,12 @@ def element_strain(mesh: MeshArrays, displacement: np.ndarray) -> np.ndarray:
     strains included.
 
     The displacement is (n_nodes, dim) or (n_dofs,), m.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> am.discrete.element_strain(mesh, 1e-3 * mesh.points)[0].round(9).tolist()
+    [[0.001, 0.0], [0.0, 0.001]]
     """
     gradient = displacement_gradient(checks.instance("mesh", mesh, MeshArrays), displacement)
     return 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
@@ -288,7 +294,16 @@ def full_stress(
 
     In 2D [2, 2] is the stress through the thickness (0 in plane stress) or the hoop stress; the
     shear stresses out of the plane are 0. The displacement is (n_nodes, dim) or (n_dofs,), m;
-    initial strains among the loads carry no stress, other loads do not matter."""
+    initial strains among the loads carry no stress, other loads do not matter.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> material = am.PlaneStrain(young=1e9, poisson=0.25)
+    >>> stress = am.discrete.full_stress(mesh, material, 1e-3 * mesh.points)           # Pa
+    >>> stress[0].diagonal().round(3).tolist()
+    [1600000.0, 1600000.0, 800000.0]
+    """
     checks.instance("mesh", mesh, MeshArrays)
     loads = checks.items("loads", loads, get_args(Load), "Pressure, Traction, BodyForce, ...")
     return StressData.of(mesh, material, loads).tensors(mesh, displacement)
@@ -296,7 +311,13 @@ def full_stress(
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
     r"""Return equivalent stresses :math:`\sqrt{\tfrac32\, s : s}` (n,), Pa, of the deviators s of
-    tensors (n, 3, 3)."""
+    tensors (n, 3, 3).
+
+    Examples
+    --------
+    >>> am.discrete.von_mises(np.diag([2e6, 0.0, 0.0])[None]).round(3).tolist()      # Pa
+    [2000000.0]
+    """
     if np.shape(stress)[1:] != (3, 3):
         raise ValueError(
             f"stress must have shape (n, 3, 3), as of full_stress, got {np.shape(stress)}"

@@ -379,7 +379,15 @@ def fixed_dofs(mesh: MeshArrays, supports: Sequence[AnySupport]) -> tuple[np.nda
 
     Where two supports meet, they must agree or prescribe different components. ValueError for a
     boundary or point the mesh does not have, a z component in 2D, two values for one dof, or
-    functions with values that are not finite."""
+    functions with values that are not finite.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> mask, values = am.discrete.fixed_dofs(mesh, [am.Support("bottom", y=-1e-5)])
+    >>> int(mask.sum()), values.min().tolist()                                     # dofs; m
+    (3, -1e-05)
+    """
     points = checks.instance("mesh", mesh, MeshArrays).points
     supports = checks.items("supports", supports, get_args(AnySupport), "supports")
     surfaces = surfaces_of(mesh, (support.boundary for support in supports))

@@ -127,6 +127,15 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
         Of the same problem, on any mesh of the same domain with the same names. On curved
         boundaries the domains of two meshes differ, which counts as error too: on a pin with a
         fillet in 3D, 2 800 nodes, a quarter of it.
+
+    Examples
+    --------
+    >>> bar = am.cases.greco_bar()
+    >>> fine = am.Hierarchy.uniform(bar, divisions=(4, 8, 16))
+    >>> coarse = am.solve(am.Hierarchy.uniform(bar, divisions=(2, 4)))
+    >>> error = am.estimate.energy_error((fine, am.solve(fine)), coarse)
+    >>> 0.05 < error.relative < 0.5
+    True
     """
     if isinstance(reference, tuple) and len(reference) == 2:
         reference = Reference.of(*reference)

@@ -153,6 +153,11 @@ class Elastic(checks.Checked):
     itself needs them. ``anisotropy`` is set by ``orthotropic`` and ``anisotropic``; ``young`` and
     ``poisson`` are then those of the isotropic material with the same means over all directions.
     ``inelastic`` is set where a problem has :class:`adaptmg.Plastic` bodies.
+
+    Examples
+    --------
+    >>> isinstance(am.Solid(young=2.1e11, poisson=0.3), am.problem.Elastic)
+    True
     """
 
     young: Size

@@ -177,6 +177,12 @@ def step_problem(
     with factor 0 stay, as zeros; the slip of earlier steps is not part of it. With the ``motions``
     of the step's Result, Rigid obstacles have become Moving ones and preloads initial strains.
     ValueError for a name under which nothing is loaded or moved, or a factor that is not finite.
+
+    Examples
+    --------
+    >>> half = am.problem.step_problem(am.cases.greco_bar(), {"left": 0.5})
+    >>> {load.boundary: load.value for load in half.loads}                     # Pa
+    {'top': 50000000.0, 'left': 75000000.0}
     """
     factors = {
         name: checks.quantity(f"factors[{name!r}]", value) for name, value in factors.items()

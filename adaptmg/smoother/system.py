@@ -113,7 +113,14 @@ class NodalContact:
     slip along the first is minus its slip_reference, and that entry of the diagonal block has the
     sign turned, by which the node solve (:mod:`adaptmg.smoother.node_solve`) knows such nodes.
     ``friction_at``, of a law that depends on pressure and slip: the coefficients (n_contact,) at
-    nodal forces, N, and slips, m."""
+    nodal forces, N, and slips, m.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(law=am.Coulomb(0.3)), divisions=(2, 4))
+    >>> am.smoother.local_system(grids.finest.discrete).contact.friction.tolist()
+    [0.3, 0.3, 0.3, 0.3, 0.3]
+    """
 
     gap: np.ndarray  # (n_contact,): largest normal displacement, m; +inf without an obstacle
     slip_reference: np.ndarray  # (n_contact, dim - 1): tangential displacement of zero slip, m
@@ -200,7 +207,14 @@ def friction_bound(
 @dataclass(eq=False)
 class LocalSystem:
     """A block-sparse matrix in local components with fixed dofs eliminated, as the kernels read
-    it."""
+    it.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> int(am.smoother.local_system(grids.finest.discrete).system.fixed.sum())
+    5
+    """
 
     dim: int  # block size
     indptr: np.ndarray  # (n_nodes + 1,) int32
@@ -276,7 +290,14 @@ def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
 
 @dataclass(eq=False)
 class LocalProblem:
-    """A DiscreteProblem in local components, on which the nonlinear solvers iterate."""
+    """A DiscreteProblem in local components, on which the nonlinear solvers iterate.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> am.smoother.local_system(grids.finest.discrete).load.shape                 # (n_dofs,), N
+    (50,)
+    """
 
     system: LocalSystem
     load: np.ndarray  # (n_dofs,): local components, prescribed values lifted, zero at fixed dofs, N
@@ -304,7 +325,15 @@ class LocalProblem:
 
 def local_system(problem: DiscreteProblem, system: LocalSystem | None = None) -> LocalProblem:
     """Rotate a DiscreteProblem into contact frames and eliminate its fixed dofs. ``system``: that
-    of a problem which shares matrix, fixed dofs and contact nodes with it."""
+    of a problem which shares matrix, fixed dofs and contact nodes with it.
+
+    Examples
+    --------
+    >>> grids = am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(2, 4))
+    >>> problem = am.smoother.local_system(grids.finest.discrete)
+    >>> len(problem.contact.gap), problem.system.dim
+    (5, 2)
+    """
     checks.instance("problem", problem, DiscreteProblem)
     frames, fixed = frames_and_fixed(problem)
     load = rotate(problem.load_from_prescribed(), frames, problem.contact.nodes)

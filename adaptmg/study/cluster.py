@@ -93,7 +93,14 @@ def local_cluster(workers: int, *, memory_limit: float | None = None) -> Iterato
     """Start ``workers`` processes on this machine, and end them.
 
     Yields the distributed.Client for :meth:`adaptmg.study.Study.run` as ``scheduler``; many studies
-    can share it. ``memory_limit`` is the number of bytes that each process may hold."""
+    can share it. ``memory_limit`` is the number of bytes that each process may hold.
+
+    Examples
+    --------
+    >>> study = am.Study(lambda n: {"square": n * n}, {"n": [1, 2, 3]})
+    >>> with am.study.local_cluster(2) as client:                              # doctest: +SKIP
+    ...     table = study.run(scheduler=client)
+    """
     count = checks.integer("workers", workers, minimum=1)
     limit = 0 if memory_limit is None else int(checks.positive("memory_limit", memory_limit))
     if multiprocessing.current_process().daemon:

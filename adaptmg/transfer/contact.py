@@ -81,6 +81,14 @@ def surface_interpolation(
 
     Entries are >= 0, with row sums 1, at most dim in a row. The facets (n_facets, dim) hold coarse
     nodes, as ``coarse.boundary_facets(name)`` does; the nearest is exact, on graded boundaries too.
+
+    Examples
+    --------
+    >>> coarse, fine = (am.mesh.structured(am.Rectangle(width=1, height=1), n) for n in (2, 4))
+    >>> nodes = fine.boundary_nodes("bottom")
+    >>> rows = am.transfer.surface_interpolation(coarse, fine, coarse.boundary_facets("bottom"), nodes)
+    >>> rows.shape, rows.sum(axis=1).tolist()
+    ((5, 9), [1.0, 1.0, 1.0, 1.0, 1.0])
     """
     facets = coarse_boundary_facets
     if (
@@ -99,7 +107,16 @@ def with_contact_rows(
     P: sparse.csr_array, fine_nodes: np.ndarray, rows: sparse.csr_array
 ) -> sparse.csr_array:
     """Return a nodal prolongation (n_fine, n_coarse) with other rows (n, n_coarse) for distinct
-    fine nodes (n,)."""
+    fine nodes (n,).
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> P = sparse.csr_array([[1.0, 0.0], [0.4, 0.6], [0.0, 1.0]])
+    >>> rows = sparse.csr_array([[0.5, 0.5]])
+    >>> am.transfer.with_contact_rows(P, np.array([1]), rows).toarray().tolist()
+    [[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]
+    """
     nodes = checks.array("fine_nodes", fine_nodes, (None,), integer=True)
     if rows.shape != (len(nodes), P.shape[1]) or len(np.unique(nodes)) < len(nodes):
         raise ValueError(
@@ -341,7 +358,16 @@ class Supports:
 
 def supports(P_cc: sparse.csr_array) -> Supports:
     """Return the sets S_k of P_cc (n_fine_contact, n_coarse_contact); ValueError if an entry is
-    negative or not finite."""
+    negative or not finite.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> P = sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])             # 3 fine nodes, 2 coarse
+    >>> sets = am.transfer.supports(P)
+    >>> [sets.nodes[a:b].tolist() for a, b in zip(sets.indptr, sets.indptr[1:])]
+    [[0, 1], [1, 2]]
+    """
     if not sparse.issparse(P_cc):
         raise TypeError(f"P_cc must be a scipy sparse matrix, got {checks.shown(P_cc)}")
     columns = sparse.csc_array(P_cc, dtype=np.float64, copy=True)
@@ -373,13 +399,28 @@ def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     (n_fine_contact,), m.
 
     +inf where S_k is empty.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
+    >>> am.transfer.smallest_gap(sets, np.array([1e-6, 3e-6, 2e-6])).tolist()      # m
+    [1e-06, 2e-06]
     """
     return sets.reduced(np.minimum, opening, np.inf)
 
 
 def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     """Return the paper's bound read literally ('smallest u_n'): max over S_k; as
-    :func:`smallest_gap`. Stalls or cycles."""
+    :func:`smallest_gap`. Stalls or cycles.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
+    >>> am.transfer.largest_gap(sets, np.array([1e-6, 3e-6, 2e-6])).tolist()       # m
+    [3e-06, 3e-06]
+    """
     return sets.reduced(np.maximum, opening, np.inf)
 
 
@@ -425,7 +466,15 @@ def restricted_problem(
 
 def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     """Return the opening of the fine node with the largest weight in S_k; as :func:`smallest_gap`.
-    No guarantee."""
+    No guarantee.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
+    >>> am.transfer.injected_gap(sets, np.array([1e-6, 3e-6, 2e-6])).tolist()      # m
+    [1e-06, 2e-06]
+    """
     return sets.injected(opening, np.inf)
 
 
@@ -435,7 +484,15 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
     0 unless all slips u_t - u_t^previous (n_fine_contact, dim - 1) in S_k have one sign (3D: one
     direction) and none is zero or in ``stick`` (n_fine_contact,), else the shortest; 0 where S_k is
     empty. In 3D slips within 1e-6 rad of the shortest count as parallel to it; the guarantee then
-    holds up to 1e-6 ``sum_i g_i sum_k P_ik |E_k|``."""
+    holds up to 1e-6 ``sum_i g_i sum_k P_ik |E_k|``.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
+    >>> am.transfer.minmod_slip(sets, np.array([[2e-6], [1e-6], [-1e-6]])).tolist()      # m
+    [[1e-06], [0.0]]
+    """
     slip = slip if stick is None else np.where(stick[:, None], 0.0, slip)
     if slip.shape[1] <= 1:
         # one of the two is 0 unless all have one sign
@@ -462,7 +519,15 @@ def minmod_slip(sets: Supports, slip: np.ndarray, stick: np.ndarray | None = Non
 
 def injected_slip(sets: Supports, slip: np.ndarray) -> np.ndarray:
     """Return the slip of the fine node with the largest weight in S_k; shapes as
-    :func:`minmod_slip`. No guarantee."""
+    :func:`minmod_slip`. No guarantee.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
+    >>> am.transfer.injected_slip(sets, np.array([[2e-6], [1e-6], [-1e-6]])).tolist()    # m
+    [[2e-06], [-1e-06]]
+    """
     return sets.injected(slip, 0.0)
 
 
@@ -471,6 +536,13 @@ def summed_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
     (n_coarse_contact,), N; dual.
 
     The total is that of g where the rows sum to 1.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
+    >>> am.transfer.summed_limit(sets, np.array([10.0, 20.0, 30.0])).tolist()      # N
+    [20.0, 40.0]
     """
     coarse = np.repeat(np.arange(len(sets.main)), np.diff(sets.indptr))
     return np.bincount(
@@ -483,5 +555,13 @@ def injected_limit(sets: Supports, limit: np.ndarray) -> np.ndarray:
     empty.
 
     As :func:`summed_limit`, but what one fine node bears is less than the force on a coarse one. No
-    guarantee."""
+    guarantee.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
+    >>> am.transfer.injected_limit(sets, np.array([10.0, 20.0, 30.0])).tolist()    # N
+    [10.0, 30.0]
+    """
     return sets.injected(limit, 0.0)

@@ -20,7 +20,15 @@ def galerkin_product(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> spars
 
     Sorted columns; every coarse node has a diagonal block, that of a node which nothing reaches is
     the mean of the others' diagonals. TypeError or ValueError where the matrices do not fit, or
-    their indices are damaged."""
+    their indices are damaged.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> matrix = sparse.bsr_array(np.diag([2.0, 2.0, 4.0, 4.0]), blocksize=(2, 2))     # 2 nodes in 2D
+    >>> am.transfer.galerkin_product(matrix, sparse.csr_array([[1.0], [0.5]])).toarray().tolist()
+    [[3.0, 0.0], [0.0, 3.0]]
+    """
     checks.instance("matrix", matrix, sparse.bsr_array)
     n_dofs = matrix.shape[0]
     checks.sparse_matrix("matrix", matrix, (n_dofs, n_dofs))
@@ -147,7 +155,15 @@ def without_fixed(
     matrix: sparse.bsr_array, fixed: np.ndarray, *, copy: bool = True
 ) -> sparse.bsr_array:
     """Return the matrix with zero rows and columns of fixed dofs (n_dofs,) but for their diagonal;
-    the pattern stays."""
+    the pattern stays.
+
+    Examples
+    --------
+    >>> from scipy import sparse
+    >>> matrix = sparse.bsr_array(np.array([[2.0, 1.0], [1.0, 3.0]]), blocksize=(2, 2))
+    >>> am.transfer.without_fixed(matrix, np.array([True, False])).toarray().tolist()
+    [[2.0, 0.0], [0.0, 3.0]]
+    """
     dim = checks.instance("matrix", matrix, sparse.bsr_array).blocksize[0]
     if checks.flag("copy", copy):
         matrix = sparse.bsr_array(

@@ -74,7 +74,15 @@ class PointLocator(SimplexLocator):
 
     With ``body``, an index into ``mesh.bodies``, only in the elements of this body: where two
     bodies touch, a point lies in both. ValueError if there are no elements (of that body), or one
-    without volume."""
+    without volume.
+
+    Examples
+    --------
+    >>> mesh = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    >>> place = am.transfer.PointLocator(mesh).locate([(0.25, 0.1), (1.5, 0.1)])
+    >>> place.weights.shape, place.distance.round(9).tolist()                   # of each point; m
+    ((2, 3), [0.0, 0.5])
+    """
 
     def __init__(self, mesh: MeshArrays, body: int | None = None) -> None:
         checks.instance("mesh", mesh, MeshArrays, "MeshArrays")
@@ -326,7 +334,14 @@ def mesh_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
     """Return the largest local ratio h_coarse / h_fine; two-level rates suffer above about 3.
 
     For each fine element: the longest edge of the coarse element that holds its centroid, over its
-    own longest edge."""
+    own longest edge.
+
+    Examples
+    --------
+    >>> coarse, fine = (am.mesh.structured(am.Rectangle(width=1, height=1), n) for n in (2, 4))
+    >>> round(am.transfer.mesh_ratio(coarse, fine), 6)
+    2.0
+    """
     return float(_size_ratios(coarse, fine, 1).max())
 
 
@@ -335,6 +350,12 @@ def size_ratio(coarse: MeshArrays, fine: MeshArrays) -> float:
     sample of the elements.
 
     Levels of an adaptive hierarchy are kept by it: at most about 4.
+
+    Examples
+    --------
+    >>> coarse, fine = (am.mesh.structured(am.Rectangle(width=1, height=1), n) for n in (2, 6))
+    >>> round(am.transfer.size_ratio(coarse, fine), 6)
+    3.0
     """
     elements = checks.instance("fine", fine, MeshArrays).elements
     return float(np.quantile(_size_ratios(coarse, fine, max(1, len(elements) // _SAMPLE)), 0.99))

@@ -1,8 +1,10 @@
 """Settings of Sphinx; ``python studies/docs.py`` builds."""
 
+import functools
 import importlib
 import logging
 import os
+import re
 import sys
 import warnings
 from importlib.metadata import distribution
@@ -81,6 +83,29 @@ sphinx_gallery_conf = {
     "plot_gallery": "QUICK_DOCS" not in os.environ,
 }
 
+
+@functools.cache
+def _guides(source):
+    """Return the texts of how-tos and tutorials by the names of their pages."""
+    pages = {f"/howto/{page.stem}": page for page in sorted((source / "howto").glob("*.rst"))}
+    pages |= {f"/tutorials/{page.stem}": page for page in sorted((source / "scripts").glob("*.py"))}
+    return {name: page.read_text(encoding="utf-8") for name, page in pages.items()}
+
+
+def _in_use(app, what, name, thing, options, lines):
+    """Add links to how-tos and tutorials that use a public name."""
+    if what in ("class", "function", "exception", "data"):
+        # a class stands on its page under the name of its module
+        short = name.removeprefix("adaptmg.")
+        names = {f"am.{short}", f"am.{short.rpartition('.')[2]}"}
+        used = re.compile("|".join(rf"{re.escape(found)}\b" for found in names))
+        guides = [page for page, text in _guides(Path(app.srcdir)).items() if used.search(text)]
+        if guides:
+            links = ", ".join(f":doc:`{page}`" for page in guides[:_MOST_GUIDES])
+            lines += ["", ".. rubric:: In use", "", links, ""]
+
+
+_MOST_GUIDES = 5
 _pages = {}
 
 
@@ -122,6 +147,7 @@ def _exists(parts):
 def setup(app):
     """Copy MathJax, and connect the references."""
     app.connect("missing-reference", _resolve)
+    app.connect("autodoc-process-docstring", _in_use, priority=900)  # after numpydoc
     root = Path(
         str(
             distribution("sphinx-mathjax-offline").locate_file(
