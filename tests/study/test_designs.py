@@ -55,8 +55,8 @@ def test_a_sobol_sequence_is_extended_and_no_point_runs_twice():
 @pytest.mark.parametrize(
     ("make", "error", "match"),
     [
-        (lambda: am.Study(run, {"n": itertools.count()}), TypeError, "no end"),
-        (lambda: am.Study(run, {"n": (k for k in range(3))}), TypeError, "no end"),
+        (lambda: am.Study(run, {"n": itertools.count()}), TypeError, "must be a list"),
+        (lambda: am.Study(run, {"n": (k for k in range(3))}), TypeError, "must be a list"),
         (lambda: am.Study(run, {"n": range(10**12)}), ValueError, "1000000000000 points, at most"),
         (lambda: am.Study(run, [{"n": 1}, {"n": 1}]), ValueError, "the same as one before it"),
         (lambda: am.Study(run, [{"n": 1}, {"m": 1}]), ValueError, "give all points the same"),
