@@ -139,11 +139,12 @@ def _swap_edge(points, elements, across, e, k):
     Delaunay; returns whether. An edge that is not Delaunay is the diagonal of a convex
     quadrilateral: no element is turned over. On fixed points swaps end (C. L. Lawson, 1977): the
     test is exact, and each swap lowers the surface of triangles with the heights x^2 + y^2."""
-    a = elements[e, k]
-    b = elements[e, (k + 1) % 3]
-    c = elements[e, (k + 2) % 3]
-    d = elements[across[e, k], _opposite(elements, across[e, k], b, c)]
-    if not in_circle(points, np.int64(a), np.int64(b), np.int64(c), np.int64(d)) > 0.0:
+    a = np.int64(elements[e, k])
+    b = np.int64(elements[e, (k + 1) % 3])
+    c = np.int64(elements[e, (k + 2) % 3])
+    f = np.int64(across[e, k])
+    d = np.int64(elements[f, _opposite(elements, f, b, c)])
+    if not in_circle(points, a, b, c, d) > 0.0:
         return False
     _swap(elements, across, e, k)
     return True
@@ -162,8 +163,8 @@ def _swap(elements, across, e, k):
     """
     f = np.int64(across[e, k])
     a = elements[e, k]
-    b = elements[e, (k + 1) % 3]
-    c = elements[e, (k + 2) % 3]
+    b = np.int64(elements[e, (k + 1) % 3])
+    c = np.int64(elements[e, (k + 2) % 3])
     m = _opposite(elements, f, b, c)
     d = elements[f, m]
     beside_b = across[e, (k + 2) % 3]
@@ -287,7 +288,7 @@ def insert(points, elements, across, n, e, p, settled):
         f = np.int64(over_a)
         if f < 0 or on > 1:
             return n
-        j = _opposite(elements, f, b, c)
+        j = _opposite(elements, f, np.int64(b), np.int64(c))
         d = elements[f, j]
         beyond_c = across[f, (j + 1) % 3]
         beyond_b = across[f, (j + 2) % 3]

@@ -29,6 +29,8 @@ from adaptmg.discrete.coordinates import Coupling, block_diagonal, dofs_of
 from adaptmg.mesh.arrays import places_of
 from adaptmg.multigrid.split_matrix import SplitMatrix
 from adaptmg.smoother.blocks import (
+    BACKWARD,
+    FORWARD,
     add,
     inner,
     inverse_square,
@@ -49,8 +51,7 @@ from adaptmg.smoother.node_solve import read_reference, solve
 ONE = np.uint64(1)
 
 
-# explicit fastmath: it would else be that of the sweep that is compiled first
-@inner_kernel(fastmath=False)
+@inner_kernel
 def solve_at(k, frames, blocks, gap, reference, limit, friction, compliance, values, c):
     """Solve contact node k; ``c`` is the Cartesian force without the diagonal block."""
     dim = np.uint64(len(c))
@@ -97,7 +98,7 @@ def backward(
         i = np.uint64(order[place])
         dof = dim * i
         # remainder comes last: it is the one to wait for, as the node before has just written to it
-        force = minus_row(row, -1, l_indptr, l_indices, lower, u, zero)
+        force = minus_row(row, BACKWARD, l_indptr, l_indices, lower, u, zero)
         force = add(read(remainder, dof, zero), force)
         if contact_of[i] < 0:
             new = times(inverse, dim * dof, force)
@@ -115,10 +116,10 @@ def backward(
                 force,
             )
         write(u, dof, new)
-        minus_transposed_row(row, -1, l_indptr, l_indices, lower, new, remainder)
+        minus_transposed_row(row, BACKWARD, l_indptr, l_indices, lower, new, remainder)
 
 
-@kernel(fastmath={"contract"})
+@kernel
 def forward(
     first,
     last,
@@ -148,7 +149,7 @@ def forward(
         row = np.uint64(place)
         i = np.uint64(order[place])
         dof = dim * i
-        force = minus_row(row, 1, l_indptr, l_indices, lower, u, read(remainder, dof, zero))
+        force = minus_row(row, FORWARD, l_indptr, l_indices, lower, u, read(remainder, dof, zero))
         if contact_of[i] < 0:
             new = times(inverse, dim * dof, force)
             write(remainder, dof, zero)
@@ -160,7 +161,7 @@ def forward(
             write(remainder, dof, minus_times(force, diagonal, dim * dim * k, new))
         change = subtract(new, read(u, dof, zero))
         write(u, dof, new)
-        minus_transposed_row(row, 1, l_indptr, l_indices, lower, change, remainder)
+        minus_transposed_row(row, FORWARD, l_indptr, l_indices, lower, change, remainder)
 
 
 @kernel

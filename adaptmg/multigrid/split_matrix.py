@@ -32,7 +32,19 @@ from adaptmg.grids import Grids
 from adaptmg.level import Level
 from adaptmg.mesh.arrays import mask_of
 from adaptmg.problem.loads import PointSpring, Spring
-from adaptmg.smoother.blocks import ZERO, add, in_loop, inner, minus_row, read, scale, times, write
+from adaptmg.smoother.blocks import (
+    BACKWARD,
+    FORWARD,
+    ZERO,
+    add,
+    in_loop,
+    inner,
+    minus_row,
+    read,
+    scale,
+    times,
+    write,
+)
 from adaptmg.smoother.strips import Strips, product
 from adaptmg.transfer.galerkin import coarse_matrix, seen, without_fixed
 
@@ -386,7 +398,7 @@ def gauss_seidel(
     and B, and f - A u goes to ``remainder``. ``load`` may be ``remainder``, which then stays if A
     has no entries."""
     dim = np.uint64(len(zero))
-    step = -1 if backward else 1
+    step = BACKWARD if backward else FORWARD
     for k in range(last - first):
         place = last - 1 - k if backward else first + k
         row = np.uint64(place)
@@ -405,7 +417,7 @@ def subtract_half(first, last, order, zero, indptr, indices, half, u, result):
     for place in range(first, last):
         row = np.uint64(place)
         at = dim * np.uint64(order[place])
-        write(result, at, minus_row(row, 1, indptr, indices, half, u, read(result, at, zero)))
+        write(result, at, minus_row(row, FORWARD, indptr, indices, half, u, read(result, at, zero)))
 
 
 @kernel

@@ -14,9 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba.extending import register_jitable
 
-from adaptmg._numba import prefetch
+from adaptmg._numba import inner_kernel, prefetch
 
 ZERO = {dim: tuple(np.zeros(dim).tolist()) for dim in (1, 2, 3)}
 
@@ -26,16 +25,16 @@ ZERO = {dim: tuple(np.zeros(dim).tolist()) for dim in (1, 2, 3)}
 AHEAD = 4096
 
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+#: steps of sweeps: kernels are compiled again for each number in the text of a call
+FORWARD, BACKWARD = np.int64(1), np.int64(-1)
 FIVE, SIX, SEVEN, EIGHT = np.uint64(5), np.uint64(6), np.uint64(7), np.uint64(8)
 
 
 def in_loop(function: Callable) -> Callable:
-    """Let kernels call a function in their loops: it is inlined and compiled as its caller is.
-    (Cached by itself, it would be compiled once for callers with and without fused
-    multiply-adds.)"""
-    return register_jitable(
-        forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
-    )(function)
+    """Let kernels call a function in their loops: its code is inlined. (Numba's
+    ``register_jitable`` compiles a function again for callers with other options, up to five times
+    in a first solve.)"""
+    return inner_kernel(function, forceinline=True)
 
 
 @in_loop
@@ -272,8 +271,8 @@ def inverse_square(blocks, at, v):
 
 @in_loop
 def minus_row(i, step, indptr, indices, data, w, r):
-    """Return r minus row i of a matrix (or half of one) times w. ``step`` says whether the blocks of
-    the row are read forwards (1) or backwards (-1)."""
+    """Return r minus row i of a matrix (or half of one) times w. ``step``, FORWARD or BACKWARD, says how
+    the blocks of the row are read."""
     dim = np.uint64(len(r))
     begin = np.int64(indptr[i])
     end = np.int64(indptr[i + ONE])

@@ -109,7 +109,7 @@ def read_reference(reference, k, like):
     return reference[TWO * k], reference[TWO * k + ONE]
 
 
-@kernel(fastmath=False)
+@kernel
 def solve_2d(
     m_nn: float,
     m_nt: float,
@@ -154,7 +154,7 @@ def solve_2d(
     return gap + compliance * (p_stick - m_nt * slip), reference + slip
 
 
-@inner_kernel(fastmath=False)
+@inner_kernel
 def _shrink(value: float, bound: float) -> float:
     """Move ``value`` towards zero by ``bound``."""
     if value > bound:
@@ -164,7 +164,7 @@ def _shrink(value: float, bound: float) -> float:
     return 0.0
 
 
-@kernel(fastmath=False)
+@kernel
 def solve_3d(
     m_nn: float,
     m_n1: float,
@@ -245,7 +245,7 @@ def solve_3d(
     return w_n, reference_1 + slip_1, reference_2 + slip_2
 
 
-@kernel(fastmath=False)
+@kernel
 def _solve_held(
     m_nn: float,
     m_nt: float,
@@ -286,7 +286,7 @@ def _solve_held(
     return w_n, reference + slip
 
 
-@kernel(fastmath=False)
+@kernel
 def _slip_held(
     b: float, c: float, a: float, p_stick: float, held_slip: float, limit: float, friction: float
 ) -> float:
@@ -322,7 +322,7 @@ def _slip_held(
     return slip
 
 
-@kernel(fastmath=False)
+@kernel
 def slip_3d(
     b_11: float,
     b_12: float,
@@ -361,7 +361,7 @@ def slip_3d(
     return cosine * turned_1 + sine * turned_2, cosine * turned_2 - sine * turned_1
 
 
-@inner_kernel(fastmath=False)
+@inner_kernel
 def _slip_in_eigenbasis(
     b_1: float,
     b_2: float,
@@ -427,7 +427,7 @@ def _slip_in_eigenbasis(
     return theta * q_1, theta * q_2
 
 
-@inner_kernel(fastmath=False)
+@inner_kernel
 def _inside(low: float, high: float, stiffness: float) -> float:
     """Return a value of theta between two bounds whose orders of magnitude may differ; ``high`` may
     be +inf, ``low`` zero. The largest eigenvalue of B, ``stiffness``, sets the scale."""
