@@ -13,7 +13,7 @@ from smoother_problems import LAWS, dual_solution, network, spd, tresca_energy
 import adaptmg as am
 from adaptmg.smoother.conditions import natural_residual, states
 from adaptmg.smoother.node_solve import _inside, slip_3d, solve_2d, solve_3d
-from adaptmg.smoother.system import contact_codes, contact_states, inverse_blocks
+from adaptmg.smoother.system import contact_blocks, contact_codes, contact_states, inverse_blocks
 
 NETWORKS = [f"network {dim}D {law}" for dim in (2, 3) for law in LAWS]
 MESHES = {
@@ -66,6 +66,15 @@ def random_start(problem, seed, size=1.0):
 
 def natural_norm(problem, unknowns):
     return np.linalg.norm(natural_residual(problem, unknowns, problem.residual(unknowns)))
+
+
+@every_case
+def test_blocks_of_contact_nodes_are_those_of_the_system(case):
+    problem = posed(case)[0]
+    system = problem.system
+    expected = system.diagonal.reshape(-1, system.dim, system.dim)[system.nodes]
+    found = contact_blocks(problem.discrete)
+    np.testing.assert_allclose(found, expected, atol=1e-14 * np.abs(expected).max())
 
 
 @every_case

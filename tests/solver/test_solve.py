@@ -56,6 +56,8 @@ def test_history_is_reported_as_it_goes(bar):
     assert result.history["work_units"][-1] == result.work_units
     assert 0 < result.start_work_units < result.work_units
     assert {"setup", "start", "cycles"} <= set(result.timings)
+    # those of the meshes are those of the hierarchy
+    assert "mesh" in grids.timings and "mesh" not in result.timings
     assert (np.diff(result.history["seconds"]) >= 0).all()
 
 
