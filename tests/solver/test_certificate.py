@@ -429,12 +429,16 @@ def test_faults_of_friction_at_supports_are_caught():
 
 
 @pytest.mark.parametrize(
-    "problem", [am.cases.greco_bar(), am.cases.greco_block()], ids=["2D", "3D"]
+    "grids",
+    [
+        lambda: am.Hierarchy.graded(am.cases.obstacle_problem(), sizes=(0.1,)),
+        lambda: am.Hierarchy.uniform(am.cases.greco_bar(), divisions=(17,)),
+        lambda: am.Hierarchy.uniform(am.cases.greco_block(), divisions=(6,)),
+    ],
+    ids=["scalar", "2D", "3D"],
 )
-def test_the_coarse_correction_is_galerkins(problem):
-    discrete = am.Hierarchy.uniform(
-        problem, divisions=(17 if problem.dim == 2 else 6,)
-    ).finest.discrete
+def test_the_coarse_correction_is_galerkins(grids):
+    discrete = grids().finest.discrete
     n, dim = discrete.n_nodes, discrete.dim
     every, kept = np.arange(n), np.tile(np.eye(dim), (n, 1, 1))
     kept[:3, 0] = 0.0
