@@ -86,19 +86,19 @@ sphinx_gallery_conf = {
 
 @functools.cache
 def _guides(source):
-    """Return the texts of how-tos and tutorials by the names of their pages."""
+    """Return the texts of how-tos, tutorials and pages of the theory by the names of their pages."""
     pages = {f"/howto/{page.stem}": page for page in sorted((source / "howto").glob("*.rst"))}
     pages |= {f"/tutorials/{page.stem}": page for page in sorted((source / "scripts").glob("*.py"))}
+    pages |= {f"/theory/{page.stem}": page for page in sorted((source / "theory").glob("*.rst"))}
     return {name: page.read_text(encoding="utf-8") for name, page in pages.items()}
 
 
 def _in_use(app, what, name, thing, options, lines):
-    """Add links to how-tos and tutorials that use a public name."""
+    """Add links to pages that use a public name."""
     if what in ("class", "function", "exception", "data"):
         # a class stands on its page under the name of its module
-        short = name.removeprefix("adaptmg.")
-        names = {f"am.{short}", f"am.{short.rpartition('.')[2]}"}
-        used = re.compile("|".join(rf"{re.escape(found)}\b" for found in names))
+        short = name.rpartition(".")[2]
+        used = re.compile(rf"\b(?:am|adaptmg)\.(?:\w+\.)?{short}\b|``(?:\w+\.)?{short}\b")
         guides = [page for page, text in _guides(Path(app.srcdir)).items() if used.search(text)]
         if guides:
             links = ", ".join(f":doc:`{page}`" for page in guides[:_MOST_GUIDES])

@@ -33,7 +33,7 @@ def listed_names(monkeypatch):
     return [name for names in docs.public_names().values() for name in names]
 
 
-def test_every_public_name_is_on_one_page_of_the_reference(listed_names):
+def test_every_public_name_has_a_page_and_stands_in_a_guide(listed_names):
     modules = [name for name in dir(am) if inspect.ismodule(getattr(am, name))]
     public = [*set(dir(am)) - set(modules)] + [
         f"{module}.{name}"
@@ -42,6 +42,12 @@ def test_every_public_name_is_on_one_page_of_the_reference(listed_names):
         if name not in dir(am)
     ]
     assert sorted(listed_names) == sorted(public)
+    guides = [page for page in PAGES if page.parent.name in ("howto", "theory")]
+    guides += (ROOT / "studies" / "tutorials").glob("*.py")
+    text = "\n".join(page.read_text(encoding="utf-8") for page in guides)
+    for name in public:
+        last = name.rpartition(".")[2]
+        assert re.search(rf"\b(?:am|adaptmg)\.(?:\w+\.)?{last}\b|``(?:\w+\.)?{last}\b", text), name
 
 
 def returned(thing):
