@@ -44,6 +44,13 @@ Divisions = int | tuple[int, ...]
 _BYTES = {2: 2000.0, 3: 6500.0}
 #: processor seconds a node in the same solves: plane 3.2e-6 to 33e-6 s, in space 17e-6 to 71e-6 s
 _SECONDS = {2: 10e-6, 3: 35e-6}
+#: and of graded meshes: a dovetail 43e-6 s, blocks, balls and plates 50e-6 to 420e-6 s
+_MESHING = {2: 20e-6, 3: 150e-6}
+#: processor seconds of the start on the coarsest level: per m^3 of m contact unknowns, whose matrix is dense, in about
+#: 45 steps (balls between planes, m 876 and 2112: .7 and 9.5 s), and per n^(3 - 3/dim) of n unknowns, of sparse
+#: factors (block of 14 739 and sphere on a block of 6564: 2 s)
+_DENSE = 1e-9
+_SPARSE = 2e-8
 _MOST_LEVELS = 40  # as of a range that is meant for one number
 
 
@@ -57,9 +64,10 @@ class Forecast(NamedTuple):
     memory : float
         Bytes, from problem to solution; right to a factor of 1.5 for linear elements.
     seconds : float
-        Of one processor like that of the measurements, meshes included, by the default method;
-        right to a factor of 4. Not for balls that contact alone holds, whose start and rigid
-        motions may take 40 times as long.
+        Of one processor like that of the measurements, meshes included, by the default method with
+        a start on the coarsest level of this hierarchy; right to a factor of 4 in 14 cases, among
+        them balls between planes. Not where slaves are far stiffer than their masters: what takes
+        over then takes longer in space.
 
     Examples
     --------
@@ -350,7 +358,14 @@ class Hierarchy(Grids):
         cost = nodes * share**2
         unknowns = nodes * finest.discrete.dim
         dim = min(max(dim, 2), 3)
-        return Forecast(nodes, unknowns, _BYTES[dim] * cost, _SECONDS[dim] * cost)
+        seconds = _SECONDS[dim] * cost
+        if finest.mesh is not None and not finest.mesh.lattices:
+            seconds += _MESHING[dim] * nodes
+        coarsest = self.levels[0].discrete_or_none
+        if coarsest is not None:
+            seconds += _DENSE * (coarsest.dim * len(coarsest.contact)) ** 3
+            seconds += _SPARSE * coarsest.n_dofs ** (3 - 3 / dim)
+        return Forecast(nodes, unknowns, _BYTES[dim] * cost, seconds)
 
     @one_blas_thread()
     def with_problem(self, problem: ContactProblem | ScalarProblem) -> Self:

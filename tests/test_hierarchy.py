@@ -564,6 +564,46 @@ def test_a_forecast_is_right_to_the_factors_it_names(case):
     assert "nodes" in str(costs) and "MB" in str(costs)
 
 
+def ball_between_planes():
+    ends = am.Outline(
+        vertices=((0.0, -1.0), (1.0, 0.0), (0.0, 1.0)),
+        boundaries=("lower", "upper", "axis"),
+        arcs={0: (0, 0), 1: (0, 0)},
+    )
+    press = am.Moving(am.Plane((0, 0, 1.0), (0, 0, -1)), displacement=(0, 0, -2e-3), name="press")
+    problem = am.ContactProblem(
+        domain=am.Revolution(ends),
+        material=am.Solid(young=2e11, poisson=0.3),
+        law=am.Coulomb(0.3),
+        contact=[
+            am.Contact("lower", am.Plane((0, 0, -1.0), (0, 0, 1))),
+            am.Contact("upper", press),
+        ],
+    )
+    return am.Hierarchy.graded(problem, (0.4, 0.2), 2.0)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: am.Hierarchy.uniform(am.cases.greco_bar(), (8, 16, 32, 64)),
+        lambda: am.Hierarchy.uniform(am.cases.greco_block(), (4, 8, 16)),
+        ball_between_planes,
+    ],
+    ids=["bar", "block", "ball between planes"],
+)
+def test_a_forecast_counts_cycles_and_the_start_on_the_coarsest_level(make):
+    """At 1e8 entries a second, set-up included, and 2e10 operations a second on dense matrices."""
+    grids = make()
+    result = am.solve(grids)
+    steps = sum(times for level, action, times in result.path if (level, action) == (0, "solve"))
+    coarsest = grids[0].discrete
+    dense = steps * (coarsest.dim * len(coarsest.contact)) ** 3 / 3
+    counted = result.work_units * grids.finest.matrix.nnz / 1e8 + dense / 2e10
+    meshing = 0.0 if grids.finest.mesh.lattices else 150e-6 * grids.finest.n_nodes
+    assert 1 / 3 < (grids.forecast().seconds - meshing) / counted < 3
+
+
 @pytest.mark.parametrize(
     ("case", "divisions", "most"),
     [("greco_bar", (4, 8, 16, 32, 64, 128), 770), ("greco_block", (4, 8, 16), 1470)],

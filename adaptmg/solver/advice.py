@@ -112,7 +112,7 @@ def advise_on_problem(posed: Posed | None) -> None:
             if not exchangeable(problem, pair):
                 remedy = (
                     f"they cannot be exchanged while another pair, a tie or a support has {pair.master!r}: cut "
-                    "that boundary in two"
+                    "that boundary in two, as am.Outline(boundaries=...) or am.Fuse(..., rename=...) can"
                 )
             advise(
                 "sides",
