@@ -28,6 +28,7 @@ carries :math:`-W^T` of it, so that the forces balance."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 from scipy import sparse
@@ -56,14 +57,9 @@ class Coupling:
         weights = self.weights
         n = self.weights.shape[0]
         dim = len(self.fixed) // n
-        by_dof = sparse.csr_array(
-            sparse.diags_array((~self.fixed).astype(float))
-            @ sparse.kron(weights, sparse.eye_array(dim), format="csr")
-        )
-        if len(self.inclined):
-            by_dof = sparse.csr_array(
-                by_dof - self.inclined.spread(self.inclined.spans, n) @ by_dof
-            )
+        held = self.inclined.spread(self.inclined.spans, n)
+        free = sparse.diags_array((~self.fixed).astype(float), format="csr") - held
+        by_dof = sparse.csr_array(free @ sparse.kron(weights, sparse.eye_array(dim), format="csr"))
         by_dof.eliminate_zeros()
         upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
         object.__setattr__(self, "upward", checks.narrowed(upward))
@@ -298,9 +294,9 @@ class Unknowns:
         nodal = np.asarray(unknowns, dtype=np.float64).reshape(-1, self.dim)
         nodes = self.contact.nodes
         result = nodal[nodes]
-        spans = self.held_spans(nodes)
-        if self.coupling is None or not spans.any():
+        if self.coupling is None:
             return result
+        spans = self.held_spans(nodes)
         # along what is held unknowns are not relative
         result -= np.einsum("nij,nj->ni", spans, result)
         return result + np.einsum("nij,nj->ni", spans, self.apart(self.physical(nodal)))
@@ -323,10 +319,8 @@ class Unknowns:
 
         An entry has the indices (k,) of these slave nodes among the contact nodes, the weights (k,
         n_nodes) of such master nodes, scaled to row sums 1, and the tangents (k, dim)."""
-        if self.coupling is None:
-            return []
         nodes = self.contact.nodes
-        facing = facing_part(self.coupling.weights[nodes])
+        facing = facing_part(cast("Coupling", self.coupling).weights[nodes])
         result = []
         for tangents in frames_of(self).swapaxes(0, 1)[1:]:
             held = np.flatnonzero(self._held_along(nodes, tangents))

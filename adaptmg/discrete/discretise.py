@@ -22,7 +22,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread
-from adaptmg.discrete.contact_nodes import bounded, check_bounds, check_size, largest_entry
+from adaptmg.discrete.contact_nodes import check_bounds, check_size, largest_entry
 from adaptmg.discrete.coordinates import friction_acts
 from adaptmg.discrete.elasticity import rigid_motions
 from adaptmg.discrete.loads import load_vector, supported_stiffness
@@ -146,7 +146,7 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     problem = posed.problem
     mesh = posed.mesh
     contact = old.contact
-    if changed - {"loads"} or contact.slip_reference.any() or (changed and len(old.inclined)):
+    if changed - {"loads"} or contact.slip_reference.any():
         return assembled(posed)
     law = nodal_law(posed, contact)
     check_bounds(law, len(contact))
@@ -159,10 +159,10 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     if changed:
         forces = load_vector(mesh, problem.loads, posed.materials, problem.elements)
         load = old.relative_forces(forces)
-        parts |= _strain_free(posed, old.volumes)
-        if parts["strain_free"] is not None:
-            forces, suppressed = parts["strain_free"]
-            parts["strain_free"] = old.relative_forces(forces), suppressed
+        strains = _strain_free(posed, old.volumes)
+        if strains["strain_free"] is not None:
+            forces, suppressed = strains["strain_free"]
+            strains["strain_free"] = old.relative_forces(forces), suppressed
         check_size("load", largest_entry(load))
-        parts["load"] = bounded("load", load, (old.n_dofs,))
+        parts |= old.lifted(load, old.fixed_values, **strains)
     return old.posing(**parts)

@@ -62,7 +62,7 @@ class LoadSteps:
         """Return the problem of a load step; slips count from ``slip_reference`` (n_contact, dim),
         and come after ``accumulated_slip`` (n_contact,), m."""
         volumes = discrete.volumes
-        if len(volumes) and self.strains:
+        if self.strains:
             data = self.stress_data(factors)
             volumes = volumes.expanding(need_mesh(self), data.initial_strain, data.axisymmetric)
         return discrete.with_step(
@@ -135,11 +135,12 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
             strain_loads[name] = discrete.relative_forces(
                 load_vector(mesh, initial_strains, posed.materials, problem.elements)
             )
+    dofs = dofs_of(posed.inclined.nodes, mesh.dim)
     return LoadSteps(
         discrete.n_dofs,
         loads,
         _prescribed(posed),
-        _moved(posed),
+        {name: (dofs, part.reshape(-1)) for name, part in posed.inclined.moved.items()},
         StressData.of(mesh, posed.materials, elements=problem.elements),
         strains,
         strain_loads,
@@ -164,13 +165,6 @@ def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
             before = result.get(tie.path_name, (dofs[:0], jumps[:0]))
             result[tie.path_name] = tuple(map(np.append, before, (dofs, jumps)))
     return result
-
-
-def _moved(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return by name the dofs (n,) of nodes that supports hold along directions that are not axes, and
-    the parts (n,) of their displacement, m."""
-    dofs = dofs_of(posed.inclined.nodes, posed.mesh.dim)
-    return {name: (dofs, part.reshape(-1)) for name, part in posed.inclined.moved.items()}
 
 
 def whole_load(discrete: DiscreteProblem) -> LoadSteps:

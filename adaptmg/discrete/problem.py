@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, partial, wraps
 from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
@@ -178,6 +178,9 @@ class DiscreteProblem(Unknowns):
         fixed_dofs = checked_mask("fixed", fixed, n)
         inclined = Inclined.none(dim) if inclined is None else inclined
         checks.instance("inclined", inclined, Inclined, "Inclined, as discretise makes it")
+        volumes = Volumes.none(n // dim, dim) if volumes is None else volumes
+        checks.instance("volumes", volumes, Volumes, "Volumes(...)")
+        checks.sparse_matrix("volumes.rows", volumes.rows, (len(volumes), n))
         prescribed = fixed_dofs.copy()
         prescribed.reshape(-1, dim)[inclined.nodes] = True
         values = np.zeros(n) if fixed_values is None else fixed_values
@@ -200,7 +203,7 @@ class DiscreteProblem(Unknowns):
             strain_free=strain_free,
             inclined=inclined,
             ties=ties,
-            volumes=Volumes.none(n // dim, dim) if volumes is None else volumes,
+            volumes=volumes,
             inelastic=checks.flag("inelastic", inelastic),
         )
         if coordinates is not None:
@@ -215,9 +218,6 @@ class DiscreteProblem(Unknowns):
             self.__dict__["near_nullspace"] = modes
         if bodies is not None:
             self.__dict__["bodies"] = checked_bodies(bodies, n // dim)
-        if volumes is not None:
-            checks.instance("volumes", volumes, Volumes, "Volumes(...)")
-            checks.sparse_matrix("volumes.rows", volumes.rows, (len(volumes), n))
         if coupling is not None:
             checks.instance(
                 "coupling", coupling, Coupling, "a Coupling: use DiscreteProblem.coupled"
@@ -302,18 +302,28 @@ class DiscreteProblem(Unknowns):
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
         object.__setattr__(contact, "accumulated_slip", accumulated_slip)
-        values = fixed_values - self.free_part(fixed_values)
-        values = bounded("fixed_values", values, (self.n_dofs,))
-        prescribed = self.inclined.along(values)
-        acting = self.inclined.posed(load, prescribed)
-        return self.posing(
-            load=bounded("load", acting, (self.n_dofs,)),
-            fixed_values=values,
-            contact=contact,
-            strain_free=self.inclined.strain_free(strain_free, prescribed),
-            inclined=replace(self.inclined, load=load),
-            volumes=self.inclined.stretched(volumes, prescribed),
+        prescribed = fixed_values - self.free_part(fixed_values)
+        values = bounded("fixed_values", prescribed, (self.n_dofs,))
+        return self.posing(contact=contact, **self.lifted(load, values, strain_free, volumes))
+
+    def lifted(
+        self,
+        load: np.ndarray,
+        fixed_values: np.ndarray,
+        strain_free: tuple[np.ndarray, float] | None,
+        volumes: Volumes,
+    ) -> dict[str, Any]:
+        """Return the parts of this problem that change with the load (n_dofs,), N, and with the
+        displacement (n_dofs,), m, which supports prescribe."""
+        parts = self.inclined.lifted(
+            {
+                "load": load,
+                "fixed_values": fixed_values,
+                "strain_free": strain_free,
+                "volumes": volumes,
+            }
         )
+        return parts | {"load": bounded("load", parts["load"], (self.n_dofs,))}
 
     def posing(self, **parts: object) -> DiscreteProblem:
         """Return the problem with other parts (load, law, ...), which have been checked."""

@@ -27,7 +27,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.volumes import NO_PRESSURES, Volumes
+from adaptmg.discrete.volumes import NO_PRESSURES
 from adaptmg.mesh.arrays import MeshArrays, Surface
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.loads import (
@@ -106,18 +106,37 @@ class Inclined:
         rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
         volumes = parts["volumes"]
-        supports = replace(
-            self, rows=rows, stiffness=stiffness, load=parts["load"], volumes=volumes.rows
-        )
+        supports = replace(self, rows=rows, stiffness=stiffness, volumes=volumes.rows)
         free = volumes.rows - volumes.rows @ self.spread(self.spans, volumes.means.shape[1])
-        prescribed = supports.along(parts["fixed_values"])
-        volumes = supports.stretched(volumes, prescribed)
-        return parts | {
+        eliminated = {
             "matrix": supports._eliminated(matrix),
-            "load": supports.posed(parts["load"], prescribed),
-            "strain_free": supports.strain_free(parts.get("strain_free"), prescribed),
-            "inclined": supports,
             "volumes": volumes.with_rows(checks.narrowed(sparse.csr_array(free))),
+        }
+        return supports.lifted(parts | eliminated)
+
+    def lifted(self, parts: dict[str, Any]) -> dict[str, Any]:
+        """Return parts of a problem with the load b' in place of b, with the volumes under the
+        displacement that supports prescribe, a part of ``fixed_values``, and with ``strain_free`` that
+        makes the energy of A' that of A; see ``DiscreteProblem.stress_energy``."""
+        if not len(self):
+            return parts
+        values = parts["fixed_values"]
+        forces = self.rows.T @ self.along(values).reshape(-1)
+        prescribed = values - self.free_part(values)
+        held = np.zeros_like(forces)
+        held.reshape(-1, self.spans.shape[1])[self.nodes] = self.stiffness[:, None] * self.along(
+            values
+        )
+        load, energy = parts["strain_free"] or (0.0, 0.0)
+        volumes = parts["volumes"]
+        return parts | {
+            "load": self.free_part(parts["load"] - forces) + held,
+            "strain_free": (
+                load - self.free_part(forces),
+                energy + float(prescribed @ (forces - held)),
+            ),
+            "inclined": replace(self, load=parts["load"]),
+            "volumes": replace(volumes, prescribed=(self.volumes @ prescribed) / volumes.areas),
         }
 
     def _eliminated(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
@@ -130,38 +149,6 @@ class Inclined:
         held_stiffness = self.spread(self.stiffness[:, None, None] * self.spans, n // size[0])
         half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
         return checks.narrowed(sparse.bsr_array(half + half.T, blocksize=size).sorted_indices())
-
-    def posed(self, load: np.ndarray, prescribed: np.ndarray) -> np.ndarray:
-        """Return b' (n_dofs,) for a load b and the displacements (k, dim) that supports prescribe."""
-        if not len(self):
-            return load
-        result = (load - self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
-        result[self.nodes] += self.stiffness[:, None] * prescribed - self.along(result)
-        return result.reshape(-1)
-
-    def strain_free(
-        self, before: tuple[np.ndarray, float] | None, prescribed: np.ndarray
-    ) -> tuple[np.ndarray, float] | None:
-        """Return load and energy of suppressed strains, N and N m: those ``before`` and those of moved
-        supports; ``DiscreteProblem.stress_energy`` subtracts them."""
-        if not prescribed.any():
-            return before
-        forces = (self.rows.T @ prescribed.reshape(-1)).reshape(-1, self.spans.shape[1])
-        held_energy = float(
-            np.sum(prescribed * (forces[self.nodes] - self.stiffness[:, None] * prescribed))
-        )
-        forces[self.nodes] -= self.along(forces)
-        load, energy = (0.0, 0.0) if before is None else before
-        return load - forces.reshape(-1), energy + held_energy
-
-    def stretched(self, volumes: Volumes, prescribed: np.ndarray) -> Volumes:
-        """Return the volumes with the strains of the displacements (k, dim) that supports prescribe."""
-        strains: np.ndarray | float = 0.0
-        if prescribed.any():
-            moved = np.zeros((self.volumes.shape[1] // prescribed.shape[1], prescribed.shape[1]))
-            moved[self.nodes] = prescribed
-            strains = (self.volumes @ moved.reshape(-1)) / volumes.areas
-        return replace(volumes, prescribed=strains)
 
     def imbalance(
         self, residual: np.ndarray, unknowns: np.ndarray, prescribed: np.ndarray

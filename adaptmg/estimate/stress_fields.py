@@ -233,14 +233,13 @@ class Solved:
     def norm(self) -> float:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
         unknowns, forces = self._moved
-        inclined = self.discrete.inclined
         # inclined supports are eliminated from the matrix: their part of the energy is added
-        eliminated = inclined.strain_free(None, inclined.along(unknowns))
-        if eliminated is None:
+        eliminated = self.discrete.lifted(forces, unknowns, None, self.discrete.volumes)
+        if eliminated["strain_free"] is None:
             return energy_norm(unknowns, forces)
-        load, constant = eliminated
+        load, constant = eliminated["strain_free"]
+        volumes = eliminated["volumes"]
         energy = unknowns @ (forces - 2 * load) + constant
-        volumes = self.discrete.volumes
         energy += self.result.pressures @ (volumes.areas * volumes.prescribed)
         return float(np.sqrt(max(energy, 0.0)))
 
@@ -268,7 +267,7 @@ class Solved:
             load_vector(self.mesh, self.problem.loads, self.problem.material, self.problem.elements)
         )
         # supports bear the components along held directions
-        posed = inclined.posed(posed, inclined.along(unknowns))
+        posed = self.discrete.lifted(posed, unknowns, None, self.discrete.volumes)["load"]
         load, expected, posed = map(inclined.free_part, (load, expected, posed))
         rounding = checks.ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         size = max(euclidean_norm(forces), euclidean_norm(load))

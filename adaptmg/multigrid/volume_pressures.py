@@ -46,12 +46,10 @@ class VolumePressures:
     def __init__(self, problem: DiscreteProblem) -> None:
         """Prepare the steps of a problem, of none if it has no volumes."""
         volumes = problem.volumes
-        if len(volumes):
-            rows = volumes.rows
-            data = rows.data * ~problem.fixed[rows.indices]
-            rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
-            volumes = replace(volumes, rows=rows, expansion=0.0, prescribed=0.0)
-        self.volumes = volumes
+        rows = volumes.rows
+        data = rows.data * ~problem.fixed[rows.indices]
+        rows = sparse.csr_array((data, rows.indices, rows.indptr), shape=rows.shape)
+        self.volumes = replace(volumes, rows=rows, expansion=0.0, prescribed=0.0)
         #: for each body the pressures (n_groups,) that are 1 in it
         self.uniform = [(volumes.body == k).astype(float) for k in np.unique(volumes.body)]
         #: factors (n_groups,) that make energies of the squares of :meth:`missed`, N m

@@ -460,13 +460,6 @@ def frames_and_fixed(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
     spans = problem.held_spans(problem.contact.nodes)
     # tangent j is fixed if all of it lies in what supports hold
     fixed_tangents = np.einsum("nij,njk,nik->ni", frames, spans, frames) > 1 - checks.ALIKE
-    oblique = fixed_tangents.sum(axis=1) != np.einsum("nii->n", spans).round()
-    if oblique.any():
-        i = int(np.argmax(oblique))
-        raise ValueError(
-            f"fixed: the fixed components at contact node {i} (node {problem.contact.nodes[i]}) are not "
-            "tangential; take the node out of the contact boundary or free the component"
-        )
     fixed[problem.contact.nodes] = fixed_tangents
     return frames, fixed.reshape(-1)
 

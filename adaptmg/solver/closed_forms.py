@@ -292,7 +292,7 @@ class FreeBodies:
         springs = [
             support for support in problem.supports if isinstance(support, Spring | PointSpring)
         ]
-        covered = problem.elements == "linear" and not len(discrete.inclined)
+        covered = problem.elements == "linear"
         middle = mesh.box.mean(axis=0)
         points = mesh.points - middle
         return cls(
@@ -324,7 +324,10 @@ class FreeBodies:
         if self.near is not None:
             discrete = evidence.problem
             _add_at(stress_forces, self.near.cells, self.near.forces(evidence.u))
-            matrix_forces = discrete.physical_forces(discrete.load - evidence.residual)
+            missed = discrete.inclined.imbalance(
+                evidence.residual, evidence.unknowns.reshape(-1), discrete.fixed_values
+            )
+            matrix_forces = discrete.physical_forces(discrete.whole_load - missed)
             nodes = self.near.nodes
             missed = stress_forces[nodes] - matrix_forces.reshape(stress_forces.shape)[nodes]
             if not self.compared[:, 0].any():  # axisymmetry: the hoop stress varies within elements
@@ -340,16 +343,13 @@ class FreeBodies:
         shape = self.points.shape
         inclined = discrete.inclined
         reaction = inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
-        carried = evidence.unexplained + reaction.reshape(shape)
         # friction along what supports hold counts as theirs: on masters it acts in other places
-        spans = discrete.held_spans(contact.nodes)
-        of_supports = np.einsum("nij,nj->ni", spans, evidence.claimed)
-        claimed = evidence.claimed - of_supports
-        carried[contact.nodes] += of_supports
-        if discrete.coupling is not None:
-            exerted_elsewhere = evidence.contact
-            np.add.at(carried, exerted_elsewhere.master_node, exerted_elsewhere.master_force)
-            carried += discrete.coupling.weights[contact.nodes].T @ claimed
+        claimed = np.zeros(shape)
+        claimed[contact.nodes] = evidence.claimed
+        claimed = discrete.free_part(claimed)
+        borne = discrete.physical_forces(-evidence.residual - evidence.tying - claimed)
+        carried = (borne + reaction).reshape(shape)
+        claimed = claimed.reshape(shape)[contact.nodes]
         held = np.where(discrete.held.reshape(shape), carried, 0.0)
         held[inclined.nodes] += inclined.along(carried)
         # the forces on the slaves, of each contact boundary, then of each tie
@@ -454,6 +454,7 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
     """Return the linear elements at nodes that supports, ties or contact hold."""
     held = _any_component(discrete.fixed.reshape(mesh.points.shape))
     held[discrete.contact.nodes] = True
+    held[discrete.inclined.nodes] = True
     # by corner: 26 us at 8192 triangles in place of 145
     elements = np.flatnonzero(held.take(mesh.elements.T).any(axis=0))
     cells = mesh.elements[elements]
