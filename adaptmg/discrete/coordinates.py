@@ -49,8 +49,8 @@ class Coupling:
     fixed: np.ndarray  # (n_dofs,) bool: fixed dofs; those of slave nodes are not relative
     inclined: Inclined  # further directions that supports hold, likewise
     upward: sparse.csr_array = field(init=False, repr=False)  # (n_nodes, n_nodes) csr_array
-    _by_dof: sparse.csr_array = field(init=False, repr=False)
-    _series: sparse.csr_array = field(init=False, repr=False)
+    _by_dof: sparse.csr_array = field(init=False, repr=False)  # (n_dofs, n_dofs): 1 - T^-1
+    _series: sparse.csr_array = field(init=False, repr=False)  # (n_dofs, n_dofs): T - 1
 
     def __post_init__(self) -> None:
         """Compute the products with W that the changes of coordinates take."""
@@ -105,9 +105,10 @@ class Coupling:
         series = sparse.bsr_array(self._series, blocksize=(dim, dim))
         right = sparse.bsr_array(matrix @ series)
         change = right + sparse.bsr_array(right.T) + sparse.bsr_array(series.T @ right)
-        change = 0.5 * (change + sparse.bsr_array(change.T))
+        # the last term is symmetric to rounding only
+        symmetric = 0.5 * (change + sparse.bsr_array(change.T))
         return checks.narrowed(
-            sparse.bsr_array(matrix + change, blocksize=(dim, dim)).sorted_indices()
+            sparse.bsr_array(matrix + symmetric, blocksize=(dim, dim)).sorted_indices()
         )
 
 

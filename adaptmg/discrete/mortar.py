@@ -64,7 +64,7 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.supports import Boundaries
-from adaptmg.mesh.arrays import MeshArrays, Surface
+from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of
 from adaptmg.mesh.surfaces import Curved, Revolved
 from adaptmg.problem.surfaces import ContactPair
 
@@ -291,7 +291,7 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     has_partner = _with_partners(surfaces, nodes, partner, offset)
     n = len(points)
     carries = surfaces.carries
-    matched = np.isin(np.arange(n), nodes[has_partner])
+    matched = mask_of(nodes[has_partner], n)
     weights = surfaces.slave_side.lumped(surfaces.axisymmetric)
     taken_by_neighbours = taken_over(surfaces.slave_side, carries, surfaces.axisymmetric, matched)
     taken_by_neighbours = (

@@ -26,19 +26,18 @@ from adaptmg.problem.surfaces import ContactPair, Moving, Obstacle, Rigid
 
 
 def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInterface:
-    """Return the nodes of contact boundary k in front of a rigid obstacle, of those whose
-    ``owner`` (n_nodes,) it is."""
+    """Return the interface of a rigid obstacle and the nodes of contact boundary k whose ``owner``
+    (n_nodes,), the number of a contact, is k."""
     problem = boundaries.problem
     mesh = boundaries.mesh
     contact = cast("Contact", problem.contact[k])
     surface = boundaries.surfaces[contact.boundary]
     nodes = surface.nodes
-    normals, gaps = facing_obstacle(
+    normals, given_gaps = facing_obstacle(
         contact.obstacle, contact.boundary, mesh.points[nodes], boundaries.outward[k]
     )
-    gaps = np.array(gaps, dtype=np.float64)
-    if gaps.min(initial=0.0) < 0:
-        gaps[(gaps < 0) & (gaps > -checks.ROUNDING * np.linalg.norm(mesh.sides))] = 0.0
+    gaps = np.array(given_gaps, dtype=np.float64)
+    gaps[(gaps < 0) & (gaps > -checks.ROUNDING * np.linalg.norm(mesh.sides))] = 0.0
     if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
         raise ValueError(
@@ -56,12 +55,12 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
         taken = taken_over(surface, carries, problem.axisymmetric)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
         distances = distances + taken[:, nodes] @ gaps
-    normals, gaps = along_free(free[movable], normals[movable], distances)
+    directions, distances = along_free(free[movable], normals[movable], distances)
     return MortarInterface(
         nodes[movable],
-        normals,
+        directions,
         weights,
-        gaps,
+        distances,
         coupling=None if taken is None or not taken.nnz else -taken,
         taken_over=taken,
     )
@@ -137,11 +136,10 @@ def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def free_normals(boundaries: Boundaries, k: int, normals: np.ndarray) -> np.ndarray:
-    """Return the normals (n, dim) at the nodes of contact boundary k without their parts along what
-    supports hold there.
+    """Return the normals (n, dim) at the nodes of contact boundary k without their parts along
+    directions that supports hold there.
 
-    ValueError if a support on the boundary itself holds a part of them: what is meant is then
-    something else."""
+    ValueError if a support on the boundary itself holds a part of them, which cannot be meant."""
     boundary = boundaries.problem.contact[k].boundary
     nodes = boundaries.surfaces[boundary].nodes
     directions = boundaries.directions.get(boundary, normals[:0])

@@ -272,9 +272,9 @@ class DiscreteProblem(Unknowns):
         )
 
     def stress_energy(self, displacement: np.ndarray, energy: float) -> float:
-        """Return the energy, N m, of the stresses of a displacement (n_dofs,), relative
-        coordinates, with the energy u'Au: without the share of free expansion. At least 1e-8 of
-        what suppresses the expansion: less is rounding."""
+        """Return the energy, N m, of the stresses of a displacement (n_dofs,), in relative
+        coordinates, whose ``energy`` is u'Au; free expansion is without stress. Less than 1e-8 of
+        the energy of suppressed expansion is rounding, and raised to that."""
         if self.strain_free is None:
             return energy
         load, suppressed = self.strain_free

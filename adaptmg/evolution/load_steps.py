@@ -247,7 +247,7 @@ class _Unknowns:
     sizes: np.ndarray  # (n,): of displacements, m, rotations, rad, or strains
     force_sizes: np.ndarray  # (n,): of forces, N, and moments, N m
     free: tuple[int, ...] = (0,)  # which components of the motion they are
-    number: int = -1  # of the contact of an obstacle; -1 of a preload
+    number: int | None = None  # of the contact of an obstacle; None of a preload
 
     @property
     def indices(self) -> slice:
@@ -381,7 +381,7 @@ class Controls:
         """Return the forces (n,) of a result minus the prescribed ones, over their sizes."""
         missing = []
         for part in parts:
-            if part.number >= 0:
+            if part.number is not None:
                 obstacle = self.rigid[part.number]
                 total = result.resultant(
                     cast("ContactProblem", self.problem).contact[part.number].boundary,
@@ -463,7 +463,7 @@ class Guide:
         self.controls = controls
         self.posed = posed
         self.all_parts = parts
-        self.parts = [part for part in parts if part.number >= 0]
+        self.parts = [part for part in parts if part.number is not None]
         self.size = sum(len(part.targets) for part in self.parts)
         self.sizes = np.concatenate([part.sizes for part in parts])
         self.spent: list[Run] = []
@@ -546,7 +546,7 @@ class Guide:
             nodes = contact.nodes[contact.boundary == part.number]
             arms = (
                 cast("np.ndarray", discrete.coordinates)[nodes]
-                - self.controls.rigid[part.number].about
+                - self.controls.rigid[cast("int", part.number)].about
             )
             scales[part.indices] = part.sizes / part.sizes[0]
             forces[part.indices] = part.targets + part.force_sizes * extra[part.indices]
@@ -699,7 +699,7 @@ class Search(Generic[Carried]):
             change = np.zeros(len(trial.values))
             for part in self.parts:
                 target = part.targets[0] / part.force_sizes[0]
-                if part.number < 0 and target + trial.missed[part.first] < _PULLS * target:
+                if part.number is None and target + trial.missed[part.first] < _PULLS * target:
                     change[part.first] = 2.0**doubling
             if not change.any():
                 return trial

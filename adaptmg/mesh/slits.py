@@ -146,9 +146,7 @@ def _cut_middles(
     # the two elements at each facet; each element may be cut once
     cells = np.stack([table.first[row], table.second[row]], axis=1)
     cuttable = (
-        np.isin(np.arange(cells.size), np.unique(cells, return_index=True)[1])
-        .reshape(cells.shape)
-        .all(axis=1)
+        mask_of(np.unique(cells, return_index=True)[1], cells.size).reshape(cells.shape).all(axis=1)
     )
     closed = closed[cuttable]
     cells = cells[cuttable]

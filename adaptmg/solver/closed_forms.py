@@ -42,7 +42,7 @@ from adaptmg.discrete.moduli import Moduli, as_tensors, body_materials, columns,
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem, remembered
 from adaptmg.discrete.supports import node_at
-from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, signed_measures
+from adaptmg.mesh.arrays import MeshArrays, Surface, element_facets, mask_of, signed_measures
 from adaptmg.problem.contact_problem import ContactProblem
 from adaptmg.problem.laws import Axisymmetric, Elastic
 from adaptmg.problem.loads import (
@@ -491,12 +491,11 @@ def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProbl
         lacking = 1 - contact.weights[on_boundary] / mass[nodes]
         deviation[on_boundary] = np.abs(lacking)
         if master:
-            # a facet without a partner opposite lacks mass at all of its corners: there less is right
-            full_nodes = np.isin(np.arange(mesh.n_nodes), nodes[np.abs(lacking) <= ALLOWED])
-            without_partner = surface.facets[~full_nodes[surface.facets].any(axis=1)]
-            deviation[on_boundary] *= (lacking < 0) | (lacking > _SLIVER) & ~np.isin(
-                nodes, without_partner
-            )
+            # all corners of a facet without a partner opposite lack mass, which is right there
+            full = mask_of(nodes[np.abs(lacking) <= ALLOWED], mesh.n_nodes)
+            without_partner = surface.facets[~full[surface.facets].any(axis=1)]
+            too_light = (lacking > _SLIVER) & ~np.isin(nodes, without_partner)
+            deviation[on_boundary] *= (lacking < 0) | too_light
     largest = float(deviation.max(initial=0.0))
     return Condition(
         "measures", largest, float(np.linalg.norm(deviation)), "", largest, 0.0, ALLOWED

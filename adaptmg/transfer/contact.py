@@ -62,7 +62,7 @@ from adaptmg.discrete.contact_nodes import ContactNodes, largest_entry
 from adaptmg.discrete.coordinates import relative_prolongation
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.geometry.search import BoxTree
-from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.mesh.arrays import MeshArrays, mask_of
 from adaptmg.problem.laws import NodalLaw
 from adaptmg.transfer.interpolation import (
     CLIP,
@@ -225,9 +225,7 @@ def _on_side(
 ) -> np.ndarray:
     """Return the fine nodes on a face of a crack, and the inner ones between the fine and the
     coarse face that the prolongation ``nodal`` lets follow the opposite coarse face."""
-    near = np.flatnonzero(
-        abs(nodal) @ np.isin(np.arange(coarse.n_nodes), coarse.boundary_nodes(other))
-    )
+    near = np.flatnonzero(abs(nodal) @ mask_of(coarse.boundary_nodes(other), coarse.n_nodes))
     # between the faces: outside of the coarse one (normals point out), inside of the fine one
     between = np.ones(len(near), dtype=bool)
     for mesh, sign in ((coarse, 1), (fine, -1)):
@@ -308,7 +306,7 @@ def _among(
     if not len(known):
         return sparse.csr_array(rows.shape)
     same_side = sparse.csr_array(
-        rows @ sparse.diags_array(np.isin(np.arange(rows.shape[1]), known).astype(float))
+        rows @ sparse.diags_array(mask_of(known, rows.shape[1]).astype(float))
     )
     sums = np.asarray(same_side.sum(axis=1)).ravel()
     lost = np.flatnonzero(sums <= 1e-10)
