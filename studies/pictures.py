@@ -14,6 +14,9 @@ from matplotlib.figure import Figure
 
 import adaptmg as am
 
+#: size of titles, as in the pictures of adaptmg
+TITLE = 9
+
 
 def overview() -> Figure:
     """The bar with friction 1 on independent meshes: problem, grids, contact line, convergence."""
@@ -35,7 +38,7 @@ def overview() -> Figure:
     am.plot.problem(problem, left.subplots())
     for k, ax in zip((0, 2, 4), right.subplots(1, 3), strict=True):
         am.plot.mesh(am.mesh.need_mesh(grids[k]), ax, contact=("bottom",))
-        ax.set_title(f"level {k}: {grids[k].n_nodes} nodes")
+        ax.set_title(f"level {k}: {grids[k].n_nodes} nodes", fontsize=TITLE)
         ax.set_axis_off()
     left, right = below.subfigures(1, 2)
     am.plot.contact(runs["truncated (default)"], left.subplots(3, 1, sharex=True))
@@ -45,7 +48,8 @@ def overview() -> Figure:
     ax.legend(
         loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4, fontsize=8, columnspacing=1.0
     )
-    ax.set_title(f"{grids.finest.n_nodes} nodes: true error against work")
+    ax.set_ylim(top=3.0)  # the legend stands below
+    ax.set_title(f"{grids.finest.n_nodes} nodes: true error against work", fontsize=TITLE)
     return figure
 
 
@@ -68,7 +72,7 @@ def adaptive() -> Figure:
     for ax, engine in zip(axes, ENGINES, strict=True):
         *_, (grids, _, _) = solutions("dovetail", engine, 4000)
         am.plot.mesh(am.mesh.need_mesh(grids.finest), ax)
-        ax.set_title(f"{engine}, {grids.finest.n_nodes} nodes")
+        ax.set_title(f"{engine}, {grids.finest.n_nodes} nodes", fontsize=TITLE)
     return figure
 
 
