@@ -88,17 +88,20 @@ def check_held(
         free = boundaries.free_part(nodes, normals)
         normal_motion = np.einsum("nd,nd->n", normals, prescribed[nodes])
         # a part of the normal that is held must not move at all: either way the gap would change
-        depth_inside = np.where(
-            _held_in_part(free, normals), np.abs(normal_motion), normal_motion - gaps
-        )
-        depth_inside[(free == normals).all(axis=1)] = 0.0
-        i = int(np.argmax(depth_inside))
-        if depth_inside[i] > checks.ROUNDING * (
+        in_part = _held_in_part(free, normals)
+        beyond = np.where(in_part, np.abs(normal_motion), normal_motion - gaps)
+        beyond[(free == normals).all(axis=1)] = 0.0
+        i = int(np.argmax(beyond))
+        if beyond[i] > checks.ROUNDING * (
             np.abs([normal_motion[i], gaps[i]]).max() + boundaries.mesh.sides.max()
         ):
+            node = f"node {nodes[i]} of contact boundary {contact.boundary!r}"
             raise ValueError(
-                f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} {depth_inside[i]:.6g} "
-                "m inside its obstacle: move the support less, or the obstacle"
+                f"a support moves {node} at an angle to its obstacle, by {beyond[i]:.6g} m along the "
+                "normal there: move it along the obstacle, or end one boundary before the other begins"
+                if in_part[i]
+                else f"a support holds {node} {beyond[i]:.6g} m inside its obstacle: move the support "
+                "less, or the obstacle"
             )
 
 

@@ -572,7 +572,7 @@ def test_a_support_may_move_up_to_the_obstacle_and_not_beyond(seed):
     oblique = replace(problem, contact=am.Contact("bottom", am.Plane((0, -3), (-1, 1))))
     for moved in (-1e-3, 1e-3):
         with pytest.raises(
-            ValueError, match=r"of contact boundary 'bottom' .* inside its obstacle"
+            ValueError, match=r"moves node .* of contact boundary 'bottom' at an angle"
         ):
             am.discretise(
                 replace(oblique, supports=(am.Support("left", x=moved),)),
