@@ -121,12 +121,11 @@ class Inclined:
         if not len(self):
             return parts
         values = parts["fixed_values"]
-        forces = self.rows.T @ self.along(values).reshape(-1)
+        along = self.along(values)
         prescribed = values - self.free_part(values)
+        forces = self.rows.T @ along.reshape(-1)
         held = np.zeros_like(forces)
-        held.reshape(-1, self.spans.shape[1])[self.nodes] = self.stiffness[:, None] * self.along(
-            values
-        )
+        held.reshape(-1, along.shape[1])[self.nodes] = self.stiffness[:, None] * along
         load, energy = parts["strain_free"] or (0.0, 0.0)
         volumes = parts["volumes"]
         return parts | {

@@ -296,6 +296,36 @@ def test_inclined_rollers_carry_a_uniform_pressure_exactly(
         assert indicator.indicate(grids, result).relative < 1e-6
 
 
+def test_moving_planes_next_to_contact_compress_uniformly():
+    """Two planes, not at right angles, push a body along its obstacle while a pressure shrinks it."""
+    turn = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))[0]
+    turn[0] *= np.linalg.det(turn)
+    shear = turn @ [[1.0, 0.6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    unit = am.Box(width=1, depth=1, height=1)
+    meshes = [am.mesh.structured(unit, n) for n in (2, 4)]
+    meshes = [replace(one, points=one.points @ shear.T) for one in meshes]
+    young, nu, pressure = 1e7, 0.3, 1e3
+    shift = turn @ [2e-4, -3e-4, 0.0]
+    normals = {name: meshes[0].surface(name).normals[0] for name in ("left", "front")}
+    problem = am.ContactProblem(
+        material=am.Solid(young=young, poisson=nu),
+        law=am.Frictionless(),
+        contact=am.Contact("bottom", am.Plane((0.0, 0.0, 0.0), turn[:, 2])),
+        supports=[am.Support(name, normal=normal @ shift) for name, normal in normals.items()],
+        loads=[am.Pressure(name, pressure) for name in ("right", "back", "top")],
+    )
+    grids = am.Hierarchy.from_meshes(problem, meshes)
+    expected = shift - pressure * (1 - 2 * nu) / young * meshes[-1].points
+    corrections = am.Truncated(), am.Monotone(), am.PaperCorrection()
+    cycles = [am.Multigrid(correction=each, rtol=1e-9) for each in corrections]
+    for method in (*cycles, am.SingleGrid(rtol=1e-9), EXACT):
+        result = am.solve(grids, method)
+        np.testing.assert_allclose(
+            result.displacement, expected, atol=1e-8 * np.abs(expected).max()
+        )
+        assert (result.contact.state != am.OPEN).all()
+
+
 def pressed(dim, **changes):
     """A block between two planes of symmetry that is pressed and pushed on an obstacle."""
     names = "left", *["front"] * (dim == 3)
