@@ -379,7 +379,9 @@ class _Pickler(pickle.Pickler):
         if self.files and isinstance(value, Path):
             return "file", _content(value)
         if (module, kind.__name__) == ("netgen.libngpy._meshing", "Mesh"):
-            raise pickle.PicklingError("the pickle of a mesh of Netgen differs in each process")
+            raise pickle.PicklingError(
+                "the pickle of a mesh of Netgen differs in each process, that of am.mesh.as_mesh(mesh) does not"
+            )
         if sparse.issparse(value):
             # scipy notes there whether the indices are sorted, when it is asked
             noted = ("_has_sorted_indices", "_has_canonical_format")
