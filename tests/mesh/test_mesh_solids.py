@@ -334,6 +334,10 @@ def test_renaming():
     one = am.Cut(UNIT, hole, rename={"top": "lid", "b.top": "end", "b.side": "hole"})
     assert one.boundaries == ("bottom", "right", "lid", "left", "front", "back", "hole", "end")
     assert set(shape_of(one).names) == {*one.boundaries} - {"end"}
+    # sides beyond the ball are left out; that it touches the bottom in a point is not seen
+    half = am.Common(BALL, am.Box(width=4, depth=4, height=1, origin=(-2, -2, 0)))
+    assert half.boundaries == ("surface", "bottom", "top")
+    assert set(shape_of(half).names) == {"surface", "top"}
     # faces that coincide have the name given by the first solid
     flush = am.Cut(UNIT, am.Box(width=0.5, depth=1, height=1), rename={"b.right": "cut"})
     assert set(shape_of(flush).names) == {*UNIT.boundaries, "cut"} - {"left"}
