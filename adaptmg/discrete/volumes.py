@@ -124,11 +124,11 @@ class Volumes:
         return self.rows.shape[1] // self.means.shape[1]
 
     def with_rows(self, rows: sparse.csr_array) -> Volumes:
-        """Return the same groups in other unknowns."""
+        """Return these groups with ``rows`` that act on other unknowns."""
         return replace(self, rows=rows)
 
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
-        """Return the same under initial strains (n_elements, 3)."""
+        """Return these groups with the expansion of initial strains (n_elements, 3) of elements."""
         if not len(self):
             return self
         present = self.corners >= 0

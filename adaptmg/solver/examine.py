@@ -412,8 +412,9 @@ class Examiner:
 def _forces_on_other_nodes(
     discrete: DiscreteProblem, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return other nodes (m,) on which contact forces (n_contact, dim) act, the forces (m, dim) on
-    them, their contact boundaries (m,), and whether they lie on these (m,) or on the masters.
+    """Return the nodes (m,) without a condition on which contact forces (n_contact, dim) act, the
+    forces (m, dim) on them, the numbers (m,) of the contacts, and the mask (m,) of the nodes on
+    slave surfaces; the others are on masters.
 
     Nodes of a contact boundary without a condition carry the shares that their neighbours take over.
     Nodes of a master carry -W' times the contact forces; along a tangent that supports hold at slave

@@ -285,6 +285,7 @@ class _Parts:
         for key in ("__defaults__", "__kwdefaults__", *vars(function)):
             if (value := getattr(function, key)) is not None:
                 self.value(f"{name}.{key}", value)
+        # the variables of enclosing functions
         for variable, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
             with contextlib.suppress(ValueError):  # not set
                 values[variable] = f"{variable} around {name}", cell.cell_contents
@@ -302,6 +303,7 @@ class _Parts:
             if first in values or first in namespace:
                 place, part = values.get(first) or (f"{home}.{first}", namespace[first])
                 self._read(place, part, attributes)
+        # modules of the user that the function imports while it runs
         for level, module, names in imports:
             with contextlib.suppress(ImportError):  # the run will raise it
                 module = importlib.util.resolve_name(
