@@ -23,12 +23,19 @@ def memory() -> float:
     return float(psutil.virtual_memory().total)
 
 
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    with suppress(AttributeError):  # Linux alone
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def has_idle_processor() -> bool:
     """Return whether fewer threads run now than this process has processors; False where the system
     does not report it."""
     with suppress(OSError):
         running = Path("/proc/loadavg").read_text(encoding="ascii").split()[3].partition("/")[0]
-        return int(running) < len(os.sched_getaffinity(0))
+        return int(running) < processors()
     return False
 
 

@@ -184,8 +184,11 @@ _FIRST = ("mesh.delaunay._put", "discrete.elasticity._shape_gradients")
 def _compile_ahead() -> subprocess.Popen | None:
     """Let a second process compile the kernels of a first solve, from the last one to the first,
     while this one needs them from the first to the last, where a processor is idle and the code is
-    stored. The program around an embedded Python is not started again."""
-    may_start = os.environ.get("NUMBA_NUM_THREADS") != "1" and not _warn_of_no_cache.cache_info()[1]
+    stored. Workers start none, nor does the program around an embedded Python start again."""
+    from multiprocessing import parent_process
+
+    may_start = parent_process() is None and not _warn_of_no_cache.cache_info()[1]
+    may_start = may_start and os.environ.get("NUMBA_NUM_THREADS") != "1"
     is_python = os.path.basename(sys.executable or "").startswith("python")
     if not (may_start and is_python and has_idle_processor()):
         return None
