@@ -19,7 +19,8 @@ for step in steps:
 
 # %%
 # Believe the estimate when ``step.settled`` says so: on coarse meshes the contact state itself is
-# wrong.
+# wrong. It may be False on a good mesh, too, where the error passes through zero; the corrected
+# values and their change from mesh to mesh then say more.
 
 am.plot.adaptation(steps)
 
