@@ -322,12 +322,14 @@ class Bounds:
                 )
         if self.lower is None or self.upper is None:
             return
-        lower = np.asarray(self.lower)
-        upper = np.asarray(self.upper)
-        if (lower.shape == upper.shape or not lower.ndim * upper.ndim) and (lower > upper).any():
-            lower, upper = np.broadcast_arrays(lower, upper)
-            worst = np.unravel_index(np.argmax(lower > upper), lower.shape)
-            raise ValueError(f"lower must be <= upper, got {lower[worst]:g} and {upper[worst]:g}")
+        scalar = np.ndim(self.lower) == 0 or np.ndim(self.upper) == 0
+        # at_nodes knows the shape that both must have
+        if (scalar or np.shape(self.lower) == np.shape(self.upper)) and np.any(
+            np.greater(self.lower, self.upper)
+        ):
+            raise ValueError(
+                f"lower must be <= upper, got {checks.shown(self.lower)} and {checks.shown(self.upper)}"
+            )
 
     def at_nodes(self, fixed: np.ndarray) -> ContactNodes:
         """Return the contact nodes of a problem: those with a finite limit, without the limits of the

@@ -168,9 +168,7 @@ def load_density(
         return -value[:, :, None] * cast("np.ndarray", normals)[:, None, :]
     if len(load.components) != dim:
         raise ValueError(f"{load!r} has {len(load.components)} components on a {dim}D mesh")
-    named = type(load).__name__
-    if isinstance(load, Traction):
-        named += f" on {load.boundary!r}"
+    named = f"{type(load).__name__} on {load.place!r}"
     return np.stack(
         [
             checks.field(f"component {'xyz'[k]} of {named}", component, flat).reshape(shape)

@@ -156,10 +156,8 @@ class Combination(SolidDomain):
         other = self.b if part == "a" else self.a
         axis, end = _BOX_SIDES[name]
         place = (box.lower, box.upper)[end][axis]
-        low = other.lower[axis]
-        high = other.upper[axis]
-        margin = checks.ALIKE * (high - low)
-        return bool(low - margin <= place <= high + margin)
+        beyond = abs(place - np.clip(place, other.lower[axis], other.upper[axis]))
+        return bool(beyond <= checks.ALIKE * (box.upper - box.lower).max())
 
 
 class Cut(Combination):
