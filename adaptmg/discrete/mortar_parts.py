@@ -182,7 +182,7 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     """Return the covered parts of slave edges, with Gauss points; s runs from 0 to 1 along an edge."""
     edge, facet, ends = _pieces(surfaces, *surfaces.depths(reach))
     covered = np.bincount(edge, ends[:, 1] - ends[:, 0], minlength=len(surfaces.slave))
-    # places count from the first covered place of an edge
+    # places along an edge are relative to the first covered one: those of small parts lose no digits
     origin = np.where(covered > 0, np.inf, 0.0)
     np.minimum.at(origin, edge, ends[:, 0])
     slave = surfaces.slave[edge]
@@ -202,14 +202,14 @@ def _parts_of_edges(surfaces: Surfaces, reach: float | None) -> CoveredParts:
     distance = surfaces.exact_distances(edge, facet, places, normals, distance)
     corners = np.stack([-origin, 1 - origin], axis=1)[..., None]
     return CoveredParts(
-        edge,
-        facet,
-        offset[..., None],
-        weights,
-        np.stack([1 - eta, eta], axis=2),
-        distance,
-        corners,
-        covered >= checks.SIX_DIGITS,
+        slave=edge,
+        master=facet,
+        places=offset[..., None],
+        weights=weights,
+        shapes=np.stack([1 - eta, eta], axis=2),
+        distances=distance,
+        corners=corners,
+        enough=covered >= checks.SIX_DIGITS,
     )
 
 

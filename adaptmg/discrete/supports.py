@@ -107,7 +107,9 @@ class Inclined:
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
         volumes = parts["volumes"]
         supports = replace(self, rows=rows, stiffness=stiffness, volumes=volumes.rows)
-        free = volumes.rows - volumes.rows @ self.spread(self.spans, volumes.means.shape[1])
+        # B (I - Z) and, below, stiffnesses of the size of the diagonal blocks
+        held = self.spread(self.spans, matrix.shape[0] // dim)
+        free = volumes.rows - volumes.rows @ held
         eliminated = {
             "matrix": supports._eliminated(matrix),
             "volumes": volumes.with_rows(checks.narrowed(sparse.csr_array(free))),

@@ -503,12 +503,11 @@ class Guide:
         ``missed``. The first time they come from a search on the finest level. Later, and where
         its factors take too much memory, one Newton step on the level of the search before
         corrects the values by what is missed."""
-        if self.level_number == self.finest_number or not factorisable(
-            self.controls.level.discrete
-        ):
+        searched = self.level_number == self.finest_number
+        if searched or not factorisable(self.controls.level.discrete):
             try:
                 return values + self._balancing_change(values, -missed)
-            except ValueError:
+            except ValueError:  # singular equations: the finest level goes on from its values
                 return values
         self.level_number = self.finest_number
         return self.balanced_values(values)

@@ -407,8 +407,9 @@ class March:
         """Return the hierarchy with the problem of a step, relative to a ``shift`` of the bodies."""
         discrete = self.discrete
         step = self.dynamics.step
-        stiffness = self.dynamics.damping / step - 0.5
-        load = self.forces + stiffness * self.internal
+        # half of the forces K u at the begin of the step, and those that damp the displacement from it
+        share_of_internal = self.dynamics.damping / step - 0.5
+        load = self.forces + share_of_internal * self.internal
         load += 2 / step**2 * self.mass * (admissible - shift)
         shifted = discrete.relative(shift)
         posed = discrete.with_step(

@@ -287,8 +287,8 @@ def _turned(points: np.ndarray, normals: np.ndarray) -> Revolved | None:
 
 
 def candidates(samples: Sequence[np.ndarray]) -> list[list[Revolved]] | None:
-    """Return the surfaces that each face may lie on, by patches of points and normals (n, 6); None
-    without patches."""
+    """Return for each face the surfaces that its samples lie on, patches (n_patches, n, 6) of n points
+    and normals; None if the samples of a face lie on no known surface."""
     found = [
         [s for patch in patches if (s := surface_through(patch[:, :3], patch[:, 3:])) is not None]
         for patches in samples

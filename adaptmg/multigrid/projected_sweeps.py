@@ -417,18 +417,18 @@ class Interface:
         self.nonzeros = len(self.blocks) + len(self.diagonal)
 
     def _follow(self, coupling: Coupling, place: np.ndarray, fixed: np.ndarray) -> None:
-        """Set the followers of each node that can stay where they are, with their weights; nodes that
-        follow others have none."""
+        """Set the followers of each node, the slave nodes that its motion carries along, and their
+        weights W; slave nodes have none. Where all of them are open, the master is moved alone."""
         by_master = sparse.csr_array(coupling.weights.T)[self.nodes]
         follows = np.diff(coupling.weights.indptr)[self.nodes] > 0
-        counts = ~np.repeat(follows, np.diff(by_master.indptr))
-        self.follow_indptr = np.concatenate([[0], np.cumsum(counts)])[by_master.indptr].astype(
+        is_follower = ~np.repeat(follows, np.diff(by_master.indptr))
+        self.follow_indptr = np.concatenate([[0], np.cumsum(is_follower)])[by_master.indptr].astype(
             np.int32
         )
-        slave_nodes = by_master.indices[counts]
+        slave_nodes = by_master.indices[is_follower]
         self.followers = place[slave_nodes]
         free = ~fixed.reshape(-1, coupling.dim)[slave_nodes]
-        self.follow_weights = (by_master.data[counts, None] * free).reshape(-1)
+        self.follow_weights = (by_master.data[is_follower, None] * free).reshape(-1)
 
     def _master_blocks(self, place: np.ndarray) -> np.ndarray:
         """Return the blocks D'AD (n, dim, dim), D the motion of a node that leaves its followers where

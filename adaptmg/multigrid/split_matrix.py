@@ -46,7 +46,7 @@ from adaptmg.smoother.blocks import (
     write,
 )
 from adaptmg.smoother.strips import Strips, product
-from adaptmg.transfer.galerkin import coarse_matrix, seen, without_fixed
+from adaptmg.transfer.galerkin import coarse_matrix, without_fixed, without_idle_rows
 
 
 @dataclass(eq=False)
@@ -272,7 +272,8 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
     matrix = hierarchy.finest.matrix
     fine = hierarchy.finest.discrete
     result = [split(matrix, fine.fixed, symmetric=len(hierarchy) > 1)]
-    finer = None  # the last prolongation of a chain of Galerkin products
+    # of a chain of Galerkin products, of which a discretised matrix begins a new one
+    finer = None
     for above, level, nodal in zip(
         reversed(hierarchy.levels[1:]),
         reversed(hierarchy.levels[:-1]),
@@ -290,10 +291,10 @@ def galerkin_levels(hierarchy: Grids, prolongations: list[sparse.csr_array]) -> 
             fixed = level.discrete.fixed
             finer = None
         else:
-            finer = seen(nodal, finer)
+            finer = without_idle_rows(nodal, finer)
             # a discretised level: all levels above are discretised, too
             problem = cast("DiscreteProblem", fine)
-            matrix = coarse_matrix(_supported(matrix, problem, nodal, level.discrete), finer)
+            matrix = coarse_matrix(_without_fixed(matrix, problem, nodal, level.discrete), finer)
             fixed = level.discrete.fixed
         fine = level.discrete_or_none
         result.insert(0, split(matrix, fixed))
@@ -355,7 +356,7 @@ def is_galerkin(
     return bool((np.abs(restricted - product(coarse, probe)) <= tolerance * sizes).all())
 
 
-def _supported(
+def _without_fixed(
     matrix: sparse.bsr_array,
     fine: DiscreteProblem,
     nodal: sparse.csr_array,

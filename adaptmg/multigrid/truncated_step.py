@@ -219,11 +219,12 @@ class TruncatedStep:
                 order = self.interface.backward if backward else self.interface.forward
                 self._interface_sweep(state, self.interface, order)
         unknowns, pressures = self.parts(state)
-        motion = None
-        if self.motions is not None:
-            motion = self.motions.settle(state.contact, unknowns, state.residual)
+        if self.motions is None:
+            return state
+        motion = self.motions.settle(state.contact, unknowns, state.residual)
         if motion is None:
             return state
+        # the iterates before move along, so that recombination does not undo the motion
         motion = np.append(motion, np.zeros(len(pressures)))
         return state.but(
             past=tuple(

@@ -468,13 +468,16 @@ def _right_sides(
         t_2 = w_2 - reference[i, 1]
         mu = friction[i]
         b = limit[i] + mu * p
-        # the pair p, y
-        shift = 0.0
+        # the pair: y dp + p dy = target - p y, where dy = gap_error + e dp - dw; p changes by this and
+        # by what dw adds
+        pressure_change = 0.0
         if np.isfinite(gap[i]):
             gap_error = gap[i] - w + compliance[i] * p - y
-            shift = (target - p * y - weight * dp * dy - p * gap_error) / (y + compliance[i] * p)
-        sides[i, 0] = terms[i, 0] = -shift
-        # the cones B >= |q_t| and v >= |tau|
+            product_error = target - p * y - weight * dp * dy
+            pressure_change = (product_error - p * gap_error) / (y + compliance[i] * p)
+        sides[i, 0] = -pressure_change
+        terms[i, 0] = -pressure_change
+        # the cones: B v - q_t . tau = target and v q_t - B tau = 0, linearised, and B changes by mu dp
         if limit[i] > 0 or mu > 0:
             e = (
                 target
@@ -493,9 +496,9 @@ def _right_sides(
                 q_2,
                 t_1,
                 t_2,
-                e - v * mu * shift,
-                e_1 + t_1 * mu * shift,
-                e_2 + t_2 * mu * shift,
+                e - v * mu * pressure_change,
+                e_1 + t_1 * mu * pressure_change,
+                e_2 + t_2 * mu * pressure_change,
             )
             sides[i, 1] = -k_1
             sides[i, 2] = -k_2

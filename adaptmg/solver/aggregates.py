@@ -497,7 +497,7 @@ class _Smoothed(DenseSpan):
 _smoothed_of = remembered_of_structure(_Smoothed)
 
 
-def changed_status(
+def change_with_free_status(
     problem: DiscreteProblem,
     residual: np.ndarray,
     claims: ContactValues,
@@ -507,8 +507,8 @@ def changed_status(
     compliance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the change (n_dofs,) in the span of the smoothed aggregates that solves the contact
-    problem there, and the contact forces (n_contact, dim) after it; None if the interior point
-    method does not find it, or for a scalar problem.
+    problem there, in which the contact status may change, and the contact forces (n_contact, dim)
+    after it; None if the interior point method does not find it, or for a scalar problem.
 
     ``residual`` (n_dofs,) and ``claims`` are those before the change. ``stiffness`` (n_contact,):
     of the nodes, N/m; ``limit`` (n_contact,): bound of friction without pressure, N; ``friction``
@@ -521,6 +521,7 @@ def changed_status(
     # where a support holds a tangent its reaction takes the place of friction
     without_support = ~problem.held_spans(problem.contact.nodes).any(axis=(1, 2))
     slip = to_frames(coarse.frames, claims.slip)[:, 1:]
+    # the conditions add e p to the gap of an unloaded surface; the gap of the claims contains it already
     gap = claims.gap - compliance * np.maximum(claims.pressure, 0.0)
     conditions = Conditions(
         gap, -slip, limit * without_support, friction * without_support, compliance=compliance

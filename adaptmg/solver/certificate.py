@@ -29,7 +29,12 @@ from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.coordinates import from_frames
 from adaptmg.discrete.problem import DiscreteProblem, nodal_blocks
 from adaptmg.discrete.volumes import NO_PRESSURES
-from adaptmg.solver.aggregates import Aggregates, ContactValues, aggregates_of, changed_status
+from adaptmg.solver.aggregates import (
+    Aggregates,
+    ContactValues,
+    aggregates_of,
+    change_with_free_status,
+)
 from adaptmg.solver.energy_error import FrozenStatus, correction
 
 
@@ -627,7 +632,7 @@ class Evidence:
         contact = self.problem.contact
         matrix = self.problem.matrix
         residual = problem.residual(np.append(self.unknowns, self.pressures))
-        solution = changed_status(
+        solution = change_with_free_status(
             problem,
             residual,
             conditions,

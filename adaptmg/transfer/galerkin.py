@@ -67,7 +67,7 @@ def coarse_matrix(matrix: sparse.bsr_array, nodal: sparse.csr_array) -> sparse.b
     return result
 
 
-def seen(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
+def without_idle_rows(nodal: sparse.csr_array, finer: sparse.csr_array | None) -> sparse.csr_array:
     """Return a prolongation without the rows of nodes that the next ``finer`` prolongation does not
     read (where a mesh is locally finer than the next one). The diagonal that
     :func:`galerkin_product` gives such a node is not stiffness: in the next product it would hold the
@@ -145,7 +145,7 @@ def coarse_spaces(
                 f"{P.shape}: they go from coarse to fine"
             )
         rows = P.shape[1]
-        finer = seen(P, finer)
+        finer = without_idle_rows(P, finer)
         current = coarse_matrix(current, finer)
         matrices.insert(0, current)
     return checked, matrices
