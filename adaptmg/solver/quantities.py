@@ -209,7 +209,7 @@ class Quantities:
         contact = self.contact
         # a node that takes over the part of others has the sum of their slips
         slips = contact.slip * (contact.measures / contact.weights)[:, None]
-        return float(-np.sum(contact.force_t * slips))
+        return float(np.sum(-contact.force_t * slips))
 
     @property
     def contact_area(self) -> float:
