@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from adaptmg import _checks as checks
-from adaptmg._text import printable
+from adaptmg._text import printable, say
 from adaptmg.solver.fingerprint import Fingerprint, environment
 from adaptmg.study.designs import DesignLike, Point, Value, as_design, canonical, parameter_value
 from adaptmg.study.execute import (
@@ -204,9 +204,9 @@ class Study:
     ) -> pd.DataFrame:
         """Compute the runs that the store does not have, and return the table.
 
-        As of :meth:`table`. On Ctrl-C finished runs are stored, and no process is left. OSError or
-        ValueError if the store cannot be written, RuntimeError for a worker with other packages or
-        without a module.
+        As of :meth:`table`. On Ctrl-C finished runs are stored, no process is left, and the message
+        of the KeyboardInterrupt has the number of stored runs. OSError or ValueError if the store
+        cannot be written, RuntimeError for a worker with other packages or without a module.
 
         Parameters
         ----------
@@ -275,12 +275,21 @@ class Study:
             else:
                 from adaptmg.study.cluster import opened
 
+                if workers is not None and progress is not False:
+                    count = min(workers, len(todo))
+                    say(f"adaptmg: starting {count} worker{'s' * (count > 1)}")
                 executor = opened(workers, scheduler, len(todo), memory)
             task = Task(self._function, code, tuple(self._depends), limit_s)
             owner = new_owner()
-            with self._store.claims_of(owner), executor as execute:
-                runs = execute(task, self._claimed(todo, owner))
-                self._compute(runs, code, len(todo), progress, throw)
+            try:
+                with self._store.claims_of(owner), executor as execute:
+                    runs = execute(task, self._claimed(todo, owner))
+                    self._compute(runs, code, len(todo), progress, throw)
+            except KeyboardInterrupt:
+                n_done = sum(state == "done" for _, _, state in self._rows(code))
+                raise KeyboardInterrupt(
+                    f"study {self.name}: {n_done} of {len(rows)} runs are stored; run() computes the rest"
+                ) from None
         table = self._table(code, False)
         done = table[table.attrs["columns"]["status"]] == "done"
         if isinstance(cost, str) and done.any() and cost not in table:

@@ -102,8 +102,15 @@ def test_rows_before_an_end_are_stored(tmp_path, how):
         return {"m": n}
 
     study = am.Study(run, {"n": range(4)}, tmp_path / "s.sqlite")
-    with pytest.raises(KeyboardInterrupt if how == "interrupt" else RuntimeError):
+    ends = {
+        "throw": (RuntimeError, "two"),
+        "interrupt": (KeyboardInterrupt, r"2 of 4 runs are stored; run\(\) computes the rest"),
+    }
+    kind, text = ends[how]
+    with pytest.raises(kind, match=text) as raised:
         study.run(progress=False, throw=True)
+    assert raised.value.__cause__ is None
+    assert how == "throw" or raised.value.__suppress_context__
     ended = "missing" if how == "interrupt" else "failed"
     assert study.table()["status"].tolist() == ["done", "done", ended, "missing"]
 
@@ -118,6 +125,28 @@ def test_a_changed_function_or_version_makes_rows_stale(tmp_path, machine):
     machine.update(numpy="2", new="3")
     assert changed.status().reasons == {"package numpy 1 -> 2": 2, "package new is new": 2}
     assert "stale: package new is new (2)" in repr(changed.status())
+
+
+def test_a_mended_function_computes_only_points_that_were_wrong(tmp_path):
+    """As the how-to on studies says: a study of these points, under the same name."""
+    path = tmp_path / "s.sqlite"
+    grid = {"n": [1, 0, 2], "m": [1.5, 2.5]}
+    am.Study(lambda n, m: {"x": m / n}, grid, path, name="s").run(progress=False)
+    calls = []
+
+    def mended(n, m):
+        calls.append((n, m))
+        return {"x": m / (n or 4)}
+
+    study = am.Study(mended, grid, path, name="s", depends={"calls": None})
+    wrong = study.table().query("error != ''")
+    am.Study(mended, wrong[list(study.parameters)], path, name="s", depends={"calls": None}).run(
+        progress=False
+    )
+    table = study.table()
+    assert calls == [(0, 1.5), (0, 2.5)]
+    assert table["x"].tolist() == [1.5, 2.5, 0.375, 0.625, 0.75, 1.25]
+    assert table["status"].tolist() == ["stale"] * 2 + ["done"] * 2 + ["stale"] * 2
 
 
 def test_a_file_changed_by_others_is_not_blamed_on_runs(tmp_path):
