@@ -187,10 +187,10 @@ def _compile_ahead() -> subprocess.Popen | None:
     stored. Workers start none, nor does the program around an embedded Python start again."""
     from multiprocessing import parent_process
 
-    may_start = parent_process() is None and not _warn_of_no_cache.cache_info()[1]
-    may_start = may_start and os.environ.get("NUMBA_NUM_THREADS") != "1"
+    is_stored = not _warn_of_no_cache.cache_info().misses
+    may_use_two = parent_process() is None and os.environ.get("NUMBA_NUM_THREADS") != "1"
     is_python = os.path.basename(sys.executable or "").startswith("python")
-    if not (may_start and is_python and has_idle_processor()):
+    if not (is_stored and may_use_two and is_python and has_idle_processor()):
         return None
     return subprocess.Popen(
         [sys.executable, "-c", "from adaptmg.cli.ahead import compile_ahead; compile_ahead()"],

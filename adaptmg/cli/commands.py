@@ -332,11 +332,20 @@ def _warm(parsed: Namespace) -> None:
     from adaptmg.cli.warm import STEPS, solve_step
 
     console = Console(stderr=True)
-    workers = min(processors(), len(STEPS))
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        min(processors(), len(STEPS)),
+        mp_context=get_context("spawn"),
+        initializer=warnings.simplefilter,  # what is solved is not the point
+        initargs=("ignore",),
+    ) as pool:
         names = {pool.submit(solve_step, name): name for name in STEPS}
-        bar = {"total": len(names), "console": console, "disable": not console.is_terminal}
-        for task in track(as_completed(names), "compiling", **bar):
+        for task in track(
+            as_completed(names),
+            "compiling",
+            total=len(names),
+            console=console,
+            disable=not console.is_terminal,
+        ):
             console.print(names[task])
             task.result()
 
