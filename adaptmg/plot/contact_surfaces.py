@@ -148,7 +148,7 @@ def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
             scale * c.slip[at, 0],
             color=style.cycled(2),
             linestyle="--",
-            label="slip" if first else None,
+            label="slip (solid: gap)" if first else None,
         )
     for ax, label in zip(
         axes,

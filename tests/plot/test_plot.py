@@ -209,7 +209,7 @@ def test_contact_draws_pressure_friction_gap_and_slip():
         np.testing.assert_array_equal(
             curve.get_colors(), [to_rgba(STATE_INKS[s]) for s in np.repeat(c.state[order], 2)[1:-1]]
         )
-    (slip,) = [drawn for drawn in figure.axes[2].lines if drawn.get_label() == "slip"]
+    (slip,) = [drawn for drawn in figure.axes[2].lines if drawn.get_label().startswith("slip")]
     np.testing.assert_allclose(slip.get_ydata(), 1e6 * c.slip[order, 0])
     (band,) = [b for b in figure.axes[1].collections if isinstance(b, PolyCollection)]
     assert band.get_paths()[0].get_extents().y0 == pytest.approx(
