@@ -47,7 +47,7 @@ _LOG = logging.getLogger(__name__)
 # rollers with 16, 32, 64 divisions converges, to 5e-6, with 2.5e-11, 3.5e-11, 4.4e-11; with 32, 64
 # it stalls at 1.8e-11, 2.5e-11
 _SOFTEST = 4e-11
-# friction up to which it is said which one would hold a body: the tangent of 89 degrees
+# largest coefficient of friction that messages name as sufficient: the tangent of 89 degrees
 _STEEPEST = 57.0
 _SEGMENTS = 8  # of the friction polygon in 3D, which has twice as many sides
 
@@ -256,7 +256,7 @@ def _check_body(body: _Body) -> None:
         motion = _motion_to_blame(body, forces, work, motion)
         raise ValueError(
             f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact cannot "
-            f"balance the load on it{_too_steep(body, limit / scale, friction, work)}; {body.remedy}"
+            f"balance the load on it{_required_friction(body, work)}; {body.remedy}"
         )
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if len(neutral):
@@ -278,20 +278,22 @@ def _check_body(body: _Body) -> None:
             )
 
 
-def _too_steep(body: _Body, limit: np.ndarray, friction: np.ndarray, work: np.ndarray) -> str:
-    """Return which friction would balance the work on the free motions, as text; "" if none does."""
+def _required_friction(body: _Body, work: np.ndarray) -> str:
+    """Return the least coefficient of friction that balances the work on the free motions, as text; ""
+    if none up to ``_STEEPEST`` does."""
+    n = len(body.problem.contact)
 
-    def unheld(coefficient: float) -> float:
-        forces = _contact_forces(body, limit, np.full(len(friction), coefficient))
-        return 1.0 if forces.least_unbalanced(work)[0] > checks.SIX_DIGITS else -1.0
+    def unbalanced(coefficient: float) -> float:
+        forces = _contact_forces(body, np.zeros(n), np.full(n, coefficient))
+        return forces.least_unbalanced(work)[0] - checks.SIX_DIGITS
 
-    if body.problem.dim == 1 or unheld(_STEEPEST) > 0:
+    if body.problem.dim == 1 or unbalanced(_STEEPEST) > 0:
         return ""
     from scipy.optimize import bisect
 
-    least = bisect(unheld, 0.0, _STEEPEST, rtol=1e-4)
+    least = bisect(unbalanced, 0.0, _STEEPEST, rtol=1e-4)
     return (
-        f" with friction of at most {friction.max():.3g}: it takes {least:.3g}, the tangent of "
+        f" without friction of at least {least:.3g}, the tangent of "
         f"{np.degrees(np.arctan(least)):.3g} degrees"
     )
 

@@ -185,13 +185,14 @@ def test_sliding_in_any_direction(direction, law):
 
 
 @pytest.mark.parametrize("angle", [20.0, 40.0])
-def test_of_a_slope_the_tangent_is_named_beside_the_friction(angle):
+@pytest.mark.parametrize("law", [am.Coulomb(0.3), am.Tresca(1e-3), am.Frictionless()])
+def test_a_slope_that_is_too_steep_is_named_with_its_tangent(angle, law):
     slope = np.radians(angle)
-    problem = plate(law=am.Coulomb(0.3), loads=weight(np.sin(slope), -np.cos(slope)))
-    said = (
-        f"friction of at most 0.3: it takes {np.tan(slope):.3g}, the tangent of {angle:g} degrees"
+    problem = plate(law=law, loads=weight(np.sin(slope), -np.cos(slope)))
+    required = (
+        f"without friction of at least {np.tan(slope):.3g}, the tangent of {angle:g} degrees;"
     )
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=required):
         check_statics(problem)
 
 
