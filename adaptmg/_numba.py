@@ -11,11 +11,11 @@ from __future__ import annotations
 import gc
 import logging
 import os
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, lru_cache, partial
 from typing import Any, cast
 
@@ -181,7 +181,7 @@ _FIRST = ("mesh.delaunay._put", "discrete.elasticity._shape_gradients")
 
 
 @cache
-def _compile_ahead() -> subprocess.Popen | None:
+def _compile_ahead() -> None:
     """Let a second process compile the kernels of a first solve, from the last one to the first,
     while this one needs them from the first to the last, where a processor is idle and the code is
     stored. Workers start none, nor does the program around an embedded Python start again."""
@@ -191,14 +191,19 @@ def _compile_ahead() -> subprocess.Popen | None:
     may_use_two = parent_process() is None and os.environ.get("NUMBA_NUM_THREADS") != "1"
     is_python = os.path.basename(sys.executable or "").startswith("python")
     if not (is_stored and may_use_two and is_python and has_idle_processor()):
-        return None
-    return subprocess.Popen(
-        [sys.executable, "-c", "from adaptmg.cli.ahead import compile_ahead; compile_ahead()"],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-    )
+        return
+    code = "from adaptmg.cli.ahead import compile_ahead; compile_ahead()"
+    # without an object of subprocess, which warns where Python ends before the process
+    with suppress(OSError):
+        os.posix_spawn(
+            sys.executable,
+            # modules come from the folders of this process only, not from the working directory
+            [sys.executable, "-P", "-c", code],
+            os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
+            file_actions=[
+                (os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)
+            ],
+        )
 
 
 _COMPILING = _Compiling()

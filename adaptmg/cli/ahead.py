@@ -20,12 +20,13 @@ def record_first_solve() -> dict:
 
 
 def compile_ahead() -> None:
-    """Compile these kernels from the last one to the first, as long as the process that started
-    this one runs."""
+    """Compile the kernels of a first solve from the last one to the first, as long as the process
+    that started this one runs."""
     parent = os.getppid()
     calls = record_first_solve()
-    for name, module in list(sys.modules.items()):
-        for attribute, value in list(vars(module).items()) if "adaptmg" in name else ():
+    modules = [module for name, module in sys.modules.items() if name.startswith("adaptmg.")]
+    for module in modules:
+        for attribute, value in list(vars(module).items()):
             if isinstance(value, Recorder):  # kernels that are compiled call compiled ones
                 setattr(module, attribute, value.compiled)
     for kernel, types in reversed(calls):

@@ -30,11 +30,12 @@ for kernel, types in record_first_solve():
 """
 #: begins to solve a uniform plane problem, prints the number of the other process, and waits for it
 BEGUN = """
-import os, time
+import os, sys, time
 from pathlib import Path
 import adaptmg._machine as machine
 machine.has_idle_processor = lambda: {idle}
 import adaptmg as am, psutil
+sys.path.append(Path("x"))  # Python ignores it
 am.Hierarchy.uniform(am.cases.greco_bar(), (2,))
 for child in psutil.Process().children():
     print(child.pid, flush=True)
@@ -43,22 +44,23 @@ for child in psutil.Process().children():
 """
 
 
-def run(code: str, **environment: str) -> list[str]:
-    """Return the lines that a new process prints."""
+def run(code: str, folder: Path, **environment: str) -> list[str]:
+    """Return the lines that a new process in a folder prints; warnings are errors."""
     done = subprocess.run(
-        [sys.executable, "-c", code],
+        [sys.executable, "-P", "-W", "error", "-c", code],
+        cwd=folder,
         capture_output=True,
         text=True,
         timeout=200,
         env=os.environ | environment,
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0 and "Warning" not in done.stderr, done.stderr
     return done.stdout.splitlines()
 
 
-def test_the_second_process_knows_the_kernels_of_a_first_solve():
-    called = set(run(SOLVED))
-    recorded = set(run(RECORDED))
+def test_the_second_process_knows_the_kernels_of_a_first_solve(tmp_path: Path):
+    called = set(run(SOLVED, tmp_path))
+    recorded = set(run(RECORDED, tmp_path))
     assert len(called) > 30 and called <= recorded
 
 
@@ -70,7 +72,9 @@ def test_a_second_process_compiles_where_a_processor_is_idle_and_ends_with_the_f
     tmp_path: Path, threads, idle
 ):
     environment = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_NUM_THREADS": threads}
-    children = run(BEGUN.format(idle=idle), **environment)
+    # neither process may import a file of the working directory
+    Path(tmp_path, "numba.py").write_text("raise ImportError", encoding="utf-8")
+    children = run(BEGUN.format(idle=idle), tmp_path, **environment)
     assert len(children) == (threads == "2" and idle)
     for child in children:
         end = time.monotonic() + 60.0
