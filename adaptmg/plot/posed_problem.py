@@ -473,15 +473,12 @@ def _law_text(law: laws.Law) -> str:
 
 
 def _value(value: checks.FieldLike | ArrayLike, unit: str = "") -> str:
-    """Return a parameter as text: f(x), a number with its prefixed unit, or the largest of nodal
-    values."""
+    """Return a parameter as text: f(x), or a number with its prefixed unit."""
     if callable(value):
         return "f(x)"
-    values = np.asarray(value, dtype=float)
-    largest = float(values.max())
-    factor, unit = style.scaled(abs(largest), unit) if unit else (1.0, "")
-    text = f"{style.number(largest * factor)} {unit}".strip()
-    return f"up to {text}" if values.ndim else text
+    number = float(np.asarray(value))
+    factor, unit = style.scaled(abs(number), unit) if unit else (1.0, "")
+    return f"{style.number(number * factor)} {unit}".strip()
 
 
 def support_text(support: loads.AnySupport, dim: int, axes: str = "xyz") -> str:
