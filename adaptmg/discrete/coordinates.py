@@ -183,6 +183,7 @@ def held_slaves(
     rows = sparse.csr_array(weights[nodes])
     facing = facing_part(rows)
     rubs = friction_acts(law, len(nodes)) & (facing.sum(axis=1) > 0)
+    # a component is held at the node, and at nothing that it faces
     held = (fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)).any(axis=1)
     held_in_any_direction = np.any(fixed, axis=1)
     held_in_any_direction[inclined.nodes] = True

@@ -352,8 +352,8 @@ def starts_of(elements: np.ndarray) -> np.ndarray:
 def pattern(
     of_nodes: sparse.csc_array, start: np.ndarray, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return row pointers and sorted columns of the matrix of patches; ValueError for a node
-    without one."""
+    """Return row pointers (n_nodes + 1,) and sorted columns of the matrix of patches, of which patch p
+    has ``nodes[start[p]:start[p + 1]]``; ValueError for a node without one."""
     n = of_nodes.shape[1]
     indptr = np.zeros(n + 1, dtype=np.int64)
     arguments = of_nodes.indptr, of_nodes.indices, start, nodes, indptr
@@ -537,6 +537,7 @@ def _add_patches(
             x = measures[e] * slopes[p, 0]
             y = measures[e] * slopes[p, 1]
             z = measures[e] * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
+            # the stress of a displacement of node i along each axis
             for c in range(2 * dim):
                 if len(zero) == 3:
                     stress[c, 0] = (
@@ -553,6 +554,7 @@ def _add_patches(
                         table[tensor, c, 0] * x + table[tensor, c, 3] * y + table[tensor, c, 2] * z
                     )
                     stress[c, 1] = table[tensor, c, 3] * x + table[tensor, c, 1] * y
+            # tested with the strains of the other corners
             for q in range(np.uint64(begin[e]), end):
                 if nodes[q] < i:
                     continue
@@ -635,6 +637,7 @@ def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
     n_bodies = len(mesh.bodies)
     if n_bodies == 1:
         return [np.arange(mesh.n_nodes)]
+    # bodies and nodes are connected where a body uses a node
     body = np.repeat(mesh.element_body, mesh.elements.shape[1])
     size = n_bodies + mesh.n_nodes
     uses = sparse.coo_array(

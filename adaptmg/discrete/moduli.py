@@ -171,11 +171,11 @@ def isotropic(
 
 
 def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np.ndarray:
-    """Return tensors (1 or n, k, k) of an anisotropic material at points."""
+    """Return tensors (1 or n, k, k) of an anisotropic material at points: T' C T of the module."""
     i, j = PAIRS.T
     k = 2 * material.dim
     axes = anisotropy.rotations(points)
-    # T of the module: products of components of the axes, in the order of PAIRS
+    # row p of T gives the component PAIRS[p] of R e R', twice it where that is a shear
     turn = axes[:, i][:, :, i] * axes[:, j][:, :, j] + axes[:, i][:, :, j] * axes[:, j][:, :, i]
     turn[:, :3] *= 0.5
     result = turn.swapaxes(1, 2) @ np.array(anisotropy.stiffness)[np.ix_(_VOIGT, _VOIGT)] @ turn

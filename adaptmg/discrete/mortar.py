@@ -57,6 +57,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -157,13 +158,14 @@ def pair_interface(
     try:
         normals = boundaries.averaged_normals(slave)
         surfaces = Surfaces(slave, master, normals, excluded, axisymmetric)
-        interface = _coupled(pair, surfaces)
+        couple = node_to_node if pair.coupling == "nodes" else partial(mortar, reach=pair.reach)
+        interface = couple(surfaces)
         # slave nodes of which the master covers too little
         hanging = interface.nodes[
             interface.weights < _LEAST_COVERED * slave.lumped(axisymmetric)[interface.nodes]
         ]
         if 0 < len(hanging) < len(interface) and pair.coupling == "mortar":
-            interface = _coupled(pair, replace(surfaces, excluded=np.union1d(excluded, hanging)))
+            interface = couple(replace(surfaces, excluded=np.union1d(excluded, hanging)))
     except ValueError as error:
         raise ValueError(f"{named_pair}: {error}") from error
     if pair.gap is not None:
@@ -243,13 +245,6 @@ def taken_over(
     result = sparse.csr_array(share.T @ sparse.diags_array(given, format="csr"))
     result.eliminate_zeros()
     return result
-
-
-def _coupled(pair: ContactPair, surfaces: Surfaces) -> MortarInterface:
-    """Return the interface of two surfaces, coupled as the pair asks: by nodes or by mortar."""
-    if pair.coupling == "nodes":
-        return node_to_node(surfaces)
-    return mortar(surfaces, pair.reach)
 
 
 def _edge_lengths(surface: Surface) -> np.ndarray:
@@ -389,6 +384,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
     # D of the module: ``diagonal`` at nodes with a multiplier, ``taken_over_rows`` at the others
     mass_without_multiplier = share * np.where(carries, 0.0, shape_mass)[:, None, :]
+    # summed over facets: the matrices of master nodes and of slave nodes, and the gaps
     slave = surfaces.slave[parts.slave]
     products = np.einsum("piq,pqk->pik", tests, parts.shapes)
     facing = _assembled(products, slave, surfaces.master[parts.master], n_nodes)
@@ -410,6 +406,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         facing = sparse.csr_array(node_share @ facing)
         taken_over_rows = sparse.csr_array(node_share @ taken_over_rows)
         gaps = node_share @ gaps
+    # over the diagonal, what the nodes with a multiplier face
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
     over_diagonal = sparse.diags_array(1 / diagonal[nodes], format="csr")

@@ -295,7 +295,7 @@ def _projection(surfaces: Surfaces, slave: np.ndarray, node: np.ndarray) -> np.n
     r"""Return the places s on slave edges where the normal field points at nodes y: :math:`q(s) = (x(s) - y)\times
     n(s) = 0`. Of the two roots of this quadratic equation the one where q falls: there the node is
     before the centre of curvature. If there is none, 1 where q > 0 and 0 where q < 0: the node is
-    next to all of the edge."""
+    next to all of the edge. ``slave`` (n, 2) are the nodes of the edges, ``node`` (n,) the nodes y."""
     ends = surfaces.points[slave]
     end_normals = surfaces.normals[slave]
     edge = ends[:, 1] - ends[:, 0]
@@ -500,7 +500,8 @@ def _common_parts(
     backward: float,
     forward: float,
 ) -> CoveredParts:
-    """Return the visible common parts in some frames, with three points each."""
+    """Return the visible common parts in ``frames`` (n_slave, 3, 3), with three points each; slave facet s
+    has the master facets ``near[start[s]:start[s + 1]]``."""
     origins, local = _local(surfaces, frames)
     slave = np.repeat(np.arange(len(frames)), np.diff(start))
     # a facing facet runs clockwise as seen from the slave: its corners in reverse order
@@ -578,16 +579,18 @@ def common_moments(slave, masters, start, below, above, moments):
     """Compute the moments of the visible common parts of slave facets and the master facets found
     for them, by local corners. A part is dropped if its gap, at its centroid, is outside [-below,
     above]. Where parts overlap, the one with the gap of smaller magnitude, at the centroid of the
-    overlap, hides the other."""
+    overlap, hides the other. Slave facet s has the facets ``masters[start[s]:start[s + 1]]``."""
     most_masters = 1
     for s in range(len(slave)):
         most_masters = max(most_masters, start[s + 1] - start[s])
+    # of each master facet of one slave facet: the part, its corners, its box, and the gap, as a plane
     parts = np.empty((most_masters, ROOM, 2))
     sizes = np.empty(most_masters, dtype=np.int64)
     boxes = np.empty((most_masters, 4))
     gaps = np.empty((most_masters, 3))
     slave_plane = np.empty(3)
     hiding = np.empty(most_masters, dtype=np.int64)
+    # overwritten by the clipping
     spare = np.empty((2, 2 * ROOM, 2))
     piece = np.empty((2, ROOM, 2))
     stack = np.empty((ROOM * (1 + most_masters), 3, 2))
@@ -609,6 +612,7 @@ def common_moments(slave, masters, start, below, above, moments):
             if not moments[first + i, 0] > SLIVER * area or gap > above or gap < -below:
                 moments[first + i, 0] = 0.0
                 sizes[i] = 0
+            # the box around the part: low x and y, high x and y
             for c in range(2):
                 boxes[i, c] = np.inf
                 boxes[i, 2 + c] = -np.inf

@@ -150,7 +150,8 @@ def stress_intensity(
     number: int,
     radius: float | None,
 ) -> StressIntensity:
-    """Return the factors at a tip."""
+    """Return the factors at tip ``number`` of a crack, from a displacement (n_nodes, 2), with a domain of at
+    most ``radius``, m."""
     tip = tip_of(mesh, crack, number)
     faces = [f"{crack}.left", f"{crack}.right"]
     r = np.abs(tip.local(mesh.points))
@@ -171,6 +172,7 @@ def stress_intensity(
             f"radius must be at most {largest:.3g} m at this tip (a turn of the crack, the other tip, "
             f"another boundary or another material is near), got {radius!r}"
         )
+    # edges of equilateral elements with the volumes of those at .2 to 1 of the radius
     ring = np.abs(r[mesh.elements].mean(axis=1) / outer - 0.6) < 0.4
     element_size = (
         float(np.median(np.sqrt(4 / np.sqrt(3) * mesh.volumes[ring]))) if ring.any() else np.inf
@@ -180,6 +182,7 @@ def stress_intensity(
             f"the mesh is too coarse at tip {number} of {crack!r}: a radius of {outer:.3g} m must be at "
             f"least {_ELEMENTS} elements, which are {element_size:.3g} m there; refine it"
         )
+    # the fields in the axes of the tip; forces on the faces are tractions, the others act in the body
     stress = data.tensors(mesh, displacement)[:, :2, :2]
     forces = _nodal_forces(mesh, stress) @ tip.axes.T
     fit = _fitted_tractions(mesh, tip, faces, forces, outer)

@@ -184,10 +184,11 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     rank = np.empty(len(body_nodes), dtype=np.int32)
     rank[morton_order(points[body_nodes])] = np.arange(n, dtype=np.int32)
     cells = rank[cells.reshape(elements.shape)]
-    node = np.empty(n, dtype=np.int64)
+    node_of = np.empty(n, dtype=np.int64)
     body_of = np.empty(n, dtype=np.int64)
-    node[cells] = elements
+    node_of[cells] = elements
     body_of[cells] = body[:, None]
+    # groups of these nodes
     starts = starts_of(cells)
     group = np.full(n, -1, dtype=np.int32)
     n_groups = _gather(
@@ -195,25 +196,28 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
         GROUP[dim],
         group,
     )
+    # a corner has its part of the volume of an element; a group the divergence there in its rows
     slopes, corner_volumes = (every[in_groups] for every in shape_gradients(mesh))
     if is_axisymmetric(materials):
         mean_radius = mesh.points[elements, 0].mean(axis=1)
         corner_volumes *= 2 * np.pi * mean_radius
         slopes[:, :, 0] += 1 / (3 * mean_radius[:, None])
     corner_volumes /= dim + 1
-    shares = np.bincount(cells.reshape(-1), np.repeat(corner_volumes, dim + 1))
-    areas = np.bincount(group, shares, minlength=n_groups)
+    node_volumes = np.bincount(cells.reshape(-1), np.repeat(corner_volumes, dim + 1))
+    areas = np.bincount(group, node_volumes, minlength=n_groups)
     dofs = dim * elements[:, :, None] + np.arange(dim)
-    members = sparse.csr_array(
+    group_of_corner = sparse.csr_array(
         (np.ones(cells.size), group[cells].reshape(-1), starts), shape=(len(cells), n_groups)
     )
-    strains = sparse.csr_array(
+    divergences = sparse.csr_array(
         ((corner_volumes[:, None, None] * slopes).reshape(-1), dofs.reshape(-1), dim * starts),
         shape=(len(cells), dim * mesh.n_nodes),
     )
-    rows = sparse.csr_array(sparse.csr_array(members.T) @ strains)
+    rows = sparse.csr_array(sparse.csr_array(group_of_corner.T) @ divergences)
     rows.sort_indices()
-    means = sparse.csr_array((shares / areas[group], (group, node)), shape=(n_groups, mesh.n_nodes))
+    means = sparse.csr_array(
+        (node_volumes / areas[group], (group, node_of)), shape=(n_groups, mesh.n_nodes)
+    )
     owner = np.empty(n_groups, dtype=np.int64)
     corners = np.full(mesh.elements.shape, -1, dtype=np.int32)
     owner[group] = body_of
@@ -237,6 +241,7 @@ def _gather(indptr, indices, size, group):
         group[seed] = n_groups
         n_members = 1
         smallest_neighbour = -1
+        # k runs over the members, which grow
         for k in range(size):
             if k == n_members:
                 break

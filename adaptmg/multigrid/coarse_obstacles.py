@@ -58,11 +58,13 @@ def _levels(step: TruncatedStep) -> list[CorrectionLevel]:
         fixed = np.isin(np.arange(n), level.matrix.fixed)
         # nothing reads the matrix of the level of the step
         matrix = step.base_matrix(number) if result else sparse.bsr_array(sparse.eye_array(n))
+        # result[0] is the next finer level, and gets the transfers from this one
         if result:
             free = sparse.diags_array((~fixed).astype(float))
             result[0].prolongation = sparse.csr_array(
                 step.cycle.levels[number + 1].prolongation @ free
             )
+            # nodes of this level are contact nodes where they reach some of the finer one
             rows = result[0].prolongation[nodes]
             rows.eliminate_zeros()
             nodes = np.unique(rows.indices)

@@ -435,6 +435,7 @@ class Interface:
         they are: 1 at the node, minus the weight at each follower."""
         n = len(self.nodes)
         dim = self.dim
+        # the rows with their diagonal, in the columns of the nodes near contact
         columns = place[self.indices]
         inside = columns >= 0
         indptr = np.append(0, np.cumsum(inside))[self.indptr]
@@ -450,6 +451,7 @@ class Interface:
         )
         forces = sparse.csc_array(rows @ motion)
         motion = sparse.csc_array(motion)
+        # the products of columns that belong to one node
         result = np.empty((n, dim, dim))
         for a, b in np.ndindex(dim, dim):
             result[:, a, b] = motion[:, a::dim].multiply(forces[:, b::dim]).sum(axis=0)

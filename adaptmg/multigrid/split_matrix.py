@@ -201,6 +201,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     size = len(data)
     lower_indptr = np.zeros(n + 1, dtype=np.int32)
     upper_indptr = np.zeros(n + 1, dtype=np.int32)
+    # row pointers of both halves from the number of blocks in a row
     in_parts(count, n, size, strips.order, indptr, indices, strips.rank, lower_indptr, upper_indptr)
     for counts in (lower_indptr, upper_indptr):
         np.cumsum(counts, out=counts)
@@ -210,6 +211,7 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
     if symmetric:
         upper_indptr = upper_indptr[:0].copy()
         above = 0
+    # room for the halves and the diagonal, which the kernel fills
     lower_indices = np.empty(below, dtype=np.uint32)
     upper_indices = np.empty(above, dtype=np.uint32)
     lower = np.empty(below * dim * dim)

@@ -427,9 +427,10 @@ def classify(
     codes,
     pressure,
 ):
-    """Update ``codes`` and ``pressure`` from local unknowns and the residual ``residual``
-    (n_dofs,). ``zero`` are dim zeros, see :mod:`adaptmg.smoother.blocks`. Returns the number of
-    codes that changed, and the sums of squares of the natural residual and of the reactions."""
+    """Update ``codes`` and ``pressure`` from local unknowns w and the residual (n_dofs,), r in the frame
+    of a node; g is the natural residual. ``zero`` are dim zeros, see
+    :mod:`adaptmg.smoother.blocks`. Return the number of codes that changed, and the sums of squares
+    of the natural residual and of the reactions."""
     dim = np.uint64(len(zero))
     changed = 0
     natural = 0.0
@@ -545,6 +546,7 @@ def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local,
             local[a] = 0.0
             for b in range(dim):
                 local[a] += frames[(dim * k + a) * dim + b] * u[at + b]
+        # the normal
         tangential = codes[k] & TANGENTIAL
         if codes[k] & CLOSED and not spring[k]:
             local[0] = values[dim * k]  # the gap, of scalar problems on either side
@@ -558,6 +560,7 @@ def project(dim, codes, nodes, frames, gap, reference, spring, values, u, local,
         elif dim == 1 and local[0] < reference[k]:
             local[0] = reference[k]
             n_cut += 1
+        # the slip
         sticks = tangential == HELD
         if tangential >= SLIPS:
             product = 0.0

@@ -47,7 +47,7 @@ from adaptmg.multigrid import projected_sweeps
 from adaptmg.multigrid.linear_cycle import LinearCycle, least_weights, regular_matrix
 from adaptmg.multigrid.projected_sweeps import Interface
 from adaptmg.multigrid.rigid_motions import RigidMotions
-from adaptmg.multigrid.truncated_contact import TruncatedContact
+from adaptmg.multigrid.truncated_contact import UPPER, TruncatedContact
 from adaptmg.multigrid.truncated_parts import FrameSmoother, Truncated
 from adaptmg.multigrid.truncation import Truncation
 from adaptmg.multigrid.volume_pressures import VolumePressures
@@ -459,6 +459,7 @@ class TruncatedStep:
         def slope(part: float) -> float:
             return part * curvature - gain + (of_friction(part) - slope_at_begin)
 
+        # the energy rises at the end of the step: halve to where its slope vanishes
         if not slope(1.0) <= 0.0:
             accepted = 0.0
             rejected = 1.0
@@ -545,9 +546,9 @@ class CoarseContact:
         fixed = mask_of(levels[self.number].matrix.fixed, matrix.shape[0])
         self.eliminated = _eliminated(matrix, fixed, nodes, coordinates[self.number])
         self.unknowns = _CoarseSpan(self.eliminated.matrix, rows[:, self.eliminated.contact], dim)
-        block = np.zeros((len(contact.nodes), dim, dim))
-        block[(slice(None), *np.triu_indices(dim))] = contact.blocks.reshape(len(block), -1)
-        self.stiffness = np.abs(block.diagonal(axis1=1, axis2=2))
+        row, column = UPPER[dim]
+        triangles = contact.blocks.reshape(len(contact.nodes), -1)
+        self.stiffness = np.abs(triangles[:, row == column])
 
     def _spaces(self) -> Iterator[tuple[int, sparse.csr_array, np.ndarray]]:
         """Yield the levels that may serve, finest first: the number, B, which is the prolongation from

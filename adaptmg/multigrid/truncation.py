@@ -368,8 +368,8 @@ def _at_contact(first, last, order, indptr, indices, contact_of):
 
 @inner_kernel
 def _turn(dim, frames, k, inverse, rows, block, spare):
-    """Change a block to F block (``rows``) or block F', F the frame of contact node k, or F its
-    inverse F'."""
+    """Change a block to F block (``rows``) or block F', F the frame of contact node k, with ``inverse``
+    its transpose; ``spare`` (dim, dim) is overwritten."""
     for a in range(dim):
         for b in range(dim):
             spare[a, b] = 0.0

@@ -87,6 +87,7 @@ class ActiveSet:
     nested_start: bool = False
 
     def __post_init__(self) -> None:
+        """Check the options, and fill in the defaults that depend on others."""
         checks.offers("linear", self.linear, "setup", "Direct(), AMG(...) or offer setup()")
         if self.condensed is None:
             object.__setattr__(self, "condensed", isinstance(self.linear, Direct))
@@ -404,8 +405,9 @@ class CondensedSteps:
             return self.condensed.recover(interior.values.reshape(-1))
 
     def solve(self, equations: Linearised, particular: np.ndarray) -> np.ndarray:
-        """Return the change (n_dofs,) for a residual; LinAlgError if the equations are
-        singular or an iterative linear solver does not converge."""
+        """Return the change (n_dofs,) of a Newton step; ``particular`` is the second result of
+        :meth:`contact_residual`. LinAlgError if the equations are singular or an iterative linear
+        solver does not converge."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
             matrix = self.condensed.matrix.copy().reshape(n, dim, n, dim)
@@ -448,6 +450,7 @@ class SparseSteps:
     RTOL = 1e-2
 
     def __init__(self, local: LocalProblem, linear: LinearSolver, run: Run) -> None:
+        """Prepare steps for a problem in contact frames; ``linear`` solves each."""
         self.local = local
         self.linear = linear
         self.run = run

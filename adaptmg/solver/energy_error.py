@@ -351,32 +351,33 @@ def _estimated(
     Directions are orthonormal in the energy. For symmetric equations (conjugate gradients) only the
     last one is kept; otherwise the equations on all of them are solved again in each step."""
     n = equations.n
-    most = equations.most
+    most_steps = equations.most
     symmetric = equations.symmetric
     residual = load.copy()
     directions = list[_Direction]()
     coefficients = np.empty(0)
     energies = [0.0]
     ritz = np.inf
-    matrix = np.empty((most, most))
-    loads = np.empty(most)
+    matrix = np.empty((most_steps, most_steps))
+    loads = np.empty(most_steps)
     # R of preconditioned residuals = directions times R, each of unit length in the norm of the
     # preconditioner: the least Ritz value is the square of its least singular value
-    triangle = np.zeros((most, most))
-    total = np.zeros((2, len(equations.status.nodes), equations.status.projections.shape[1]))
-    for step in range(1, most + 1):
+    triangle = np.zeros((most_steps, most_steps))
+    at_contact = np.zeros((2, len(equations.status.nodes), equations.status.projections.shape[1]))
+    for step in range(1, most_steps + 1):
         newest, energetic = equations.direction(residual)
         product = float(residual[:n] @ newest.values[:n])
         if not product > 0.0 and not len(equations.volumes):
-            return HeldCorrection(energies[-1], *total), True
+            return HeldCorrection(energies[-1], *at_contact), True
+        # the newest direction, orthogonal in energy to those before and of length 1
         overlaps = np.array([direction.values @ energetic for direction in directions])
         length_squared = float(newest.values @ energetic - overlaps @ overlaps)
-        # the status leaves a motion free
         if not length_squared > checks.SIX_DIGITS * product:
-            return HeldCorrection(float("inf"), *total), False
+            return HeldCorrection(float("inf"), *at_contact), False  # a motion is free
         for overlap, direction in zip(overlaps, directions, strict=True):
             newest.add(-overlap, direction)
         newest.scale(1 / np.sqrt(length_squared))
+        # the Galerkin solution; of symmetric equations it changes along the newest direction alone
         if symmetric:
             directions = [newest]
             changes = [float(newest.values @ residual)]
@@ -391,23 +392,25 @@ def _estimated(
                     coefficients, 0.0
                 )
             except np.linalg.LinAlgError:
-                return HeldCorrection(float("inf"), *total), False
+                return HeldCorrection(float("inf"), *at_contact), False
             coefficients = np.append(coefficients, 0.0) + changes
             energy = float(coefficients @ coefficients)
         for change, direction in zip(changes, directions, strict=True):
             residual -= change * direction.image
-            total += change * direction.at_contact
+            at_contact += change * direction.at_contact
         energies.append(energy)
+        # with volumes the steps end when the last two have hardly changed the energy
         if len(equations.volumes):
             if (
                 step >= _LEAST
                 and max(abs(energy - before) for before in energies[-3:-1]) <= _CALM * energy
             ):
-                return HeldCorrection(energy, *total), True
+                return HeldCorrection(energy, *at_contact), True
             continue
         triangle[step - 1 - len(overlaps) : step, step - 1] = np.append(
             overlaps, np.sqrt(length_squared)
         ) / np.sqrt(product)
+        # else when what the last residual may hold, product / ritz, is small and ritz has settled
         ritz_before = ritz
         ritz = np.linalg.svd(triangle[:step, :step], compute_uv=False)[-1] ** 2
         # a residual r holds at most the energy r.Pr / lambda
@@ -421,8 +424,8 @@ def _estimated(
             and ritz >= _SETTLED * ritz_before
         )
         if settled or (step > 1 and most_energy <= (min(step, _LEAST) * _SURER) ** 2 * negligible):
-            return HeldCorrection(most_energy, *total), True
-    return HeldCorrection(energies[-1], *total), False
+            return HeldCorrection(most_energy, *at_contact), True
+    return HeldCorrection(energies[-1], *at_contact), False
 
 
 def _factorised(

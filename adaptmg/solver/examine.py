@@ -306,6 +306,7 @@ class Examiner:
         self.contact.follow(values, at_contact)
         natural = natural_at_nodes(self.contact, self.blocks, values, at_contact)
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
+        # relative to the forces that act: loads, contact forces, reactions
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
         exerted = euclidean_norm(at_contact.reshape(-1))
         scale = self.sizes.forces(unknowns, exerted)

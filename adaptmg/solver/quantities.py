@@ -244,6 +244,7 @@ class Quantities:
         points = [mesh.points[closed]]
         for number in np.unique(contact.boundary[chosen]):
             facets = mesh.elements if self.dim == 1 else mesh.boundary_facets(contact.names[number])
+            # contact ends halfway on edges of which one end is closed
             for a, b in combinations(facets.T, 2):
                 ends = closed[a] != closed[b]
                 points.append(0.5 * (mesh.points[a[ends]] + mesh.points[b[ends]]))

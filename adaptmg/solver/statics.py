@@ -447,6 +447,7 @@ def _free_axis_motions(body: _Body) -> np.ndarray:
             field[nodes] = motion.reshape(len(nodes), -1)
             columns.append(problem.relative(field)[body.nodes].reshape(-1))
     motions = np.stack(columns, axis=1)
+    # the columns of body.motions are orthogonal, of length sqrt(n_nodes)
     coefficients = body.motions.T @ motions / len(body.nodes)
     free = np.abs(body.motions @ coefficients - motions).max(axis=0) <= 1e-8
     return np.concatenate([coefficients[:, free].T, -coefficients[:, free].T])
@@ -554,9 +555,8 @@ def warn_of_several_solutions(grids: Grids) -> None:
         and examined.n_dofs <= _SMALL
         and 0 < len(examined.contact) * examined.dim <= _SMALL_CONTACT
     ):
-        with suppress(
-            ValueError, np.linalg.LinAlgError
-        ):  # a singular interior is refused elsewhere
+        # a singular interior is refused elsewhere
+        with suppress(ValueError, np.linalg.LinAlgError):
             critical = critical_friction(examined)
     if examined is None or np.isnan(critical).any():
         examined = finest

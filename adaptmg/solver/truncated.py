@@ -173,6 +173,7 @@ class TruncatedCycles:
         run: Run,
         nested: np.ndarray | None,
     ) -> None:
+        """Prepare cycles with the steps ``parts`` of the level of a problem."""
         self.parts = parts
         self.problem = problem
         self.origin = origin
@@ -367,6 +368,8 @@ class TruncatedRun:
         coarse = self.problems[number - 1]
         fine = self.problems[number]
         fine_level = self.cycle.levels[number]
+        # what is prolonged is the change since the last load step, or else the whole solution with a
+        # share of its change since the level below
         change, pressures = coarse.parts(solutions[-1])
         displacement = np.zeros(fine.n_dofs)
         extrapolated_share = self._extrapolation(number - 1)
