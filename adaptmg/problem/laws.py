@@ -552,6 +552,13 @@ class Frictionless:
 class Tresca(checks.Checked):
     """Tresca friction: ``|f_t| <= limit``, independent of the pressure.
 
+    This is the problem of given friction: the limit holds at every node of the contact boundary, also
+    at those that are open. A boundary of which a part touches is thus held beyond that part, and
+    :func:`adaptmg.solve` warns where open nodes carry more friction than those in contact. For shear
+    that acts only in contact let ``limit`` be a function of position that is 0 outside, or take
+    ``am.StateLaw(lambda pressure, slip: limit / np.maximum(pressure, 1e5))``, with ``limit`` in Pa, whose
+    friction is the limit wherever the pressure is above 1e5 Pa and vanishes with it.
+
     Parameters
     ----------
     limit : float, callable or array
@@ -632,10 +639,10 @@ class StateLaw(checks.Checked):
 
     The coefficient follows the iterates of a solver until it is that of their pressures and slips,
     and the certificate recomputes it from the result. Friction times pressure should not fall with
-    the pressure, nor friction with the slip faster than the bodies can follow: there may then be
-    several solutions, and a warning says so. Where friction rises steeply with the slip, ``Truncated``
-    takes the coefficients in part, and ``ActiveSet`` their tangents; ``SingleGrid`` and ``Monotone``,
-    which do neither, may not converge.
+    the pressure, nor rise much faster than it, nor friction fall with the slip faster than the bodies
+    can follow: there may then be several solutions, and a warning says so. Where friction rises
+    steeply with the slip, ``Truncated`` takes the coefficients in part, and ``ActiveSet`` their
+    tangents; ``SingleGrid`` and ``Monotone``, which do neither, may not converge.
 
     Parameters
     ----------

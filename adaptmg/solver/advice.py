@@ -188,8 +188,19 @@ def advise_on_chords(
             )
 
 
+def critical_coefficients(stiffness: np.ndarray) -> np.ndarray:
+    """Return the critical coefficients of friction (n,) of nodes with these stiffnesses (n, dim, dim)
+    in their frames."""
+    tangential = stiffness[:, 1:, 1:].copy()
+    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
+    along = np.linalg.eigvalsh(tangential)[:, 0]
+    across = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
+    return np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
+
+
 def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
-    """Warn of friction that falls with pressure or slip in a way that may have several solutions."""
+    """Warn of friction that rises or falls with pressure or slip in a way that may have several
+    solutions."""
     law = discrete.law
     if not isinstance(law, FollowsState):
         return
@@ -206,13 +217,26 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
             "converge; let the coefficient fall more slowly than 1 / pressure",
             RuntimeWarning,
         )
+    blocks = contact_blocks(discrete)
+    # a coefficient alone says little: where it falls like 1 / pressure the friction is constant
+    critical = critical_coefficients(blocks)
+    steep = contact.closed & (slope >= critical)
+    if steep.any():
+        i = int(np.argmax(np.where(steep, slope - critical, -np.inf)))
+        advise(
+            "friction",
+            f"friction times pressure rises {slope[i]:.3g} times as fast as the pressure at "
+            f"{contact.pressure[i]:.3g} Pa, and from {critical[i]:.2g} on a node in contact alone may open, "
+            f"slip or stick under the same load ({np.count_nonzero(steep)} contact nodes): the solution may not "
+            "be unique; compare am.solve(..., start=...) from several starts",
+            RuntimeWarning,
+        )
     # what has jumped has passed the slips where friction falls fastest
     hardening = np.min(
         [friction_bound(discrete.friction_at, force, share * slip)[2] for share in ON_THE_WAY],
         axis=0,
     )
-    blocks = contact_blocks(discrete)[:, 1:, 1:]
-    stiffness = np.abs(np.diagonal(blocks, axis1=1, axis2=2)).max(axis=1)
+    stiffness = np.abs(np.diagonal(blocks[:, 1:, 1:], axis1=1, axis2=2)).max(axis=1)
     weak = (contact.state == SLIP) & (-hardening > stiffness)
     if weak.any():
         i = int(np.argmax(np.where(weak, -hardening / stiffness, 0.0)))
@@ -222,6 +246,24 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
             f"follows at {np.count_nonzero(weak)} contact nodes: they may jump, and the solution may not be "
             "unique; let friction fall over a longer slip",
             RuntimeWarning,
+        )
+
+
+def advise_on_adhesion(discrete: DiscreteProblem, contact: ContactResult) -> None:
+    """Warn of boundaries whose open nodes, with Tresca's law, carry more friction than those in
+    contact."""
+    limit, _ = discrete.law.bounds(len(contact.node))
+    friction = np.linalg.norm(contact.force_t, axis=1) * (limit > 0)
+    n = len(contact.names)
+    by_open = np.bincount(contact.boundary, friction * ~contact.closed, n)
+    by_closed = np.bincount(contact.boundary, friction * contact.closed, n)
+    if (by_open > by_closed).any():
+        k = int(np.argmax(by_open - by_closed))
+        advise(
+            "adhesion",
+            f"contact {contact.names[k]!r}: its open nodes carry {by_open[k]:.3g} {contact.units[0]} of friction, "
+            f"those in contact {by_closed[k]:.3g}: Tresca's limit holds without contact, too. Give "
+            "am.Tresca a function of position that is 0 outside the contact, or take am.StateLaw or am.Coulomb",
         )
 
 

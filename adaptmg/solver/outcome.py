@@ -26,7 +26,7 @@ from adaptmg.discrete.stress import StressData
 from adaptmg.grids import Grids
 from adaptmg.smoother.factorisation import factorisable
 from adaptmg.solver.active_set import ActiveSet
-from adaptmg.solver.advice import advise, advise_on_law
+from adaptmg.solver.advice import advise, advise_on_adhesion, advise_on_law
 from adaptmg.solver.certificate import Certificate
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.iterate import StopTest
@@ -246,6 +246,8 @@ def result_of(
             rtol = least
     if status in (Status.CYCLING, Status.STALLED) or (run.fallback and not status.ok):
         advise_on_free_motions(examiner.discrete, examined.contact)
+    if status.ok:
+        advise_on_adhesion(examiner.discrete, examined.contact)
     advise_on_law(examiner.discrete, examined.contact)
     keys = dict.fromkeys(chain.from_iterable(run.history))
     history = {key: np.array([row.get(key, np.nan) for row in run.history]) for key in keys}

@@ -38,7 +38,7 @@ from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.smoother.system import STICK, contact_blocks
-from adaptmg.solver.advice import advise
+from adaptmg.solver.advice import advise, critical_coefficients
 from adaptmg.solver.examine import ContactResult
 
 _LOG = logging.getLogger(__name__)
@@ -526,19 +526,9 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     blocks = compliance.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n), :]
     free = ~condensed.full.system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)
     critical = np.full(n, np.inf)
-    critical[free] = _critical(np.linalg.inv(blocks[free]))
+    critical[free] = critical_coefficients(np.linalg.inv(blocks[free]))
     critical.flags.writeable = False
     return critical
-
-
-def _critical(stiffness: np.ndarray) -> np.ndarray:
-    """Return the critical coefficients (n,) of nodes with these stiffnesses (n, dim, dim) in their
-    frames."""
-    tangential = stiffness[:, 1:, 1:].copy()
-    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
-    along = np.linalg.eigvalsh(tangential)[:, 0]
-    across = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
-    return np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
 
 
 def warn_of_several_solutions(grids: Grids) -> None:
@@ -560,8 +550,9 @@ def warn_of_several_solutions(grids: Grids) -> None:
             critical = critical_friction(examined)
     if examined is None or np.isnan(critical).any():
         examined = finest
-        critical = _critical(contact_blocks(examined))
-    friction = examined.law.bounds(len(examined.contact))[1]
+        critical = critical_coefficients(contact_blocks(examined))
+    # the least at any pressure and slip: advise_on_law examines those of the result
+    friction = sampled_friction(examined.law, len(examined.contact)).min(axis=0)
     exceeds = friction >= critical
     if exceeds.any():
         i = int(np.argmax(np.where(exceeds, friction - critical, -np.inf)))

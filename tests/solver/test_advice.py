@@ -119,6 +119,55 @@ def test_a_limit_of_the_theory_is_named_once_at_the_users_line(message):
         assert not warned(lambda one=one: am.solve(bar(**one)))
 
 
+def rubbed(law):
+    """A block pressed on a dome, of which a part touches, and moved along it."""
+    problem = am.ContactProblem(
+        domain=am.Rectangle(width=0.04, height=0.02, origin=(-0.02, 0.0)),
+        material=am.PlaneStrain(young=2e11, poisson=0.3),
+        contact=am.Contact("bottom", am.GapFunction(lambda x: x[:, 0] ** 2 / 2)),
+        law=law,
+        supports=am.Support("top", x=2e-6, y=-1e-5),
+    )
+    return am.Hierarchy.uniform(problem, divisions=[(16, 8), (32, 16)])
+
+
+#: the limit in Pa, and laws that have it in contact only
+LIMIT = 2e7
+IN_CONTACT = {
+    "function of position": am.Tresca(lambda x: LIMIT * (np.abs(x[:, 0]) < 3e-3)),
+    "StateLaw": am.StateLaw(lambda p, s: LIMIT / np.maximum(p, 1e5)),
+    "Coulomb": am.Coulomb(0.1),
+}
+
+
+def test_friction_without_contact_is_named():
+    """Tresca's limit holds at open nodes, too, which carry most of the friction of a small patch."""
+    with pytest.warns(
+        UserWarning, match="'bottom': its open nodes carry .* N/m of friction"
+    ) as said:
+        result = am.solve(rubbed(am.Tresca(LIMIT)))
+    assert len(said) == 1 and said[0].filename == __file__
+    contact = result.contact
+    open_nodes = contact.state == am.OPEN
+    friction = np.abs(contact.force_t[:, 0])
+    assert friction[open_nodes].sum() > friction[~open_nodes].sum()
+
+
+@pytest.mark.parametrize("name", IN_CONTACT)
+def test_friction_in_contact_is_not_warned_of(name):
+    """A friction that does not rise with the pressure has one solution, however large the
+    coefficient."""
+    grids = rubbed(IN_CONTACT[name])
+    results = []
+    assert not warned(lambda: results.append(am.solve(grids)))
+    contact = results[0].contact
+    friction = np.abs(contact.force_t)
+    assert friction[contact.state == am.OPEN].sum() < 1e-6 * friction.sum()
+    if name == "StateLaw":
+        traction = np.abs(contact.traction[contact.state == am.SLIP])
+        assert len(traction) and np.allclose(traction, LIMIT, rtol=1e-4)
+
+
 def test_large_strains_count_from_a_hundredth_of_a_body_on():
     """They fall like 1 / young, which tells how stiff a body has so many elements beyond 5 %."""
 
