@@ -105,26 +105,36 @@ class ActiveSet:
         start (n_unknowns,) or as ``start`` of the method says."""
         if len(hierarchy.finest.discrete.volumes):
             return self._augmented(hierarchy, run, start)
-        first = len(hierarchy) - 1
-        last = len(hierarchy) - 1
+        finest = len(hierarchy) - 1
+        coarsest = finest
         if self.nested_start and start is None:
             hierarchy.need_discretised("the nested start of ActiveSet")
-            first = 0
-        for number in range(first, last + 1):
+            coarsest = 0
+        for number in range(coarsest, finest + 1):
             level = hierarchy[number]
-            if start is not None and number > first:
+            if start is not None and number > coarsest:
+                # the solution of the level below, interpolated
                 start = level.prolongation @ start.reshape(-1, level.discrete.dim)
                 run.visit(number, "start")
             if self.condensed:
-                # the matrix, its change by a step and the factors of that, of 8 bytes an entry
+                # three dense matrices of 8 bytes an entry: that of the contact dofs, its copy
+                # with the conditions of a step, and the factors of the copy
                 entries = (level.discrete.dim * len(level.discrete.contact)) ** 2
                 content = "the dense matrix of the contact nodes (condensed=False does without)"
                 checks.fits("condensed", 24.0 * entries, content)
             with run.phase("factorise" if self.condensed else "setup"):
                 condensed = condense_problem(level.discrete) if self.condensed else None
                 local = local_system(level.discrete) if condensed is None else condensed.full
-            newton = _Newton(self, local, run, number, start, condensed, finest=number == last)
-            state, status, stop = newton.solve(certified=number == last)
+            newton = _Newton(
+                options=self,
+                local=local,
+                run=run,
+                level=number,
+                start=start,
+                condensed=condensed,
+                finest=number == finest,
+            )
+            state, status, stop = newton.solve(certified=number == finest)
             start = local.to_cartesian(state.unknowns)
         solved = cast("np.ndarray", start).reshape(-1)  # of the last level
         return Outcome(solved, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
@@ -154,21 +164,21 @@ class ActiveSet:
             # before the first solve the start may be a given one, which was solved for another load
             volumes_met = solve > 0 and augmented.missed(cast("np.ndarray", start)) <= self.rtol
             is_last = augmented.exact or volumes_met or solve == Augmented.MOST - 1
-            options = replace(self, max_steps=self.max_steps - cycles)
             newton = _Newton(
-                options,
-                local,
-                run,
-                finest,
-                start,
-                factors,
+                options=replace(self, max_steps=self.max_steps - cycles),
+                local=local,
+                run=run,
+                level=finest,
+                start=start,
+                condensed=factors,
                 finest=True,
                 whole=augmented.whole,
             )
+            # the history numbers the steps of all solves on; each solve counts from zero
             run.first_cycle += cycles
             state, status, stop = newton.solve(certified=is_last)
-            run.first_cycle = run.first_cycle - cycles
-            cycles = cycles + state.cycles
+            run.first_cycle -= cycles
+            cycles += state.cycles
             start = local.to_cartesian(state.unknowns)
             pressures = augmented.pressures(start)
             if is_last:
@@ -182,14 +192,15 @@ class ActiveSet:
 
 
 class _NewtonTest(StopTest):
-    """The last step bounds the error of the iterate before it; every step refines, so that rounding
-    excuses none."""
+    """The last step bounds the error of the iterate before it. Every step refines, so that a residual
+    at rounding does not replace this bound."""
 
     def judge(self, state: Measured) -> None:
         """Take the last step, not an estimate from a rate, as the error of a state."""
         super().judge(state)
         if self.met and self.error_estimate == 0.0:
-            return  # nothing strains
+            return  # the residual is zero, since nothing strains the bodies
+        # ||w_k - w_(k-1)||_A / ||u||_A, times the factor that the certificate found
         self.error_estimate = np.inf
         if self.changes and self.size > 0:
             self.error_estimate = self._caution * self.change
@@ -285,7 +296,8 @@ class _Newton:
         return self.run.shortfall(self._whole(self.local.to_cartesian(state.unknowns)), rtol)
 
     def measure(self, state: _NewtonState) -> Measured:
-        """Return the norms of a state, with the numbers of active and of slipping nodes."""
+        """Return the norms of a state, with the numbers of active and of slipping nodes; of a state
+        without equations only the reason."""
         if state.gives_up is not None:
             return Measured(state.cycles, gives_up=state.gives_up)
         active = state.equations.active
@@ -303,6 +315,7 @@ class _Newton:
         singular the state at an interior point."""
         key = state.equations.key
         change = None
+        # the same status twice in a row is convergence, an earlier one a cycle
         status_returns = key in state.past_keys and key != state.last_key
         if not status_returns and state.steps_since_interior < self.LONG:
             try:
@@ -325,7 +338,8 @@ class _Newton:
 
     def _interior(self, state: _NewtonState) -> _NewtonState:
         """Return the state at the solution that the interior point method finds for the next of the
-        tolerances."""
+        tolerances, with no memory of earlier statuses; without contact or tolerances left the state
+        gives up."""
         if not len(self.local.contact.gap):
             return replace(state, gives_up=Status.STALLED)  # no contact to be inside of
         if not state.tolerances:
@@ -352,13 +366,15 @@ class _Newton:
         )
 
     def _decided(self, state: _NewtonState, hold: bool = False) -> _NewtonState:
-        """Decide the status of the contact nodes; ``hold``: all touch and stick."""
+        """Return the state with its residual and the equations of its contact status; ``hold``: all
+        nodes touch and stick."""
         if state.gives_up is not None:
             return state
         system = self.local.system
         contact = self.local.contact
         self.run.count(1.0, system.nonzeros)
         residual = self.local.residual(state.unknowns)
+        # q at the contact nodes, which decides the status, and the right-hand side of a step
         forces, reduced = self.linear_steps.contact_residual(residual)
         at_contact = state.unknowns.reshape(-1, system.dim)[system.nodes]
         contact.follow(at_contact, forces)
@@ -412,13 +428,14 @@ class CondensedSteps:
             n, dim = equations.force.shape
             matrix = self.condensed.matrix.copy().reshape(n, dim, n, dim)
             node = np.arange(n)
-            # friction follows the pressure: tangential rows take a part of the normal row
+            # A_t - mu z A_n + kappa Pi: friction follows the pressure, so that tangential rows take
+            # a part of the normal row
             pull = equations.coupling[:, None] * equations.direction
             for k in range(1, dim):
                 matrix[:, k] -= pull[:, k - 1, None, None] * matrix[:, 0]
                 for j in range(1, dim):
                     matrix[node, k, node, j] += equations.curvature[:, k - 1, j - 1]
-            matrix[node, 0, node, 0] += equations.spring
+            matrix[node, 0, node, 0] += equations.spring  # 1/e of compliant surfaces
             matrix = matrix.reshape(n * dim, n * dim)
             # prescribed changes go to the right-hand side
             change = equations.change.reshape(-1).copy()
@@ -479,7 +496,7 @@ class SparseSteps:
         """Return the change (n_dofs,) for a residual (n_dofs,); LinAlgError if the equations are
         singular or an iterative linear solver does not converge."""
         system = self.local.system
-        # the equations of contact nodes take the place of theirs
+        # the rows of contact nodes have the equations of their status, with force as right side
         prescribed = np.zeros((system.n_nodes, system.dim), dtype=bool)
         prescribed[system.nodes] = equations.prescribed
         change = np.zeros((system.n_nodes, system.dim))
@@ -492,6 +509,7 @@ class SparseSteps:
         with self.run.phase("setup"):
             matrix = self._contact_rows(equations)
             if change.any():
+                # prescribed changes go to the right-hand side
                 rhs -= matrix @ change
                 self.run.count(1.0, system.nonzeros)
             rhs[prescribed] = 0.0
@@ -504,6 +522,7 @@ class SparseSteps:
         return solution.unknowns + change
 
     def product(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return A e; this and the next three are those of :class:`Span`, for all dofs."""
         self.run.count(1.0, self.local.system.nonzeros)
         return self._matrix @ unknowns
 
@@ -511,14 +530,16 @@ class SparseSteps:
         return unknowns.reshape(-1, self.local.system.dim)[self.local.system.nodes]
 
     def restricted(self, forces: np.ndarray) -> np.ndarray:
+        """Return forces (n_contact, dim) as a vector (n_dofs,), zero at fixed dofs."""
         system = self.local.system
         result = np.zeros((system.n_nodes, system.dim))
         result[system.nodes] = forces
         return np.where(system.fixed, 0.0, result.reshape(-1))
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
-        """Return the solve with A + B, ``blocks`` (n_contact, dim, dim) of B at contact nodes; None if
-        it is singular. The preconditioner has the symmetric part of B."""
+        """Return the solution of equations with A + B as a function of right-hand sides (n_dofs,), B
+        with ``blocks`` (n_contact, dim, dim) at contact nodes; None if A + B is singular. The
+        preconditioner is made from A + (B + B')/2."""
         system = self.local.system
         matrix = self._matrix.copy()
         free = ~system.fixed.reshape(-1, system.dim)[system.nodes]
@@ -562,7 +583,7 @@ class SparseSteps:
         self, equations: Linearised, matrix: sparse.bsr_array, prescribed: np.ndarray
     ) -> None:
         """Set up the linear solver for the matrix of some equations, unless it has the matrix
-        already."""
+        already. Without the Coulomb term the matrix is symmetric, as preconditioners need it."""
         key = equations.key
         if equations.same_matrix and key == self._prepared_for:
             return
@@ -594,6 +615,7 @@ class SparseSteps:
             system.nodes[self._contact_of_row[blocks]] == self._matrix.indices[blocks]
         ]
         node = self._contact_of_row[diagonal_blocks]
+        # A_t - mu z A_n, and on the diagonal kappa Pi and the springs 1/e
         if coupled and not equations.symmetric:
             pull = (equations.coupling[:, None] * equations.direction)[self._contact_of_row[blocks]]
             data[blocks, 1:] -= pull[:, :, None] * data[blocks, :1]
@@ -631,6 +653,6 @@ def coarsest_solution(
     local = local_system(problem) if condensed is None else condensed.full
     run = Run(unit=local.system.nonzeros)
     options = ActiveSet(rtol=rtol, condensed=condensed is not None)
-    newton = _Newton(options, local, run, 0, start, condensed)
+    newton = _Newton(options, local, run, level=0, start=start, condensed=condensed)
     state, *_ = newton.solve(certified=False)
     return local.to_cartesian(state.unknowns).reshape(-1), state.cycles, run.work_units

@@ -67,26 +67,26 @@ ON_THE_WAY = np.append(0, np.logspace(-3, 0, 7)).tolist()
 #: slips matter beyond an element and this share of the contact boundary; half and twice change none of 13 solves
 SLID = 0.01
 
-_SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
+_WARNED: ContextVar[set[str] | None] = ContextVar("warned", default=None)
 
 
 @contextmanager
 def once(kinds: set[str] | None = None) -> Iterator[None]:
     """Give each kind of warning once in this block; ``kinds`` collects the kinds, an outer block has
     precedence."""
-    if _SAID.get() is not None:
+    if _WARNED.get() is not None:
         yield
         return
-    token = _SAID.set(set() if kinds is None else kinds)
+    token = _WARNED.set(set() if kinds is None else kinds)
     try:
         yield
     finally:
-        _SAID.reset(token)
+        _WARNED.reset(token)
 
 
 def advise(kind: str, text: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the line that called the package, inside :func:`once` once of a kind."""
-    kinds = _SAID.get()
+    kinds = _WARNED.get()
     if kinds is not None:
         if kind in kinds:
             return
@@ -206,6 +206,7 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
         return
     force = contact.force_n
     slip = np.linalg.norm(contact.slip, axis=1) * contact.measures / contact.weights
+    # the derivative of mu p by p, below that by the slip
     _, slope, _ = friction_bound(discrete.friction_at, force, slip)
     falling = contact.closed & (slope < -FALLING)
     if falling.any():
@@ -375,6 +376,7 @@ def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:
         # the gradient of the linear motion next to that of the nodes
         change = motion[nodes] - motion[nodes].mean(axis=0)
         gradient = np.linalg.lstsq(place, change, rcond=None)[0]
+        # the skew part has entries theta, so that |G - G'| = 2 sqrt(2) theta
         angle = np.linalg.norm(gradient - gradient.T) / np.sqrt(8)
         if angle > ROTATION:
             advise(

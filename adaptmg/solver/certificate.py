@@ -179,13 +179,13 @@ def certify(
         energy, energy_rounding = evidence.energy_error(aggregates, rtol)
         lines = evidence.lines() if on_mesh is None else (*evidence.lines(), *on_mesh(evidence))
     return Certificate(
-        lines,
-        0.0 if evidence.idle else energy,
-        energy_rounding,
-        bound,
-        evidence.force,
-        evidence.length,
-        evidence.energy,
+        lines=lines,
+        energy_error=0.0 if evidence.idle else energy,  # nothing strains: it is rounding
+        energy_rounding=energy_rounding,
+        exact_energy=bound,
+        force=evidence.force,
+        displacement=evidence.length,
+        energy_norm=evidence.energy,
     )
 
 
@@ -315,6 +315,7 @@ class Evidence:
         friction."""
         contact = self.contact
         problem = self.problem
+        # f = -p n + f_t
         self.claimed = from_frames(
             contact.frames, np.column_stack([-contact.force_n, contact.force_t])
         )
@@ -326,13 +327,15 @@ class Evidence:
         self.limit, _ = problem.law.bounds(len(self.nodes))
         slip = np.linalg.norm(self.slip, axis=1)
         self.coefficient = problem.friction_at(self.pressure, slip)
+        # s + mu p
         self.bound = self.limit + self.coefficient * np.maximum(self.pressure, 0.0)
 
     def _subtract_claims(self) -> None:
         """Compute the forces (n_nodes, dim) that neither loads nor ties nor claimed contact forces
         explain: at free dofs they must vanish, at fixed dofs supports carry them."""
         problem = self.problem
-        # a tie holds with whatever force it needs; its counterpart on the master is not a violation
+        # r = A u - b is minus the residual. A tie holds with whatever force it needs, and its
+        # counterpart on the master is not a violation
         self.tying = np.zeros(problem.n_dofs)
         tied = problem.fixed & ~problem.held
         self.tying[tied] = -self.residual[tied]
@@ -398,6 +401,7 @@ class Evidence:
         problem = self.problem
         moved = problem.apart(self.u)
         u_n = np.einsum("nd,nd->n", moved, self.normals)
+        # the tangential part of u - reference
         along = moved - problem.contact.slip_reference
         slip = along - np.einsum("nd,nd->n", along, self.normals)[:, None] * self.normals
         return problem.contact.gaps - u_n, slip
@@ -413,9 +417,11 @@ class Evidence:
         least = checks.ROUNDING * (pressure.max(initial=0.0) or 1.0)
 
         def derivative(force: np.ndarray) -> np.ndarray:
+            # of e p^(1/m): e p^(1/m - 1) / m
             return scale * np.maximum(force, least) ** (1 / exponent - 1) / exponent
 
-        # without: of 711 solves by the active set to 1e-11 on domes, four (exponents 40 to 43) seem to have stalled
+        # soft surfaces: p = (depth / e)^m compresses the surface to the gap. Without this,
+        # of 711 solves by the active set to 1e-11 on domes, four (exponents 40 to 43) seem to have stalled
         depth = np.maximum(-gap, 0.0)
         soft = (derivative(pressure) * self.stiffness > 1) & (depth > 0)
         required = np.divide(depth, scale, out=np.zeros_like(depth), where=soft) ** exponent
@@ -425,8 +431,9 @@ class Evidence:
 
     @property
     def beyond(self) -> np.ndarray:
-        """Return the gaps (n,), m. In front of surfaces that yield by a power of the force a gap is
-        replaced by the length of the force that closes it, if that is shorter."""
+        """Return the gaps (n,), m, negative where a node penetrates. In front of surfaces that yield by a
+        power of the force a gap is replaced by the length of the force that closes it, if that is
+        shorter."""
         length = self.length or 1.0
         share = length / np.maximum(length, self.force * self.compliance)
         return np.where(self.problem.contact.exponent > 1, share * self.gap, self.gap)
@@ -455,6 +462,7 @@ class Evidence:
 
     def _works(self, name: str, works: np.ndarray, scale: float) -> Condition:
         total = float(works.sum())
+        # a work is a force times a length: the rounding of both
         rounding = _over(self.rounding, self.force) + 16 * _EPSILON
         # a scale that cannot vanish: bodies may part, or slip without friction
         scale = max(scale, self.force) * self.length
@@ -482,11 +490,12 @@ class Evidence:
 
     def normal(self) -> tuple[Condition, Condition, Condition]:
         """Return penetration, tension, complementarity."""
-        beyond = self.beyond
+        gap = self.beyond
+        # the part along n of the force that the claims do not explain, less p: tension if positive
         pulling = np.einsum("nd,nd->n", self.at_contact, self.normals) - self.pressure
         # each in its scale: a rounding force times a gap of a thousand displacements is no violation
         both = np.maximum(
-            np.minimum(self.pressure / (self.force or 1.0), beyond / (self.length or 1.0)), 0.0
+            np.minimum(self.pressure / (self.force or 1.0), gap / (self.length or 1.0)), 0.0
         )
         complementarity = Condition(
             "complementarity",
@@ -497,7 +506,7 @@ class Evidence:
             _over(self.rounding, self.force) + 16 * _EPSILON,
         )
         return (
-            self._lengths("penetration", np.maximum(-beyond, 0.0)),
+            self._lengths("penetration", np.maximum(-gap, 0.0)),
             self._forces("tension", np.maximum(np.maximum(pulling, -self.pressure), 0.0)),
             complementarity,
         )
@@ -508,9 +517,10 @@ class Evidence:
         slip = np.linalg.norm(self.slip, axis=1)
         along = np.einsum("nd,nd->n", self.friction, self.slip)
         excess = np.maximum(size - self.bound, 0.0)
+        # (s + mu p) |tau| + f_t . tau
         works = np.maximum(self.bound * slip + along, 0.0)
-        # weighted by the force: open nodes slip freely, and the direction of their rounding forces
-        # means nothing
+        # a force times a length over the largest force: open nodes slip freely, and the direction of
+        # their rounding forces means nothing
         same_way = np.maximum(along - self.rounding * slip * self.idle, 0.0) / (self.force or 1.0)
         return (
             self._forces("friction bound", excess),
@@ -553,6 +563,7 @@ class Evidence:
         ``aggregates``, without them by a factorisation."""
         conditions = ContactValues(self.gap, self.slip, self.pressure, self.friction)
         forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
+        # an energy: the square of a norm
         negligible = (_NEGLIGIBLE * rtol * self.energy) ** 2
         error, wrong = self._held(conditions, self.unknowns, forces, aggregates, negligible)
         if wrong and aggregates is not None and not error <= self.energy_rounding:
@@ -571,6 +582,7 @@ class Evidence:
         matrix = self.problem.matrix
         status = self._frozen(conditions, self.unknowns)[0]
         squares = sparse.bsr_array((matrix.data**2, matrix.indices, matrix.indptr))
+        # (n_dofs,): the root of the sum of squares of the terms of a row, times the unit of rounding
         sizes = _EPSILON * np.sqrt(squares @ self.unknowns.reshape(-1) ** 2)
         missed = np.zeros(len(self.problem.volumes))
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (_SAMPLES, len(sizes)))
@@ -578,11 +590,11 @@ class Evidence:
             correction(
                 self.problem,
                 status,
-                (sizes * sign).reshape(self.u.shape),
-                missed,
-                aggregates,
-                0.0,
-                self.rounding,
+                residual=(sizes * sign).reshape(self.u.shape),
+                missed=missed,
+                aggregates=aggregates,
+                negligible=0.0,
+                rounding=self.rounding,
             ).energy
             for sign in signs
         ]
@@ -604,6 +616,8 @@ class Evidence:
         matrix = self.problem.matrix
         status, change, lawful, closed = self._frozen(conditions, unknowns)
         images = _image(matrix, change)
+        # ||z||_A of the change z that meets the status, and e, what is unexplained at v = u + z with
+        # the lawful contact forces in place of the claimed ones
         moved = np.sqrt(max(_sum(change, images), 0.0))
         forces = forces + images
         forces[contact.nodes] += conditions.forces(contact.normals) - lawful
@@ -620,6 +634,7 @@ class Evidence:
         least_pressure = -_WRONG * largest_pressure
         contradicts = np.where(closed, pressure < least_pressure, gap < least_gap).any()
         wrong = bool(contradicts) or not np.isfinite(corrected.energy)
+        # ||u - u_h||_A <= ||z||_A + ||v - u_h||_A
         return float(moved + np.sqrt(corrected.energy)), wrong
 
     def _with_changed_status(
@@ -651,6 +666,7 @@ class Evidence:
         normals = contact.normals
         approach = _along(moved, normals)
         pressure = -_along(exerted, normals)
+        # e times the change of the pressure: the surface gives way
         yielding = self.compliance * (
             np.maximum(pressure, 0.0) - np.maximum(conditions.pressure, 0.0)
         )
@@ -664,7 +680,8 @@ class Evidence:
         forces[contact.nodes] -= exerted
         missing_after, _ = self._held(changed_conditions, self.unknowns + nodal, forces, aggregates)
         changed = float(np.hypot(change_size, missing_after))
-        # an error after the change that is much larger: the aggregates have not found the status
+        # an error after the change that is much larger than the change: the aggregates have not found
+        # the status, and the error is at most that with the status held, or the size of the change
         return (
             changed
             if missing_after <= _FOUND * change_size
@@ -687,7 +704,8 @@ class Evidence:
         d = self.stiffness
         gap = conditions.gap
         pressing = np.maximum(conditions.pressure, 0.0)
-        # a small force closes the gap to a soft surface
+        # a small force closes the gap to a soft surface. A node touches where it penetrates, or where
+        # d gap^2, the cost of closing the gap, is less than p^2 / d, that of giving up the pressure
         to_close = gap / (1 + self.compliance * d)
         closed = (gap < 0) | (d * to_close**2 < pressing**2 / d)
         on_spring = closed & (self.compliance * d > _STIFF)
@@ -697,9 +715,11 @@ class Evidence:
         claimed = np.einsum("nij,nj->ni", free, conditions.friction)
         friction = self._nearest_friction(conditions.slip, claimed, limit, free)
         change = np.zeros(unknowns.shape)
+        # z: touching nodes onto the obstacle, sticking nodes to zero slip
         normal_change = np.where(on_rigid, gap, 0.0)[:, None] * normals
         free_slip = np.einsum("nij,nj->ni", free, conditions.slip)
         change[nodes] = normal_change - friction.without_slip[:, None] * free_slip
+        # and fixed dofs to their prescribed values
         missed = self.problem.fixed_values - unknowns.reshape(-1)
         change += (missed - self.problem.free_part(missed)).reshape(change.shape)
         # free directions: tangents of nodes that slide, normals of nodes that touch nothing rigid
@@ -714,7 +734,8 @@ class Evidence:
                 ~self.fixed[held_elsewhere][:, :, None] * np.eye(dim) - inclined.at(held_elsewhere),
             ]
         )
-        # friction turns with the slip (3D) and grows with the pressure
+        # S: friction turns with the slip (3D), (B/|tau|) across it; D: friction grows with the
+        # pressure, mu along its direction
         against = friction.direction
         across = (tangents - against[:, :, None] * against[:, None]) * (dim == 3)
         dragged = (
@@ -725,11 +746,11 @@ class Evidence:
         # a spring presses in proportion to its penetration, which the gap of the surface misses
         pressed = -(np.where(closed, conditions.pressure, 0.0) - spring * gap)[:, None] * normals
         status = FrozenStatus(
-            np.append(nodes, held_elsewhere),
-            projection,
-            nodes,
-            friction.turning[:, None, None] * across + spring[:, None, None] * along,
-            dragged,
+            held=np.append(nodes, held_elsewhere),
+            projections=projection,
+            nodes=nodes,
+            stiffening=friction.turning[:, None, None] * across + spring[:, None, None] * along,
+            dragged=dragged,
         )
         return status, change, pressed + friction.lawful, closed
 
@@ -744,6 +765,7 @@ class Evidence:
         direction = -_directions(slip)
         excess = np.maximum(np.linalg.norm(friction, axis=1) - limit, 0.0)
         turned = limit[:, None] * np.einsum("nij,nj->ni", free, direction)
+        # d |tau|^2 to move it back, |excess|^2 / d to reach the bound, |f_t - turned|^2 / d to turn
         without_slip = (limit > 0) & (
             d * size**2 + excess**2 / d <= np.sum((friction - turned) ** 2, axis=1) / d
         )
@@ -755,7 +777,13 @@ class Evidence:
         lawful = np.where(sticks[:, None], friction, limit[:, None] * free_direction)
         turns = ~without_slip & (size > 0)
         turning = np.divide(limit, size, out=np.zeros_like(size), where=turns)
-        return _NearestFriction(without_slip, ~sticks, direction, lawful, turning)
+        return _NearestFriction(
+            without_slip=without_slip,
+            slides=~sticks,
+            direction=direction,
+            lawful=lawful,
+            turning=turning,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,6 +75,8 @@ Blocks = tuple[np.ndarray, np.ndarray]  # nodes (n, k), stiffness (n, k, k, dim,
 def _condition(
     name: str, missed: np.ndarray, scale: float, rounding: float = 0.0, limit: float = ALLOWED
 ) -> Condition:
+    """Return the line of a certificate on forces that are ``missed``, N, over their scale, N (0:
+    they are not divided)."""
     total = float(np.linalg.norm(missed))
     largest = float(np.abs(missed).max(initial=0.0))
     scale = scale or 1.0
@@ -97,6 +99,7 @@ def _stiffness(
         and not any(isinstance(tie, Periodic) for tie in problem.ties)
         and not isinstance(materials[0], Axisymmetric)
     )
+    # None also where unlike materials share nodes
     kinds = _kinds_of_nodes(mesh, materials) if covered else None
     if kinds is None:
         return ()
@@ -107,7 +110,7 @@ def _stiffness(
     field = points @ gradient.T + shift
     unknowns = np.asarray(discrete.relative(field)).reshape(-1)
     forces = discrete.physical_forces(product(discrete.matrix, unknowns)).reshape(field.shape)
-    # and those of its stresses on the boundary, and of springs
+    # f_i: phi_i sigma n, a dim-th of each facet to a corner, and phi_i (k_n u_n n + k_t u_t)
     expected = np.zeros_like(field)
     strain = 0.5 * (gradient + gradient.T)
     stresses = np.stack([_stress(elastic, strain) for elastic in materials])[
@@ -117,7 +120,7 @@ def _stiffness(
     share = np.einsum("fij,fj->fi", stresses, vectors) / mesh.dim
     _add_at(expected, mesh.facets, np.broadcast_to(share[:, None], (*mesh.facets.shape, mesh.dim)))
     for spring in springs:
-        cells, blocks = _spring_blocks(mesh, spring, False)
+        cells, blocks = _spring_blocks(mesh, spring, axisymmetric=False)
         _add_at(expected, cells, _spring_forces(cells, blocks, field))
     return (_condition("stiffness", forces - expected, float(np.linalg.norm(expected))),)
 
@@ -147,6 +150,7 @@ def _numbers(*values: checks.FieldLike) -> np.ndarray | None:
 
 
 def _stress(material: Elastic, strain: np.ndarray) -> np.ndarray:
+    """Return lambda tr(strain) I + 2 mu strain (dim, dim), Pa, of an isotropic material."""
     volume = np.trace(strain) * np.eye(len(strain))
     return material.lame * volume + 2 * material.shear_modulus * strain
 
@@ -229,7 +233,7 @@ def _loads(
     carried = _resultants(points[loaded], load_forces[loaded], arm, body[loaded], count)
     missed = carried - _resultants(places, forces, arm, body[nodes], count)
     if problem.axisymmetric:
-        missed = missed[:, 1]
+        missed = missed[:, 1]  # the axial force alone: radial forces cancel round the axis
     return (_condition("loads", missed, float(np.abs(forces).sum())),)
 
 
@@ -237,6 +241,7 @@ def _resultants(
     places: np.ndarray, forces: np.ndarray, arm: float, body: np.ndarray, count: int
 ) -> np.ndarray:
     """Return the forces and the moments over ``arm`` (count, k), N, of the forces on each body."""
+    # x cross f, over the arm
     arms = places.T / arm
     axes = combinations(range(len(arms)), 2)
     moments = [arms[i] * forces[:, j] - arms[j] * forces[:, i] for i, j in axes]
@@ -296,15 +301,15 @@ class FreeBodies:
         middle = mesh.box.mean(axis=0)
         points = mesh.points - middle
         return cls(
-            mesh.points,
-            middle,
-            float(mesh.sides.max()),
-            body,
-            [_spring_blocks(mesh, spring, problem.axisymmetric) for spring in springs],
-            masters,
-            compared,
-            _near(problem, mesh, discrete) if covered else None,
-            (
+            points=mesh.points,
+            middle=middle,
+            arm=float(mesh.sides.max()),
+            body=body,
+            springs=[_spring_blocks(mesh, spring, problem.axisymmetric) for spring in springs],
+            masters=masters,
+            compared=compared,
+            near=_near(problem, mesh, discrete) if covered else None,
+            known=(
                 *_stiffness(problem, mesh, discrete, points),
                 *_loads(problem, mesh, discrete, body, points),
                 _measures(problem, mesh, discrete),
@@ -318,11 +323,12 @@ class FreeBodies:
         for cells, blocks in self.springs:
             _add_at(stress_forces, cells, _spring_forces(cells, blocks, evidence.u))
         missed = self._missed(evidence, stress_forces)
-        scale = np.inf if evidence.idle else evidence.total
+        scale = np.inf if evidence.idle else evidence.total  # over infinity: nothing to compare
         rounding = evidence.rounding * np.sqrt(len(self.points))
         lines = [*self.known, _condition("bodies", missed, scale, rounding, limit=0.0)]
         if self.near is not None:
             discrete = evidence.problem
+            # V sigma grad phi_i of the elements, next to the forces of springs that are there
             _add_at(stress_forces, self.near.cells, self.near.forces(evidence.u))
             missed = discrete.inclined.imbalance(
                 evidence.residual, evidence.unknowns.reshape(-1), discrete.fixed_values
@@ -343,7 +349,8 @@ class FreeBodies:
         shape = self.points.shape
         inclined = discrete.inclined
         reaction = inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
-        # friction along what supports hold counts as theirs: on masters it acts in other places
+        # what the equations leave is borne by supports. Friction along what these hold counts as
+        # theirs: on masters it acts in other places
         claimed = np.zeros(shape)
         claimed[contact.nodes] = evidence.claimed
         claimed = discrete.free_part(claimed)
@@ -376,6 +383,8 @@ class FreeBodies:
     def _resultants(
         self, forces: np.ndarray, body: np.ndarray, shift: np.ndarray | None = None
     ) -> np.ndarray:
+        """Return the resultants and moments (n_bodies, k), N, of nodal forces (n_nodes, dim), which
+        act at the nodes moved by ``shift`` (dim,), m."""
         loaded = np.flatnonzero(_any_component(forces))
         places = (self.points[loaded] - self.middle) + (0.0 if shift is None else shift)
         return _resultants(places, forces[loaded], self.arm, body[loaded], len(self.compared))
@@ -436,6 +445,7 @@ class Elements:
         strain = np.zeros((len(moved), 3, 3))
         strain[:, :dim, :dim] = 0.5 * (gradient + np.swapaxes(gradient, 1, 2))
         if self.radii is not None:
+            # u_r / r at the centroid
             strain[:, 2, 2] = moved[:, :, 0].mean(axis=1) / self.radii
         tensors = self.moduli.table
         of_strain = columns(strain, tensors.shape[1])
@@ -445,6 +455,7 @@ class Elements:
             stress = as_tensors(np.einsum("nij,nj->ni", tensors[self.moduli.rows], of_strain))
         forces = self.sides @ stress[:, :dim, :dim]
         if self.radii is not None:
+            # the hoop stress works on u_r / r, a third of it at each corner; 2 pi r of the ring
             forces[:, :, 0] += (self.measures * stress[:, 2, 2] / (3 * self.radii))[:, None]
             forces *= 2 * np.pi * self.radii[:, None, None]
         return forces
@@ -458,7 +469,8 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
     # by corner: 26 us at 8192 triangles in place of 145
     elements = np.flatnonzero(held.take(mesh.elements.T).any(axis=0))
     cells = mesh.elements[elements]
-    # the facet opposite a corner: 6 ms at 36k nodes in space, where blocks B'CB took 52
+    # measure times gradient of a shape function: minus the area vector of the facet opposite the
+    # corner, over dim: 6 ms at 36k nodes in space, where blocks B'CB took 52
     facets = element_facets(cells).reshape(-1, mesh.dim)
     outward = Surface(mesh.points, facets).vectors.reshape(*cells.shape, mesh.dim)
     radii = mesh.points[cells, 0].mean(axis=1) if problem.axisymmetric else None
@@ -466,37 +478,44 @@ def _near(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) 
     element_moduli = replace(body_moduli, rows=body_moduli.rows[elements])
     nodes = np.flatnonzero(held)
     return Elements(
-        nodes,
-        cells,
-        -outward / mesh.dim,
-        signed_measures(mesh.points, cells),
-        element_moduli,
-        radii,
+        nodes=nodes,
+        cells=cells,
+        sides=-outward / mesh.dim,
+        measures=signed_measures(mesh.points, cells),
+        moduli=element_moduli,
+        radii=radii,
     )
 
 
 def _measures(problem: ContactProblem, mesh: MeshArrays, discrete: DiscreteProblem) -> Condition:
     """Return by how much boundary masses of contact nodes differ from those of their facets."""
     contact = discrete.contact
-    deviation = np.zeros(len(contact))
+    deviation = np.zeros(len(contact))  # |1 - weight / mass of the facets|
     for k, (name, master) in enumerate(zip(contact.names, contact.masters, strict=True)):
         on_boundary = contact.boundary == k
         nodes = contact.nodes[on_boundary]
         surface = mesh.surface(name)
         shares = np.repeat(surface.measures[:, None] / mesh.dim, mesh.dim, axis=1)
         if problem.axisymmetric:
+            # 2 pi times the mean of r over the linear shape function: (2 r_i + r_j) / 3
             radii = mesh.points[surface.facets, 0]
             shares *= 2 * np.pi * (radii + radii.sum(axis=1, keepdims=True)) / 3
         mass = np.bincount(surface.facets.ravel(), shares.ravel(), mesh.n_nodes)
         lacking = 1 - contact.weights[on_boundary] / mass[nodes]
         deviation[on_boundary] = np.abs(lacking)
         if master:
-            # all corners of a facet without a partner opposite lack mass, which is right there
+            # all corners of a facet without a partner opposite lack mass, which is right there. A
+            # mass that is too large, or too small elsewhere by more than a sliver, counts
             full = mask_of(nodes[np.abs(lacking) <= ALLOWED], mesh.n_nodes)
-            without_partner = surface.facets[~full[surface.facets].any(axis=1)]
-            too_light = (lacking > _SLIVER) & ~np.isin(nodes, without_partner)
+            corners_without_partner = surface.facets[~full[surface.facets].any(axis=1)]
+            too_light = (lacking > _SLIVER) & ~np.isin(nodes, corners_without_partner)
             deviation[on_boundary] *= (lacking < 0) | too_light
     largest = float(deviation.max(initial=0.0))
     return Condition(
-        "measures", largest, float(np.linalg.norm(deviation)), "", largest, 0.0, ALLOWED
+        "measures",
+        largest=largest,
+        total=float(np.linalg.norm(deviation)),
+        unit="",
+        relative=largest,
+        limit=ALLOWED,
     )

@@ -293,6 +293,7 @@ class Examiner:
         return local
 
     def _values(self, solved: np.ndarray) -> np.ndarray:
+        """Return the unknowns w (n_contact, dim) of a displacement u (n_dofs,), local."""
         return self._at_contact(self.discrete.from_prescribed(solved))
 
     def _residual(self, solution: np.ndarray, residual: np.ndarray) -> float:
@@ -303,8 +304,10 @@ class Examiner:
         free = np.where(discrete.fixed, 0.0, residual)
         at_contact = self._at_contact(free)
         values = self._values(solved)
+        # the friction of laws that see pressure and slip is that of this state
         self.contact.follow(values, at_contact)
         natural = natural_at_nodes(self.contact, self.blocks, values, at_contact)
+        # in free: r away from contact, the natural residual at contact nodes
         free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         # relative to the forces that act: loads, contact forces, reactions
         unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
@@ -343,10 +346,16 @@ class Examiner:
                 residual=residual,
                 on_mesh=self.on_mesh,
             )
-        residual = discrete.inclined.reaction(solved, pressures) - residual
-        ties = tie_forces(discrete, residual)
-        reaction = discrete.physical_forces(residual).reshape(displacement.shape)
-        examined = Examined(displacement, reaction, contact, ties, natural, checked)
+        # A u - b, with the reactions of inclined supports, which the matrix lacks
+        exerted = discrete.inclined.reaction(solved, pressures) - residual
+        examined = Examined(
+            displacement=displacement,
+            reaction=discrete.physical_forces(exerted).reshape(displacement.shape),
+            contact=contact,
+            ties=tie_forces(discrete, exerted),
+            residual=natural,
+            checked=checked,
+        )
         self._last = solution, examined
         return examined
 
@@ -367,7 +376,7 @@ class Examiner:
             force = contact.normals * force
             u = contact.normals * u
         slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
-        force_n = np.maximum(force[:, 0], 0.0)
+        force_n = np.maximum(force[:, 0], 0.0)  # p = max(0, r_n), and f_t = -r_t
         self.contact.follow(self._values(solved), force)
         force_t = np.where(held, 0.0, -force[:, 1:])
         limit = self.contact.limit + self.contact.friction * force_n
@@ -377,6 +386,7 @@ class Examiner:
         direction = np.divide(
             slip, slip_size[:, None], out=np.zeros_like(slip), where=slides_held[:, None]
         )
+        # -(s + mu p) tau/|tau| along held tangents
         force_t[held] = (-limit[:, None] * direction)[held]
         state[slides_held & (state == STICK)] = SLIP
         x = discrete.coordinates
@@ -422,6 +432,7 @@ def _forces_on_other_nodes(
     and master only the held nodes of the master do."""
     contact = discrete.contact
     dim = discrete.dim
+    # nodes, forces, contacts and mask, piece by piece; the first piece is empty
     pieces = [
         (np.empty(0, dtype=np.int64), np.empty((0, dim)), np.empty(0, np.int64), np.empty(0, bool))
     ]
@@ -529,6 +540,7 @@ class Sizes:
         """Return ||u||_A of the stresses, from the unknowns w (n_dofs,), zero at fixed dofs, and
         w'Aw (N m)."""
         if self.prescribed:
+            # u'Au = w'Aw + 2 w'A ubar + ubar'A ubar
             energy += 2 * float(np.einsum("i,i->", unknowns, self._lift)) + self._jump
         if self._problem.strain_free is not None:
             energy = self._problem.stress_energy(
@@ -541,14 +553,16 @@ class Sizes:
         prescribed values."""
         if not self.prescribed:
             return max(self.load, contact)
+        # A u - b at fixed dofs
         reactions = euclidean_norm(self._in_supports(unknowns) - self._loaded)
         return max(self.load, contact, reactions)
 
     def _in_supports(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the forces of the stresses at fixed dofs."""
+        """Return the forces of the stresses at fixed dofs, A w + A ubar there."""
         return self._rows @ self._cartesian(unknowns) + self._lifted
 
     def _cartesian(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return unknowns (n_dofs,) in Cartesian components."""
         return (
             unknowns
             if self._frames is None
@@ -577,7 +591,7 @@ class Patch:
         """Return the factor by which edges must change for about this number of nodes to touch there."""
         # the patch ends somewhere beyond its last nodes; that of a single facet may be a point
         cells = max(len(self.nodes) - (1 if dim == 2 else 3), 0.5)
-        return (cells / nodes) ** (1 / (dim - 1))
+        return (cells / nodes) ** (1 / (dim - 1))  # cells grow like size^-(dim - 1)
 
 
 def touching_patches(contact: ContactResult, mesh: MeshArrays) -> list[Patch]:
@@ -605,8 +619,8 @@ def touching_patches(contact: ContactResult, mesh: MeshArrays) -> list[Patch]:
 
 
 def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
-    """Return a sentence for each contact boundary of which a part touches on few nodes; none of
-    scalar problems, whose obstacles lie behind all nodes."""
+    """Return a sentence for each contact boundary of which a part touches on few nodes, about its
+    smallest patch; none of scalar problems, whose obstacles lie behind all nodes."""
     if contact.frames.shape[1] == 1:
         return []
     nodes_needed = FEW_NODES[mesh.dim]

@@ -224,6 +224,7 @@ class _Parts:
     def value(self, where: str, value: object) -> None:
         """Add the part of a value that is read at ``where``, unless ``depends`` names it. Functions,
         classes and modules have parts under their own names."""
+        # the name alone: without its module before a dot, and the words after a space
         bare = where.split(" ")[0].rpartition(".")[2]
         if {bare, where, f"value of {where}"}.intersection(self._depends) or (
             isinstance(value, _NAMED) and self.name_of(value) == f"own {where}"
@@ -470,7 +471,7 @@ def _plain_code(code: CodeType) -> tuple[object, ...]:
         code.co_argcount,
         code.co_posonlyargcount,
         code.co_kwonlyargcount,
-        code.co_flags & 0x2AC,
+        code.co_flags & 0x2AC,  # *args, **kwargs; generator, coroutine, asynchronous generator
         code.co_varnames,
         code.co_freevars,
         code.co_exceptiontable,
@@ -499,7 +500,7 @@ def _reads(
                 chains.append((step.argval, *(step_after.argval for step_after in after)))
             elif step.opname in _ATTRIBUTE and step.argval in _HIDDEN:
                 chains.append((step.argval,))
-            elif step.opname == "IMPORT_NAME":
+            elif step.opname == "IMPORT_NAME":  # level and names are loaded just before it
                 level, names = (before.argval for before in steps[place - 2 : place])
                 imports.append((level, step.argval, names))
     return list(dict.fromkeys(chains)), imports

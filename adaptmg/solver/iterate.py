@@ -142,7 +142,7 @@ def nested_start(
         with run.phase("start"):
             state = prolonged(number, state)
             run.visit(number, "start")
-            if number < levels - 1:
+            if number < levels - 1:  # on the finest level the method itself goes on
                 state = cycled(number, state)
     run.start_work_units = run.work_units
     return state
@@ -215,12 +215,13 @@ class StopTest:
         residual = state.residual
         if state.idle and residual <= ROUNDING * state.floor:
             residual = 0.0
-        # without any forces, as before an interference is met, the relative residual is 1
+        # relative to the forces; without any, as before an interference is met, it is 1
         self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)
         self._last_residual = residual
         self._at_rounding = self.residual_is_rounding(state.floor)
         balanced = residual <= self.ROUNDING_LEVEL * state.floor and self.residual <= self.BALANCED
         self._iterates_at_rounding = self._iterates_at_rounding + 1 if balanced else 0
+        # changes at rounding have no rate: there the residual stands for the error
         self.error_estimate = (
             self.residual if self._at_rounding else self._caution * self._estimate()
         )
@@ -326,6 +327,7 @@ class StopTest:
         return self._no_new_minimum(self.changes)
 
     def _no_new_minimum(self, values: Sequence[float]) -> bool:
+        """Return whether the least value is more than ``PATIENCE`` values old."""
         return len(values) > self.PATIENCE and int(np.argmin(values)) < len(values) - self.PATIENCE
 
     def _small_enough(self) -> bool:
@@ -336,9 +338,11 @@ class StopTest:
         rate = self.safe_rate
         if not rate < 1:
             return np.inf
+        # delta_k rho / (1 - rho), relative
         return self.changes[-1] * rate / (1 - rate) / self.size if self.size > 0 else np.inf
 
     def _ran_away(self) -> bool:
+        """Return whether the last change is a million times the largest of the first three."""
         return len(self.changes) > 3 and not self.changes[-1] <= 1e6 * max(self.changes[:3])
 
 
@@ -372,6 +376,7 @@ class ChangeTest(StopTest):
         if measured.residual is not None:
             self._record(measured, cast("Run", run))
         small = not self.relative_change > self.rtol
+        # of the last state, small or not, all norms are taken
         if not small and self.cycles < self.limit:
             return None
         self._record(self._measure(self.state), cast("Run", run))
@@ -424,13 +429,16 @@ class Measure:
             vector.reshape(-1, system.dim)[system.nodes] for vector in (unknowns, residual)
         )
         self.local.contact.follow(*at_contact)
+        # the friction of laws that see pressure and slip is now that of this iterate
         natural = euclidean_norm(natural_residual(self.local, unknowns, residual))
         contact_forces = euclidean_norm(residual.reshape(-1, system.dim)[system.nodes].reshape(-1))
         forces = sizes.forces(unknowns, contact_forces)
+        # w'Aw = w'(b - r)
         size = sizes.norm(unknowns, float(np.einsum("i,i->", unknowns, self.local.load - residual)))
         change = None
         if self._last_iterate is not None:
             unknowns_before, residual_before = self._last_iterate
+            # A (w_k - w_(k-1)) = r_(k-1) - r_k
             change = energy_norm(unknowns - unknowns_before, residual_before - residual)
         self._last_iterate = unknowns, residual
         floor = euclidean_norm(self._diagonal * unknowns)
@@ -444,7 +452,16 @@ class Measure:
                 self.local.discrete,
                 cast("Run", self.run),
             )
-        return Measured(cycles, natural, forces, size, floor, idle, change, columns=columns)
+        return Measured(
+            cycles=cycles,
+            residual=natural,
+            forces=forces,
+            size=size,
+            floor=floor,
+            idle=idle,
+            change=change,
+            columns=columns,
+        )
 
     def of(self, state: State) -> Measured:
         """Measure a state; the residual that it lacks is counted."""
@@ -506,7 +523,8 @@ class Smoothing:
         """Return the relative change by a whole step, with the norms of the state between smoothing
         and correction, if there is one."""
         change, between = state.memory
-        measured = Measured(0) if between is None else self.norms.of(between)
+        # without a correction there are no norms: ChangeTest takes them of the last state alone
+        measured = Measured(cycles=0) if between is None else self.norms.of(between)
         return replace(measured, cycles=state.cycles, relative_change=change)
 
     def solve(
@@ -523,8 +541,8 @@ class Smoothing:
         (``stop="change"``, the paper's test at the end of step g)."""
         start = State(unknowns=unknowns)
         if stop == "error":
-            test = StopTest(rtol, limit, shortfall, stalled)
+            test = StopTest(rtol, limit, shortfall=shortfall, stalled=stalled)
             return *iterate(self.step, self.norms.of, self.step(start), test, run), test
-        test = ChangeTest(rtol, limit, self.norms.of)
+        test = ChangeTest(rtol, limit, measure=self.norms.of)
         first = self.whole_step(start)
         return *iterate(self.whole_step, self.measure_whole, first, test, run), test

@@ -256,7 +256,7 @@ CONDENSED = 6_000
 def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
     """Return the outcome; if it leaves cycles to another method, that of the other method."""
     problem = hierarchy.finest.discrete
-    start = outcome.solution if outcome.better else None
+    start = outcome.solution if outcome.better else None  # None: from zero
     if outcome.left and factorisable(problem):
         solver = ActiveSet(
             rtol=outcome.rtol,
@@ -277,9 +277,9 @@ def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
 
 
 def _fewer_levels(hierarchy: Grids) -> Grids:
-    """Return the hierarchy without every second level, from the next to the finest on, if it is made of
-    meshes."""
-    with suppress(ValueError):
+    """Return the hierarchy without every second level, from the next to the finest on; unchanged if it
+    is not made of meshes."""
+    with suppress(ValueError):  # which without() raises for levels without meshes
         for level in range(len(hierarchy) - 2, 0, -2):
             hierarchy = hierarchy.without(level)
     return hierarchy

@@ -233,7 +233,7 @@ def result_of(
     checked = examined.checked
     if checked is not None:
         status = _confirmed(outcome, examined.residual, checked, getattr(solver, "stop", "error"))
-        error = np.fmax(error, checked.energy_error)
+        error = np.fmax(error, checked.energy_error)  # NaN: the solver has no estimate
         least = checked.energy_rounding
         if status.ok and 0 < rtol < checked.energy_error <= least:
             default = "the default " if rtol == getattr(type(solver), "rtol", None) else ""

@@ -67,6 +67,8 @@ class ProjectedRun:
         self.problems = [self.levels.problem(number) for number in range(len(self.hierarchy))]
 
     def from_given(self, start: np.ndarray | None) -> Outcome:
+        """Solve from a solution (n_dofs,), or from zero. A nested start comes before it only for the
+        first solutions that the correction remembers."""
         if self.correction.needs_initial:
             self.nested_start(NestedStart())
         return self.finish(self.levels.begin(start))
@@ -75,7 +77,8 @@ class ProjectedRun:
         return self.finish(self.nested_start(start))
 
     def cycle_of_states(self) -> Callable[[State], State]:
-        """Return a cycle on the finest level from state to state, which smooths a start."""
+        """Return a cycle on the finest level from state to state, which smooths a start; the nested start
+        comes first only for the first solutions that the correction remembers."""
         if self.correction.needs_initial:
             self.nested_start(NestedStart())
         return self._cycles(self.multigrid(len(self.hierarchy) - 1)).step
@@ -239,6 +242,7 @@ class SingleGrid:
         smoother = ProjectedGaussSeidel(omega=self.omega)
 
         def smooth(unknowns: np.ndarray, done: int) -> int:
+            # with stop="change" each sweep is judged
             sweeps_to_check = max(self.FIRST_CHECK, int(self.CHECK_SHARE * done))
             sweeps = min(sweeps_to_check, self.max_sweeps - done) if self.stop == "error" else 1
             passes = smoother.smooth(swept.system, swept.contact, swept.load, unknowns, sweeps)
@@ -265,12 +269,13 @@ class SingleGrid:
         with run.phase("factorise" if self.condensed else "sweeps"):
             solved = full.to_cartesian(recover(state.unknowns)).reshape(-1)
         return Outcome(
-            solved,
-            status,
-            state.cycles,
-            self.rtol,
-            stop.error_estimate,
-            stop.rate ** (1 / state.memory) if np.isfinite(stop.rate) else np.nan,
+            solution=solved,
+            status=status,
+            cycles=state.cycles,
+            rtol=self.rtol,
+            error_estimate=stop.error_estimate,
+            # of one sweep: the memory is the number of sweeps between two checks
+            rate=stop.rate ** (1 / state.memory) if np.isfinite(stop.rate) else np.nan,
         )
 
 
@@ -295,5 +300,6 @@ class _CondensedSizes(Sizes):
         return super().nothing_strains(contact, rounding, self._whole(unknowns))
 
     def _whole(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return the unknowns of all nodes, where the norms need others than those at contact."""
         needed = self.prescribed or self._problem.strain_free is not None
         return self._condensed.recover(unknowns) if needed else unknowns

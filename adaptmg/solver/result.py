@@ -353,7 +353,7 @@ def _remedy(result: Result, violated: tuple[str, ...]) -> str:
         return advice
     levels = not result.fallback and len(result.levels) > 1
     other = "am.FullMultigrid()" if levels else "another start, am.solve(..., start=...),"
-    before, take, _ = advice.partition("take ")
+    before, take, _ = advice.partition("take ")  # "...: take am.ActiveSet() ..." of Status
     return f"{before}{take}{other} or less friction"
 
 

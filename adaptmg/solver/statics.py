@@ -108,8 +108,8 @@ def check_statics_of(grids: Grids) -> None:
 
 
 def _too_soft(grids: Grids) -> str:
-    """Say which springs are too soft to count on the finest grid, and from which stiffness on they
-    surely count."""
+    """Return as text which springs are too soft to count on the finest grid, and from which stiffness on
+    they surely count; "" if there are none."""
     level = grids.finest
     problem = grids.problem
     if problem is None or level.mesh is None:
@@ -201,6 +201,8 @@ class _Body:
         rotation = twist[dim:] / size
         if size * np.abs(rotation).max(initial=0.0) <= negligible:
             return f"translation along {_axis(translation)}"
+        # the points that do not move: t + omega x (x - centre) = 0, along a screw's axis up to its
+        # translation
         if dim == 2:
             return f"rotation about {_vector(centre + np.array([-translation[1], translation[0]]) / rotation, size)}"
         pole = centre + np.cross(rotation, translation) / (rotation @ rotation)
@@ -339,13 +341,16 @@ class _Forces:
         """Return the smallest sum of |work (k,) left unbalanced|, and the motion (k,) on which it
         is done."""
         k, n_edges = self.edges.shape
-        # without linear programmes, whose import takes a tenth of a first small solve
+        # without linear programmes, whose import takes a tenth of a first small solve: one motion is
+        # balanced by any edge that works against the load, or as far as the Tresca part resists
         if k == 1:
             balanced = (self.edges[0] * np.sign(work) < -checks.SIX_DIGITS).any()
             left = abs(work[0]) - np.abs(self.segments[0]) @ self.limits
             return 0.0 if balanced else max(float(left), 0.0), np.sign(work)
         from scipy.optimize import linprog
 
+        # least sum of the parts >= 0 of an unbalanced force, on each motion one in either direction,
+        # that balance the work together with the contact forces
         columns = np.hstack([self.edges, self.segments, np.eye(k), -np.eye(k)])
         bounds = np.zeros((columns.shape[1], 2))
         bounds[:, 1] = np.inf
@@ -359,7 +364,7 @@ class _Forces:
             raise RuntimeError(
                 f"the linear programme of the rigid-body statics failed: {result.message}"
             )
-        return float(cast("float", result.fun)), -result.eqlin.marginals
+        return float(cast("float", result.fun)), -result.eqlin.marginals  # the multipliers
 
     def leaves_unbalanced(self, motion: np.ndarray, work: np.ndarray) -> bool:
         """Return whether no admissible force balances ``work`` on this motion."""
@@ -383,6 +388,7 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     local_motions = np.einsum("nij,njk->nik", frames, at_contact)
     normal = local_motions[:, 0]
     tangential = local_motions[:, 1:]
+    # a limit may be infinite, which a programme cannot take: a million loads are enough
     limit = np.minimum(limit[on_body], 1 / checks.SIX_DIGITS)
     friction = friction[on_body]
     rubs = friction > 0
@@ -393,6 +399,7 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     k = body.motions.shape[1]
     in_front = ~rubs & np.isfinite(contact.gaps[on_body])
     behind = normal[np.isfinite(contact.opposite_gaps[on_body])] if dim == 1 else normal[:0]
+    # -p n + t at p = 1, t towards each corner of the circle of radius mu
     cones = (rubbing - normal[rubs, None]).reshape(-1, k)
     edges = np.concatenate([-normal[in_front], behind, cones])
     segments = np.einsum("st,ntk->nsk", directions, tangential[is_limited]).reshape(-1, k)
@@ -520,8 +527,10 @@ def critical_friction(problem: DiscreteProblem) -> np.ndarray:
     n = len(problem.contact)
     condensed = condense_problem(problem, lenient=True)
     eigenvalues, eigenvectors = np.linalg.eigh(condensed.matrix)
+    # a motion that only contact holds has no compliance
     if not condensed.regular or not eigenvalues[0] > 1e-10 * eigenvalues[-1]:
         return np.full(n, np.nan)
+    # C of each node alone, and K = 1/C below
     compliance = (eigenvectors / eigenvalues) @ eigenvectors.T
     blocks = compliance.reshape(n, dim, n, dim)[np.arange(n), :, np.arange(n), :]
     free = ~condensed.full.system.fixed.reshape(-1, dim)[problem.contact.nodes].any(axis=1)

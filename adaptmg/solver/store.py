@@ -187,6 +187,7 @@ def read(path: str | os.PathLike[str], kinds: Kinds, *, more: bool = False) -> S
     file = checks.file_path("path", path)
     with opened(file) as stream, damage(file):
         arrays = _arrays(stream)
+        # an archive without this text is not one of adaptmg
         text = json.loads(
             arrays.pop(_META, np.zeros(0, dtype=np.uint8)).tobytes() or b'{"format": null}'
         )

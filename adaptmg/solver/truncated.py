@@ -122,6 +122,7 @@ class TruncatedTest(StopTest):
             return False
         before = max(self.residuals[-1 - self.WINDOW], np.finfo(float).tiny)
         rate = (max(self.residual, np.finfo(float).tiny) / before) ** (1 / self.WINDOW)
+        # by how much residual and error exceed what the tolerance allows: excess rate^left > 1
         excess = self.residual / (self.RESIDUAL_FACTOR * self.rtol)
         excess = max(excess, self._remaining(rate) / self.rtol, 1.0)
         return bool(np.log(excess) > (self.limit - self.cycles) * -np.log(rate))
@@ -137,6 +138,8 @@ class TruncatedTest(StopTest):
         return self.cycles_of.run.shortfall(solution, self.rtol)
 
     def _estimate(self) -> float:
+        """Return the relative error after the last smoothing, from the energy of the last coarse
+        correction and the rate."""
         rate = self.safe_rate
         if not (self.size > 0 and rate < 1):
             return np.inf
@@ -144,7 +147,7 @@ class TruncatedTest(StopTest):
 
     def _remaining(self, rate: float) -> float:
         """Return the error that remains, relative, if corrections fall by ``rate``."""
-        return self.SAFETY * self.changes[-1] * rate / self.size
+        return self.SAFETY * self.changes[-1] * rate / self.size  # rho eta_k
 
     def _ran_away(self) -> bool:
         """Return whether the residual has grown, in N: the relative one stays small where reactions
@@ -216,7 +219,7 @@ class TruncatedCycles:
         if not state.cycles:
             return self.origin == "zero"
         # after a nested start the first cycles settle most statuses by themselves
-        change = float(np.sqrt(abs(state.correction)))
+        change = float(np.sqrt(abs(state.correction)))  # eta_k
         return (change / state.size if state.size > 0 else change) > self.LARGE
 
     def measure(self, state: TruncatedState) -> Measured:
@@ -326,6 +329,7 @@ class TruncatedRun:
         )
 
     def from_nested(self, start: NestedStart) -> Outcome:
+        """Solve from a nested start."""
         problem = self.problems[-1]
         return self.finish(problem.from_prescribed(self.nested_start(start)[-1]), "nested")
 
@@ -398,6 +402,7 @@ class TruncatedRun:
         ):
             return 0.0
         before, middle, after = (1 / mesh.n_nodes for mesh in meshes if mesh is not None)
+        # u_h = u + c / n on the three levels
         return (middle - after) / (before - middle)
 
     def finish(self, start: np.ndarray, origin: str) -> Outcome:
@@ -409,23 +414,26 @@ class TruncatedRun:
         coarse = None
         if len(problem.contact) and self.parts.coarse_contact:
             coarse = partial(self._coarse_contact, parts)
-        cycles = TruncatedCycles(parts, problem, origin, coarse, self.run, nested)
+        cycles = TruncatedCycles(
+            parts, problem, origin=origin, coarse=coarse, run=self.run, nested=nested
+        )
         stop = TruncatedTest(cycles, self.rtol, self.max_cycles, self.run)
         with self.run.phase("cycles"):
             first = parts.begin(start)
             del start  # long vectors limit the size of a problem
             # no variable refers to the first state: the test may release its large arrays
             state, status = iterate(cycles.step, cycles.measure, cycles.step(first), stop, self.run)
+        # not where the residual is rounding, or the tolerance of the discretisation not known yet
         failed = (
             status in (Status.STALLED, Status.DIVERGED) and stop.rtol > 0 and not stop.at_rest()
         )
         return Outcome(
-            problem.with_prescribed(state.iterate),
-            status,
-            stop.cycles,
-            stop.rtol,
-            stop.error_estimate,
-            stop.rate,
+            solution=problem.with_prescribed(state.iterate),
+            status=status,
+            cycles=stop.cycles,
+            rtol=stop.rtol,
+            error_estimate=stop.error_estimate,
+            rate=stop.rate,
             left=self.max_cycles - stop.cycles if failed else 0,
             better=stop.better,
         )
