@@ -254,7 +254,8 @@ class Doerfler:
     Parameters
     ----------
     theta : float
-        Share of the sum of squares, above 0 and at most 1; larger shares take fewer steps.
+        Share of the sum of squares, above 0 and at most 1; larger shares take fewer steps. With 1
+        all elements are marked whose square is above 0: uniform refinement.
 
     Examples
     --------
@@ -275,15 +276,14 @@ class Doerfler:
         where all are 0."""
         squares = _squares(estimate)
         total = squares.sum()
-        mask = np.zeros(len(squares), dtype=bool)
-        if total == 0:
-            return mask
+        # 1 takes every element that has a part, also one that the sum loses by rounding
+        if self.theta == 1 or total == 0:
+            return squares > 0
         order = np.argsort(-squares, kind="stable")
         reached = np.cumsum(squares[order])
-        # a sum in another order differs by rounding: theta = 1 takes every element that has a part
-        count = min(
-            int(np.searchsorted(reached, self.theta * min(total, reached[-1]))) + 1, len(squares)
-        )
+        # a sum in another order differs by rounding
+        count = min(int(np.searchsorted(reached, self.theta * total)) + 1, len(squares))
+        mask = np.zeros(len(squares), dtype=bool)
         mask[order[:count]] = True
         return mask & (squares > 0)
 
@@ -319,7 +319,10 @@ def _share(theta: float) -> float:
     """Return ``theta`` as a float; ValueError unless it is above 0 and at most 1."""
     result = checks.number("theta", theta)
     if not 0 < result <= 1:
-        raise ValueError(f"theta must be > 0 and <= 1, got {checks.shown(theta)}")
+        raise ValueError(
+            f"theta must be > 0 and <= 1, got {checks.shown(theta)}; to refine uniformly, take "
+            "am.Doerfler(1.0), which marks all elements that have an error"
+        )
     return result
 
 

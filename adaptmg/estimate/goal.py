@@ -125,6 +125,11 @@ class Goal:
     The signed estimate contains the algebraic error, as far as it leaves the contact state
     unchanged.
 
+    Steps of :func:`adaptmg.adapt` print "(not settled)" where the corrected value, value plus signed
+    estimate, has changed since the mesh before by more than the estimate, or the sign has changed. A
+    small estimate after a large one, +.09 % after +1.5 %, may thus be chance, as where the error
+    passes through zero; the change of the corrected value is then the better measure of the error.
+
     Examples
     --------
     >>> goal = am.Goal(am.ContactForce("contact", "normal"))

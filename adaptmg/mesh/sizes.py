@@ -194,7 +194,8 @@ class SizeNear:
         factor = checks.positive("factor", factor)
         if not factor * self.grading <= 1:
             raise ValueError(
-                f"factor must be at most {1 / self.grading:.6g}, where the grading is 1, got {factor!r}"
+                f"factor must be at most {1 / self.grading:.6g}, where the grading is 1, got {factor!r}; give "
+                f"SizeNear a grading of at most 1 / factor, about {1 / factor:.3g}"
             )
         return replace(self, size=factor * self.size, grading=factor * self.grading)
 

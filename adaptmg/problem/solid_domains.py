@@ -235,7 +235,7 @@ class Moved(SolidDomain):
     offset : triple of float
         m.
     angle : float
-        Degrees, right-handed about ``axis``.
+        In degrees, right-handed about ``axis`` (the rotation of :class:`adaptmg.Moving` is in rad).
     axis : triple of float
         Direction, of any length; stored as a unit vector.
 

@@ -178,8 +178,9 @@ class Moving(_MovingPart):
     displacement : (dim,) sequence of float
         m; in axisymmetric problems along y, without rotation.
     rotation : float or (3,) sequence of float
-        rad; counter-clockwise in the plane, in space along the axis (3,). Obstacles that are not
-        planes turn to first order: keep it small.
+        In rad (the angle of :class:`adaptmg.Moved`, a part of the geometry, is in degrees);
+        counter-clockwise in the plane, in space a vector along the axis whose length is the angle.
+        Obstacles that are not planes turn to first order: keep it small.
     about : (dim,) sequence of float, optional
         The point that only ``displacement`` moves, m. Default: the point of a Plane, else the
         origin.

@@ -214,7 +214,7 @@ class Quantities:
     @property
     def contact_area(self) -> float:
         """Return the area in contact, m^2 (plane problems: length, m): boundary masses of nodes not
-        open."""
+        open. As :attr:`contact_extent` it is accurate to half an edge at each end."""
         return float(self.contact.measures[self.contact.closed].sum())
 
     @property
@@ -233,7 +233,11 @@ class Quantities:
 
         Half the sides of the box around them, in axisymmetry first their outer radius, of a ring
         half its width; half a (symmetric) model has half of its half. They end halfway between a
-        node in contact and an open one. ValueError without a mesh."""
+        node in contact and an open one, and are accurate to about half an edge at each end: on Hertz's
+        cylinder with 8 to 24 edges in the half-width they are .4 to .6 of an edge too large. Where
+        contact of smooth surfaces ends, the square of the pressure falls in proportion to the
+        distance: the line through its values at the second and fourth node from the end (the last
+        one is inaccurate) meets zero within .3 to .05 of an edge there. ValueError without a mesh."""
         return self._extent(np.ones(len(self.contact), dtype=bool))
 
     def _extent(self, chosen: np.ndarray) -> np.ndarray:

@@ -262,9 +262,12 @@ def _check_body(body: _Body) -> None:
         )
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
     if len(neutral):
+        motion = body.describe(_axis_motion_in_span(body, neutral))
+        # no pressure works on it: the body is round where it touches, and no node is a natural support
+        turns = motion.startswith("rotation") and forces.edges.size and not friction.any()
         raise ValueError(
-            f"the solution is not unique: a {body.describe(_axis_motion_in_span(body, neutral))} is left free by "
-            f"supports, contact and load; {body.remedy}"
+            f"the solution is not unique: a {motion} is left free by supports, contact and load; {body.remedy}"
+            f"{', or model half of a round body, or give its contact a little friction' if turns else ''}"
         )
     if np.abs(work).max() <= checks.SIX_DIGITS:
         # no load on the free motions: only bodies that contact encloses are held, whose pressures

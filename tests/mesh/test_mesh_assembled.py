@@ -214,7 +214,10 @@ test_refuses = refused(
     (lambda: am.SizeNear([(0, 0), (0, 0, 0)], size=1.0), "same dimension"),
     (lambda: am.SizeNear([(0, 0)], size=1.0, grading=2), "grading must be at most 1"),
     (lambda: am.SizeNear([(0, 0)], size=1.0).scaled(0.0), "factor must be > 0"),
-    (lambda: am.SizeNear([(0, 0)], size=1.0, grading=0.4).scaled(3), "factor must be at most 2.5"),
+    (
+        lambda: am.SizeNear([(0, 0)], size=1.0, grading=0.4).scaled(3),
+        "factor must be at most 2.5, .* give SizeNear a grading of at most 1 / factor",
+    ),
 )
 
 

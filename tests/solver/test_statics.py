@@ -162,6 +162,27 @@ FALLING = {
 }
 
 
+def pin(law):
+    """Return a whole disc in a hole that it nearly fills, pressed down by its weight."""
+    problem = am.ContactProblem(
+        domain=am.Circle((0.3, 0.2), 0.02, "side"),
+        material=am.PlaneStrain(young=1e9, poisson=0.3),
+        law=law,
+        contact=am.Contact("side", am.GapFunction(lambda x: np.full(len(x), 1e-6))),
+        loads=[am.BodyForce((0.0, -1e5))],
+    )
+    return am.Hierarchy.graded(problem, sizes=(8e-3,)).finest.discrete
+
+
+def test_a_round_body_that_turns_freely_is_told_how_to_be_held():
+    """It has no natural node to hold: the message names what helps, and a little friction does."""
+    with pytest.raises(ValueError, match=r"rotation about .* half of a round body, or .* friction"):
+        check_statics(pin(am.Frictionless()))
+    check_statics(pin(am.Coulomb(0.01)))
+    with pytest.raises(ValueError, match=r"along x is left free.*fixes it$"):
+        check_statics(plate())
+
+
 @pytest.mark.parametrize("name", STANDING)
 def test_what_contact_and_supports_hold_passes(name):
     check_statics(STANDING[name])
