@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptmg.mesh.sizes import BOX_SIDES, in_edges
+from adaptmg.mesh.sizes import in_edges
 from adaptmg.mesh.surfaces import Revolved, plane_through, round_about
 from adaptmg.problem.combined_domains import Assembly, Combination, Cracked
-from adaptmg.problem.plane_domains import Box, Domain, Outline
+from adaptmg.problem.plane_domains import BOX_SIDES, Box, Domain, Outline
 from adaptmg.problem.plane_edges import Arc, Segment
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, StepFile
 

@@ -33,10 +33,9 @@ from adaptmg.mesh.arrays import (
     normalised,
     sound_by_construction,
 )
-from adaptmg.mesh.sizes import BOX_SIDES
 from adaptmg.mesh.soundness import check_mesh
 from adaptmg.problem.combined_domains import Assembly
-from adaptmg.problem.plane_domains import Box, Domain, Rectangle
+from adaptmg.problem.plane_domains import BOX_SIDES, Box, Domain, Rectangle
 
 Divisions = int | Sequence[int]
 Value = TypeVar("Value")

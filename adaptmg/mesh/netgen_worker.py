@@ -33,7 +33,7 @@ from netgen.occ import Dir, Face, OCCGeometry, Pnt, Solid, TopoDS_Shape, Vec, X,
 from adaptmg import _checks as checks
 from adaptmg._machine import limit_memory, memory
 from adaptmg.problem.combined_domains import Combination, Common, Cracked, Cut
-from adaptmg.problem.plane_domains import Box, Domain, Outline
+from adaptmg.problem.plane_domains import BOX_SIDES, Box, Domain, Outline
 from adaptmg.problem.solid_domains import Ball, Cylinder, Extrusion, Moved, Revolution, SolidDomain
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ _ORDER = {
     "wedge18": (*range(7), 9, 7, 12, 14, 13, 8, 10, 11, 15, 17, 16),
     "pyramid14": (*range(6), 8, 10, 6, 7, 9, 11, 12, 13),
 }
-_SIDES = ("left", "right", "front", "back", "bottom", "top")
 
 
 class _Held:
@@ -514,8 +513,8 @@ def _shape(domain: Domain, origin: np.ndarray, scale: float) -> TopoDS_Shape:
         )
     if isinstance(domain, Box):
         solid = occ.Box(place(domain.lower), place(domain.upper))
-        for k, name in enumerate(_SIDES):
-            (solid.faces.Min, solid.faces.Max)[k % 2]((X, Y, Z)[k // 2]).name = name
+        for name, (axis, end) in BOX_SIDES.items():
+            (solid.faces.Min, solid.faces.Max)[end]((X, Y, Z)[axis]).name = name
         return solid
     if isinstance(domain, Revolution):
         # the profile may touch the axis up to rounding: put those vertices onto it

@@ -26,7 +26,7 @@ from adaptmg.mesh.arrays import (
     signed_measures,
 )
 from adaptmg.problem.combined_domains import Assembly
-from adaptmg.problem.plane_domains import Box, Domain, Outline
+from adaptmg.problem.plane_domains import BOX_SIDES, Box, Domain, Outline
 from adaptmg.problem.solid_domains import SolidDomain, StepFile
 
 SizeField = Callable[[np.ndarray], np.ndarray]
@@ -53,15 +53,6 @@ _SAGITTA = 0.125
 # by number of corners: the edge of an equilateral simplex to the power of its dimension, over its
 # measure
 _EDGE = {2: 1, 3: 4 / math.sqrt(3), 4: 6 * math.sqrt(2)}
-#: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
-BOX_SIDES = {
-    "left": (0, 0),
-    "right": (0, 1),
-    "front": (1, 0),
-    "back": (1, 1),
-    "bottom": (2, 0),
-    "top": (2, 1),
-}
 
 
 #: domains that can be meshed: plane ones as outlines of edges

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Annotated, ClassVar, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from adaptmg import _checks as checks
 from adaptmg._text import brief
 from adaptmg.problem.plane_domains import (
+    BOX_SIDES,
     Box,
     Circle,
     Domain,
@@ -38,15 +39,6 @@ from adaptmg.problem.solid_domains import SOLID, SolidDomain
 
 Path = tuple[tuple[float, ...], ...]
 _SIDES = ("left", "right")
-#: the axis of a side of a box, and whether it is the lower (0) or the upper end (1)
-_BOX_SIDES = {
-    "left": (0, 0),
-    "right": (0, 1),
-    "front": (1, 0),
-    "back": (1, 1),
-    "bottom": (2, 0),
-    "top": (2, 1),
-}
 
 
 def _part(name: str, value: Domain) -> Domain:
@@ -85,7 +77,6 @@ class Combination(SolidDomain):
 
     a: Part
     b: Part
-    inner_parts: ClassVar[str] = ""  # those whose faces are left only inside of the other part
     rename: Annotated[Mapping[str, str], partial(checks.mapping, words="names to names")] = field(
         default_factory=dict, hash=False
     )
@@ -138,8 +129,9 @@ class Combination(SolidDomain):
 
     @property
     def boundaries(self) -> tuple[str, ...]:
-        """Return the distinct names: those of a, then those of b. Of solids the sides of a box are
-        left out that lie beyond the other part; of other names no face may be left."""
+        """Return the distinct names: those of a, then those of b. Of solids those sides of
+        boxes are left out that lie beyond the box around the result; of other names no face may be
+        left."""
         if self.dim == 2:
             return tuple(dict.fromkeys(self.outline.boundaries))
         both = ((part, name) for part in "ab" for name in getattr(self, part).boundaries)
@@ -148,15 +140,13 @@ class Combination(SolidDomain):
         )
 
     def _may_remain(self, part: str, name: str) -> bool:
-        """Return False for a side of a box that lies beyond the other part, inside of which it had
-        to be."""
+        """Return False for a side of a box that lies beyond the box around the result."""
         box = getattr(self, part)
-        if part not in self.inner_parts or not isinstance(box, Box):
+        if not isinstance(box, Box):
             return True
-        other = self.b if part == "a" else self.a
-        axis, end = _BOX_SIDES[name]
+        axis, end = BOX_SIDES[name]
         place = (box.lower, box.upper)[end][axis]
-        beyond = abs(place - np.clip(place, other.lower[axis], other.upper[axis]))
+        beyond = abs(place - np.clip(place, self.lower[axis], self.upper[axis]))
         return bool(beyond <= checks.ALIKE * (box.upper - box.lower).max())
 
 
@@ -174,8 +164,6 @@ class Cut(Combination):
     >>> drilled.a.width
     1.0
     """
-
-    inner_parts: ClassVar[str] = "b"
 
     def _extremes(self) -> np.ndarray:
         return np.stack([self.a.lower, self.a.upper])
@@ -204,8 +192,6 @@ class Common(Combination):
     >>> lens.b.centre[2]
     1.5
     """
-
-    inner_parts: ClassVar[str] = "ab"
 
     def _extremes(self) -> np.ndarray:
         return np.stack(

@@ -116,6 +116,17 @@ class Rectangle(Domain):
         )
 
 
+#: axis, and lower (0) or upper (1) end of it; the vertical axis of a rectangle is its last one
+BOX_SIDES = {
+    "left": (0, 0),
+    "right": (0, 1),
+    "front": (1, 0),
+    "back": (1, 1),
+    "bottom": (2, 0),
+    "top": (2, 1),
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Box(Domain):
     """An axis-parallel box; ``left``/``right`` are x, ``front``/``back`` y, ``bottom``/``top`` z.
