@@ -76,20 +76,20 @@ def _sizes_of(
     points: np.ndarray,
     enough: float,
     grading: float,
-    before: SizeField | None,
+    previous: SizeField | None,
 ) -> SizeField:
-    """Return the sizes at which ``_AMPLE`` times enough nodes of each patch touch, about; at patches
-    of enough nodes those of now."""
+    """Return the sizes at which about ``_AMPLE`` times ``enough`` nodes of each patch touch; patches
+    with enough nodes keep theirs. ``previous`` are those of the mesh."""
     from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
     trees = [cKDTree(points[patch.nodes]) for patch in patches]
     sizes = []
     for patch in patches:
         dim = points.shape[1]
-        fewer = 1.0 if len(patch.nodes) >= enough else patch.share_for(_AMPLE * enough, dim)
+        factor = 1.0 if len(patch.nodes) >= enough else patch.share_for(_AMPLE * enough, dim)
         # edges around a patch of a single facet are longer than those of the facet
-        asked = np.inf if before is None else before(points[patch.nodes]).min()
-        sizes.append(fewer * min(patch.size, asked))
+        prescribed = np.inf if previous is None else previous(points[patch.nodes]).min()
+        sizes.append(factor * min(patch.size, prescribed))
 
     def field(x: np.ndarray) -> np.ndarray:
         near = zip(trees, sizes, strict=True)

@@ -119,7 +119,7 @@ class Grids:
         max_coarse : int
             Nodes (rows of blocks) of the coarsest level at most.
         contact : bool
-            As of :meth:`from_prolongations`, for scalar problems.
+            As in :meth:`from_prolongations`, for scalar problems.
         """
         from adaptmg.transfer.galerkin import aggregated_prolongations
 
@@ -152,7 +152,7 @@ class Grids:
 
     @property
     def posed(self) -> Posed | None:
-        """Return the contact problem on the finest mesh; None of scalar problems, and of a
+        """Return the contact problem on the finest mesh; None for scalar problems, and for a
         hierarchy that comes from matrices."""
         return self.posed_on(self.finest)
 
@@ -184,8 +184,8 @@ class Grids:
             )
 
     def truncated(self, *, coarsest: int = 0, finest: int | None = None) -> Self:
-        """Return the levels ``coarsest`` .. ``finest`` (inclusive; default: the last) as a
-        hierarchy of their own."""
+        """Return a hierarchy of the levels ``coarsest`` .. ``finest`` (inclusive; default: the
+        last)."""
         finest = len(self) - 1 if finest is None else checks.integer("finest", finest)
         if not 0 <= checks.integer("coarsest", coarsest) <= finest < len(self):
             raise ValueError(
@@ -197,8 +197,8 @@ class Grids:
 
     @one_blas_thread()
     def without(self, level: int) -> Self:
-        """Return the hierarchy without one of the levels but the finest; only the prolongation
-        between its two neighbours is built.
+        """Return the hierarchy without a level; only the prolongation between its two neighbours is
+        built.
 
         ``level`` 0 is the coarsest. ValueError for the finest, and if the levels are not made of
         meshes."""

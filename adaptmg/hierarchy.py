@@ -318,8 +318,8 @@ class Hierarchy(Grids):
 
     @one_blas_thread()
     def append(self, mesh: MeshLike) -> Self:
-        """Return the hierarchy with one finer mesh (MeshArrays, ngsolve.Mesh or path); what is
-        there is neither assembled nor located again.
+        """Return the hierarchy with one finer mesh (MeshArrays, ngsolve.Mesh or path); the
+        levels before are neither assembled nor located again.
 
         It is the same as :meth:`from_meshes` makes of all meshes. The mesh need not be nested.
         ValueError if the levels are not made of meshes, or the mesh has no more nodes than the

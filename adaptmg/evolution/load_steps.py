@@ -1,5 +1,5 @@
 r"""Load steps: the truncated multigrid, which is set up once (:func:`resumed`), other solvers, which
-begin again (:func:`restarted`), and Controls, what a force prescribes.
+begin again (:func:`restarted`), and Controls, the motions that prescribed forces determine.
 
 In the truncated multigrid matrices, transfers, and the lists by which the contact status changes
 coarse matrices stay; loads, gaps and slip references change. The nested start of a step carries
@@ -10,7 +10,7 @@ only what the step changes: level l solves its step from
 with its history :math:`u_l^0, u_l^1, \dots` and slips measured against that. The error of such a
 start is the discretisation error of the increment, not of the whole displacement; it finds nodes
 that stick, and slips that turn round when a load is taken back, where the interpolation of the
-whole displacement would let every node slip. Before it the certificate is asked whether the
+whole displacement would let every node slip. Before this start the certificate checks whether the
 extrapolation of the last two steps solves the step, as it does under proportional loading.
 
 The motion of a Rigid obstacle and the strain of a Preload, which transmit a force, are a few

@@ -324,7 +324,8 @@ class ContactProblem(checks.Checked):
                     )
 
     def _uses(self) -> dict[str, str]:
-        """Return the use of each boundary in words, by its name; of several uses the last one listed here."""
+        """Return the use of each boundary as text, by its name; of several uses the last one listed
+        here."""
         used = dict.fromkeys(self.tied_boundaries, "a tie") | dict.fromkeys(
             self.pair_boundaries, "contact"
         )

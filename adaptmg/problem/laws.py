@@ -410,7 +410,7 @@ def check_law(name: str, law: object) -> Law:
 
 
 def law_of_position(name: str, law: object) -> Law:
-    """Return ``law`` if it is a law that every mesh can evaluate at its own contact nodes."""
+    """Return ``law`` if it is a law that each mesh can evaluate at its contact nodes."""
     checked = check_law(name, law)
     for parameter in ("limit", "friction"):
         shape = np.shape(getattr(law, parameter, 0.0))

@@ -420,8 +420,7 @@ class Evidence:
             # of e p^(1/m): e p^(1/m - 1) / m
             return scale * np.maximum(force, least) ** (1 / exponent - 1) / exponent
 
-        # soft surfaces: p = (depth / e)^m compresses the surface to the gap. Without this,
-        # of 711 solves by the active set to 1e-11 on domes, four (exponents 40 to 43) seem to have stalled
+        # soft surfaces: p = (depth / e)^m compresses the surface to the gap
         depth = np.maximum(-gap, 0.0)
         soft = (derivative(pressure) * self.stiffness > 1) & (depth > 0)
         required = np.divide(depth, scale, out=np.zeros_like(depth), where=soft) ** exponent

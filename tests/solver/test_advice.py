@@ -169,7 +169,7 @@ def test_friction_in_contact_is_not_warned_of(name):
 
 
 def test_large_strains_count_from_a_hundredth_of_a_body_on():
-    """They fall like 1 / young, which tells how stiff a body has so many elements beyond 5 %."""
+    """They fall like 1 / young, which gives the stiffness at which a number of elements exceeds 5 %."""
 
     def solved(young):
         grids = bar(young=young)
