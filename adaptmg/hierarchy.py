@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import combinations, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, cast
 
 import numpy as np
 
@@ -165,7 +165,7 @@ class Hierarchy(Grids):
         contact_ratio: float | Mapping[str, float] | None = None,
         transfer: Transfer | None = None,
         contact_rows: bool = True,
-        mesher: str = "own",
+        mesher: Literal["own", "netgen"] = "own",
         grading: float = 0.3,
     ) -> Self:
         """Return independent (non-nested) meshes, graded towards the contact boundaries, with

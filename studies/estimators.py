@@ -9,6 +9,7 @@ recovered one (Zienkiewicz and Zhu) on the same meshes. Signed estimates of goal
 the corrected value on a finer mesh."""
 
 import json
+from typing import Literal
 
 import pandas as pd
 from adaptive_vs_uniform import CASES, ENGINES, reference
@@ -17,7 +18,7 @@ from common import Output, drawing, main, slope
 import adaptmg as am
 from adaptmg.estimate import energy_error
 
-EXACT = {"slip and open": "open", "slip and stick": "stick"}
+EXACT: dict[str, Literal["open", "stick"]] = {"slip and open": "open", "slip and stick": "stick"}
 GOALS = {
     "GRECO bar": am.Displacement(am.cases.greco_bar().reference["points"]["C"], "x"),
     "upset block": am.ContactForce("contact", "x"),

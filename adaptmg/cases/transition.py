@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 def coulomb_transition(
     *,
     law: am.Coulomb = am.Coulomb(0.5),
-    kind: str = "open",
-    sign: str = "+",
+    kind: Literal["open", "stick"] = "open",
+    sign: Literal["+", "-"] = "+",
     pressure: float = 1e8,
     young: float = 1.3e11,
     poisson: float = 0.2,

@@ -11,7 +11,7 @@ import dataclasses
 import inspect
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import pairwise
@@ -63,13 +63,23 @@ _DIVISIONS = {2: (4, 8, 16, 32), 3: (2, 4, 8)}
 _NODES = 3000
 #: types of arguments that a text gives; others than these and OBJECTS are left to Python
 _PLAIN = ("str", "int", "float", "bool", "Sequence", "Literal", "FieldLike")
+#: what types are called on the command line; of other types no object is made from a text
+_WORDS = {
+    "str": "name",
+    "int": "whole number",
+    "float": "number",
+    "FieldLike": "number",
+    "FieldLikeOrArray": "number",
+    "bool": "{true, false}",
+    "MeshLike": "file",
+}
 
 
 @dataclass(frozen=True)
 class Key:
     """A key as the signature of its function or class describes it."""
 
-    values: str  # type or choices
+    values: str  # words for its type, or its choices in braces
     default: str = ""  # empty where there is none
 
 
@@ -122,12 +132,9 @@ def keys_of(function: Maker) -> dict[str, Key]:
     for name, (item, kinds) in _parameters(function).items():
         if kinds[1:]:
             default = _default_class(name, item, kinds)
-            keys[name] = Key(" | ".join(map(name_of, kinds)), name_of(default) if default else "")
+            keys[name] = Key(_choices(map(name_of, kinds)), name_of(default) if default else "")
         elif not kinds:
-            keys[name] = Key(
-                re.sub(r"FieldLike\w*", "float", str(item.annotation)).removesuffix(" | None"),
-                _default(item.default),
-            )
+            keys[name] = Key(_words(item), _default(item.default))
         for kind in kinds:
             for key, value in keys_of(kind).items():
                 if type(item.default) is kind and hasattr(item.default, key):
@@ -136,9 +143,25 @@ def keys_of(function: Maker) -> dict[str, Key]:
     return keys_of_objects | keys
 
 
+def _choices(names: Iterable[str]) -> str:
+    return f"{{{', '.join(names)}}}"
+
+
+def _words(item: inspect.Parameter) -> str:
+    """Return the choices of an argument, or words for its types."""
+    text = str(item.annotation)
+    if text.startswith("Literal"):
+        return _choices(re.findall(r"'(.*?)'", text))
+    if text.startswith("Sequence"):
+        return "list of numbers"
+    return " or ".join(_WORDS[name] for name in text.split(" | ") if name in _WORDS)
+
+
 def _default(value: object) -> str:
     """Return a default as text; "" for objects and None."""
-    if isinstance(value, bool | str):
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, int | float) else ""
 
@@ -213,13 +236,13 @@ def sections() -> dict[str, dict[str, Key]]:
     return {
         "case": {
             "case": Key("name"),
-            "elements": Key(" | ".join(ELEMENTS), ELEMENTS[0]),
-            "law": Key(" | ".join(map(name_of, OBJECTS["law"])), "that of the case"),
+            "elements": Key(_choices(ELEMENTS), ELEMENTS[0]),
+            "law": Key(_choices(map(name_of, OBJECTS["law"])), "that of the case"),
             **{key: value for kind in OBJECTS["law"] for key, value in keys_of(kind).items()},
         },
         "hierarchy": {**keys_of(am.Hierarchy.uniform), **keys_of(am.Hierarchy.graded)},
         "solver": {
-            "method": Key(" | ".join(map(name_of, METHODS)), name_of(METHODS[0])),
+            "method": Key(_choices(map(name_of, METHODS)), name_of(METHODS[0])),
             **{name: key for kind in reversed(METHODS) for name, key in keys_of(kind).items()},
         },
         "adapt": keys_of(am.adapt),
@@ -247,9 +270,9 @@ def from_texts(case: str, texts: Mapping[str, str], adaptive: bool = False) -> d
             )
         value = _value_of(text)
         kind = tables[part][key].values
-        if kind.startswith("Sequence") and not isinstance(value, tuple):
+        if kind.startswith("list") and not isinstance(value, tuple):
             value = (value,)
-        if type(value) is int and kind.startswith("float"):
+        if type(value) is int and kind.startswith("number"):
             value = float(value)
         settings[part][key] = value
     if adaptive and not {"tolerance", "max_nodes", "max_seconds"} & set(settings["adapt"]):

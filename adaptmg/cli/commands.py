@@ -226,7 +226,7 @@ def _add_settings(parser: _Parser, command: str) -> None:
                     *names,
                     dest=f"{section}.{key}",
                     default=argparse.SUPPRESS,
-                    metavar=about.values if len(about.values) < 12 else "VALUE",
+                    metavar="VALUE",
                     help=f"{about.values}{default}".replace("%", "%%"),
                 )
 

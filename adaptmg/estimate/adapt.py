@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Real
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def adapt(
     solver: Solver | None = None,
     rtol: float | None = None,
     load_path: LoadPath | None = None,
-    adapt_on: str = "last",
+    adapt_on: Literal["last", "worst"] = "last",
     remesh_every: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Iterator[Step[AnyEstimate]]:

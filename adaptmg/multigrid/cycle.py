@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol, cast
+from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 from scipy import sparse
@@ -373,9 +373,9 @@ class PaperCorrection:
     True
     """
 
-    gap: str = "smallest"
-    slip: str = "initial"
-    limit: str = "initial"
+    gap: Literal["smallest", "largest", "injected"] = "smallest"
+    slip: Literal["initial", "injected", "minmod"] = "initial"
+    limit: Literal["initial", "injected", "summed"] = "initial"
 
     def __post_init__(self) -> None:
         checks.choice("gap", self.gap, ("smallest", "largest", "injected"))
@@ -428,7 +428,7 @@ class Cycle:
     'W'
     """
 
-    shape: str = "V"
+    shape: Literal["V", "W", "F", "complete"] = "V"
     pre: int = 2
     post: int = 0
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from scipy import linalg, sparse
@@ -81,7 +81,7 @@ class ActiveSet:
 
     linear: LinearSolver = field(default_factory=Direct)
     condensed: bool | None = None
-    start: str | None = None
+    start: Literal["interior", "held"] | None = None
     rtol: float = 1e-10
     max_steps: int = 200
     nested_start: bool = False

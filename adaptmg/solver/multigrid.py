@@ -17,7 +17,7 @@ from __future__ import annotations
 import logging
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -103,8 +103,8 @@ class Multigrid:
     smoother: Smoother | None = None
     correction: Correction | Truncated = field(default_factory=Truncated)
     coarse: CoarseSolve | None = None
-    coarse_matrices: str | None = None
-    stop: str | None = None
+    coarse_matrices: Literal["galerkin", "discretised"] | None = None
+    stop: Literal["error", "change"] | None = None
     rtol: float | str = 1e-8
     max_cycles: int = 100
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -199,7 +199,7 @@ class SingleGrid:
 
     omega: float = 1.0
     condensed: bool = False
-    stop: str = "error"
+    stop: Literal["error", "change"] = "error"
     rtol: float = 1e-8
     max_sweeps: int = 200_000
 

@@ -203,18 +203,22 @@ def test_ctrl_c_says_how_to_go_on_and_the_same_command_does(command):
 
 def test_options_and_cases_are_explained_without_docstrings(command):
     facts = json.loads(command("cases", "bolted_junction", "--json")[1])["arguments"]
-    assert facts["friction"]["values"] == "float" and "law" not in facts
+    assert facts["friction"]["values"] == "number" and "law" not in facts
     text = command("cases", "cattaneo")[1]
     assert "lower.bottom, upper.top" in text and re.search(
-        r"tangential +float, default 15000", text
+        r"tangential +number, default 15000", text
     )
     assert "did you mean 'dovetail'" in command("cases", "dovetial")[2]
-    assert sections()["solver"]["rtol"] == build.Key("float | str", "1e-08")
+    solver = sections()["solver"]
+    assert solver["rtol"] == build.Key("number or name", "1e-08")
+    assert solver["shape"] == build.Key("{V, W, F, complete}", "V")
+    assert sections()["adapt"]["start"] == build.Key("number or file")
     done = subprocess.run(
         [sys.executable, "-OO", "-m", "adaptmg", "solve", "--help"],
         capture_output=True,
         text=True,
     )
+    assert not re.search(r"\b(str|int|float|bool|Literal|Sequence|Mapping)\b", done.stdout)
     assert done.returncode == 0 and done.stdout == command("solve", "--help")[1], done.stderr
 
 
