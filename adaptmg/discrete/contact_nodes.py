@@ -7,6 +7,7 @@ import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -241,11 +242,17 @@ def _unit_normals(value: ArrayLike, n: int) -> np.ndarray:
     return normals
 
 
-def _limits(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a read-only array, whose entries may be infinite."""
+def _numbers(name: str, value: ArrayLike) -> np.ndarray:
+    """Return an array of numbers, which may be infinite; TypeError for anything else."""
     numbers = checks.real_array(value)
     if numbers is None:
-        return bounded(name, value, shape)  # raises
+        raise TypeError(f"{name} must be an array of real numbers, got {checks.shown(value)}")
+    return numbers
+
+
+def _limits(name: str, value: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a read-only array, whose entries may be infinite."""
+    numbers = _numbers(name, value)
     is_infinite = np.isinf(numbers)
     finite = bounded(name, np.where(is_infinite, 0.0, numbers), shape, checks.VAST)
     limits = np.where(is_infinite, numbers, finite)
@@ -283,7 +290,7 @@ def _check_room(gaps: np.ndarray, opposite: np.ndarray) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Bounds:
+class Bounds(checks.Checked):
     """Limits of unknowns, lower <= u <= upper, for :class:`adaptmg.DiscreteProblem`.
 
     Parameters
@@ -308,28 +315,17 @@ class Bounds:
     [0.0, -0.1, -0.1, -0.1, 0.0]
     """
 
-    lower: ArrayLike | None = None
-    upper: ArrayLike | None = None
-    weights: ArrayLike | None = None
+    lower: Annotated[ArrayLike, _numbers] | None = None
+    upper: Annotated[ArrayLike, _numbers] | None = None
+    weights: Annotated[ArrayLike, _numbers] | None = None
 
     def __post_init__(self) -> None:
-        """Check what no number of nodes is needed for."""
-        for name in ("lower", "upper", "weights"):
-            value = getattr(self, name)
-            if value is not None and checks.real_array(value) is None:
-                raise TypeError(
-                    f"{name} must be an array of real numbers, got {checks.shown(value)}"
-                )
+        """Refuse numbers that cross; arrays may cross at fixed dofs, which have no limits."""
+        super().__post_init__()
         if self.lower is None or self.upper is None:
             return
-        scalar = np.ndim(self.lower) == 0 or np.ndim(self.upper) == 0
-        # at_nodes knows the shape that both must have
-        if (scalar or np.shape(self.lower) == np.shape(self.upper)) and np.any(
-            np.greater(self.lower, self.upper)
-        ):
-            raise ValueError(
-                f"lower must be <= upper, got {checks.shown(self.lower)} and {checks.shown(self.upper)}"
-            )
+        if np.ndim(self.lower) == np.ndim(self.upper) == 0 and np.greater(self.lower, self.upper):
+            raise ValueError(f"lower must be <= upper, got {self.lower} and {self.upper}")
 
     def at_nodes(self, fixed: np.ndarray) -> ContactNodes:
         """Return the contact nodes of a problem: those with a finite limit, without the limits of the

@@ -375,10 +375,7 @@ def computed():
         (lambda: am.solve(grids()).resultant([]), "boundary must be a string"),
         (lambda: am.solve_path(grids(), am.LoadPath(), depends=3), "depends must map"),
         (lambda: am.Step.table([3]), r"steps\[0\] must be Step"),
-        (
-            lambda: am.Bounds(lower=[0.0, 1.0], upper=0.5),
-            r"must be <= upper, got \[0.0, 1.0\] and 0.5",
-        ),
+        (lambda: am.Bounds(lower=1.0, upper=0.5), "lower must be <= upper, got 1.0 and 0.5"),
         (lambda: am.Bounds(upper="1"), "upper must be an array of real numbers, got '1'"),
         (lambda: am.Bounds(weights=OTHER), "weights must be an array of real numbers"),
         (lambda: am.ScalarProblem(conductivity=0), "conductivity must be > 0, got 0"),

@@ -246,6 +246,13 @@ def posed(**parts):
     return am.DiscreteProblem(**given | parts)
 
 
+def test_limits_may_cross_where_a_dof_is_fixed():
+    """By rounding, say: x (1 - x) below 0 at the end of a string."""
+    bounds = am.Bounds(lower=[1e-17, 0.0, 0.0], upper=[-1e-17, 0.1, 0.9])
+    string = posed(fixed=np.array([True, False, False]), bounds=bounds)
+    assert am.solve(string, am.SingleGrid()).displacement[:, 0] == pytest.approx([0.0, 0.1, 0.5])
+
+
 def held_at(value, **limits):
     square = am.Rectangle(width=1.0, height=1.0)
     return am.Hierarchy.uniform(am.ScalarProblem(domain=square, value=value, **limits), (2, 4))
@@ -263,6 +270,7 @@ def estimated(other):
     [
         (lambda: posed(), "one of them"),
         (lambda: posed(bounds=am.Bounds(lower=1.0, upper=1.0)), "prescribe values"),
+        (lambda: posed(bounds=am.Bounds(lower=[0, 0, 1], upper=[0.5] * 3)), "got 1 to 0.5"),
         (lambda: posed(bounds=am.Bounds(lower=np.inf)), r"bounds\.lower must be < inf"),
         (lambda: posed(bounds=am.Bounds(upper=-np.inf)), r"bounds\.upper must be > -inf"),
         (lambda: posed(bounds=am.Bounds(lower=[0.0, 1.0])), "3 entries, one a dof"),
