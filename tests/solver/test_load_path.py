@@ -109,6 +109,14 @@ class TestSteps:
         )
         assert all(result.work_units <= 1.1 * first.work_units for result in back)
 
+    @pytest.mark.parametrize("solver", [am.ActiveSet(), am.ActiveSet(condensed=False), None])
+    def test_nothing_moves_or_slips_under_unchanged_loads(self, solver):
+        grids = am.Hierarchy.uniform(am.cases.greco_block(), (2, 4))
+        _, before, *held = am.solve_path(grids, am.LoadPath(default=[0.5, 1.0, 1.0, 1.0]), solver)
+        for step in held:
+            assert distance(step, before) <= 1e-13
+            assert not step.contact.counts()["slip"]
+
     @pytest.mark.parametrize("law", [am.Coulomb(0.5), am.Frictionless()], ids=["sticks", "slips"])
     @pytest.mark.parametrize("solver", [am.Multigrid(), am.FullMultigrid()], ids=["cold", "nested"])
     def test_steps_that_change_no_status_cost_no_more_cycles_than_the_first(self, law, solver):
