@@ -142,6 +142,7 @@ class ContactNodes:
             shares = sparse.csr_array(checks.sparse_matrix("taken_over", taken_over, (n, None)))
             if not shares.data.min(initial=0.0) >= 0:
                 raise ValueError(f"taken_over must be >= 0, got {shares.data.min():.6g}")
+        # the class is frozen: its fields are set once, here
         self.__dict__.update(
             nodes=nodes,
             normals=normals,
@@ -192,6 +193,7 @@ class ContactNodes:
             return self
         u_n = np.einsum("nd,nd->n", displacement, self.normals)
         opposite_is_nearer = self.gaps - u_n > self.opposite_gaps + u_n
+        # of two obstacles g - u_n and g' + u_n are the distances
         facing_nearest = copy.copy(self)
         facing_nearest.__dict__.update(
             normals=np.where(opposite_is_nearer[:, None], -self.normals, self.normals),
@@ -279,6 +281,7 @@ def _checked_gaps(
 
 def _check_room(gaps: np.ndarray, opposite: np.ndarray) -> None:
     """Raise ValueError unless each node has an obstacle, and room between two."""
+    # -g' < g, and one of the two finite; the negation catches NaN
     bad = ~(gaps + opposite > 0) | np.isinf(np.minimum(gaps, opposite))
     if bad.any():
         i = int(np.argmax(bad))
@@ -335,6 +338,7 @@ class Bounds(checks.Checked):
         shape = max(np.shape(lower), np.shape(upper), key=len) or fixed.shape
         if math.prod(shape) != len(fixed):
             raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
+        # gaps along and against the axes, u <= upper and -u <= -lower, infinite at fixed dofs
         against_axes = np.where(fixed, np.inf, -_finite_below("bounds.lower", lower, shape, -1.0))
         along_axes = np.where(fixed, np.inf, _finite_below("bounds.upper", upper, shape, 1.0))
         dim = shape[1] if len(shape) == 2 else 1
@@ -370,7 +374,7 @@ class Bounds(checks.Checked):
 
 
 def _finite_below(name: str, limit: ArrayLike, shape: tuple[int, ...], sign: float) -> np.ndarray:
-    """Return limits (n_dofs,), a number for all dofs or an array of this shape; ValueError if one is
+    """Return limits (n_dofs,) from a number for all dofs or an array of this shape; ValueError if one is
     infinite on the side of the opposite ``sign``, and so leaves no room."""
     limits = _limits(name, np.full(shape, limit) if np.ndim(limit) == 0 else limit, shape)
     if (limits == -sign * np.inf).any():
@@ -381,6 +385,7 @@ def _finite_below(name: str, limit: ArrayLike, shape: tuple[int, ...], sign: flo
 
 
 def _checked_masters(value: object) -> tuple[str, ...]:
+    """Return the names of masters, "" of rigid obstacles, checked."""
     return tuple(
         checks.boundary_name(f"masters[{i}]", name) if name else ""
         for i, name in enumerate(checks.listed("masters", value, "names"))

@@ -57,11 +57,13 @@ class Coupling:
         weights = self.weights
         n = self.weights.shape[0]
         dim = len(self.fixed) // n
+        # Pi W, with Pi = I without fixed dofs and without Z
         held = self.inclined.spread(self.inclined.spans, n)
         free = sparse.diags_array((~self.fixed).astype(float), format="csr") - held
         by_dof = sparse.csr_array(free @ sparse.kron(weights, sparse.eye_array(dim), format="csr"))
         by_dof.eliminate_zeros()
         upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
+        # the class is frozen: these follow from its fields, and are set once
         object.__setattr__(self, "upward", checks.narrowed(upward))
         object.__setattr__(self, "_by_dof", checks.narrowed(by_dof))
         object.__setattr__(self, "_series", checks.narrowed(_series(by_dof)))
@@ -104,6 +106,7 @@ class Coupling:
         dim = self.dim
         series = sparse.bsr_array(self._series, blocksize=(dim, dim))
         right = sparse.bsr_array(matrix @ series)
+        # T'AT - A with T = I + series: A series + (A series)' + series' A series
         change = right + sparse.bsr_array(right.T) + sparse.bsr_array(series.T @ right)
         # the last term is symmetric to rounding only
         symmetric = 0.5 * (change + sparse.bsr_array(change.T))
@@ -309,6 +312,7 @@ class Unknowns:
         result = displacement[nodes]
         if self.coupling is None:
             return result
+        # u - W u, and along tangents that supports hold on both sides relative to the held nodes
         result -= self.coupling.weights[nodes] @ displacement
         for slaves, weights, tangents in self.held_together():
             change = displacement[nodes[slaves]] - weights @ displacement - result[slaves]
@@ -331,6 +335,7 @@ class Unknowns:
             weights = sparse.csr_array(weights)
             weight_sums = np.asarray(weights.sum(axis=1)).ravel()
             carried = weight_sums > checks.SIX_DIGITS
+            # without master nodes that are held there is nothing to be relative to
             scale = sparse.diags_array(1 / weight_sums[carried], format="csr")
             slaves = held[carried]
             result.append((slaves, sparse.csr_array(scale @ weights[carried]), tangents[slaves]))
@@ -348,6 +353,7 @@ def frames_of(problem: Unknowns) -> np.ndarray:
     normals = contact.normals
     frames = np.empty((len(normals), contact.dim, contact.dim))
     frames[:, 0] = normals
+    # in the plane the tangent is the normal, turned by +90 degrees
     if contact.dim == 1:
         return frames
     if contact.dim == 2:

@@ -132,7 +132,7 @@ def _add(
 
 def check_loads(mesh: MeshArrays, loads: Sequence[Load]) -> None:
     """Raise ValueError for a pressure or traction, a function of position, that is zero at all
-    quadrature points but not between them."""
+    quadrature points but not between them: it acts on less than a facet, and its integral is 0."""
     for load in loads:
         if not isinstance(load, Pressure | Traction):
             continue
@@ -140,13 +140,16 @@ def check_loads(mesh: MeshArrays, loads: Sequence[Load]) -> None:
             continue
         surface = mesh.surface(load.boundary)
         corners = mesh.points[surface.facets]
-        _, points, _ = integration(mesh.points, surface.facets, surface.measures, False)
+        _, points, _ = integration(
+            mesh.points, surface.facets, surface.measures, axisymmetric=False
+        )
+        # further points, at random places of each facet
         barycentric = np.random.default_rng(0).dirichlet(np.ones(mesh.dim), _BETWEEN)
         between_points = np.einsum("sk,fkd->fsd", barycentric, corners)
-        acts_where_integrated, acts_anywhere = (
+        acts_where_integrated, acts_between = (
             load_density(load, at, surface.normals).any() for at in (points, between_points)
         )
-        if acts_anywhere and not acts_where_integrated:
+        if acts_between and not acts_where_integrated:
             edge = np.ptp(corners, axis=1).max()
             raise ValueError(
                 f"the {type(load).__name__} on {load.boundary!r} acts on less than an edge ({edge:.3g} m) "
@@ -188,7 +191,7 @@ def body_elements(mesh: MeshArrays, body: str) -> np.ndarray:
 def mean_initial_strain(
     mesh: MeshArrays, loads: Sequence[Load], *, axisymmetric: bool = False
 ) -> np.ndarray:
-    """Return the mean of all initial strains on each element."""
+    """Return the mean (n_elements, 3) of the sum of all initial strains on each element."""
     result = np.zeros((len(mesh.elements), 3))
     for load in loads:
         if isinstance(load, InitialStrain):
@@ -213,6 +216,7 @@ def initial_strain_load(
         weights = volumes[elements_of_body, None]
         rule = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
     if isinstance(materials[mesh.bodies.index(load.body)], PlaneStress):
+        # a sheet is free to become thicker
         strain[:, :, 2] = 0.0
     tensors = moduli(mesh, materials, elements)
     stress_columns = np.einsum(
@@ -223,7 +227,8 @@ def initial_strain_load(
     )
     cells = mesh.elements[elements_of_body]
     dim = mesh.dim
-    # the forces that the stresses exert on the corners of elements
+    # int C eps_0 : eps(phi_i), at the corners of elements; in axisymmetry with the hoop stress times
+    # phi_i / r
     forces = shape_gradients(mesh)[0][elements_of_body] @ np.einsum(
         "eq,eqij->eij", weights, stress[:, :, :dim, :dim]
     )
@@ -274,6 +279,7 @@ def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.nd
             raise ValueError(
                 f"{name} of the spring on {spring.boundary!r} must be >= 0, got {values.min():g} N/m^3"
             )
+    # k_n n n' + k_t (I - n n')
     outer = np.einsum("fi,fj->fij", normals, normals)[:, None]
     return normal[:, :, None, None] * outer + tangential[:, :, None, None] * (
         np.eye(normals.shape[1]) - outer
@@ -292,7 +298,8 @@ def spring_elements(
     surface = mesh.surface(spring.boundary)
     rule, points, weights = integration(mesh.points, surface.facets, surface.measures, axisymmetric)
     per_area = weights[:, :, None, None] * foundation(spring, points, surface.normals)
-    # the products of shape functions are symmetric to the last bit, and so is the matrix
+    # int phi_a phi_b k: the products of shape functions are symmetric to the last bit, and so is the
+    # matrix
     return surface.facets, np.einsum(
         "qab,fqij->fabij", rule[:, :, None] * rule[:, None, :], per_area
     )

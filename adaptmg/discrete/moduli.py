@@ -163,7 +163,8 @@ def isotropic(
     k = 2 * mesh.dim
     table = shear[:, None, None] * np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])[:k, :k]
     table[:, :3, :3] += lame[:, None, None]
-    # the row zz of a sheet gives the strain through the thickness, not a stress
+    # the row zz of a sheet gives the strain through the thickness, not a stress: -lambda / (2 mu) of
+    # the strains in the plane, as lambda is that of plane stress
     table[thin, 2] = 0.0
     table[thin, :, 2] = 0.0
     table[thin, 2, :2] = -(lame / (2 * shear))[thin, None]
@@ -178,10 +179,11 @@ def _turned(material: Elastic, anisotropy: Anisotropy, points: np.ndarray) -> np
     # row p of T gives the component PAIRS[p] of R e R', twice it where that is a shear
     turn = axes[:, i][:, :, i] * axes[:, j][:, :, j] + axes[:, i][:, :, j] * axes[:, j][:, :, i]
     turn[:, :3] *= 0.5
+    # T' C_0 T
     result = turn.swapaxes(1, 2) @ np.array(anisotropy.stiffness)[np.ix_(_VOIGT, _VOIGT)] @ turn
     result = (0.5 * (result + result.swapaxes(1, 2)))[:, :k, :k]
     if isinstance(material, PlaneStress):
-        # eliminate the strain through the thickness, whose stress is zero
+        # eliminate the strain through the thickness, -C_zp eps_p / C_zz, whose stress is zero
         through = -result[:, 2] / result[:, 2, 2, None]
         result += result[:, 2, :, None] * through[:, None]
         result[:, :, 2] = 0.0

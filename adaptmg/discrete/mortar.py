@@ -132,7 +132,7 @@ def curved(
     if not slave or not master or all(surface.plane for surface in (*slave, *master)):
         return sides
     slave_surface, master_surface = (
-        Curved(mesh.points, side.facets, surfaces, mesh.refinement is not None)
+        Curved(mesh.points, side.facets, surfaces, bisected=mesh.refinement is not None)
         for surfaces, side in zip((slave, master), sides, strict=True)
     )
     # a mesh that was moved away from the domain lies far from its surfaces
@@ -148,9 +148,13 @@ def pair_interface(
     axisymmetric = boundaries.problem.axisymmetric
     slave, master = sides
     if np.isin(slave.nodes, excluded).all():  # a coarse mesh may have no other
-        no_rows = sparse.csr_array((0, mesh.n_nodes))
         return MortarInterface(
-            slave.nodes[:0], np.empty((0, mesh.dim)), np.empty(0), np.empty(0), no_rows, np.empty(0)
+            nodes=slave.nodes[:0],
+            normals=np.empty((0, mesh.dim)),
+            weights=np.empty(0),
+            gaps=np.empty(0),
+            coupling=sparse.csr_array((0, mesh.n_nodes)),
+            closest=np.empty(0),
         )
     named_pair = f"contact pair {pair.slave!r} on {pair.master!r}"
     from adaptmg.discrete.mortar_parts import Surfaces  # problems without pairs start sooner
@@ -226,6 +230,7 @@ def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse
             break
         scale = np.divide(1.0, reached_mass, out=np.zeros(n), where=newly_reached)
         new_shares = sparse.diags_array(scale) @ mass @ sparse.diags_array(is_reached.astype(float))
+        # these nodes stand for a new one in the proportions of the mass between them and it
         shares = sparse.csr_array(shares + new_shares @ shares)
         is_reached |= newly_reached
     return shares
@@ -239,6 +244,7 @@ def taken_over(
     (n_nodes,). ``carries`` is the mask of nodes with multipliers."""
     if carries[surface.nodes].all():  # of most boundaries: half of the time that these take
         return sparse.csr_array((len(carries), len(carries)))
+    # E_ji w_i
     share = _shares(surface, carries, axisymmetric)
     measure = surface.lumped(axisymmetric)
     given = np.where(carries if silent is None else carries | ~silent, 0.0, measure)
@@ -258,6 +264,7 @@ def chord_heights(surface: Surface) -> np.ndarray:
     known, and the longest edges of the facets: (2, n), m."""
     length = _edge_lengths(surface).max(axis=1)
     turns = surface.node_normals[surface.facets] - surface.normals[:, None]
+    # h |n_i - n_F| / 4
     heights = 0.25 * length * np.linalg.norm(turns, axis=2).max(axis=1)
     known = isinstance(surface, Curved) and surface.behind >= 0
     return np.stack([np.where(known, 0.0, heights), length])
@@ -294,6 +301,7 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     )
     distances = np.bincount(nodes, gaps, minlength=n)
     partners = sparse.csr_array((np.ones(len(nodes)), (nodes, partner)), shape=(n, n))
+    # a node next to others without a multiplier, i: u_j - u_k(j) + sum E_ji w_i/w_j (u_i - u_k(i))
     coupling = sparse.csr_array(
         partners + taken_by_neighbours @ (partners - sparse.eye_array(n, format="csr"))
     )
@@ -381,6 +389,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         / np.maximum(carries.sum(axis=1), 1)[:, None, None]
     )
     share = share + np.eye(carries.shape[1]) * (carries | without_multiplier[:, None])[:, :, None]
+    # quadrature weights times the test functions; products are M of the module, facing M assembled
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
     # D of the module: ``diagonal`` at nodes with a multiplier, ``taken_over_rows`` at the others
     mass_without_multiplier = share * np.where(carries, 0.0, shape_mass)[:, None, :]
@@ -409,6 +418,7 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
     # over the diagonal, what the nodes with a multiplier face
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
+    # B = M / D_jj, less the share of nodes without a multiplier
     over_diagonal = sparse.diags_array(1 / diagonal[nodes], format="csr")
     coupling = over_diagonal @ facing[nodes]
     if taken_over_rows is not None:
@@ -441,11 +451,13 @@ def _dual_functions(parts: CoveredParts) -> tuple[np.ndarray, np.ndarray, np.nda
     measure, centroid, from_centroid, covariance = parts.means()
     corners = np.swapaxes(parts.corners - centroid[:, None], 1, 2)
     n, k = corners.shape[::2]
-    # as many right sides as matrices: numpy 1 takes fewer for vectors
+    # phi(c): sum phi_j = 1 and sum phi_j (x_j - c) = 0. As many right sides as matrices: numpy 1
+    # takes fewer for vectors
     first_unit = np.broadcast_to(np.eye(k)[:, :1], (n, k, 1))
     shape = np.linalg.solve(np.concatenate([np.ones((n, 1, k)), corners], axis=1), first_unit)[
         ..., 0
     ]
+    # psi_j = phi_j(c) (1 + (x - c) . S^-1 (x_j - c))
     weighted_corners = np.linalg.solve(covariance, corners)
     return (
         measure,

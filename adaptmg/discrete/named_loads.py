@@ -66,16 +66,17 @@ class LoadSteps:
             data = self.stress_data(factors)
             volumes = volumes.expanding(need_mesh(self), data.initial_strain, data.axisymmetric)
         return discrete.with_step(
-            self.load(factors),
-            self.fixed_values(factors),
-            slip_reference,
-            accumulated_slip,
-            self.strain_free(factors),
-            volumes,
+            load=self.load(factors),
+            fixed_values=self.fixed_values(factors),
+            slip_reference=slip_reference,
+            accumulated_slip=accumulated_slip,
+            strain_free=self.strain_free(factors),
+            volumes=volumes,
         )
 
     def strain_free(self, factors: Mapping[str, float]) -> tuple[np.ndarray, float] | None:
-        """Return ``strain_free`` of a step, see :class:`DiscreteProblem`."""
+        """Return ``strain_free`` of a step, see :class:`DiscreteProblem`: the load of its initial strains
+        (n_dofs,), N, and twice the energy of suppressing them, N m; None without them."""
         if not self.strains:
             return None
         load = sum(
@@ -98,6 +99,7 @@ class LoadSteps:
         support_of_dof = np.full(self.n_dofs, -1)
         for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
             scaled = factors.get(name, 1.0) * values
+            # a dof of two supports must get the same value from both
             differs = np.abs(result[dofs] - scaled) > 1e-12 * np.abs(scaled)
             clash = (support_of_dof[dofs] >= 0) & differs
             if clash.any():
@@ -137,14 +139,14 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
             )
     dofs = dofs_of(posed.inclined.nodes, mesh.dim)
     return LoadSteps(
-        discrete.n_dofs,
-        loads,
-        _prescribed(posed),
-        {name: (dofs, part.reshape(-1)) for name, part in posed.inclined.moved.items()},
-        StressData.of(mesh, posed.materials, elements=problem.elements),
-        strains,
-        strain_loads,
-        mesh,
+        n_dofs=discrete.n_dofs,
+        loads=loads,
+        prescribed=_prescribed(posed),
+        inclined={name: (dofs, part.reshape(-1)) for name, part in posed.inclined.moved.items()},
+        stress=StressData.of(mesh, posed.materials, elements=problem.elements),
+        strains=strains,
+        strain_loads=strain_loads,
+        mesh=mesh,
     )
 
 
@@ -171,7 +173,7 @@ def whole_load(discrete: DiscreteProblem) -> LoadSteps:
     """Return all loads and prescribed displacements of a problem without names, as one."""
     dofs = np.flatnonzero(discrete.fixed_values)
     return LoadSteps(
-        discrete.n_dofs,
-        {DEFAULT: discrete.whole_load},
-        {DEFAULT: (dofs, discrete.fixed_values[dofs])},
+        n_dofs=discrete.n_dofs,
+        loads={DEFAULT: discrete.whole_load},
+        prescribed={DEFAULT: (dofs, discrete.fixed_values[dofs])},
     )

@@ -37,6 +37,7 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
         contact.obstacle, contact.boundary, mesh.points[nodes], boundaries.outward[k]
     )
     gaps = np.array(given_gaps, dtype=np.float64)
+    # overlaps of rounding are none
     gaps[(gaps < 0) & (gaps > -checks.ROUNDING * np.linalg.norm(mesh.sides))] = 0.0
     if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))
@@ -54,13 +55,13 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
         carries = mask_of(nodes[movable], mesh.n_nodes)
         taken = taken_over(surface, carries, problem.axisymmetric)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
-        distances = distances + taken[:, nodes] @ gaps
+        distances = distances + taken[:, nodes] @ gaps  # g_j + sum E_ji w_i/w_j g_i
     directions, distances = along_free(free[movable], normals[movable], distances)
     return MortarInterface(
-        nodes[movable],
-        directions,
-        weights,
-        distances,
+        nodes=nodes[movable],
+        normals=directions,
+        weights=weights,
+        gaps=distances,
         coupling=None if taken is None or not taken.nnz else -taken,
         taken_over=taken,
     )
@@ -90,6 +91,7 @@ def check_held(
         # a part of the normal that is held must not move at all: either way the gap would change
         in_part = _held_in_part(free, normals)
         beyond = np.where(in_part, np.abs(normal_motion), normal_motion - gaps)
+        # where nothing of the normal is held the support cannot move the node into the obstacle
         beyond[(free == normals).all(axis=1)] = 0.0
         i = int(np.argmax(beyond))
         if beyond[i] > checks.ROUNDING * (
@@ -128,6 +130,7 @@ def along_free(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return normals (n, dim) and gaps (n,) along free parts (n, dim) of the normals, unchanged
     where these vanish."""
+    # P n / |P n| and g / |P n|
     part = _held_in_part(free, normals)
     length = np.where(part, np.linalg.norm(free, axis=1), 1.0)
     return np.where(part[:, None], free / length[:, None], normals), gaps / length

@@ -92,15 +92,15 @@ class InelasticBodies:
         )
         smoothed = elements == "smoothed"
         return cls(
-            posed,
-            members,
-            numbers,
-            len(patches.measures),
-            _strain_matrix(patches, numbers, mesh.points.size, 2 * mesh.dim),
-            patches.measures[numbers],
-            tensors.table[tensor_of_patch],
-            (whole_tensors.table - tensors.table)[tensor_of_patch, 0, 1],
-            volume_groups(mesh, posed.materials, inelastic=True)
+            posed=posed,
+            members=members,
+            numbers=numbers,
+            n_patches=len(patches.measures),
+            strains=_strain_matrix(patches, numbers, mesh.points.size, 2 * mesh.dim),
+            measures=patches.measures[numbers],
+            elastic=tensors.table[tensor_of_patch],
+            bulk=(whole_tensors.table - tensors.table)[tensor_of_patch, 0, 1],
+            groups=volume_groups(mesh, posed.materials, inelastic=True)
             if smoothed
             else Volumes.none(mesh.n_nodes, mesh.dim),
         )
@@ -125,8 +125,10 @@ class InelasticBodies:
         strain = (self.strains @ problem.physical(displacement).reshape(-1)).reshape(-1, k)
         stress, tangent, state = self._material(strain, state)
         if self.bulk.any():
+            # without (K_b - K'_b) tr(eps) I, which acts on groups of nodes
             stress[:, :3] -= (self.bulk * strain[:, :3].sum(axis=1))[:, None]
             tangent[:, :3, :3] -= self.bulk[:, None, None]
+        # f - f_int = f - K u + sum V B' rho, rho = C B u - sigma
         relaxed = np.einsum("nij,nj->ni", self.elastic, strain) - stress
         forces = self.strains.T @ (self.measures[:, None] * relaxed).reshape(-1)
         elastic = problem.inclined.imbalance(
@@ -147,7 +149,7 @@ class InelasticBodies:
         )
         if problem.coupling is not None:
             matrix = problem.coupling.transformed(matrix)
-        load = matrix @ at.displacement + at.missed
+        load = matrix @ at.displacement + at.missed  # f + K_t u - f_int(u)
         parts = {
             "matrix": matrix,
             "load": load,
@@ -206,14 +208,19 @@ class InelasticBodies:
         inelastic = inelastic_bodies(self.posed.materials)[mesh.element_body]
         stress = data.tensors(mesh, physical)
         stress[inelastic] = as_tensors(values[inelastic, :k])
-        # groups of nodes bear the rest of the pressure
+        # groups of nodes bear the rest of the pressure, kappa b u
         if len(self.groups):
             pressures = self.groups.strains(physical.reshape(-1)) / self.groups.compliance
             stress[inelastic] += self.groups.of_elements(pressures)[inelastic, None, None] * np.eye(
                 3
             )
-        state = PlasticState(at.state, stress, as_tensors(values[:, k : 2 * k]), values[:, 2 * k])
-        return replace(data, plastic=state)
+        plastic_state = PlasticState(
+            state=at.state,
+            stress=stress,
+            strain=as_tensors(values[:, k : 2 * k]),
+            accumulated=values[:, 2 * k],
+        )
+        return replace(data, plastic=plastic_state)
 
     def _of_elements(self, values: np.ndarray) -> np.ndarray:
         """Return the values (n_elements, n) of elements from those (m, n) of the patches, zero in

@@ -101,6 +101,7 @@ class Posed(Boundaries):
         """Return a copy on the same mesh for a problem that differs in its law or loads."""
         problem.check_boundaries(self.mesh.boundaries)
         problem.check_bodies(self.mesh.bodies)
+        # a copy, which keeps what was computed: the class is frozen, and replace() would drop that
         result = copy.copy(self)
         object.__setattr__(result, "problem", problem)
         return result
@@ -195,6 +196,7 @@ class Posed(Boundaries):
     def owner(self) -> np.ndarray:
         """Return the number of the contact (n_nodes,) whose condition a node may carry, or -1."""
         owner = np.full(self.mesh.n_nodes, -1, dtype=np.int32)
+        # of several boundaries the first one counts, which is written last
         for k, name in reversed([*enumerate(self.problem.contact_boundaries)]):
             owner[self.surfaces[name].nodes] = k
         return owner
@@ -265,7 +267,16 @@ class Posed(Boundaries):
         taken = None if taken is None else taken[nodes]
         coupled = [(part.nodes, part.coupling) for part in (*parts, *self.ties)]
         follows = spread(coupled, n_nodes)
-        return Rows(nodes, role, owner, normals, gaps, weights, taken, follows)
+        return Rows(
+            nodes=nodes,
+            role=role,
+            owner=owner,
+            normals=normals,
+            gaps=gaps,
+            weights=weights,
+            taken_over=taken,
+            follows=follows,
+        )
 
     def _touching(self, k: int, excluded: np.ndarray) -> MortarInterface:
         """Return the nodes of contact boundary k that carry its condition, without ``excluded`` slave nodes."""

@@ -278,6 +278,7 @@ class DiscreteProblem(Unknowns):
         if self.strain_free is None:
             return energy
         load, suppressed = self.strain_free
+        # |eps(u) - eps_0|^2 = u'Au - 2 u . b_0 + |eps_0|^2
         return max(
             energy - 2 * float(np.einsum("i,i->", displacement, load)) + suppressed,
             1e-8 * abs(suppressed),
@@ -298,10 +299,12 @@ class DiscreteProblem(Unknowns):
         coupling relative ones), N and m; slips count from ``slip_reference`` (n_contact, dim), as
         :meth:`at_contact` has it, and come after ``accumulated_slip`` (n_contact,), m.
         ``volumes`` have the initial strains of the step."""
+        # a copy without the checks of all its arrays; the class is frozen
         contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
         object.__setattr__(contact, "slip_reference", reference)
         object.__setattr__(contact, "accumulated_slip", accumulated_slip)
+        # only along what is held: fixed dofs and inclined directions
         prescribed = fixed_values - self.free_part(fixed_values)
         values = bounded("fixed_values", prescribed, (self.n_dofs,))
         return self.posing(contact=contact, **self.lifted(load, values, strain_free, volumes))
@@ -509,6 +512,7 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
 
 
 def _relative_motions(coupling: Coupling, motions: Callable[[], np.ndarray]) -> np.ndarray:
+    """Return what ``motions`` computes, rigid motions (n_dofs, k), in relative coordinates."""
     return coupling.relative(motions())
 
 

@@ -130,6 +130,7 @@ class ScalarProblem(checks.Checked):
                 raise ValueError(
                     f"{name} must leave the values of held boundaries room, but one lies {beyond.max():.6g} beyond it"
                 )
+        # int phi_i
         corners = np.repeat(mesh.volumes / (mesh.dim + 1), mesh.dim + 1)
         masses = np.bincount(mesh.elements.reshape(-1), corners)
         return DiscreteProblem(
@@ -145,6 +146,7 @@ class ScalarProblem(checks.Checked):
     def _stiffness(self, mesh: MeshArrays) -> sparse.csr_array:
         """Return the matrix (n_nodes, n_nodes) of the conductivity."""
         slopes, measures = shape_gradients(mesh)
+        # k grad phi_a . grad phi_b on each element
         entries = (self.conductivity_on(mesh) * measures)[:, None, None] * (
             slopes @ slopes.swapaxes(1, 2)
         )
@@ -156,7 +158,9 @@ class ScalarProblem(checks.Checked):
 
     def _load(self, mesh: MeshArrays) -> np.ndarray:
         """Return the nodal loads (n_nodes,)."""
-        rule, points, weights = integration(mesh.points, mesh.elements, mesh.volumes, False)
+        rule, points, weights = integration(
+            mesh.points, mesh.elements, mesh.volumes, axisymmetric=False
+        )
         density = checks.field("load", self.load, points.reshape(-1, mesh.dim))
         forces = (weights * density.reshape(weights.shape)) @ rule
         return np.bincount(mesh.elements.reshape(-1), forces.reshape(-1))

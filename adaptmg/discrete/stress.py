@@ -203,6 +203,7 @@ class StressData:
         strain = self._elastic(mesh, displacement)
         thin = self.thin[mesh.element_body]
         if thin.any():
+            # the row zz of sheets gives this strain, not a stress
             strain[thin, 2, 2] = self.of_elements(mesh).stress(strain)[thin, 2]
         if len(self.initial_strain):
             strain[:, np.arange(3), np.arange(3)] += self.initial_strain
@@ -246,6 +247,7 @@ class StressData:
         rule, weights = quadrature_rule(3, AXISYMMETRIC_DEGREE)
         hoop = hoop_strain(mesh, u)
         radii = mesh.points[mesh.elements, 0] @ rule.T
+        # u_r / r less its mean, and half of 2 pi r C_hoop times its square
         rise = u[mesh.elements, 0] @ rule.T / radii - hoop[:, None]
         stiffness = self.of_elements(mesh).of_hoop()[:, 2] * mesh.volumes
         return energy + np.pi * float(np.einsum("n,nq,q->", stiffness, radii * rise**2, weights))
@@ -368,6 +370,7 @@ def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> fl
     elements = body_elements(mesh, preload.body)
     young = body_materials(mesh, material)[mesh.bodies.index(preload.body)].young
     volume = element_measures(mesh, is_axisymmetric(material))[elements].sum()
+    # E times the mean section, the volume over the length
     return float(young * volume / np.ptp(mesh.points[mesh.elements[elements], preload.direction]))
 
 
@@ -413,6 +416,7 @@ def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndar
     n_shared = shared.data[has_fit]
     neighbour_fits = fits[fit_of_node[neighbour]]
     slopes = neighbour_fits[:, 1:]
+    # the fits a + B (x - x_i) of inner neighbours, at the place of the outer node
     extrapolated = neighbour_fits[:, 0] + np.einsum(
         "nd,ndc->nc", points[node] - points[neighbour], slopes
     )
@@ -451,7 +455,8 @@ def _fits(
         matrix[a] = cast("np.ndarray", sums @ terms).T
         right_sides[a] = cast("np.ndarray", sums @ samples).T
     means = right_sides[0] / matrix[0, 0]
-    # samples on a line, or in a plane, have pivots below
+    # Gauss elimination of all normal equations at the same time. Samples on a line, or in a plane,
+    # have pivots below
     limit = checks.SIX_DIGITS * matrix[0, 0]
     for a in range(k):
         determined &= matrix[a, a] > limit
@@ -462,6 +467,6 @@ def _fits(
     for a in reversed(range(k)):
         right_sides[a] -= (matrix[a, a + 1 :, None] * right_sides[a + 1 :]).sum(axis=0)
         right_sides[a] /= matrix[a, a]
-    right_sides[1:] /= extents
+    right_sides[1:] /= extents  # offsets were over the extents
     right_sides[0] = np.where(determined, right_sides[0], means)
     return right_sides.transpose(2, 0, 1), determined

@@ -135,10 +135,10 @@ def tip_of(mesh: MeshArrays, crack: str, number: int) -> Tip:
             break
         node = following[node]
     return Tip(
-        place,
-        np.array([along, [-along[1], along[0]]]),
-        f"{crack}.{upper}",
-        float(np.linalg.norm(mesh.points[node] - place)),
+        place=place,
+        axes=np.array([along, [-along[1], along[0]]]),
+        upper=f"{crack}.{upper}",
+        straight=float(np.linalg.norm(mesh.points[node] - place)),
     )
 
 
@@ -186,20 +186,20 @@ def stress_intensity(
     stress = data.tensors(mesh, displacement)[:, :2, :2]
     forces = _nodal_forces(mesh, stress) @ tip.axes.T
     fit = _fitted_tractions(mesh, tip, faces, forces, outer)
-    for face in faces:
+    for face in faces:  # those of faces are in the fit
         forces[mesh.boundary_nodes(face)] = 0.0
     free_strains = tip.axes @ _free_strain(mesh, data, lame, shear) @ tip.axes.T
     at_tip = free_strains[(mesh.elements == tip_node).any(axis=1)].mean(axis=0)
     fields = _Fields(
-        mesh,
-        tip,
-        tip.axes @ displacement_gradient(mesh, displacement) @ tip.axes.T - at_tip,
-        tip.axes @ stress @ tip.axes.T,
-        free_strains - at_tip,
-        forces,
-        fit,
-        lame,
-        shear,
+        mesh=mesh,
+        tip=tip,
+        gradient=tip.axes @ displacement_gradient(mesh, displacement) @ tip.axes.T - at_tip,
+        stress=tip.axes @ stress @ tip.axes.T,
+        uneven=free_strains - at_tip,
+        forces=forces,
+        fit=fit,
+        lame=lame,
+        shear=shear,
     )
     radii = tuple(outer * part for part in _RADII)
     factors = np.array([fields.factors(reach) for reach in radii])
@@ -246,7 +246,7 @@ def _fitted_tractions(
     for face in faces:
         surface = mesh.surface(face)
         places.append(np.abs(tip.local(mesh.points[surface.nodes])))
-        masses.append(surface.lumped(False)[surface.nodes])
+        masses.append(surface.lumped(axisymmetric=False)[surface.nodes])
         loads.append((1.0 if face == tip.upper else -1.0) * forces[surface.nodes])
     r, mass, load = map(np.concatenate, (places, masses, loads))
     # least squares for tractions load / mass, weighted with the mass, away from both ends
@@ -288,9 +288,10 @@ class _Fields:
         tip = self.tip
         shear = self.shear
         ratio = shear / (self.lame + shear)  # 0 of incompressible bodies
-        kolosov = 1 + 2 * ratio
+        kolosov = 1 + 2 * ratio  # kappa, and E' = 8 mu / (kappa + 1)
         modulus = 4 * shear / (1 + ratio)
         place = tip.local(mesh.points)
+        # 1 up to half of the radius, then linear to 0
         q = np.clip(2 - 2 * np.abs(place) / radius, 0, 1)
         inside = np.flatnonzero(q[mesh.elements].any(axis=1))
         slopes = displacement_gradient(mesh, np.column_stack([q, q]))[inside, 0] @ tip.axes.T
@@ -314,10 +315,12 @@ class _Fields:
             near_field, displacement_derivative, stress_derivative = _near_field(
                 z, factor, kolosov, shear
             )
+            # sigma_ij u^a_i,1 + sigma^a_ij v_i,1 - sigma^a_kl v_k,l delta_1j, times q_,j
             flux = np.einsum("nij,nqi->nqj", stress, displacement_derivative)
             flux += np.einsum("nqij,ni->nqj", near_field, gradient[:, :, 0])
             flux[:, :, 0] -= np.einsum("nqij,nij->nq", near_field, gradient)
             integral = np.einsum("nq,nqj,nj->", measures, flux, slopes)
+            # e_ij sigma^a_ij,1 q, then f_i u^a_i,1 q at nodes, then t_i times the jump of u^a_i,1
             integral -= np.einsum(
                 "nq,nqij,nij->", measures * weight_at_points, stress_derivative, self.uneven[inside]
             )

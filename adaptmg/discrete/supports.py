@@ -124,12 +124,14 @@ class Inclined:
             return parts
         values = parts["fixed_values"]
         along = self.along(values)
-        prescribed = values - self.free_part(values)
-        forces = self.rows.T @ along.reshape(-1)
-        held = np.zeros_like(forces)
+        prescribed = values - self.free_part(values)  # ubar
+        forces = self.rows.T @ along.reshape(-1)  # A ubar
+        held = np.zeros_like(forces)  # Z D ubar
         held.reshape(-1, along.shape[1])[self.nodes] = self.stiffness[:, None] * along
         load, energy = parts["strain_free"] or (0.0, 0.0)
         volumes = parts["volumes"]
+        # b' = (I - Z) (b - A ubar) + Z D ubar; the energy of A is that of A' less 2 u . load plus the
+        # number, here -(I - Z) A ubar and ubar'A ubar - ubar'D ubar
         return parts | {
             "load": self.free_part(parts["load"] - forces) + held,
             "strain_free": (
@@ -148,6 +150,7 @@ class Inclined:
             sparse.eye_array(n) - self.spread(self.spans, n // size[0]), blocksize=size
         )
         held_stiffness = self.spread(self.stiffness[:, None, None] * self.spans, n // size[0])
+        # (I - Z) A (I - Z) + Z D Z, symmetric to the bit
         half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
         return checks.narrowed(sparse.bsr_array(half + half.T, blocksize=size).sorted_indices())
 
@@ -158,6 +161,7 @@ class Inclined:
         not be what supports prescribe (n_dofs,)."""
         if not len(self):
             return residual
+        # (I - Z) (b - A u) = (I - Z) (b' - A'u + A Z (ubar - u)), and Z (b - A u)
         short_of_prescribed = self.along(prescribed - unknowns)
         forces = residual + self.rows.T @ short_of_prescribed.reshape(-1)
         return self.free_part(forces) - self.reaction(unknowns, NO_PRESSURES)
@@ -168,6 +172,7 @@ class Inclined:
         result = np.zeros_like(unknowns)
         if not len(self):
             return result
+        # Z (A u + B'p - b)
         load = (self.load - self.volumes.T @ pressures).reshape(-1, self.spans.shape[1])
         forces = (self.rows @ unknowns).reshape(-1, load.shape[1]) - load[self.nodes]
         result.reshape(load.shape)[self.nodes] = np.einsum("nij,nj->ni", self.spans, forces)
@@ -308,6 +313,7 @@ def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
         _, at, entries = np.intersect1d(nodes, hold.nodes, return_indices=True)
         rows[at, k] = hold.direction
         values[at, k] = hold.values[entries]
+    # u = inverse values is the least one with rows u = values, if these agree
     inverse = np.linalg.pinv(rows, rcond=checks.SIX_DIGITS)
     contradiction = np.einsum("nsd,ndt,nt->ns", rows, inverse, values) - values
     contradicts = np.abs(contradiction).max(axis=1) > checks.ALIKE * np.abs(values).max()
@@ -324,6 +330,7 @@ def inclined_supports(points: np.ndarray, holds: Sequence[Held]) -> Inclined:
     for k, hold in enumerate(holds):
         name = hold.support.path_name
         moved[name] = moved.get(name, 0.0) + inverse[:, :, k] * values[:, k, None]
+    # Z = R^+ R, the projection onto the rows
     return Inclined(
         nodes, inverse @ rows, {name: part for name, part in moved.items() if part.any()}
     )
@@ -416,6 +423,7 @@ class Boundaries:
 
     @cached_property
     def _components(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mask and the values (n_nodes, dim), m, of the components that supports hold."""
         return held_components(self.mesh.points, self.holds)
 
     @property

@@ -95,6 +95,7 @@ def tie_interfaces(boundaries: Boundaries) -> list[MortarInterface]:
             )
             not_tied[parts[-1].nodes] = True
             continue
+        # a tie is coupled as a pair would be
         pair = ContactPair(tie.slave, tie.master, reach=tie.reach, allow_interference=True)
         try:
             excluded = slave.nodes[not_tied[slave.nodes]]
@@ -160,8 +161,13 @@ def _periodic(
     rows = sparse.csr_array(
         (np.ones(len(slave)), partner, np.arange(len(slave) + 1)), shape=(len(slave), len(points))
     )
+    # normals, weights and gaps are those of contact, which a tie does not have
     return MortarInterface(
-        slave, np.zeros((len(slave), mesh.dim)), np.ones(len(slave)), np.zeros(len(slave)), rows
+        nodes=slave,
+        normals=np.zeros((len(slave), mesh.dim)),
+        weights=np.ones(len(slave)),
+        gaps=np.zeros(len(slave)),
+        coupling=rows,
     )
 
 
@@ -184,6 +190,7 @@ def tie_forces(problem: Unknowns, residual: np.ndarray) -> TieForces | None:
     names = []
     for slave, master, tied, slave_nodes in problem.ties:
         spans = problem.held_spans(tied)
+        # lambda on the slave, without what supports hold of it, and -W' lambda on the master
         slave_forces = nodal[tied] - np.einsum("nij,nj->ni", spans, nodal[tied])
         # ties are rows of a coupling
         rows = sparse.csr_array(cast("Coupling", problem.coupling).weights[tied])
