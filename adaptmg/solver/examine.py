@@ -208,10 +208,9 @@ class ContactResult:
         return in_units(pandas.DataFrame(columns), units)
 
     def __repr__(self) -> str:
-        states = ", ".join(f"{count} {state}" for state, count in self.counts().items())
         factor, unit = converted("Pa")
         return shortened(
-            f"ContactResult: {len(self)} nodes of {', '.join(self.pair_names)}: {states}; pressure up to "
+            f"ContactResult: {len(self)} nodes of {', '.join(self.pair_names)}: {counted_states(self)}; pressure up to "
             f"{factor * self.pressure.max(initial=0.0):.3g} {unit}; table() lists them"
         )
 
@@ -568,6 +567,15 @@ class Sizes:
             if self._frames is None
             else rotate_back(unknowns, self._frames, self._problem.contact.nodes)
         )
+
+
+def counted_states(contact: ContactResult) -> str:
+    """Return the number of nodes by state as text; where no node bears friction they do not slip, they
+    touch."""
+    counts = contact.counts()
+    if not contact.limit.any():
+        counts = {"open": counts["open"], "touching": counts["slip"] + counts["stick"]}
+    return ", ".join(f"{count} {state}" for state, count in counts.items())
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from adaptmg.discrete.ties import TieForces
 from adaptmg.grids import Grids
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, certify
-from adaptmg.solver.examine import ContactResult, advice_on_patches
+from adaptmg.solver.examine import ContactResult, advice_on_patches, counted_states
 from adaptmg.solver.quantities import Quantities
 from adaptmg.solver.quantities import Resultant as Resultant
 from adaptmg.solver.record import Status
@@ -301,7 +301,6 @@ def versions() -> dict[str, str]:
 
 def _summary(result: Result) -> str:
     """Return the text that printing a result shows."""
-    states = result.contact.counts()
     certified = ""
     if result.checked is not None:
         worst = result.checked.worst
@@ -312,8 +311,7 @@ def _summary(result: Result) -> str:
         )
     return (
         f"Result of {result.method} for {result.problem_name}: {result.status.name}\n"
-        f"  {len(result.displacement)} nodes, {len(result.contact)} contact nodes: "
-        f"{', '.join(f'{count} {state}' for state, count in states.items())}\n"
+        f"  {len(result.displacement)} nodes, {len(result.contact)} contact nodes: {counted_states(result.contact)}\n"
         f"  {result.cycles} cycles, {result.work_units:.2f} work units, {result.seconds:.3g} s\n"
         f"  natural residual {result.residual:.2e}, estimated error {result.error_estimate:.2e} "
         f"(rtol {result.rtol:g}){certified}"

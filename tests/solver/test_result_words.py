@@ -192,6 +192,18 @@ def test_tables_have_a_row_each_and_units_in_their_heads():
     assert list(loop["nodes"]) == [step.nodes for step in adapted()] and "seconds [s]" in loop
 
 
+def test_what_has_no_friction_touches_and_does_not_slip():
+    grids = solved()[0].truncated(finest=1)
+    smooth = am.solve(grids.with_problem(replace(grids.problem, law=am.Frictionless())))
+    touching = int(smooth.contact.closed.sum())
+    for text in (str(smooth), repr(smooth.contact)):
+        assert f"{len(smooth.contact) - touching} open, {touching} touching" in text
+        assert "slip" not in text
+    membrane = am.solve(am.Hierarchy.graded(am.cases.obstacle_problem(), sizes=(0.4, 0.2)))
+    assert re.search(r"\d+ open, \d+ touching\n", str(membrane))
+    assert re.search(r"\d+ open, \d+ slip, \d+ stick", str(solved()[1]))
+
+
 def test_the_way_slipped_adds_up_where_the_load_turns():
     steps = am.solve_path(
         solved()[0].truncated(finest=1),
