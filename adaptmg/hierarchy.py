@@ -186,7 +186,10 @@ class Hierarchy(Grids):
             coarsest mesh, and where only a part of a boundary touches, all meshes are made finer
             there, until about 12 nodes (3D: 60) touch in each patch of the finest; where six solves
             do not reach that, or one of them fails, the meshes stay as they were. Small patches in
-            space may take long: give ``sizes`` or ``contact_ratio`` to leave these solves out.
+            space may take long: give ``sizes`` or ``contact_ratio`` to leave these solves out. Most
+            nodes lie around small patches, not in them, as sizes grow slowly there: a beam of 200 mm
+            between four rollers with patches of .1 mm takes 13071 nodes, 16 and 17 in each patch, and
+            with ``grading=0.6`` 5664.
         contact_ratio : float or mapping, optional
             Size away from contact over size at contact (at ties where there is no contact), >= 1;
             of several bodies also body name -> ratio. Default 1; without ``sizes`` such that the
@@ -219,7 +222,7 @@ class Hierarchy(Grids):
             f"graded {', '.join(map(_label, sizes))} m, ratio {_label(contact_ratio)} at contact"
         )
         if by_default:
-            origin += ", finer where few nodes touch"
+            origin += ", finer where few nodes touch (fewer by a larger grading= or by sizes=)"
         gradings = gradings_of(sizes, grading)
 
         def mesh(level: int, finer: SizeField | None = None) -> MeshArrays:

@@ -4,6 +4,7 @@ refused."""
 import gc
 import logging
 import pickle
+import re
 import tracemalloc
 import warnings
 import weakref
@@ -120,10 +121,17 @@ def roller(scale: float, angle: float, load: float) -> am.ContactProblem:
 @pytest.mark.parametrize(
     ("scale", "angle", "slenderness"), [(1.0, 0.0, 20), (50e-3, 0.7, 100), (2.0, 2.0, 1000)]
 )
-def test_default_meshes_resolve_a_small_patch_of_a_long_contact_boundary(scale, angle, slenderness):
+def test_default_meshes_resolve_a_small_patch_of_a_long_contact_boundary(
+    scale, angle, slenderness, caplog
+):
     half_width = scale / slenderness
     load = np.pi * 2.1e11 / (1 - 0.3**2) * half_width**2 / (4 * scale)  # Hertz
-    grids = am.Hierarchy.graded(roller(scale, angle, load))
+    with caplog.at_level(logging.INFO, "adaptmg.contact_sizes"):
+        grids = am.Hierarchy.graded(roller(scale, angle, load))
+    # one line tells the size before the work begins, and how to make it smaller
+    (notice,) = (record.getMessage() for record in caplog.records)
+    about = float(re.search(r"about (\S+) nodes .* larger grading=", notice)[1])
+    assert about == pytest.approx(grids.finest.n_nodes, rel=0.5)
     result = am.solve(grids)
     touching = result.contact.state != am.OPEN
     assert 12 <= touching.sum() <= 50
