@@ -43,7 +43,7 @@ class CoarseObstacles:
         step = self.step
         unknowns = step.displacement(state)
         moved = unknowns.copy()
-        self.cycle.correct(step.number, state.contact.conditions, moved, state.residual, "W")
+        self.cycle.correct(step.number, state.contact.conditions, moved, state.residual, shape="W")
         moved[step.matrix.fixed] = 0.0
         return step.move(state, moved - unknowns)
 

@@ -113,6 +113,7 @@ def correction_contact(
     # |E| is a bound of what a correction changes in a slip that is held along one tangent
     fine_slip[contact.driven] = 0.0
     slip_data = fine_slip, sliding_limit(system, contact, residual), initial
+    # D from the openings g0 - w_n; of a second obstacle from those on the other side
     transported = correction.transport(reach, contact.gap - values[:, 0], *slip_data)
     gap, slip, limit = _transported(correction, coarse, transported)
     lowest = None
@@ -120,6 +121,7 @@ def correction_contact(
         transported = correction.transport(reach, values[:, 0] - contact.lowest, *slip_data)
         lowest = -_transported(correction, coarse, transported)[0]
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
+    # G |U + E_t|: the slip of E counts from -U, with the limit frozen, so that friction is zero
     return NodalContact(
         gap=gap, slip_reference=-slip, limit=limit, friction=np.zeros_like(limit), lowest=lowest
     )
@@ -291,12 +293,13 @@ def local_galerkin(
         )
         prolongation = seen @ prolongation
         restriction = restriction @ seen
+    # P'AP
     product = sparse.csr_array(restriction @ level.system.matrix @ prolongation)
     diagonal = product.diagonal()
     unseen = ~(diagonal > 0)
-    unit_scale = np.where(unseen, diagonal[~unseen].mean() if (~unseen).any() else 1.0, 0.0)
+    diagonal_added = np.where(unseen, diagonal[~unseen].mean() if (~unseen).any() else 1.0, 0.0)
     matrix = sparse.bsr_array(
-        product + sparse.diags_array(unit_scale), blocksize=(dim, dim)
+        product + sparse.diags_array(diagonal_added), blocksize=(dim, dim)
     ).sorted_indices()
     return LocalSystem.from_matrix(matrix, coarse.fixed, coarse.nodes)
 
@@ -334,6 +337,7 @@ class Monotone:
         limit: np.ndarray,
         initial: InitialContact | None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        # D, U, G
         stick = (slip == 0.0).all(axis=1)
         return (
             smallest_gap(reach, opening),
@@ -498,13 +502,13 @@ class MultigridCycle:
         initial = self.initial[level - 1] if self.correction.needs_initial else None
         coarse_contact = correction_contact(
             self.correction,
-            fine.supports,
-            fine.system,
-            coarse.system,
-            contact,
-            unknowns,
-            residual,
-            initial,
+            reach=fine.supports,
+            system=fine.system,
+            coarse=coarse.system,
+            contact=contact,
+            unknowns=unknowns,
+            residual=residual,
+            initial=initial,
         )
         self.recorder.visit(level, "restrict")
         load = fine.restriction @ residual
@@ -610,7 +614,7 @@ class CoarseSolve:
         checks.choice("test", self.test, ("error", "change"))
         if self.atol > 0 and self.test == "error":
             raise ValueError("atol is for test='change'; give rtol with test='error'")
-        ProjectedGaussSeidel(omega=self.omega)
+        ProjectedGaussSeidel(omega=self.omega)  # which checks omega
         checks.integer("max_sweeps", self.max_sweeps, 1)
 
     def solve(
@@ -628,6 +632,7 @@ class CoarseSolve:
         blocks = system.diagonal.reshape(-1, system.dim, system.dim)
 
         def norm(vector: np.ndarray) -> float:
+            """Return the norm of the test: Euclidean, or that of the diagonal blocks."""
             if self.test == "change":
                 return float(np.linalg.norm(vector))
             v = vector.reshape(-1, system.dim)
@@ -654,6 +659,7 @@ class CoarseSolve:
         ``size`` of the unknowns."""
         error = change
         if self.test == "error" and change > 0.0:
+            # delta rho / (1 - rho); the first change has no rate
             rate = change / previous if np.isfinite(previous) else np.inf
             error = change * rate / (1 - rate) if rate < 1 else np.inf
         return error <= self.rtol * size + self.atol
@@ -708,4 +714,4 @@ def initial_contact(
     """Return the slip and sliding limit of a first solution (the paper's U0 and G0)."""
     system = local.system
     slip = unknowns.reshape(-1, system.dim)[system.nodes][:, 1:] - local.contact.slip_reference
-    return InitialContact(slip, sliding_limit(system, local.contact, residual))
+    return InitialContact(slip=slip, limit=sliding_limit(system, local.contact, residual))

@@ -63,6 +63,7 @@ class LinearLevel:
 
     @cached_property
     def _scattering(self) -> list[list[tuple[int, int]]]:
+        """Return the ranges of rows of the prolongation that threads may restrict at the same time."""
         return scattering(
             self.prolongation.indices, self.prolongation.indptr, 2 * self.matrix.n_dofs
         )
@@ -346,9 +347,10 @@ class CoarseFactors:
             self._solve = self._factors(self._shift)
 
     def _factors(self, shift: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the solve with the matrix and a shift (n_dofs,) of its diagonal."""
         if self.level.n_dofs <= self.DENSE:
             matrix = _regular_dense(self.level, self._scale)
-            matrix.flat[:: len(shift) + 1] += shift
+            matrix.flat[:: len(shift) + 1] += shift  # the diagonal
             return _dense_factors(matrix)
         return _sparse_factors(_regular_sparse(self.level, self._scale) + sparse.diags_array(shift))
 
@@ -516,6 +518,7 @@ class _PyAMGCycles:
         self.passes = options.cycles * multilevel.cycle_complexity(cycle=options.cycle)
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Return the result of the cycles from zero."""
         options = self.options
         # no test of the residual: the number of cycles is fixed
         return self.multilevel.solve(rhs, maxiter=options.cycles, tol=1e-300, cycle=options.cycle)
@@ -536,12 +539,14 @@ def regular_matrix(level: SplitMatrix, scale: np.ndarray) -> sparse.bsr_array:
 
 
 def _regular_sparse(level: SplitMatrix, scale: np.ndarray) -> sparse.csr_array:
+    """Return :func:`regular_matrix` by dofs, without zeros."""
     matrix = sparse.csr_array(regular_matrix(level, scale))
     matrix.eliminate_zeros()
     return matrix
 
 
 def _regular_dense(level: SplitMatrix, scale: np.ndarray) -> np.ndarray:
+    """Return :func:`regular_matrix` as a dense one."""
     matrix = level.dense()
     empty = np.flatnonzero(np.abs(matrix).sum(axis=1) <= checks.ROUNDING * scale)
     matrix[empty, empty] = scale[empty]
@@ -568,6 +573,8 @@ class _LevelSmoother:
 def least_weights(residual: np.ndarray, changes: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the alpha (k,) that minimise the norm of ``residual`` (n,) + alpha ``changes`` (k, n), squares
     weighted with ``weights`` (n,)."""
+    # (C W C') alpha = -C W r, scaled to a diagonal of 1, which is raised by rounding: changes may be
+    # dependent
     weighted = changes * weights
     products = weighted @ changes.T
     scale = np.sqrt(products.diagonal())

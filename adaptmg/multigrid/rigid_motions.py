@@ -79,6 +79,7 @@ def _free_motions(problem: DiscreteProblem) -> np.ndarray:
     if rigid_modes is None:
         return np.empty((problem.n_dofs, 0))
     modes = rigid_modes.reshape(problem.n_nodes, problem.dim, -1)
+    # what supports hold of the modes: fixed components, and parts along inclined directions
     rows = modes[held][fixed[held]]
     along = np.einsum("nij,njk->nik", problem.inclined.spans, modes[problem.inclined.nodes])
     rows = np.concatenate([rows, along.reshape(-1, rows.shape[1])])
@@ -192,6 +193,7 @@ class _Descent:
     def step(self) -> np.ndarray | None:
         """Take a step; return its combination of motions (m,), None at a minimum."""
         contact = self.contact
+        # at closed nodes c moves along the obstacle, at sticking ones not at all
         slip = self.values[:, 1:] - self.reference
         closed = self.values[:, 0] >= contact.gap
         resists = (contact.limit > 0) | (closed & (contact.friction > 0))
@@ -201,6 +203,7 @@ class _Descent:
             return None
         at_contact = self.motions.at_contact
         tangents = at_contact[:, 1:] @ free
+        # F = M'f of the free motions, and B = s + mu p
         force = free.T @ self.motions.work
         of_pressure = np.where(closed, contact.friction * self.pressure, 0.0)
         bound = np.where(resists, contact.limit + of_pressure, 0.0)
@@ -223,6 +226,7 @@ class _Descent:
         work = float(force @ direction)
         bound = np.where(speed > small, self.factor * bound, 0.0)
         resistance = float(bound @ speed)
+        # nothing ends the step: no node closes, and friction does not hold the body yet
         if not (np.isfinite(closes_at.min()) or resistance > work):
             if not resistance > 0.0:
                 return None
@@ -232,7 +236,10 @@ class _Descent:
         acts = bound > 0
         size = np.linalg.norm(slip, axis=1)
         longest = float((size[acts] / speed[acts]).max(initial=0.0)) or 1.0
-        length = _least(lambda alpha: slope(alpha) - work, 2.0 * longest, float(closes_at.min()))
+        # -F.d + sum g (tau + alpha T d).T d / |tau + alpha T d| = 0
+        length = _least(
+            lambda alpha: slope(alpha) - work, first=2.0 * longest, stop=float(closes_at.min())
+        )
         change = length * direction
         if length == closes_at.min():
             closed[np.argmin(closes_at)] = True
@@ -267,11 +274,13 @@ class _Descent:
         and ``force`` (j,): B, the slips, the motions at the nodes, and the work of the load."""
         size = np.linalg.norm(slip, axis=1, keepdims=True)
         slip_direction = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0)
+        # s = sum B T' tau/|tau| - F
         gradient = np.einsum("n,nt,ntj->j", bound, slip_direction, tangents) - force
         if np.linalg.norm(gradient) <= self.BALANCED[self.contact.dim] * np.linalg.norm(force):
             return None
         if slip.shape[1] == 1:
             return -gradient
+        # H = sum (B/|tau|) T' (I - tau tau'/|tau|^2) T
         across_slip = (
             tangents
             - slip_direction[:, :, None]
@@ -296,5 +305,6 @@ def _least(slope: Callable[[float], float], first: float, stop: float) -> float:
         return high
     for _ in range(60):
         middle = 0.5 * (low + high)
+        # bisection
         low, high = (low, middle) if slope(middle) > 0.0 else (middle, high)
     return high

@@ -202,6 +202,7 @@ class FrameSmoother:
         local_by_node[nodes] = values
         conditions = contact.conditions
         passes = self.smoother.smooth(system, conditions, forces, local, 1)
+        # a user-defined smoother may leave numbers that are not finite
         checks.array("smooth: the unknowns that smooth leaves", local, local.shape)
         local[system.fixed] = 0.0
         local_by_node[nodes, 0] = conditions.clamped(local_by_node[nodes, 0])

@@ -75,6 +75,7 @@ class VolumePressures:
         step, N m."""
         volumes = self.volumes
         missed = self.missed(unknowns, pressures)
+        # (b u - p/kappa) / (1/kappa + 1/(lambda_1 + mu))
         change = missed / (volumes.compliance + 1 / volumes.modulus)
         energy = float(np.einsum("i,i,i->", volumes.areas, missed, change))
         pressures += (self.CAUTIOUS if cautious else 1.0) * change
@@ -113,6 +114,7 @@ def _formed(problem: DiscreteProblem) -> tuple[DiscreteProblem, np.ndarray]:
     volumes = problem.volumes
     with np.errstate(divide="ignore"):
         kappa = np.minimum(1 / volumes.compliance, _MOST * volumes.modulus)
+    # B'A^-1 kappa~ B from its root
     rows = sparse.diags_array(np.sqrt(kappa / volumes.areas), format="csr") @ volumes.rows
     added = sparse.csr_array(rows.T @ rows)
     whole = sparse.bsr_array(
@@ -135,7 +137,7 @@ class Augmented:
         formed, self._kappa = _formed(problem)
         volumes = problem.volumes
         self._volumes = volumes
-        share_of_start = 1 - self._kappa * volumes.compliance
+        share_of_start = 1 - self._kappa * volumes.compliance  # 1 - kappa~ / kappa
         self._start_pressures = pressures
         self._offset = share_of_start * self._start_pressures
         #: whether one solve suffices
@@ -152,6 +154,7 @@ class Augmented:
     def pressures(self, solved: np.ndarray) -> np.ndarray:
         """Return the pressures (n_groups,) that belong to a displacement, between bodies
         relative."""
+        # (1 - kappa~ / kappa) p_0 + kappa~ b u
         return self._offset + self._kappa * self._volumes.strains(solved.reshape(-1))
 
     def whole(self, solved: np.ndarray) -> np.ndarray:
@@ -165,7 +168,7 @@ class Augmented:
         those of the ``past`` ones, a list that grows. Without that the mean pressure of an enclosed
         body would converge with the rate 1 - kappa~ / kappa."""
         past.insert(0, (pressures, pressures - self._start_pressures))
-        values, changes = map(np.array, zip(*past[:5], strict=True))
+        values, changes = map(np.array, zip(*past[:5], strict=True))  # the newest first
         if len(values) == 1:
             return pressures
         weights = least_weights(
