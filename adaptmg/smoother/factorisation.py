@@ -77,6 +77,7 @@ class OrderedFactors:
         return cls(lu, order, permuted.diagonal())
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Return the solution for a right-hand side (n_dofs,), both in the order of the matrix."""
         result = np.empty_like(rhs)
         result[self.order] = self.lu.solve(rhs[self.order])
         return result
@@ -233,6 +234,7 @@ class Eliminated:
     def reduce(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         r"""Return the interior solution (n_dofs,) of M w = r with r_c = 0, and the residual (n,) of the
         condensed problem, for a residual r (n_dofs,); one solve."""
+        # with r_c = 0 the solution has (S + Sigma) w_c = -A_ci A_ii^-1 r_i
         rhs = residual.copy()
         rhs[self.contact] = 0.0
         particular = self.factors.solve(rhs)
@@ -299,6 +301,7 @@ class Condensed(Eliminated):
 
     def recover(self, unknowns: np.ndarray) -> np.ndarray:
         """Return all unknowns from those at the contact nodes, local components."""
+        # one step of iterative refinement of the interior
         result = self.complete(self.reduced[0], unknowns)
         rest = self.full.load - self.full.system.matrix @ result
         return result + self.complete(self.reduce(rest)[0], np.zeros_like(unknowns))
@@ -307,7 +310,7 @@ class Condensed(Eliminated):
 def condense(local: LocalProblem, lenient: bool = False) -> Condensed:
     """Condense a problem onto its contact nodes; see :func:`eliminate`."""
     parts = eliminate(local.system, local.discrete.coordinates, lenient)
-    return Condensed(parts.factors, parts.contact, parts.matrix, parts.shift, local)
+    return Condensed(**vars(parts), full=local)
 
 
 def eliminate(
@@ -332,8 +335,9 @@ def eliminate(
         if not lenient or system.n_dofs > _DENSE_AT_MOST:
             raise
         factors, schur = _eliminate_dense(system, contact, shift, lenient)
+    # S from S + Sigma, symmetric to the bit
     schur[np.diag_indices_from(schur)] -= shift
-    return Eliminated(factors, contact, 0.5 * (schur + schur.T), shift)
+    return Eliminated(factors=factors, contact=contact, matrix=0.5 * (schur + schur.T), shift=shift)
 
 
 #: dofs up to which the condensation of a problem is remembered, by dimension
@@ -345,9 +349,7 @@ def condense_problem(problem: DiscreteProblem, lenient: bool = False) -> Condens
     if problem.n_dofs > REMEMBERED[problem.dim]:
         return condense(local_system(problem), lenient)
     system, parts = _eliminated(problem)
-    result = Condensed(
-        parts.factors, parts.contact, parts.matrix, parts.shift, local_system(problem, system)
-    )
+    result = Condensed(**vars(parts), full=local_system(problem, system))
     if not (lenient or result.regular):
         raise _Singular
     return result

@@ -153,7 +153,13 @@ class Factorised:
         unknowns = self.factors.solve(rhs)
         unknowns += self.factors.solve(rhs - self.matrix @ unknowns)
         relative = _relative(rhs - self.matrix @ unknowns, rhs)
-        return LinearSolution(unknowns, 0, 0.0, relative, relative <= rtol)
+        return LinearSolution(
+            unknowns=unknowns,
+            iterations=0,
+            passes=0.0,
+            residual=relative,
+            converged=relative <= rtol,
+        )
 
 
 def _relative(residual: np.ndarray, rhs: np.ndarray) -> float:
@@ -280,7 +286,7 @@ class Preconditioned:
                     tol=tolerance,
                     M=inverse,
                     restart=restart,
-                    maxiter=-(-iterations_left // restart),
+                    maxiter=-(-iterations_left // restart),  # restarts, rounded up
                     residuals=norms,
                 )
             iterations += max(len(norms) - 1, 0)
@@ -290,9 +296,16 @@ class Preconditioned:
             idle = not len(norms) > 1
             if accurate or idle or iterations >= self.options.MAX_ITERATIONS:
                 break
+            # as much smaller as the error is too large, with a margin of a half
             tolerance *= max(0.5 * rtol * solution_energy / error, 1e-2)
         relative = _relative(residual, rhs)
-        return LinearSolution(unknowns, iterations, passes, relative, relative <= 1.1 * rtol)
+        return LinearSolution(
+            unknowns=unknowns,
+            iterations=iterations,
+            passes=passes,
+            residual=relative,
+            converged=relative <= 1.1 * rtol,
+        )
 
 
 def _energy(residual: np.ndarray, preconditioned: np.ndarray) -> float:

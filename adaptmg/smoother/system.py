@@ -70,6 +70,7 @@ class Layer:
 
     def tangent(self, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the gaps (n_contact,), m, and compliances, m/N, of the tangents at forces."""
+        # e p^(1/m) has the derivative e p^(1/m - 1) / m; the tangent begins at g0 + (1 - 1/m) e p^(1/m)
         force = np.clip(force, *_FORCES)
         depth = self.compliance * force ** (1 / self.exponent)
         compliance = self.compliance * force ** (1 / self.exponent - 1) / self.exponent
@@ -90,6 +91,7 @@ class Layer:
         # secants alone 1099
         soft = (self.tangent(force)[1] * self.stiffness > 1) & (depth > 0)
         with np.errstate(over="ignore"):
+            # the force (depth / e)^m that compresses the surface to its depth
             over_scale = np.divide(depth, self.compliance, out=np.zeros_like(depth), where=soft)
             expected = np.where(soft, over_scale**self.exponent, force)
             # with rigid surfaces in place of the mean force, sweeps of a single grid stall (a block on a dome in 3D,
@@ -99,7 +101,7 @@ class Layer:
             elsewhere = expected[touching].mean() if touching.any() else np.inf
         point = np.clip(np.where(touching, expected, elsewhere), *_FORCES)
         gap, compliance = self.tangent(point)
-        secant = self.exponent * compliance
+        secant = self.exponent * compliance  # e p^(1/m) / p
         by_tangent = depth > (1 - 0.5 / self.exponent) * secant * point
         return np.where(by_tangent, gap, self.gap), np.where(by_tangent, compliance, secant)
 
@@ -153,6 +155,7 @@ class NodalContact:
 
     def clamped(self, normal: np.ndarray) -> np.ndarray:
         """Return normal displacements (n_contact,) put back between the obstacles, m."""
+        # compliant surfaces hold by their force, not by a limit
         below = np.where(self.compliances > 0, normal, np.minimum(normal, self.gap))
         return below if self.lowest is None else np.maximum(below, self.lowest)
 
@@ -177,6 +180,7 @@ class NodalContact:
             return self, 0.0
         force = np.maximum(residual[:, 0], 0.0)
         slip = np.linalg.norm(values[:, 1:] - self.slip_reference, axis=1)
+        # B(p) + B'(p) (q - p) at the force q
         bound, slope, hardening = friction_bound(self.friction_at, force, slip)
         return replace(self, limit=self.limit + bound - slope * force, friction=slope), hardening
 
@@ -198,6 +202,7 @@ def friction_bound(
     friction = friction_at(force, slip)
     pressed = (1 + _DIFFERENCE) * force
     rise = friction_at(pressed, slip) * pressed - friction * force
+    # without a force dB/dp is mu
     slope = np.divide(rise, pressed - force, out=friction.copy(), where=pressed > force)
     step = _DIFFERENCE * max(slip.max(initial=0.0), _SHORTEST)
     hardening = (friction_at(force, slip + step) - friction) * force / step
@@ -409,7 +414,10 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
     compliance = problem.contact.compliance
     layer = Layer.of(problem, gap)
     if layer is not None:
-        gap, compliance = layer.linearised(np.zeros_like(gap), np.full_like(gap, -np.inf))
+        # before the first state no node touches
+        gap, compliance = layer.linearised(
+            force=np.zeros_like(gap), normal=np.full_like(gap, -np.inf)
+        )
     return NodalContact(
         gap=gap,
         slip_reference=np.ascontiguousarray(reference),
