@@ -292,18 +292,23 @@ class DiscreteProblem(Unknowns):
         accumulated_slip: np.ndarray,
         strain_free: tuple[np.ndarray, float] | None,
         volumes: Volumes,
+        gaps: np.ndarray | None = None,
     ) -> DiscreteProblem:
         """Return the problem of another load step; only its data are checked and copied.
 
         ``load`` and ``fixed_values`` (n_dofs,) are in the coordinates of this problem (with a
         coupling relative ones), N and m; slips count from ``slip_reference`` (n_contact, dim), as
         :meth:`at_contact` has it, and come after ``accumulated_slip`` (n_contact,), m.
-        ``volumes`` have the initial strains of the step."""
+        ``volumes`` have the initial strains of the step. ``gaps`` (n_contact,), m, are those of this
+        problem unless they are given."""
         # a copy without the checks of all its arrays; the class is frozen
         contact = copy.copy(self.contact)
         reference = bounded("slip_reference", slip_reference, contact.normals.shape)
-        object.__setattr__(contact, "slip_reference", reference)
-        object.__setattr__(contact, "accumulated_slip", accumulated_slip)
+        contact.__dict__.update(
+            slip_reference=reference,
+            accumulated_slip=accumulated_slip,
+            gaps=contact.gaps if gaps is None else gaps,
+        )
         # only along what is held: fixed dofs and inclined directions
         prescribed = fixed_values - self.free_part(fixed_values)
         values = bounded("fixed_values", prescribed, (self.n_dofs,))

@@ -148,7 +148,7 @@ def extrapolated_outcome(
     if residual > StopTest.RESIDUAL_FACTOR * rtol or run.shortfall(solution, rtol) > 0.0:
         return None
     run.record(cycle=0, residual=residual, change=np.nan, error_estimate=np.nan)
-    return Outcome(solution, Status.CONVERGED, 0, rtol)
+    return Outcome(solution=solution, status=Status.CONVERGED, cycles=0, rtol=rtol)
 
 
 def step_outcome(
@@ -564,6 +564,7 @@ class Guide:
         basis = sparse.hstack([sparse.eye_array(discrete.n_dofs), sparse.csr_array(moves)], "csr")
         soft = _SOFT * np.abs(discrete.matrix.diagonal()).max()
         springs = sparse.diags_array(np.append(np.zeros(discrete.n_dofs), np.full(padded, soft)))
+        # (I M)'A (I M), and (b, M'b + F*)
         matrix = basis.T @ sparse.csr_array(discrete.matrix) @ basis + springs
         load = basis.T @ discrete.load
         load[discrete.n_dofs :][:n] += forces * scales
@@ -682,6 +683,7 @@ class Search(Generic[Carried]):
             if not by_differences and new_missed_size > 0.9 * missed_size:
                 jacobian = None
                 continue
+            # J + (F(z + d) - F(z) - J d) d' / d'd
             update = new.missed - trial.missed - jacobian @ change
             jacobian = jacobian + np.outer(update, change) / max(change @ change, _TINY)
             reach = max(np.abs(change).max(), 0.1 * reach)

@@ -284,9 +284,9 @@ class March:
         self.accumulated_slip = self.discrete.contact.accumulated_slip
         first = displacement_argument("start", start, self.discrete)
         relative = np.zeros(mesh.points.shape) if first is None else first
-        self.displacement = self._with_prescribed(relative, 1.0)
+        self.displacement = self._with_prescribed(relative, share=1.0)
         initial_velocity = self.discrete.relative(nodal_velocity(self.posed, dynamics))
-        self.velocity = self._with_prescribed(initial_velocity, 0.0)
+        self.velocity = self._with_prescribed(initial_velocity, share=0.0)
         self.internal = self._internal(self.displacement)
         overlap = self._overlap(self.displacement).max(initial=0.0)
         if overlap > _OVERLAP * mesh.sides.max():
@@ -343,6 +343,7 @@ class March:
             result[contact.nodes] -= np.maximum(overlap, 0.0)[:, None] * contact.normals
             return result
         problem = self._mass_problem
+        # a contact problem for the change, with the matrix M, no load, and the gaps that are left
         gaps = replace(contact, gaps=-overlap, allow_interference=True)
         grids = Grids.single(problem.posing(contact=gaps))
         nearest = ActiveSet().run(grids, Run(unit=problem.matrix.nnz), None)
@@ -366,7 +367,7 @@ class March:
         """Take time step k and return its result."""
         run = Run(unit=self.discrete.matrix.nnz, callback=callback)
         with run.phase("setup"):
-            free = self.displacement + self.dynamics.step * self.velocity
+            free = self.displacement + self.dynamics.step * self.velocity  # u + tau v
             admissible = self._admissible(free)
             shift = self._mean_displacement(self.displacement)
             grids = self._posed(admissible, shift)
@@ -380,7 +381,15 @@ class March:
             noise = self.rounding * np.abs([self.displacement, admissible - shift]).max()
             loose = noise / (StopTest.RESIDUAL_FACTOR * euclidean_norm(discrete.load) or 1.0)
             loose = min(loose, _MOST_ROUNDING)
-            past = Past([], [], first, first, given=True, near=True, loose=loose)
+            past = Past(
+                levels=[],
+                extrapolated_levels=[],
+                last=first,
+                extrapolated=first,
+                given=True,
+                near=True,
+                loose=loose,
+            )
         outcome, self.multigrid, _ = step_outcome(
             self.step_solver, self.multigrid, grids, examiner, run, past
         )
@@ -407,21 +416,20 @@ class March:
         """Return the hierarchy with the problem of a step, relative to a ``shift`` of the bodies."""
         discrete = self.discrete
         step = self.dynamics.step
-        # half of the forces K u at the begin of the step, and those that damp the displacement from it
+        # f + (beta/tau - 1/2) K u^k + 2/tau^2 M u_p, relative to the shift
         share_of_internal = self.dynamics.damping / step - 0.5
         load = self.forces + share_of_internal * self.internal
         load += 2 / step**2 * self.mass * (admissible - shift)
         shifted = discrete.relative(shift)
         posed = discrete.with_step(
-            discrete.relative_forces(load.reshape(-1)),
-            discrete.fixed_values - shifted.reshape(-1),
-            discrete.at_contact(discrete.relative(self.displacement) - shifted),
-            self.accumulated_slip,
-            None,
-            discrete.volumes,
+            load=discrete.relative_forces(load.reshape(-1)),
+            fixed_values=discrete.fixed_values - shifted.reshape(-1),
+            slip_reference=discrete.at_contact(discrete.relative(self.displacement) - shifted),
+            accumulated_slip=self.accumulated_slip,
+            strain_free=None,
+            volumes=discrete.volumes,
+            gaps=-self._overlap(shift),
         )
-        # the contact nodes of the step are a copy
-        object.__setattr__(posed.contact, "gaps", -self._overlap(shift))
         finest = self.grids.finest.posing(discrete=posed)
         return replace(self.grids, levels=(*self.grids.levels[:-1], finest))
 
@@ -439,7 +447,7 @@ class March:
         contact = result.contact
         displacement = result.displacement + shift
         change = displacement - self.displacement
-        velocity_change = 2 / step * (displacement - admissible)
+        velocity_change = 2 / step * (displacement - admissible)  # 2/tau (u^(k+1) - u_p)
         velocity = self.velocity + velocity_change
         internal = self._internal(displacement)
         # conditions of nodes that take over a part of others are sums, contact results are means
@@ -447,6 +455,7 @@ class March:
         # only of closed nodes: at open ones the tolerance leaves forces, and gaps may be long
         closing = (self._overlap(self.displacement) + share * contact.gap) * contact.closed
         friction_work = np.sum(contact.force_t * contact.slip, axis=1)
+        # (u^(k+1) - u^k) . K (u^(k+1) - u^k), and 2/tau^2 (u_p - u~) . M (u^(k+1) - u_p)
         damped_work = np.sum(change * (internal - self.internal))
         pushed = np.sum((admissible - free) * self.mass * velocity_change) / step
         losses = {

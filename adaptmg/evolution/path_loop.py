@@ -128,7 +128,9 @@ class PathLoop:
             )
             self._check_held(grids, k, motions)
         else:
-            result, (grids, coarse) = self._solve(k, motions, None, progress, 0.0)
+            result, (grids, coarse) = self._solve(
+                k, motions, near=None, progress=progress, loose=0.0
+            )
         result = replace(
             result,
             motions={name: motion.tolist() for name, motion in motions.items()},
@@ -251,6 +253,7 @@ class PathLoop:
         contact = self.examiner.contact
         quiet = not (forces.any() or self.examiner.discrete.fixed_values.any())
         has_slipped = np.abs(contact.slip_reference).any(axis=1)
+        # where bodies have slipped, a limit that does not depend on pressure still exerts friction
         return quiet and bool((contact.gap >= 0).all()) and not contact.limit[has_slipped].any()
 
     def _loading(self, k: int, motions: Mapping[str, np.ndarray]) -> dict[str, float]:
@@ -269,10 +272,10 @@ class PathLoop:
         error of its iterates."""
         rtol = getattr(self.solver, "rtol", None)
         outcome = Outcome(
-            np.zeros(grids.finest.discrete.n_unknowns),
-            Status.CONVERGED,
-            0,
-            float(rtol) if isinstance(rtol, float | int) else np.nan,
+            solution=np.zeros(grids.finest.discrete.n_unknowns),
+            status=Status.CONVERGED,
+            cycles=0,
+            rtol=float(rtol) if isinstance(rtol, float | int) else np.nan,
             error_estimate=0.0,
         )
         result = result_of(
@@ -326,6 +329,7 @@ class PathLoop:
         )
 
     def _factor_array(self, k: int) -> np.ndarray:
+        """Return the factors (n,) of the loads in step k."""
         return np.array(list(self._factors_at(k).values()))
 
     def _ratio(self, k: int) -> float:

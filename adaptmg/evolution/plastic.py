@@ -103,12 +103,14 @@ class PlasticLoop(PathLoop):
         reached = 0.0
         part = 1.0
         while True:
+            # what a part that fails has changed is undone; controls are changed in place, and copied
             state_before = dict(vars(self), controls=copy.copy(self.controls))
             self.share = min(reached + part, 1.0)
             result = super().step(k, progress)
             if result.status.ok:
                 reached = self.share
                 self.state = _state_of(result)
+            # the first step of a path that goes on from a result repeats its loads: it has no parts
             elif part > _SMALLEST and not (k == 0 and self.continued):
                 vars(self).update(state_before)
                 part /= 2
@@ -220,6 +222,7 @@ class _Newton:
                 break
             tangent_before = self.at.tangent
             change = self._go(tangent, outcome.solution)
+            # a share of the last change, or where that is small its square
             tolerance = min(tolerance, min(_SHARE, change) * change)
             # the tangent stays: the next contact problem is the last one
             if np.array_equal(tangent_before, self.at.tangent):
@@ -269,8 +272,8 @@ class _Newton:
     def _go(self, tangent: DiscreteProblem, solution: np.ndarray) -> float:
         """Go towards the solution of a contact problem, and return the change over the solution, in
         the energy norm of the tangent."""
-        direction = solution - self.at.displacement
-        # forces of contact and supports
+        direction = solution - self.at.displacement  # d = w - u
+        # lambda: the forces of contact and supports
         has_forces = tangent.fixed.copy()
         has_forces.reshape(-1, tangent.dim)[tangent.contact.nodes] = True
         forces = np.where(has_forces, -tangent.residual(solution), 0.0)

@@ -115,7 +115,12 @@ def transfer_state(old_grids: Grids, result: Result, new_grids: Grids) -> Result
         new_grids,
         Examiner(discrete, certified=False),
         Run(unit=discrete.matrix.nnz),
-        Outcome(np.append(displacement, pressures), Status.TRANSFERRED, 0, result.rtol),
+        Outcome(
+            solution=np.append(displacement, pressures),
+            status=Status.TRANSFERRED,
+            cycles=0,
+            rtol=result.rtol,
+        ),
         None,
         _stress_data(before, cast("StressData", result.stress_data), after),
     )
@@ -146,8 +151,8 @@ class _Side:
         return cls(grids.posed)
 
     @cached_property
-    def bodies(self) -> InelasticBodies | None:
-        """Return the plastic bodies, if there are any."""
+    def plastic_bodies(self) -> InelasticBodies | None:
+        """Return the plastic bodies, None if there are none."""
         inelastic = inelastic_bodies(self.posed.materials).any()
         return InelasticBodies.of(self.posed) if inelastic else None
 
@@ -162,14 +167,15 @@ class _Side:
         corners = _corners(mesh.dim) if self.smoothed else np.eye(mesh.dim + 1)[None]
         points = np.einsum("cvk,ekd->ecvd", corners, mesh.points[mesh.elements])
         n = len(mesh.elements) * len(corners)
+        # each cell has its corners to itself, and there are no boundaries
         return MeshArrays(
-            points.reshape(-1, mesh.dim),
-            np.arange(n * (mesh.dim + 1)).reshape(n, -1),
-            np.empty((0, mesh.dim), dtype=np.int32),
-            np.empty(0, dtype=np.int32),
-            (),
-            np.repeat(mesh.element_body, len(corners)),
-            mesh.bodies,
+            points=points.reshape(-1, mesh.dim),
+            elements=np.arange(n * (mesh.dim + 1)).reshape(n, -1),
+            facets=np.empty((0, mesh.dim), dtype=np.int32),
+            facet_labels=np.empty(0, dtype=np.int32),
+            boundaries=(),
+            element_body=np.repeat(mesh.element_body, len(corners)),
+            bodies=mesh.bodies,
         )
 
     @property
@@ -182,10 +188,10 @@ class _Side:
     def patches(self) -> sparse.csr_array:
         """Return a matrix (n_patches, n_cells) with ones at the cells of each plastic patch."""
         if not self.smoothed:
-            return self.elements[cast("InelasticBodies", self.bodies).numbers]
+            return self.elements[cast("InelasticBodies", self.plastic_bodies).numbers]
         number = edges_of_elements(self.posed.mesh)
         of_cells = np.repeat(number, len(self.cells.elements) // number.size, axis=1).reshape(-1)
-        bodies = cast("InelasticBodies", self.bodies)
+        bodies = cast("InelasticBodies", self.plastic_bodies)
         return _members(of_cells, bodies.n_patches)[bodies.numbers]
 
 
@@ -252,7 +258,7 @@ def _check(before: _Side, result: Result, after: _Side) -> None:
                 f"{size} numbers (None: elastic), got {new_size}"
             )
     plastic = cast("StressData", result.stress_data).plastic
-    if (plastic is None) != (before.bodies is None):
+    if (plastic is None) != (before.plastic_bodies is None):
         raise ValueError("result must be of the problem of old_grids, whose materials differ")
 
 
@@ -268,20 +274,21 @@ def _stress_data(before: _Side, data: StressData, after: _Side) -> StressData:
     """Return the stress data of the new mesh, with means of the old."""
     posed = after.posed
     result = StressData.of(posed.mesh, posed.materials, (), posed.problem.elements)
-    if after.bodies is None and not len(data.initial_strain):
+    if after.plastic_bodies is None and not len(data.initial_strain):
         return result
     cells = after.cells
+    # in axisymmetry volumes count with the radius
     density = cells.points[:, 0] if result.axisymmetric else np.ones(cells.n_nodes)
     shared = overlaps(before.cells, cells, density)
     elements = after.elements @ shared @ before.elements.T
     if len(data.initial_strain):
         result = replace(result, initial_strain=_means(elements, data.initial_strain))
-    if after.bodies is None:
+    if after.plastic_bodies is None:
         return result
     old = cast("PlasticState", data.plastic)
     state = _means(after.patches @ shared @ before.patches.T, old.state)
     parts = (_means(elements, part) for part in (old.stress, old.strain, old.accumulated))
-    return replace(result, plastic=PlasticState(state, *parts))
+    return replace(result, plastic=PlasticState(state, *parts))  # stress, strain, accumulated
 
 
 def _slips(
