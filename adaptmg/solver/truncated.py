@@ -57,12 +57,13 @@ class TruncatedTest(StopTest):
     #: 1e-3, 1e-6 and 1e-8 take 1590 and 1088 cycles; at 12, 1625 and 1149; at 4, 1539 and 1032, but
     #: one more is handed over, which costs factors on large meshes
     WINDOW = 8
-    #: times n^(2 - 3/dim), the work of factors of n unknowns over that of a cycle: cycles that cost as much as handing
-    #: over. Before that another method takes over only where fewer than half of the cycles are left. Measured, CPU of
-    #: the active set method over that of a cycle is .5 to 1.2 times this power in the plane (578 to 33k unknowns:
-    #: 30 to 210 cycles), .03 to .4 times in space (375 to 15k: 30 to 3600). There corrections rest while nodes open
-    #: one after the other: a ball on a plane (1475 nodes) takes 44 cycles and 2.2 s, not 34 and 5.5. Of 300 solves of
-    #: random problems 5 are handed over without this, 4 with 0.05, 3 with 0.1 and 0.2; 2931, 2942, 2943, 2943 cycles
+    #: cycles that cost as much as handing over, over n^(2 - 3/dim), the work of factors of n unknowns over that of a
+    #: cycle. Before that another method takes over only where fewer than half of the cycles are left. The CPU of the
+    #: active set method over that of a cycle is .03 to .4 times this power in space (375 to 15k unknowns: 30 to 3600
+    #: cycles). In the plane it is .5 to 1.2 times the power (578 to 33k: 30 to 210 cycles), but there WINDOW decides
+    #: below 25 600 unknowns. In space corrections rest while nodes open one after the other: a ball on a plane (1475
+    #: nodes) takes 44 cycles and 2.2 s, not 34 and 5.5. Of 300 solves of random problems 5 are handed over without
+    #: this, 4 with 0.05, 3 with 0.1 and 0.2; 2931, 2942, 2943, 2943 cycles
     PRICE = 0.1
     #: share of the discretisation error that may remain with rtol="discretisation": 10 random problems take 29 cycles,
     #: 34 with half, 28 with twice
