@@ -159,9 +159,19 @@ def step_outcome(
     run: Run,
     past: Past,
 ) -> tuple[Outcome, TruncatedRun | None, list[np.ndarray] | None]:
-    """Solve a step as :func:`resumed` does, or where the solver is another one, :func:`restarted`."""
-    if isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated):
-        return resumed(solver, multigrid, hierarchy, examiner, run, past)
+    """Solve a step by its extrapolation; where this is not accurate, as :func:`resumed` does, or with
+    other solvers, :func:`restarted`."""
+    is_truncated = isinstance(solver, Multigrid) and isinstance(solver.correction, Truncated)
+    # under unchanged loads friction at its bound without slip has no direction: Newton steps may cycle
+    is_repeated = isinstance(solver, ActiveSet) and np.array_equal(past.extrapolated, past.last)
+    extrapolates = past.given and not past.near and (is_truncated or is_repeated)
+    rtol = getattr(solver, "rtol", "")
+    if extrapolates and not isinstance(rtol, str):  # "discretisation": the step sets the tolerance
+        outcome = extrapolated_outcome(hierarchy.finest.discrete, rtol, examiner, run, past)
+        if outcome is not None:
+            return outcome, multigrid, past.extrapolated_levels[:-1]
+    if is_truncated:
+        return resumed(cast("Multigrid", solver), multigrid, hierarchy, examiner, run, past)
     return restarted(solver, hierarchy, examiner, run, past), None, None
 
 
@@ -177,12 +187,6 @@ def restarted(
     better one of the two that :class:`Past` has."""
     if not (past.given or past.near):
         return solver.run(hierarchy, run, None)
-    # under unchanged loads friction at its bound without slip has no direction: Newton steps may cycle
-    is_repeated = past.given and np.array_equal(past.extrapolated, past.last)
-    if isinstance(solver, ActiveSet) and is_repeated and not past.near:
-        outcome = extrapolated_outcome(hierarchy.finest.discrete, solver.rtol, examiner, run, past)
-        if outcome is not None:
-            return outcome
     if isinstance(solver, FullMultigrid):
         solver = without_nested_start(solver)
     start = past.extrapolated if past.near else better_start(examiner, past, run)
@@ -201,10 +205,6 @@ def resumed(
     else from the beginning. Return the outcome, the set-up for the next step, and the displacements
     of coarse levels if the solver has a nested start."""
     problem = hierarchy.finest.discrete
-    if past.given and not past.near and not isinstance(solver.rtol, str):
-        outcome = extrapolated_outcome(problem, solver.rtol, examiner, run, past)
-        if outcome is not None:
-            return outcome, multigrid, past.extrapolated_levels[:-1]
     if multigrid is None or not problem.alike(multigrid.problems[-1]):
         multigrid = cast("TruncatedRun", solver.prepared(hierarchy, run, keeps=True))
     else:
