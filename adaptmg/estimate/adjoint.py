@@ -121,6 +121,7 @@ def linearised_contact(
     slips = (state == State.SLIP) | (open_with_friction & ~open_at_rest)
     # friction B f of a node that slips, f = -slip / |slip|: it changes with the pressure by
     # direction, and with the direction of the slip by hessian
+    # g = s + mu p, and H = g/|s| (I - s s'/|s|^2)
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
     unit = _opposite(slip, slip_length, force[:, 1:])
     direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)
@@ -193,7 +194,14 @@ class AdjointSystem:
             y = np.zeros(len(self.trial))
             y[free] = factors.solve(load[free])
             residual = self._relative(load, y)
-            result.append(AdjointSolution(self._field(y), residual, 0, residual <= 1e-6))
+            result.append(
+                AdjointSolution(
+                    field=self._field(y),
+                    residual=residual,
+                    iterations=0,
+                    converged=residual <= 1e-6,
+                )
+            )
         return result
 
     def multigrid(
@@ -209,7 +217,7 @@ class AdjointSystem:
         finest = len(hierarchy) - 1
 
         def precondition(load: np.ndarray) -> np.ndarray:
-            return cycle.solve(finest, load.reshape(-1)).copy()
+            return cycle.solve(finest, load.reshape(-1)).copy()  # the cycle reuses its vector
 
         preconditioner = LinearOperator((n, n), matvec=precondition, dtype=np.float64)
         result = []
@@ -244,7 +252,14 @@ class AdjointSystem:
                     rtol,
                     len(norms),
                 )
-            result.append(AdjointSolution(self._field(y), residual, len(norms), residual <= rtol))
+            result.append(
+                AdjointSolution(
+                    field=self._field(y),
+                    residual=residual,
+                    iterations=len(norms),
+                    converged=residual <= rtol,
+                )
+            )
         return result
 
     def _load(self, functional: np.ndarray) -> np.ndarray:
@@ -298,6 +313,7 @@ def adjoint_system(contact: LinearisedContact) -> AdjointSystem:
     matrix, trial, test = error_spaces(contact)
     keep = sparse.diags_array(trial.astype(float), format="csr")
     dim = contact.discrete.dim
+    # E'(A + H) T, and ones at dofs that an error does not have
     product = keep @ matrix @ test + sparse.diags_array((~trial).astype(float), format="csr")
     matrix = sparse.bsr_array(sparse.csr_array(product), blocksize=(dim, dim)).sorted_indices()
     return AdjointSystem(contact, matrix, trial, test)

@@ -381,6 +381,7 @@ class NodeCount:
         dim = mesh.dim
         self.inside = mesh.volumes * (NODES_PER_CELL[dim] / (dim + 1))
         self.boundary = Surface(mesh.points, mesh.facets).measures * (_BOUNDARY[dim] / dim)
+        # calibrated by this mesh, whose number of nodes is known
         self.factor = 1.0
         self.factor = mesh.n_nodes / self(nodal_sizes(mesh, simplex_sizes(mesh)))
 
@@ -411,7 +412,7 @@ def equilibrated_sizes(
     # smaller shares ask for nothing: sizes there are at their upper bound when the others are at
     # their lower one
     share = np.maximum(share, (_FINEST_SIZE / _COARSEST_SIZE) ** (2 + mesh.dim))
-    factors = share ** (-1 / (2 + mesh.dim))
+    factors = share ** (-1 / (2 + mesh.dim))  # squares fall like size^(2 + dim)
     old = simplex_sizes(mesh)
     count = NodeCount(mesh)
     edges = _edges(mesh)

@@ -405,6 +405,7 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         facets = surface.facets
         normals = surface.normals
         rule, at, weights = integration(mesh.points, facets, surface.measures, stress.axisymmetric)
+        # g + t_h - sigma_h n, with g the loads and springs, -k_n u_n n - k_t u_t
         residual = -stress.tractions(elements, normals, facets, rule)
         for load in state.problem.loads:
             if isinstance(load, Pressure | Traction) and load.boundary == name:
@@ -420,6 +421,7 @@ def boundary_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         # a support bears any traction along the directions that it holds
         held = supports.get(name, np.empty((0, mesh.dim)))
         residual -= residual @ held.T @ held
+        # h_F / E |residual|^2
         squares = (
             surface.sizes
             / state.young[elements]
@@ -462,6 +464,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         rule, _, weights = integration(
             mesh.points, surface.facets, surface.measures, state.stress.axisymmetric
         )
+        # int p (g0 - u_n), and int B |d_t| + t . d_t, by the mass matrices of facets
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
         slip_part = np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))
@@ -480,6 +483,7 @@ def _friction(state: Solved, opens: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     Pa, which obey the law: at the limit against the slip where a node moves, along the force and at
     most at the limit where it sticks. ``opens`` (n_contact,) is the mask of open nodes."""
     contact = state.result.contact
+    # of open nodes the part that does not depend on the pressure
     fixed, _ = state.discrete.law.bounds(len(contact))
     limit = np.where(opens, fixed, contact.limit)
     length = np.linalg.norm(contact.slip, axis=1)
@@ -505,7 +509,9 @@ def jump_squares(state: Solved) -> np.ndarray:
     first, second = state.neighbours.pairs
     surface = Surface(mesh.points, state.neighbours.facets)
     if stress.axisymmetric:
-        rule, _, weights = integration(mesh.points, surface.facets, surface.measures, True)
+        rule, _, weights = integration(
+            mesh.points, surface.facets, surface.measures, axisymmetric=True
+        )
         jump, opposite = (
             stress.tractions(elements, surface.normals, surface.facets, rule)
             for elements in (first, second)
@@ -521,7 +527,7 @@ def jump_squares(state: Solved) -> np.ndarray:
             for row in stress.columns
         ]
         squares = sum(jump * jump for jump in jumps) / surface.measures
-    squares *= 0.5 * surface.sizes
+    squares *= 0.5 * surface.sizes  # h_F / 2 |[sigma n]|^2
     return (
         sum(np.bincount(elements, squares, len(mesh.elements)) for elements in (first, second))
         / state.young
@@ -543,7 +549,8 @@ def volume_squares(
     )
     for load in forces:
         elements = slice(None) if load.body is None else body_elements(mesh, load.body)
-        residual[elements] += load_density(load, at[elements], None)
+        residual[elements] += load_density(load, at[elements], normals=None)
+    # h_T^2 / E |f + div sigma|^2
     return mesh.element_sizes**2 / young * np.einsum("eqd,eqd,eq->e", residual, residual, weights)
 
 

@@ -274,6 +274,7 @@ class HalvedError:
         new = np.flatnonzero(trial & (np.arange(len(trial)) >= view.discrete.n_dofs))
         self.new = new
         self.test = sparse.csr_array(test[:, new].T)
+        # A_MM d = (b - A u_h)_M, with T and H at slipping nodes
         load = self.test @ (contact.fixed_friction - contact.local(contact.residual))
         matrix = sparse.csr_array(self.test @ matrix[:, new])
         diagonal = matrix.diagonal()
@@ -299,6 +300,7 @@ class HalvedError:
 
         ``coarse`` and ``finer`` are the quantity on the mesh and on the halved one."""
         contact = self.fine.contact
+        # 4/3 ((J' - A'z_h)_M . d + J_(h/2)(u_h) - J_h(u_h))
         reaction = finer.vector - self.fine.discrete.matrix @ self.fine.interpolated(dual.field)
         weighted = contact.local(reaction)[self.new]
         geometry = _WHOLE * (finer.value - coarse.value)
@@ -342,6 +344,7 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
     """
     contact = view.contact
     discrete = view.discrete
+    # lambda* = A z - j; -z . r, + s f . z_t, and -lambda* . delta with delta the gap or minus the slip
     dual_reaction = contact.local(discrete.matrix @ dual.field - functional.vector)
     reaction = dual_reaction.reshape(-1, discrete.dim)[contact.nodes]
     part = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))

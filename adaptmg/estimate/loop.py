@@ -206,6 +206,7 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
         return False
     values, errors = _values_and_errors(estimate)
     old_values, old_errors = _values_and_errors(before)
+    # of the corrected values; quantities of another number cannot be compared
     change = np.inf
     if values.shape == old_values.shape:
         change = np.abs(values + errors - old_values - old_errors)
@@ -319,6 +320,7 @@ class AdaptiveLoop:
             if self.parts.remesh_every is None:
                 reason = limit or reason
             if reason:
+                # the step was yielded before it was known that it is the last one
                 object.__setattr__(last, "outcome", reason)
                 if self.first.problem.contact and not last.result.displacement.any():
                     warn_user(
@@ -506,21 +508,20 @@ class AdaptiveLoop:
     def _restored(self, number: int, step: Stored) -> Step:
         """Return a step made of its record in the store."""
         stored: StoredStep = step.more
+        # bisection goes on from the history, which only the record has
         finest = with_refinement(need_mesh(step.value), stored.history)
         last = self.done[-1] if self.done else None
-        hierarchy = restored(
-            self.first if last is None else last.hierarchy, [*stored.levels[:-1], finest]
-        )
-        # one mesh for both
-        result = replace(step.value, mesh=hierarchy.finest.mesh)
+        before = self.first if last is None else last.hierarchy
+        hierarchy = restored(before, [*stored.levels[:-1], finest])
         return Step(
-            number,
-            hierarchy,
-            result,
-            stored.estimate,
-            stored.timings,
+            number=number,
+            hierarchy=hierarchy,
+            # with the mesh of the hierarchy, which is the same as that in the file
+            result=replace(step.value, mesh=hierarchy.finest.mesh),
+            estimate=stored.estimate,
+            timings=stored.timings,
             path=stored.path,
-            settled=settled(stored.estimate, last and last.estimate),
+            settled=settled(stored.estimate, None if last is None else last.estimate),
             **cast("Any", stored.numbers),  # names of seconds and work units
         )
 
@@ -557,6 +558,7 @@ def solved(
         else:
             method = FullMultigrid if start is None else Multigrid
             solver = method(rtol=RTOL if rtol is None else rtol)
+    # FullMultigrid makes its own start
     return solve(hierarchy, solver, start=None if isinstance(solver, FullMultigrid) else start)
 
 
@@ -671,6 +673,7 @@ def _path_estimate(
     for step_estimate in estimates.values():
         # a quantity that is zero has no relative error: above 1 all steps count alike
         weight = min(step_estimate.relative, 1.0) ** 2
+        # of the squares of an element, over their sum, times the square of the relative estimate
         shares.append(weight / (step_estimate.squares.sum() or 1.0) * step_estimate.squares)
     return k, estimates[k], replace(estimates[k], squares=np.max(shares, axis=0))
 

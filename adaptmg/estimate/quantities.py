@@ -423,7 +423,8 @@ class PeakPressure:
         forces = np.maximum(-_at_nodes(source, contact.residual)[:, 0], 0.0)
         pressures = forces / source.touching.weights
         largest = pressures.max(initial=0.0) or 1.0
-        shares = pressures / largest  # powers of these do not overflow
+        # sum w p^(q+1) / sum w p^q, over the largest pressure: powers of shares do not overflow
+        shares = pressures / largest
         total = float(weights @ shares**self.power) or 1.0
         mean = float(weights @ shares ** (self.power + 1)) / total
         # the derivative of the mean by the shares, times the total over the weights
@@ -561,7 +562,7 @@ class Opening:
             name = f"opening of {self.boundary!r} at {_place(self.point)}"
             weights = weights * posed.weights / posed.measures
         vector = np.zeros((view.discrete.n_nodes, mesh.dim))
-        vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]
+        vector[contact.nodes] = -weights[:, None] * contact.frames[:, 0]  # of g0 - u_n
         return [Functional(name, float(weights @ contact.gap), "m", vector.reshape(-1))]
 
     def _at_point(self, view: GoalView, facets: np.ndarray) -> np.ndarray:

@@ -99,6 +99,7 @@ class Reference:
         """Return a(u, u_h) of a result, N m."""
         mesh = need_mesh(result)
         u = result.displacement
+        # the work of loads, contact and supports on u_h
         product = float(
             load_vector(mesh, self.problem.loads, self.problem.material) @ u.reshape(-1)
         )
@@ -153,9 +154,11 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     u = result.displacement.reshape(-1)
     posed_by = reference.problem
     result_energy = float(u @ (supported_stiffness(mesh, posed_by.material, posed_by.supports) @ u))
+    # |u - u_h|^2 = |u_H|^2 - 2 a(u, u_h) + |u_h|^2 + |u - u_H|^2
     squared = (
         reference.energy - 2 * reference.against(result) + result_energy + reference.own_error**2
     )
+    # a difference of energies is not resolved below this
     if -_RESOLVED * reference.energy <= squared < 0:
         squared = 0.0
     if not squared >= 0:
@@ -166,10 +169,10 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
         )
     norm = float(np.sqrt(reference.energy))
     return EnergyError(
-        float(np.sqrt(squared)),
-        float(np.sqrt(squared)) / norm if norm > 0 else np.inf,
-        norm,
-        reference.own_error,
+        absolute=float(np.sqrt(squared)),
+        relative=float(np.sqrt(squared)) / norm if norm > 0 else np.inf,
+        norm=norm,
+        allowance=reference.own_error,
     )
 
 

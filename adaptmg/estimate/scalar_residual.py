@@ -93,10 +93,13 @@ def _integrals(
 ) -> np.ndarray:
     """Return the integrals (2, n_elements) of the square of the residual of the equation, and those of
     contact force times distance."""
-    rule, points, weights = integration(mesh.points, mesh.elements, mesh.volumes, False)
+    rule, points, weights = integration(
+        mesh.points, mesh.elements, mesh.volumes, axisymmetric=False
+    )
     load = checks.field("load", problem.load, points.reshape(-1, mesh.dim)).reshape(weights.shape)
     force = pressures[:, mesh.elements] @ rule.T
     contact = full_contact[:, None]
+    # f + lambda; in full contact the part of f that pulls off the obstacle
     residual = np.where(contact == 0, load + force[0] - force[1], np.maximum(contact * load, 0.0))
     # at each node one of pressure and distance is taken as zero: the error of the solver is not one of
     # the mesh
@@ -120,6 +123,7 @@ def _flux_squares(
     first, second = full_contact[sides]
     contact = np.where(first == second, first, 0)
     jump = np.where(contact == 0, jump, np.maximum(-contact * jump, 0.0))
+    # h_F/2 |[k d_n u]|^2; the element of a free facet gets both halves
     halves = 0.5 * surface.sizes * surface.measures * jump**2
     return np.bincount(sides.ravel(), np.tile(halves, 2), len(mesh.elements))
 
@@ -141,6 +145,7 @@ def _obstacle_squares(
     contact = full_contact[:, None]
     distance = np.where(contact == 1, lower, np.maximum(lower, 0.0))
     distance += np.where(contact == -1, upper, np.minimum(upper, 0.0))
+    # int |grad b|^2 of b = 4 phi_i phi_j: 32 / ((d + 1) (d + 2)) |T| (s_i.s_i + s_j.s_j + s_i.s_j)
     products = slopes @ slopes.swapaxes(1, 2)
     integrals = products[:, start, start] + products[:, end, end] + products[:, start, end]
     factor = 32 / ((mesh.dim + 1) * (mesh.dim + 2)) * mesh.volumes

@@ -81,9 +81,9 @@ class ElementStress:
         return isotropic(
             self.data.lame,
             self.data.shear,
-            np.zeros(len(self.data.lame), dtype=bool),
-            self.mesh,
-            1 / checks.ALIKE,
+            thin=np.zeros(len(self.data.lame), dtype=bool),
+            mesh=self.mesh,
+            most=1 / checks.ALIKE,
         )
 
     @cached_property
@@ -105,6 +105,7 @@ class ElementStress:
             per_hoop_strain = np.einsum(
                 "nij,nj->ni", self.of_hoop[elements][:, self.columns], normals
             )
+            # sigma n at the centroid, and what the hoop strain there and here adds
             result += self.rise(elements, facets, rule)[:, :, None] * per_hoop_strain[:, None, :]
         return result
 
@@ -168,8 +169,12 @@ def neighbours(mesh: MeshArrays) -> Neighbours:
             f"mesh: boundary facet {facet} of nodes {mesh.facets[facet].tolist()} belongs to no element"
         )
     side = order[place]
+    # the number of a side over the number of sides of an element is that of the element
     return Neighbours(
-        inside // n_sides, facets.take(inside[0], axis=0), side // n_sides, unpaired[side]
+        pairs=inside // n_sides,
+        facets=facets.take(inside[0], axis=0),
+        owner=side // n_sides,
+        outer=unpaired[side],
     )
 
 
@@ -234,11 +239,14 @@ class Solved:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
         unknowns, forces = self._moved
         # inclined supports are eliminated from the matrix: their part of the energy is added
-        eliminated = self.discrete.lifted(forces, unknowns, None, self.discrete.volumes)
+        eliminated = self.discrete.lifted(
+            forces, unknowns, strain_free=None, volumes=self.discrete.volumes
+        )
         if eliminated["strain_free"] is None:
             return energy_norm(unknowns, forces)
         load, constant = eliminated["strain_free"]
         volumes = eliminated["volumes"]
+        # u'Au = u'A'u - 2 u . load + constant, see Inclined.lifted; then the pressures on B ubar
         energy = unknowns @ (forces - 2 * load) + constant
         energy += self.result.pressures @ (volumes.areas * volumes.prescribed)
         return float(np.sqrt(max(energy, 0.0)))
@@ -260,6 +268,8 @@ class Solved:
             raise ValueError(
                 f"result.reaction must have {forces.size} components, got {exerted.shape}"
             )
+        # the load of the result is that of the discrete problem, or of the posed one, which the
+        # hierarchy of a load step may have got without being discretised again
         load = forces - self.discrete.relative_forces(exerted)
         inclined = self.discrete.inclined
         expected = self.discrete.load
@@ -267,7 +277,9 @@ class Solved:
             load_vector(self.mesh, self.problem.loads, self.problem.material, self.problem.elements)
         )
         # supports bear the components along held directions
-        posed = self.discrete.lifted(posed, unknowns, None, self.discrete.volumes)["load"]
+        posed = self.discrete.lifted(
+            posed, unknowns, strain_free=None, volumes=self.discrete.volumes
+        )["load"]
         load, expected, posed = map(inclined.free_part, (load, expected, posed))
         rounding = checks.ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
         size = max(euclidean_norm(forces), euclidean_norm(load))
@@ -277,6 +289,7 @@ class Solved:
                 "result has other loads than those of hierarchy.problem: " + _OTHER_STEP
             )
         contact = self.result.contact
+        # contact results are means, conditions of nodes that take over others sums
         gaps = self.discrete.contact.gaps * contact.weights / contact.measures
         moved = contact.gap + contact.u_n - gaps
         length = np.abs([contact.gap, contact.u_n]).max(initial=0.0)
