@@ -517,15 +517,14 @@ def _parameter(name: str, value: FieldLike | ArrayLike) -> FieldLike | ArrayLike
 FieldLikeOrArray = Annotated[FieldLike | ArrayLike, partial(checks.function_or, check=_parameter)]
 
 
-def _at_points(name: str, value: FieldLike | ArrayLike, points: np.ndarray) -> np.ndarray:
-    """Return a parameter of a law, a number or a function, at points (n, dim)."""
-    return checks.field(name, cast("FieldLike", value), points, minimum=0.0)
-
-
-def _with(law: _AnyLaw, name: str, values: np.ndarray) -> _AnyLaw:
-    """Return a copy of a law with another parameter, which is not checked."""
+def _evaluated(
+    law: _AnyLaw, name: str, points: np.ndarray, weights: np.ndarray | float = 1.0
+) -> _AnyLaw:
+    """Return a copy of a law with a parameter, a number or a function, evaluated at points (n, dim)
+    and multiplied by weights (n,)."""
+    values = checks.field(name, getattr(law, name), points, minimum=0.0)
     result = copy.copy(law)
-    object.__setattr__(result, name, values)
+    object.__setattr__(result, name, values * weights)  # not checked again
     return result
 
 
@@ -578,7 +577,7 @@ class Tresca(checks.Checked):
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Tresca:
         """Return the law with nodal forces: traction times lumped boundary mass."""
-        return _with(self, "limit", _at_points("limit", self.limit, points) * weights)
+        return _evaluated(self, "limit", points, weights)
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
         return _nodal("limit", self.limit, n_contact), np.zeros(n_contact)
@@ -608,7 +607,7 @@ class Coulomb(checks.Checked):
 
     def at_nodes(self, points: np.ndarray, weights: np.ndarray) -> Coulomb:
         """Return the law with the coefficient at each contact node."""
-        return _with(self, "friction", _at_points("friction", self.friction, points))
+        return _evaluated(self, "friction", points)
 
     def bounds(self, n_contact: int) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(n_contact), _nodal("friction", self.friction, n_contact)
