@@ -474,7 +474,7 @@ def _unit_mesh(
     why: Exception = NetgenFails("it was not asked")
     best: MeshArrays | None = None
     for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
-        # a mesh of Netgen, brought to the sizes, and checked
+        # a mesh of Netgen, brought to the sizes, and checked; the next attempt follows where it fails
         try:
             coarse = sizes.drafts(factor, slower)
             # meshes made before, whose sizes the last one follows: one where sizes vary, and another
@@ -484,6 +484,7 @@ def _unit_mesh(
             unit = _solid_draft(
                 worker, shape, coarse, faces, domain, nodes / factor**3 + on_round, rounds
             )
+            # refined to the sizes: on the surfaces of its faces, or bisected by Netgen
             if surfaces is None:
                 unit = _bisected(worker, unit, shape, sizes, faces, domain)
             else:
@@ -491,6 +492,7 @@ def _unit_mesh(
             check_volume(unit, shape.volume)
             mesh = _placed(check_mesh(unit), shape)
             check_sizes(mesh, lambda x, mesh=mesh: sizes.field(x, mesh, faces))
+            # with flat elements it is the result only if no attempt makes better ones
             if not _flat_ones(unit).any():
                 return unit
             if best is None or mean_ratios(unit).min() > mean_ratios(best).min():

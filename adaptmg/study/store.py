@@ -180,8 +180,8 @@ class Store:
             "the store in memory" if self.path is None else printable(os.fspath(self.path))
         )
         self._lock = threading.RLock()
-        # claims of others: owner, renewals, and when these were seen first
-        self._seen: dict[tuple[str, str], tuple[str, int, float]] = {}
+        # claims of others by run: owner and renewals, and when these were seen first
+        self._seen: dict[tuple[str, str], tuple[tuple[str, int], float]] = {}
         if self.path is not None:
             make_folder("store", self.path.parent)
             if self.path.exists() and not self.path.is_file():
@@ -342,9 +342,10 @@ class Store:
         has not renewed the claim for a while by the clock of this process."""
         if has_ended(owner.partition(" ")[0]):
             return False
-        if self._seen.get(run, ("", 0))[:2] != (owner, renewals):
-            self._seen[run] = owner, renewals, time.monotonic()
-        return time.monotonic() - self._seen[run][2] < _LEASE_S
+        if run not in self._seen or self._seen[run][0] != (owner, renewals):
+            self._seen[run] = (owner, renewals), time.monotonic()
+        _, first_seen = self._seen[run]
+        return time.monotonic() - first_seen < _LEASE_S
 
     @contextmanager
     def claims_of(self, owner: str) -> Iterator[None]:
