@@ -20,6 +20,7 @@ from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.level import Level, check_problem, joined, the_transfer
 from adaptmg.problem import ContactProblem
+from adaptmg.problem.contact_problem import for_problem
 
 if TYPE_CHECKING:
     from adaptmg.transfer import Transfer
@@ -274,7 +275,7 @@ class Grids:
     def __str__(self) -> str:
         name = self.problem.name if self.problem is not None else self.finest.discrete.name
         lines = [
-            f"Hierarchy of {len(self)} levels ({lengths_in_units(self.origin)}) for {name}",
+            f"Hierarchy of {len(self)} levels ({lengths_in_units(self.origin)}){for_problem(name)}",
             f"{'level':>5} {'nodes':>9} {'contact':>8} {'nonzeros':>11}",
         ]
         lines += [

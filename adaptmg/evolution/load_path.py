@@ -23,6 +23,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.evolution.path_loop import PathLoop, slip_lengths
 from adaptmg.evolution.plastic import PlasticLoop
 from adaptmg.grids import Grids
+from adaptmg.problem.contact_problem import for_problem
 from adaptmg.problem.load_path import LoadPath
 from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
 from adaptmg.solver.outcome import grids_argument, method_argument
@@ -97,7 +98,7 @@ class PathResult(Sequence[Result]):
 
     def __str__(self) -> str:
         about = (
-            f" of {self.results[0].solver_name} for {self.results[0].problem_name}"
+            f" of {self.results[0].solver_name}{for_problem(self.results[0].problem_name)}"
             if self.results
             else ""
         )

@@ -2,7 +2,8 @@ r"""contact: pressure, friction, gap and slip along contact lines, maps of them 
 surfaces; and load_history: quantities of a sequence of load steps against the load, and the contact
 pressure of each step.
 
-Lines are drawn against x or y where they are straight, else against the arc length. A surface is
+Lines are drawn against x or y where they are straight, or where the part that is drawn is nowhere
+steep, else against the arc length. A surface is
 seen along its mean normal; where that is short, as around a hole, it is unrolled: the direction
 across all normals is the axis, and the coordinates are the angle of the normal and the length along
 the axis."""
@@ -38,6 +39,10 @@ _AROUND_PATCH = 2.0
 #: a patch is small where that is less than this part of the line: it has less than 32 of the 640 pixels measured of
 #: a line. Half and twice change none of these pictures either
 _SMALL_PART = 0.2
+
+#: a line is drawn against x or y where it runs within 60 degrees of this axis: there an edge is drawn as at least
+#: half of its length, and of a quarter of a circle the arc length is left
+_STEEP = 0.5
 
 
 @style.styled
@@ -100,19 +105,19 @@ def contact(
         (_draw_surface if solid else _draw_lines)(result, name, drawn)
         title = pair_name(result.contact, name)
         if len(names) == 1:
-            title = f"{style.plain(result.problem_name)}: {title}"
+            title = style.titled(result.problem_name, title)
         drawn[0].set_title(title, wrap=True)
         drawn[0].figure.align_ylabels()
     figure = style.figure_of(panels[0][0])
     if len(names) > 1:
-        figure.suptitle(style.plain(result.problem_name))
+        figure.suptitle(style.titled(result.problem_name))
     return figure
 
 
 def _draw_lines(result: Result, name: str, axes: Sequence[Axes]) -> None:
     """Draw pressure, friction, gap and slip along a plane contact boundary, on three axes."""
     c = result.contact
-    lines = [line.around(c.state[line.index] != OPEN) for line in lines_of(result, name)]
+    lines = _near_contact(result, name)
     nodes = np.concatenate([line.index for line in lines])
     scale, unit = style.scaled(
         max(1e-6, np.abs(c.gap[nodes]).max(), np.abs(c.slip[nodes]).max()), "m"
@@ -321,6 +326,25 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
     return [Line(nodes, scale * (arc - begin), label) for nodes, arc in parts]
 
 
+def _near_contact(result: Result, name: str) -> list[Line]:
+    """Return the parts of lines that are drawn: around a small patch; a single one that is a graph
+    over x or y against this coordinate."""
+    c = result.contact
+    lines = [line.around(c.state[line.index] != OPEN) for line in lines_of(result, name)]
+    line = lines[0]
+    points = c.x[line.index]
+    axis = int(np.argmax(np.ptp(points, axis=0)))
+    steps = np.diff(points[:, axis])
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if len(lines) > 1 or not (np.sign(steps.sum()) * steps >= _STEEP * lengths).all():
+        return lines
+    order = np.argsort(points[:, axis])
+    whole = c.x[c.boundary == c.names.index(name)]
+    scale, unit = style.scaled(float(np.ptp(whole, axis=0).max()), "m")
+    label = f"{style.axis_names(result)[axis]} [{unit}]"
+    return [Line(line.index[order], scale * points[order, axis], label)]
+
+
 def _parts(
     mesh: MeshArrays, contact: ContactResult, boundary: str, index: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -513,7 +537,7 @@ def load_history(
             name,
             columns,
         )
-    figure.suptitle(style.plain(results[-1].problem_name))
+    figure.suptitle(style.titled(results[-1].problem_name))
     return figure
 
 

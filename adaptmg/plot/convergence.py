@@ -98,7 +98,7 @@ def history(
         ax.set_ylabel(_QUANTITIES[quantities[0]])
     else:
         ax.set_ylabel("relative measure")
-        ax.set_title(style.plain(next(iter(runs.values())).problem_name), wrap=True)
+        ax.set_title(style.titled(next(iter(runs.values())).problem_name), wrap=True)
     ax.grid(True)
     if several or len(quantities) > 1:
         style.legends_inside({ax: ax.get_legend_handles_labels()[0]})
@@ -249,12 +249,13 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     dim = need_mesh(last.result).dim
     goal = last.estimate.signed is not None
     columns = style.columns_of(6, 3, 3.3)
-    rows = {3: 2, 2: 4, 1: 6}[columns]
-    engine = ConstrainedLayoutEngine(compress=True, w_pad=0.1)
+    rows = 6 // columns
+    engine = ConstrainedLayoutEngine(compress=columns == 3, w_pad=0.1)
     figure = style.new_figure((3.5 * columns, (3.0 if columns == 2 else 3.6) * rows), engine)
+    between = " " if columns == 3 else "\n"
     # three meshes
     for k, number in enumerate(sorted({0, len(steps) // 2, len(steps) - 1})):
-        title = f"step {number}: {steps[number].nodes} nodes"
+        title = f"step {number}:{between}{steps[number].nodes} nodes"
         ax = _panel(figure, (rows, columns, k + 1), dim, title)
         result = steps[number].result
         mesh = need_mesh(result)
@@ -272,28 +273,28 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     norm = LogNorm(
         max(1e-4 * largest, parts.min(initial=0.5 * largest, where=parts > 0)), largest, clip=True
     )
-    ax = _panel(figure, (rows, columns, 4), dim, f"indicator, step {last.number}")
+    ax = _panel(figure, (rows, columns, 4), dim, f"indicator,{between}step {last.number}")
     draw_bodies(ax, need_mesh(last.result), Coloring(parts, False, "", norm), lines=False)
     label = r"$|\eta_E|^{1/2}$ of the goal" if goal else r"$\eta_E$ [$\sqrt{\mathrm{N\,m}}$]"
-    bar = figure.colorbar(ScalarMappable(norm), ax=ax, shrink=0.8, label=label)
+    place = {"location": "bottom" if style.narrow(ax) else "right", "shrink": 0.8}
+    bar = figure.colorbar(ScalarMappable(norm), ax=ax, label=label, **place)
     if style.narrow(ax):
-        bar.ax.yaxis.set_minor_formatter(NullFormatter())
+        bar.ax.xaxis.set_minor_formatter(NullFormatter())
     # the estimate against nodes and seconds
     nodes = np.array([step.nodes for step in steps], dtype=float)
     relative = np.array([step.estimate.relative for step in steps])
-    places = ((5, 6), (7, 8)) if columns == 2 else (5, 6)
-    left, right = (figure.add_subplot(rows, columns, place) for place in places)
+    left = figure.add_subplot(rows, columns, 5)
+    right = figure.add_subplot(rows, columns, 6, sharey=left)
+    right.tick_params(labelleft=False)
     seconds = np.array([step.total_seconds for step in steps])
-    for ax, x, name in ((left, nodes, "nodes"), (right, seconds, "time, meshes included [s]")):
+    for ax, x, name in ((left, nodes, "nodes"), (right, seconds, "time with meshes [s]")):
         shown = (x > 0) & (relative > 0) & np.isfinite(relative)
         ax.loglog(x[shown], relative[shown], marker="o", color=style.cycled(0))
-        ax.set(
-            xlabel=name,
-            ylabel="estimate / value of the goal [-]" if goal else r"estimate / $\|u_h\|_A$ [-]",
-        )
+        ax.set_xlabel(name)
         ax.grid(True, which="both")
         for axis in (ax.xaxis, ax.yaxis):
             style.label_plainly(axis)
+    left.set_ylabel("estimate / value of the goal [-]" if goal else r"estimate / $\|u_h\|_A$ [-]")
     if (relative > 0).all() and np.isfinite(relative[-1]) and nodes[-1] > nodes[0]:
         # the error of a quantity falls as the square of that in the energy norm
         power = -2 / dim if goal else -1 / dim
@@ -306,14 +307,15 @@ def adaptation(steps: Sequence[Step]) -> Figure:
             label=f"nodes$^{{{Fraction(power).limit_denominator(9)}}}$",
         )
         style.legends_inside({left: left.get_legend_handles_labels()[0]})
-    figure.suptitle(style.plain(last.result.problem_name))
+    figure.suptitle(style.titled(last.result.problem_name))
     return figure
 
 
 def _panel(figure: Figure, place: tuple[int, int, int], dim: int, title: str) -> Axes:
-    """Return new axes for a mesh; ``place`` has the numbers of rows and columns, and its position."""
+    """Return new axes for a mesh, without coordinates in narrow figures; ``place`` has the numbers
+    of rows and columns, and its position."""
     ax = figure.add_subplot(*place, projection="3d" if dim == 3 else None)
     ax.set_title(title, wrap=True)
-    if dim == 3:
+    if dim == 3 or style.narrow(ax):
         ax.set_axis_off()
     return ax

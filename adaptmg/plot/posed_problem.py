@@ -86,7 +86,7 @@ def problem(
     size = (8.4, 5.6) if posed.dim == 3 else (4.4 * width + 3.9, 4.4 * height + 1.4)
     ax = style.canvas(ax, size, posed.dim)
     _draw(posed, mesh, ax)
-    style.entitle(ax, style.plain(posed.name))
+    style.entitle(ax, style.titled(posed.name))
     return style.figure_of(ax)
 
 

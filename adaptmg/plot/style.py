@@ -37,6 +37,7 @@ from matplotlib.transforms import ScaledTranslation
 from adaptmg import _checks as checks
 from adaptmg._text import printable
 from adaptmg._units import converted, with_prefixes
+from adaptmg.problem.contact_problem import UNNAMED
 from adaptmg.smoother.system import OPEN, SLIP, STICK
 from adaptmg.solver.result import Result
 
@@ -327,6 +328,12 @@ def plain(name: str) -> str:
     """Return a name as text that matplotlib shows unchanged: without math, and not hidden in
     legends by a leading _."""
     return (" " if name.startswith("_") else "") + printable(name).replace("$", r"\$")
+
+
+def titled(problem: str, text: str = "") -> str:
+    """Return a title: the name of a problem, if the user has given one, before a text."""
+    named = "" if problem == UNNAMED else plain(problem)
+    return ": ".join(filter(None, (named, text)))
 
 
 def quoted(name: str) -> str:

@@ -39,8 +39,14 @@ CONTACT = "contact"  # name of all contact boundaries together
 # between the Young's moduli of two bodies: the softer one would be rounding next to the stiffer one
 _MOST_STIFFER = 1 / np.finfo(np.float64).eps
 ELEMENTS = ("linear", "smoothed")
+UNNAMED = "contact problem"  # the name of a problem without one, which no title has
 # of smoothed elements of one part: the Poisson's ratio at which it is all of Lame's first constant
 _MOST_POISSON = EDGE_PART / (2 * (1 + EDGE_PART))
+
+
+def for_problem(name: str) -> str:
+    """Return " for " and the name of a problem, nothing where it has none."""
+    return "" if name == UNNAMED else f" for {name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +177,7 @@ class ContactProblem(checks.Checked):
     supports: Annotated[tuple[AnySupport, ...], _several(*get_args(AnySupport))] = ()
     domain: Domain | Any = None  # Any: only problems without a domain need the test for None
     elements: Annotated[str, partial(checks.choice, choices=ELEMENTS)] = "linear"
-    name: Name = "contact problem"
+    name: Name = UNNAMED
     reference: Annotated[Mapping[str, Any], partial(checks.mapping, words="names to values")] = (
         field(default_factory=dict)
     )
@@ -189,7 +195,7 @@ class ContactProblem(checks.Checked):
             supports: AnySupport | Sequence[AnySupport] = (),
             domain: Domain | None = None,
             elements: str = "linear",
-            name: str = "contact problem",
+            name: str = UNNAMED,
             reference: Mapping[str, Any] = ...,
         ) -> None: ...
 

@@ -19,6 +19,7 @@ from adaptmg.discrete.stress import PlasticState, StressData
 from adaptmg.discrete.ties import TieForces
 from adaptmg.grids import Grids
 from adaptmg.mesh.arrays import MeshArrays
+from adaptmg.problem.contact_problem import for_problem
 from adaptmg.solver.certificate import Certificate, Condition, ContactClaims, certify
 from adaptmg.solver.examine import ContactResult, advice_on_patches, counted_states
 from adaptmg.solver.quantities import Quantities
@@ -310,7 +311,7 @@ def _summary(result: Result) -> str:
             f"{result.timings.get('certificate', 0.0):.2g} s"
         )
     return (
-        f"Result of {result.method} for {result.problem_name}: {result.status.name}\n"
+        f"Result of {result.method}{for_problem(result.problem_name)}: {result.status.name}\n"
         f"  {len(result.displacement)} nodes, {len(result.contact)} contact nodes: {counted_states(result.contact)}\n"
         f"  {result.cycles} cycles, {result.work_units:.2f} work units, {result.seconds:.3g} s\n"
         f"  natural residual {result.residual:.2e}, estimated error {result.error_estimate:.2e} "

@@ -409,10 +409,8 @@ def test_adaptation_draws_meshes_states_indicator_and_errors():
         np.testing.assert_allclose(
             ax.lines[0].get_xydata().T, [x, [s.estimate.relative for s in steps]]
         )
-        assert (ax.get_xscale(), ax.get_yscale()) == (
-            "log",
-            "log",
-        ) and "estimate" in ax.get_ylabel()
+        assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert [ax.get_ylabel().partition(" / ")[0] for ax in figure.axes[-2:]] == ["estimate", ""]
     titles = [ax.get_title() for ax in figure.axes]
     assert (
         f"step 0: {steps[0].nodes} nodes" in titles
@@ -496,6 +494,38 @@ test_refused = refused(
     (lambda: plot.load_history([*steps_of(PLANE)[:3], SOLID], FACTORS, QUANTITIES), "same mesh"),
     (lambda: plot.load_history(steps_of(PLANE), FACTORS, {}, steps=0), "nothing to draw"),
 )
+
+
+def test_a_contact_patch_is_centred_and_does_not_fold():
+    """Of a cylinder on a rigid plane that moves into it, turned; the problem has no name."""
+    normal = np.array([0.28, -0.96])
+    along = np.array([0.96, 0.28])
+    corners = [10e-3 * side * along for side in (-1, 0, 1)]
+    corners[1] = 10e-3 * normal
+    plane = am.Moving(am.Plane(corners[1], -normal), displacement=-2e-6 * normal)
+    problem = am.ContactProblem(
+        domain=am.Outline(
+            vertices=corners, boundaries=("low", "low", "top"), arcs={0: (0, 0), 1: (0, 0)}
+        ),
+        material=am.PlaneStrain(young=2.1e11, poisson=0.3),
+        law=am.Frictionless(),
+        contact=am.Contact("low", plane),
+        supports=am.Support("top", x=0, y=0),
+    )
+    sizes = am.SizeNear([corners[1]], size=2e-5)
+    grids = am.Hierarchy.from_meshes(problem, [am.mesh.sized(problem.domain, sizes, 2e-3)])
+    result = am.solve(grids)
+    axes = plot.contact(result).axes
+    assert axes[-1].get_xlabel() == "x [mm]" and axes[0].get_title() == "'low'"
+    assert "problem" not in f"{grids}{result}"
+    assert np.mean(axes[-1].get_xlim()) == pytest.approx(1e3 * corners[1][0], abs=0.05)
+    drawn = plot.deformation(result, stress=True)
+    factor = float(re.fullmatch(r"displacement drawn (\d+) times", drawn.axes[0].get_title())[1])
+    closed = result.contact.node[result.contact.closed]
+    lift = result.displacement[closed] @ normal
+    assert 0 < factor * np.ptp(lift) < 0.3 * result.contact_area
+    label = drawn.axes[1].yaxis.label.get_window_extent()
+    assert label.height <= 1.05 * drawn.axes[1].get_window_extent().height
 
 
 def test_amplified_bodies_hardly_overlap_where_a_gap_has_closed():
