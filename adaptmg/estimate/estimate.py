@@ -275,17 +275,15 @@ class Doerfler:
         Of elements with equal squares those with the lowest numbers come first; none are marked
         where all are 0."""
         squares = _squares(estimate)
-        total = squares.sum()
         # 1 takes every element that has a part, also one that the sum loses by rounding
-        if self.theta == 1 or total == 0:
+        if self.theta == 1 or not squares.any():
             return squares > 0
         order = np.argsort(-squares, kind="stable")
         reached = np.cumsum(squares[order])
-        # a sum in another order differs by rounding
-        count = min(int(np.searchsorted(reached, self.theta * total)) + 1, len(squares))
+        count = int(np.searchsorted(reached, self.theta * reached[-1])) + 1
         mask = np.zeros(len(squares), dtype=bool)
         mask[order[:count]] = True
-        return mask & (squares > 0)
+        return mask
 
 
 @dataclass(frozen=True)

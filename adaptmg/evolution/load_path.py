@@ -25,7 +25,7 @@ from adaptmg.evolution.plastic import PlasticLoop
 from adaptmg.grids import Grids
 from adaptmg.problem.contact_problem import for_problem
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
+from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
 from adaptmg.solver.outcome import grids_argument, method_argument
 from adaptmg.solver.record import Solver
 from adaptmg.solver.result import KINDS, NotConverged, Result
@@ -404,8 +404,7 @@ def solve_path(
             steps.put(k, _stored(k, result), loop.coarse)
         if callback is not None:
             callback(k, result)
-    advise_on_results(grids.posed, results)
-    advise_on_chords(grids.posed, grids.finest.discrete, results)
+    advise_on_results(grids.posed, grids.finest.discrete, results)
     return PathResult(tuple(results), loop.factors, mark, len(path))
 
 

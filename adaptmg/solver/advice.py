@@ -143,7 +143,7 @@ def advise_on_problem(posed: Posed | None) -> None:
         )
 
 
-def advise_on_chords(
+def _advise_on_chords(
     posed: Posed | None, discrete: DiscreteProblem, results: Sequence[Result]
 ) -> None:
     """Warn of pairs with curved surfaces that are known only by chords, if these are nearly as high as
@@ -198,11 +198,25 @@ def critical_coefficients(stiffness: np.ndarray) -> np.ndarray:
     return np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
 
 
+def warn_where_steep(rise: np.ndarray, critical: np.ndarray, what: str) -> None:
+    """Warn where friction rises with the pressure by more than what leaves one solution; ``what`` names
+    the rise (n_contact,), for which there are critical values (n_contact,)."""
+    exceeds = rise >= critical
+    if exceeds.any():
+        i = int(np.argmax(np.where(exceeds, rise - critical, -np.inf)))
+        advise(
+            "friction",
+            f"{what} {rise[i]:.3g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
+            f"may open, slip or stick under the same load ({np.count_nonzero(exceeds)} contact nodes): the solution "
+            "may not be unique; compare am.solve(..., start=...) from several starts",
+            RuntimeWarning,
+        )
+
+
 def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
     """Warn of friction that rises or falls with pressure or slip in a way that may have several
     solutions."""
-    law = discrete.law
-    if not isinstance(law, FollowsState):
+    if not isinstance(discrete.law, FollowsState):
         return
     force = contact.force_n
     slip = np.linalg.norm(contact.slip, axis=1) * contact.measures / contact.weights
@@ -220,18 +234,8 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
         )
     blocks = contact_blocks(discrete)
     # a coefficient alone says little: where it falls like 1 / pressure the friction is constant
-    critical = critical_coefficients(blocks)
-    steep = contact.closed & (slope >= critical)
-    if steep.any():
-        i = int(np.argmax(np.where(steep, slope - critical, -np.inf)))
-        advise(
-            "friction",
-            f"friction times pressure rises {slope[i]:.3g} times as fast as the pressure at "
-            f"{contact.pressure[i]:.3g} Pa, and from {critical[i]:.2g} on a node in contact alone may open, "
-            f"slip or stick under the same load ({np.count_nonzero(steep)} contact nodes): the solution may not "
-            "be unique; compare am.solve(..., start=...) from several starts",
-            RuntimeWarning,
-        )
+    rise = np.where(contact.closed, slope, 0.0)
+    warn_where_steep(rise, critical_coefficients(blocks), "the slope of friction over pressure,")
     # what has jumped has passed the slips where friction falls fastest
     hardening = np.min(
         [friction_bound(discrete.friction_at, force, share * slip)[2] for share in ON_THE_WAY],
@@ -253,11 +257,10 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
 def advise_on_adhesion(discrete: DiscreteProblem, contact: ContactResult) -> None:
     """Warn of boundaries whose open nodes, with Tresca's law, carry more friction than those in
     contact."""
-    limit, _ = discrete.law.bounds(len(contact.node))
-    friction = np.linalg.norm(contact.force_t, axis=1) * (limit > 0)
-    n = len(contact.names)
-    by_open = np.bincount(contact.boundary, friction * ~contact.closed, n)
-    by_closed = np.bincount(contact.boundary, friction * contact.closed, n)
+    friction = np.linalg.norm(contact.force_t, axis=1)
+    friction[discrete.law.bounds(len(friction))[0] == 0] = 0.0
+    by_open = np.bincount(contact.boundary, friction * ~contact.closed, len(contact.names))
+    by_closed = np.bincount(contact.boundary, friction * contact.closed, len(contact.names))
     if (by_open > by_closed).any():
         k = int(np.argmax(by_open - by_closed))
         advise(
@@ -268,15 +271,18 @@ def advise_on_adhesion(discrete: DiscreteProblem, contact: ContactResult) -> Non
         )
 
 
-def advise_on_results(posed: Posed | None, results: Sequence[Result]) -> None:
-    """Warn of bodies that cannot meet in any of these steps, of large strains and of large
-    slips."""
-    results = [result for result in results if result.status.ok]
-    if results:
-        _advise_on_contact(results)
-    for result in results:
+def advise_on_results(
+    posed: Posed | None, discrete: DiscreteProblem, results: Sequence[Result]
+) -> None:
+    """Warn of bodies that cannot meet in any of these steps, of large strains and of large slips, and
+    of chords that press."""
+    converged = [result for result in results if result.status.ok]
+    if converged:
+        _advise_on_contact(converged)
+    for result in converged:
         if posed is not None:
             advise_on_motion(posed, result)
+    _advise_on_chords(posed, discrete, results)
 
 
 def advise_on_motion(posed: Posed, result: Result) -> None:

@@ -16,7 +16,7 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.grids import Grids
 from adaptmg.problem.load_path import LoadPath
-from adaptmg.solver.advice import advise_on_chords, advise_on_problem, advise_on_results, once
+from adaptmg.solver.advice import advise_on_problem, advise_on_results, once
 from adaptmg.solver.closed_forms import free_bodies
 from adaptmg.solver.examine import Examiner
 from adaptmg.solver.multigrid import handed_over
@@ -173,8 +173,7 @@ def solve(
                 posed.mesh, posed.materials, problem.loads, problem.elements
             )
         result = result_of(grids, examiner, run, outcome, solver, stress_data, choice)
-        advise_on_results(posed, [result])
-        advise_on_chords(posed, discrete, [result])
+        advise_on_results(posed, discrete, [result])
     _LOG.info(
         "%s, %d nodes: %s after %d cycles, %.1f work units and %.3g s (%s)",
         result.problem_name,

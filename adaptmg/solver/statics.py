@@ -38,7 +38,7 @@ from adaptmg.problem.laws import sampled_friction
 from adaptmg.problem.loads import PointSpring, Spring
 from adaptmg.smoother.factorisation import condense_problem
 from adaptmg.smoother.system import STICK, contact_blocks
-from adaptmg.solver.advice import advise, critical_coefficients
+from adaptmg.solver.advice import advise, critical_coefficients, warn_where_steep
 from adaptmg.solver.examine import ContactResult
 
 _LOG = logging.getLogger(__name__)
@@ -566,13 +566,4 @@ def warn_of_several_solutions(grids: Grids) -> None:
         critical = critical_coefficients(contact_blocks(examined))
     # the least at any pressure and slip: advise_on_law examines those of the result
     friction = sampled_friction(examined.law, len(examined.contact)).min(axis=0)
-    exceeds = friction >= critical
-    if exceeds.any():
-        i = int(np.argmax(np.where(exceeds, friction - critical, -np.inf)))
-        advise(
-            "friction",
-            f"friction {friction[i]:g} exceeds {critical[i]:.2g}, from which on a node in contact alone "
-            f"may open, slip or stick under the same load ({np.count_nonzero(exceeds)} contact nodes): the solution "
-            "may not be unique; compare am.solve(..., start=...) from several starts",
-            RuntimeWarning,
-        )
+    warn_where_steep(friction, critical, "friction")

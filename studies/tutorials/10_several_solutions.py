@@ -17,10 +17,11 @@ def near(law):
     return am.solve(grids.with_problem(am.cases.leaning_strut(law=law)), am.ActiveSet())
 
 
+# a given limit serves as a start only: it holds at open nodes, too, and a warning says so
 results = {
-    "zero": am.solve(grids, am.Multigrid()),
-    "frictionless": am.solve(grids, am.Multigrid(), start=near(am.Frictionless())),
-    "limit of 1 MPa": am.solve(grids, am.Multigrid(), start=near(am.Tresca(1e6))),
+    "all nodes held": am.solve(grids, am.ActiveSet(start="held")),
+    "limit of 1 MPa": am.solve(grids, am.ActiveSet(), start=near(am.Tresca(1e6))),
+    "frictionless": am.solve(grids, am.ActiveSet(), start=near(am.Frictionless())),
 }
 figure, axes = plt.subplots(1, 3, figsize=(11, 4), layout="constrained")
 for ax, (start, result) in zip(axes, results.items(), strict=True):
@@ -32,6 +33,7 @@ for ax, (start, result) in zip(axes, results.items(), strict=True):
 
 # %%
 # All three satisfy every condition. ``am.solve`` warns where friction exceeds an estimate of the
-# critical coefficient.
+# critical coefficient. Newton steps of the active set method stay near their start;
+# multigrid finds the foot open from all three.
 #
 # **Next:** a load path decides physically which solution is reached. **It depends on** the bar in ten lines.
