@@ -234,8 +234,11 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
         )
     blocks = contact_blocks(discrete)
     # a coefficient alone says little: where it falls like 1 / pressure the friction is constant
-    rise = np.where(contact.closed, slope, 0.0)
-    warn_where_steep(rise, critical_coefficients(blocks), "the slope of friction over pressure,")
+    warn_where_steep(
+        np.where(contact.closed, slope, 0.0),
+        critical_coefficients(blocks),
+        "a slope of friction over pressure of",
+    )
     # what has jumped has passed the slips where friction falls fastest
     hardening = np.min(
         [friction_bound(discrete.friction_at, force, share * slip)[2] for share in ON_THE_WAY],
@@ -257,8 +260,8 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
 def advise_on_adhesion(discrete: DiscreteProblem, contact: ContactResult) -> None:
     """Warn of boundaries whose open nodes, with Tresca's law, carry more friction than those in
     contact."""
-    friction = np.linalg.norm(contact.force_t, axis=1)
-    friction[discrete.law.bounds(len(friction))[0] == 0] = 0.0
+    limit, _ = discrete.law.bounds(len(contact.node))
+    friction = np.where(limit > 0, np.linalg.norm(contact.force_t, axis=1), 0.0)
     by_open = np.bincount(contact.boundary, friction * ~contact.closed, len(contact.names))
     by_closed = np.bincount(contact.boundary, friction * contact.closed, len(contact.names))
     if (by_open > by_closed).any():
