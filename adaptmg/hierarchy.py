@@ -205,6 +205,13 @@ class Hierarchy(Grids):
         grading : float
             Growth of the size per distance from contact on the coarsest level, above 0 and at most
             1; on finer ones it is smaller in the ratio of their sizes.
+
+        Examples
+        --------
+        >>> problem = am.cases.greco_bar()
+        >>> grids = am.Hierarchy.graded(problem, sizes=(20e-3, 10e-3), contact_ratio=4)
+        >>> len(grids), grids.finest.n_nodes > grids.levels[0].n_nodes
+        (2, True)
         """
         begin = clock(), compiling_seconds()
         from adaptmg.mesh import graded

@@ -248,7 +248,14 @@ def measured_page(folder: Path) -> str:
         "\n``python studies/reproduce.py --record`` writes these tables. Seconds are processor "
         "seconds of one thread with compiled kernels. Work is in passes over the finest matrix; "
         "factorisations are in the seconds only. A cell with two numbers has a slash between them, "
-        "and the text above the table says what they are.\n"
+        "and the text above the table says what they are. The line above a table names the command, "
+        "the commit, the date and, since they are recorded, the machine.\n\n"
+        "**Errors.** A true error of an iterate is its distance to the converged solution on the same "
+        "mesh, relative, in the energy norm. The error of a mesh is the distance to a closed form or to "
+        "the solution on a much finer mesh, in the same norm. Half-width and peak of Hertz's and "
+        "Cattaneo's contact are those of the half ellipse that fits the nodal pressures within 0.8 "
+        "half-widths best, against the closed form. Other quantities are compared with their "
+        "reference values: a force, a width, a stress intensity.\n"
     )
     for file in sorted(folder.glob("*.csv")):
         (title, *notes), frame = read_measured(file)

@@ -154,6 +154,22 @@ class Quantities:
         ValueError
             For other than plane problems and cracks; for a tip between two materials; where the mesh
             is too coarse at the tip.
+
+        Examples
+        --------
+        >>> plate = am.Rectangle(width=1.0, height=1.0)
+        >>> crack = am.Cracked(plate, {"crack": [(0.3, 0.5), (0.7, 0.5)]})
+        >>> problem = am.ContactProblem(
+        ...     domain=crack,
+        ...     material=am.PlaneStrain(young=2e11, poisson=0.3),
+        ...     contact=am.ContactPair("crack.left", "crack.right"),
+        ...     law=am.Frictionless(),
+        ...     supports=am.Support("bottom", x=0.0, y=0.0),
+        ...     loads=am.Traction("top", (0.0, 1e6)),
+        ... )
+        >>> result = am.solve(am.Hierarchy.graded(problem, sizes=(0.05, 0.025)))
+        >>> result.stress_intensity("crack").K_I > 0
+        True
         """
         data = self._data()
         if self.dim != 2 or data.axisymmetric or data.moduli is not None:
@@ -338,7 +354,15 @@ class Quantities:
         supports and springs), or "point (0, 1)" of a PointSpring. In 2D all is per metre. Forces on
         slave and master of a pair balance to rounding; their moments up to the lever between the
         two discrete surfaces: 1e-8 to 1e-4 of force times size on curved ones, across whose gap the
-        mortar transmits each force without regard to its arm."""
+        mortar transmits each force without regard to its arm.
+
+        Examples
+        --------
+        >>> problem = am.cases.greco_bar()  # 50 MPa on a width of 40 mm
+        >>> result = am.solve(am.Hierarchy.uniform(problem, divisions=(2, 4)))
+        >>> f"{result.resultant('bottom').force[1]:.4g} N/m"
+        '2e+06 N/m'
+        """
         checks.instance("boundary", boundary, str, "a string")
         nodes, forces = self._forces_on(boundary)
         total = forces.sum(axis=0)

@@ -308,7 +308,15 @@ class Study:
         ``details`` also peak_memory (bytes), started, finished (UTC), machine, commit, traceback.
         Where a parameter or a result has such a name, the column of the study is ``run_status``,
         say. ``attrs`` has the study's name, its fixed parameters and, as ``columns``, those
-        names."""
+        names.
+
+        Examples
+        --------
+        >>> study = am.Study(lambda n: {"inverse": 1 / n}, {"n": [1, 0]}, name="inverse")
+        >>> table = study.run(progress=False)
+        >>> study.table()[["n", "inverse", "status"]].values.tolist()
+        [[1, 1.0, 'done'], [0, nan, 'failed']]
+        """
         return self._table(self._fingerprint(), checks.flag("details", details))
 
     def status(self) -> StudyStatus:

@@ -3,7 +3,8 @@ The bar in ten lines
 ====================
 
 A square bar is pressed on a rigid plane and pushed along it, with Coulomb friction 1. A problem,
-grids, a solve, a result: every session has these four parts."""
+grids, a solve, a result: every session has these four parts. The first solve on a machine compiles
+kernels; ``adaptmg warm`` in a shell compiles all of them in one go."""
 
 import adaptmg as am
 

@@ -9,6 +9,7 @@ import ast
 import dataclasses
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -134,7 +135,8 @@ def test_recorded_numbers_are_those_of_the_sections(tmp_path):
     ]
     caption, note, run, *table = (measured / "one.csv").read_text().splitlines()
     assert (caption, note) == ("# caption of table_1_grids", "# a note")
-    assert "commit" in run and table == ["n,time [s]", "1,0.50", "2,1.25"]
+    assert re.search(r"reproduce\.py, commit .*, \d{4}-\d\d-\d\d, .*\d processors$", run)
+    assert table == ["n,time [s]", "1,0.50", "2,1.25"]
 
 
 def test_the_readme_has_the_numbers_that_were_recorded():
