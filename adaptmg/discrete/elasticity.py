@@ -201,13 +201,13 @@ def _of_elements(mesh: MeshArrays, axisymmetric: bool) -> Patches:
         hoops = np.repeat(1 / (3 * mean_radius), corners)
         measures = 2 * np.pi * mean_radius * measures
     return Patches(
-        starts_of(mesh.elements),
-        mesh.elements.reshape(-1),
-        slopes.reshape(-1, dim),
-        hoops,
-        measures,
-        slice(None),
-        spread,
+        start=starts_of(mesh.elements),
+        nodes=mesh.elements.reshape(-1),
+        slopes=slopes.reshape(-1, dim),
+        hoops=hoops,
+        measures=measures,
+        element=slice(None),
+        spread=spread,
     )
 
 
@@ -232,13 +232,13 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> Patches:
     # in place: for 118k nodes in space this is 150 MB
     patch_rows /= np.repeat(volumes, np.diff(patch_sums.indptr))[:, None]
     return Patches(
-        patch_sums.indptr,
-        read_only(patch_sums.indices),
-        np.ascontiguousarray(patch_rows[:, :dim]),
-        np.ascontiguousarray(patch_rows[:, dim:].reshape(-1)),
-        volumes / len(EDGES[dim]),
-        edges.indices[edges.indptr[:-1]],
-        np.empty((0, 0)),
+        start=patch_sums.indptr,
+        nodes=read_only(patch_sums.indices),
+        slopes=np.ascontiguousarray(patch_rows[:, :dim]),
+        hoops=np.ascontiguousarray(patch_rows[:, dim:].reshape(-1)),
+        measures=volumes / len(EDGES[dim]),
+        element=edges.indices[edges.indptr[:-1]],
+        spread=np.empty((0, 0)),
     )
 
 

@@ -326,6 +326,7 @@ def _opposite(
     )
     normal = slave_normals[:, :1] + s * (slave_normals[:, 1:] - slave_normals[:, :1])
     master_edge = master_ends[:, 1:] - master_ends[:, :1]
+    # eta = (x - y_1) x n / f, and alpha = (x - y_1) x (y_2 - y_1) / f times |n|
     leaning = cross(master_edge, normal)
     return cross(from_master, normal) / leaning, cross(
         from_master, master_edge
@@ -533,28 +534,31 @@ def _common_parts(
     slave_at_centroid, slave_slope = _barycentric(local[slave, :, :2], centroid)
     shapes = at_centroid[:, None] + np.einsum("pqa,pka->pqk", steps, master_slope)
     slave_shapes = slave_at_centroid[:, None] + np.einsum("pqa,pka->pqk", steps, slave_slope)
+    # the height of the master minus that of the slave, along the normal of the frame
     distances = np.einsum("pqk,pk->pq", shapes, master_corners[..., 2]) - np.einsum(
         "pqk,pk->pq", slave_shapes, local[slave, :, 2]
     )
     places = np.einsum("pqk,pkd->pqd", slave_shapes, surfaces.points[surfaces.slave[slave]])
     normals = np.broadcast_to(frames[slave, None, 2], places.shape)
     distances = surfaces.exact_distances(slave, master, places, normals, distances)
+    # areas on the slave triangle over those in the auxiliary plane
     stretch = surfaces.slave_side.measures / np.einsum(
         "fd,fd->f", surfaces.slave_side.vectors, frames[:, 2]
     )
     weights = np.repeat((area * stretch[slave] / 3)[:, None], 3, axis=1)
+    # places are relative to the centroid of a part of the facet
     origin = np.zeros((len(frames), 2))
     origin[slave] = centroid
     covered = np.bincount(slave, weights.sum(axis=1), minlength=len(frames))
     return CoveredParts(
-        slave,
-        master,
-        (centroid - origin[slave])[:, None] + steps,
-        weights,
-        shapes,
-        distances,
-        local[..., :2] - origin[:, None],
-        covered >= checks.SIX_DIGITS * surfaces.slave_side.measures,
+        slave=slave,
+        master=master,
+        places=(centroid - origin[slave])[:, None] + steps,
+        weights=weights,
+        shapes=shapes,
+        distances=distances,
+        corners=local[..., :2] - origin[:, None],
+        enough=covered >= checks.SIX_DIGITS * surfaces.slave_side.measures,
     )
 
 

@@ -222,7 +222,15 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     corners = np.full(mesh.elements.shape, -1, dtype=np.int32)
     owner[group] = body_of
     corners[in_groups] = group[cells]
-    return Volumes(rows, means, areas, 1 / kappa[owner], (edge_lame + shear)[owner], owner, corners)
+    return Volumes(
+        rows=rows,
+        means=means,
+        areas=areas,
+        compliance=1 / kappa[owner],
+        modulus=(edge_lame + shear)[owner],
+        body=owner,
+        corners=corners,
+    )
 
 
 @kernel

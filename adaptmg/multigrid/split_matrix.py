@@ -242,18 +242,18 @@ def split(matrix: sparse.bsr_array, fixed: np.ndarray, symmetric: bool = False) 
         inverse,
     )
     return SplitMatrix(
-        dim,
-        lower_indptr,
-        lower_indices,
-        lower,
-        upper_indptr,
-        upper_indices,
-        upper,
-        diagonal,
-        inverse,
-        dofs,
-        nonzeros,
-        strips,
+        dim=dim,
+        lower_indptr=lower_indptr,
+        lower_indices=lower_indices,
+        lower=lower,
+        upper_indptr=upper_indptr,
+        upper_indices=upper_indices,
+        upper=upper,
+        diagonal=diagonal,
+        inverse=inverse,
+        fixed=dofs,
+        nonzeros=nonzeros,
+        strips=strips,
     )
 
 
@@ -335,6 +335,7 @@ def _nested(
     answer = above.__dict__.get("_galerkin_of")
     if answer is None or answer[0] is not matrix or answer[1] is not coarse:
         answer = matrix, coarse, is_galerkin(matrix, nodal, coarse)
+        # next to the fields of the frozen level, which it follows from
         object.__setattr__(above, "_galerkin_of", answer)
     return answer[2]
 
@@ -354,6 +355,7 @@ def is_galerkin(
     in_parts(add_prolonged, nodal.shape[0], 2 * len(prolonged), *transfer, probe, prolonged)
     colours = scattering(nodal.indices, nodal.indptr, 2 * len(prolonged))
     in_colours(colours, restrict, *transfer, product(matrix, prolonged), restricted)
+    # P'A P v against A_c v, relative to |A_c| |v|
     sizes = product(abs(coarse), np.abs(probe))
     return bool((np.abs(restricted - product(coarse, probe)) <= tolerance * sizes).all())
 

@@ -94,27 +94,27 @@ class TruncatedContact:
         row, column = UPPER[dim]
         n = len(nodes)
         result = cls(
-            dim,
-            nodes,
-            contact_of,
-            np.ascontiguousarray(frames).reshape(-1),
-            diagonal.reshape(-1),
-            np.ascontiguousarray(local[:, row, column]).reshape(-1),
-            contact.gap,
-            contact.reference,
-            contact.limit,
-            contact.friction,
-            np.zeros(n * dim),
-            np.full(n, -1, dtype=np.int8),
-            np.zeros(n),
-            np.zeros(n * (dim - 1)),
-            np.zeros(n * (dim - 1) ** 2),
-            contact.friction_at,
-            np.zeros(n),
-            contact.compliances,
-            np.zeros(n),
-            contact.driven,
-            contact.layer,
+            dim=dim,
+            nodes=nodes,
+            contact_of=contact_of,
+            frames=np.ascontiguousarray(frames).reshape(-1),
+            diagonal=diagonal.reshape(-1),
+            blocks=np.ascontiguousarray(local[:, row, column]).reshape(-1),
+            gap=contact.gap,
+            reference=contact.reference,
+            limit=contact.limit,
+            friction=contact.friction,
+            values=np.zeros(n * dim),
+            codes=np.full(n, -1, dtype=np.int8),
+            pressure=np.zeros(n),
+            direction=np.zeros(n * (dim - 1)),
+            hessian=np.zeros(n * (dim - 1) ** 2),
+            friction_at=contact.friction_at,
+            hardening=np.zeros(n),
+            compliance=contact.compliances,
+            spring=np.zeros(n),
+            driven=contact.driven,
+            layer=contact.layer,
         )
         result._set_springs()
         return result
@@ -275,6 +275,7 @@ class TruncatedContact:
             * slip_direction[:, None, :]
         )
         if self.dim == 3:
+            # g/|tau| (I - tau tau'/|tau|^2)
             across = np.eye(2) - slip_direction[:, :, None] * slip_direction[:, None, :]
             hessian[slipping] += (self._bound[slipping, None] / size)[:, :, None] * across
             direction[self.driven, 0] = 0.0
@@ -322,7 +323,7 @@ class TruncatedContact:
     def project(self, unknowns: np.ndarray) -> int:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be
         cut."""
-        cut = self._project(unknowns, True)
+        cut = self._project(unknowns, move=True)
         self._remove_held(unknowns)
         self.values.reshape(-1, self.dim)[self.driven, 1:2] = 0.0
         return cut
@@ -377,7 +378,7 @@ class TruncatedContact:
     def admits(self, unknowns: np.ndarray) -> bool:
         """Return whether an iterate closes open nodes or reverses slips at one node at most, which
         the projection cuts."""
-        return self._project(unknowns, False) <= 1
+        return self._project(unknowns, move=False) <= 1
 
     def slope_along(self, before: np.ndarray) -> Callable[[float], float]:
         """Return the slope of the energy of friction, sum g |slip|, and of springs along the step from

@@ -457,9 +457,11 @@ class TruncatedStep:
         slope_at_begin = of_friction(0.0)
 
         def slope(part: float) -> float:
+            """Return the derivative of the energy after a part of the step."""
             return part * curvature - gain + (of_friction(part) - slope_at_begin)
 
-        # the energy rises at the end of the step: halve to where its slope vanishes
+        # of u + part d: part d'A d - r . d, and the change of the friction's slope. Where the energy
+        # rises at the end of the step, halve to where its slope vanishes
         if not slope(1.0) <= 0.0:
             accepted = 0.0
             rejected = 1.0
@@ -588,13 +590,14 @@ class CoarseContact:
             residual = restricted
         particular, load = self.eliminated.reduce(residual)
         contact = state.contact
+        # A_c e + B'q(w + B e) = P'r
         solution = interior_point(
             self.unknowns,
             load,
             contact.conditions,
-            self.stiffness,
-            self.TOLERANCE,
-            contact.values.reshape(len(contact.nodes), -1),
+            stiffness=self.stiffness,
+            tolerance=self.TOLERANCE,
+            offset=contact.values.reshape(len(contact.nodes), -1),
         )
         if not solution.slack <= self.REFUSED:
             return state
@@ -616,7 +619,7 @@ def _eliminated(
     force acts."""
     try:
         return eliminate(LocalSystem.from_matrix(matrix, fixed, nodes), coordinates)
-    except ValueError:
+    except ValueError:  # singular with all contact dofs fixed
         stiffened = sparse.bsr_array(
             matrix + sparse.diags_array(checks.ALIKE * matrix.diagonal()),
             blocksize=matrix.blocksize,

@@ -100,7 +100,9 @@ class _ChangedDofs(_Changed):
             raise ValueError(
                 "a coarse matrix lacks entries of the Galerkin product near contact: it must be P'AP"
             )
-        return cls(level, 1, slots, rows, columns, weights=weights, keys=keys)
+        return cls(
+            level, dim=1, slots=slots, rows=rows, columns=columns, weights=weights, keys=keys
+        )
 
     def update(self, change: sparse.csr_array) -> sparse.csr_array:
         """Write the matrix for a change on the finer level; return the change on this level."""
@@ -214,6 +216,7 @@ class NodalUpdate(_Update[_ChangedBlocks]):
             columns = self.below[-1].columns
 
     def update(self, change: np.ndarray) -> None:
+        """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
         for below in self.below:
             change = below.update(change)
 
@@ -261,13 +264,13 @@ def _products(
         )
     return _ChangedBlocks(
         level,
-        level.dim,
-        slots[:n_met].copy(),
-        coarse_rows[:n_met].copy(),
-        coarse_columns[:n_met].copy(),
-        source[:n_products].copy(),
-        target[:n_products].copy(),
-        weight[:n_products].copy(),
+        dim=level.dim,
+        slots=slots[:n_met].copy(),
+        rows=coarse_rows[:n_met].copy(),
+        columns=coarse_columns[:n_met].copy(),
+        source=source[:n_products].copy(),
+        target=target[:n_products].copy(),
+        weight=weight[:n_products].copy(),
     )
 
 
@@ -349,6 +352,7 @@ class Truncation:
         self.products.update(self.change)
 
     def restore(self) -> None:
+        """Restore the matrices without truncation."""
         self.products.restore()
 
 

@@ -174,13 +174,14 @@ def linearise(
         penetration = unknowns[:, 0] - contact.gap - contact.compliances * residual[:, 0]
         c_n = factor * stiffness[:, 0]
         augmented = residual[:, 0] + c_n / (1 + c_n * contact.compliances) * penetration
+    # z_n > 0, then B = s + mu max(0, z_n), z_t = q_t + c_t tau, and sticking where |z_t| <= B
     active = augmented > 0
     tau = unknowns[:, 1:] - contact.slip_reference
     bound = np.maximum(contact.limit + contact.friction * np.maximum(augmented, 0.0), 0.0)
     trial = residual[:, 1:] + c_t[:, None] * tau
     trial_size = np.linalg.norm(trial, axis=1)
     slip = ~((trial_size <= bound) & (bound > 0))
-    slip[contact.driven] = True
+    slip[contact.driven] = True  # a support moves them
     equations = _equations(contact, unknowns, residual, active, slip, trial, trial_size, bound, c_t)
     along = equations.direction[:, :, None] * equations.direction[:, None, :]
     equations.curvature[:] += (active * hardening)[:, None, None] * along
@@ -197,6 +198,7 @@ def _set_springs(
     equations.spring[nodes] = spring
     equations.prescribed[nodes, 0] = False
     equations.change[nodes, 0] = 0.0
+    # (A delta)_n + delta_n / e = q_n - (w_n - g_0) / e
     equations.force[nodes, 0] -= spring * (unknowns[nodes, 0] - contact.gap[nodes])
 
 
@@ -257,7 +259,15 @@ def hold_all(contact: NodalContact, unknowns: np.ndarray, residual: np.ndarray) 
     slip = ~((contact.limit > 0) | (active & (contact.friction > 0)))
     zero = np.zeros(len(active))
     equations = _equations(
-        contact, unknowns, residual, active, slip, np.zeros_like(unknowns[:, 1:]), zero, zero, zero
+        contact,
+        unknowns,
+        residual,
+        active,
+        slip,
+        trial=np.zeros_like(unknowns[:, 1:]),
+        trial_size=zero,
+        bound=zero,
+        c_t=zero,
     )
     equations.change[contact.driven, 1] = 0.0
     return equations
@@ -284,20 +294,30 @@ def _equations(
     limit = np.where(moving, contact.limit, 0.0)
     excess = np.where(moving, trial_size - bound, 1.0)
     across = np.eye(trial.shape[1]) - direction[:, :, None] * direction[:, None, :]
+    # kappa Pi with kappa = c_t B / (|z_t| - B)
     curvature = np.where(moving, c_t * bound / excess, 0.0)[:, None, None] * across
     along = np.sum(direction * residual[:, 1:], axis=1)
     stretch = np.where(moving, trial_size / excess, 1.0)[:, None]
+    # z (z . q_t - s - mu q_n) + |z_t| / (|z_t| - B) Pi q_t
     force = residual.copy()
     force[:, 1:] = direction * (along - limit - coupling * residual[:, 0])[:, None]
     force[:, 1:] += stretch * np.einsum("nij,nj->ni", across, residual[:, 1:])
     prescribed = np.zeros(unknowns.shape, dtype=bool)
     prescribed[active, 0] = True
     prescribed[~slip, 1:] = True
+    # delta_n = g_0 + e q_n - w_n where active, delta_t = -tau where it sticks
     change = np.zeros_like(unknowns)
     surface = contact.gap + contact.compliances * residual[:, 0]
     change[active, 0] = (surface - unknowns[:, 0])[active]
     change[~slip, 1:] = (contact.slip_reference - unknowns[:, 1:])[~slip]
-    spring = np.zeros(len(active))
     return Linearised(
-        active, slip, direction, coupling, curvature, force, prescribed, change, spring
+        active=active,
+        slip=slip,
+        direction=direction,
+        coupling=coupling,
+        curvature=curvature,
+        force=force,
+        prescribed=prescribed,
+        change=change,
+        spring=np.zeros(len(active)),
     )

@@ -91,6 +91,7 @@ def interior_point(
     displacement."""
     if contact.lowest is not None:
         return _two_obstacles(unknowns, load, contact, stiffness, tolerance, offset, most)
+    # the first springs hold the start; softer ones replace it where its first steps stay short
     springs = list(_SPRINGS)
     method = _Method(unknowns, load, contact, springs.pop(0) * stiffness, offset)
     best = method.iterate()
@@ -127,11 +128,24 @@ def _two_obstacles(
     the second time with the opposite displacement."""
     n = len(stiffness)
     gaps = np.append(contact.gap, -cast("np.ndarray", contact.lowest))
-    conditions = Conditions(gaps, np.zeros((2 * n, 0)), np.zeros(2 * n), np.zeros(2 * n))
+    conditions = Conditions(
+        gap=gaps,
+        slip_reference=np.zeros((2 * n, 0)),
+        limit=np.zeros(2 * n),
+        friction=np.zeros(2 * n),
+    )
     twice = np.concatenate([stiffness, stiffness])
     shift = np.broadcast_to(offset, stiffness.shape)
     shifts = np.concatenate([shift, -shift])
-    both = interior_point(_TwoObstacles(unknowns), load, conditions, twice, tolerance, shifts, most)
+    both = interior_point(
+        _TwoObstacles(unknowns),
+        load,
+        conditions,
+        stiffness=twice,
+        tolerance=tolerance,
+        offset=shifts,
+        most=most,
+    )
     return replace(both, values=both.values[:n], forces=both.forces[:n] - both.forces[n:])
 
 
@@ -201,8 +215,9 @@ class _Method:
         self._start_pairs(springs[:, 0])
 
     def _start_pairs(self, spring: np.ndarray) -> None:
-        """Set the pressures, gaps and bounds on slips of the first state: those of nodes on springs
-        (n_contact,), N/m, of at least the mean size, so that every product is positive."""
+        """Set p, y and v of the first state, at the displacement that it has: the pressure of a spring
+        (n_contact,), N/m, the gap that is left, and a bound above the slip. Pressures and gaps are at
+        least their mean absolute values, so that every product is positive."""
         state = self.state
         gap, reference, limit, friction, _ = self.nodes
         has_obstacle = np.isfinite(gap)
@@ -218,6 +233,7 @@ class _Method:
         state[:, [_GAP, _SLIP_BOUND]] = 1.0
         state[has_obstacle, _PRESSURE] = np.maximum(pressures, mean_pressure)
         state[has_obstacle, _GAP] = np.maximum(gaps, mean_gap)
+        # v > |tau|, by a tenth and the mean slip, where nothing slips by the mean gap
         distance = mean_slip if mean_slip > 0 else max(mean_gap, 1e-300)
         state[rough, _SLIP_BOUND] = 1.1 * slips + distance
 
@@ -230,7 +246,7 @@ class _Method:
         layer is linearised at its pressures."""
         product = self.span.product(self.unknowns)
         forces = self.state[:, _FORCES[: self.dim]]
-        self.residual = self.load - product - self.span.restricted(forces)
+        self.residual = self.load - product - self.span.restricted(forces)  # f - S e - B'q
         if self.layer is not None:
             gap, compliance = self.layer.tangent(self.state[:, _PRESSURE])
             self.nodes = gap, *self.nodes[1:4], compliance
@@ -242,7 +258,13 @@ class _Method:
             gap_error / max(self.width, width),
             np.abs(self.residual).max(initial=0.0) / force_size if force_size > 0 else 0.0,
         )
-        return Interior(self.state[:, : self.dim].copy(), forces, self.unknowns, slack, 0)
+        return Interior(
+            values=self.state[:, : self.dim].copy(),
+            forces=forces,
+            unknowns=self.unknowns,
+            slack=slack,
+            steps=0,
+        )
 
     def advance(self) -> bool:
         """Take a step; return False if the matrix is singular or the new unknowns are not finite.
@@ -257,16 +279,16 @@ class _Method:
         if solve is None or not self.total > 0:
             return False
         self.change[:] = 0.0
-        length = min(1.0, self._direction(solve, 0.0, 0.0)[1])
+        length = min(1.0, self._direction(solve, target=0.0, weight=0.0)[1])
         predicted_total = _measure(self.state + length * self.change, *self.nodes)[0]
         centring = min(max(predicted_total / self.total, 0.0), 1.0) ** 3
         second_order = 1.0 if length >= 0.5 else length * length
-        step, length = self._direction(solve, centring * mean, second_order)
+        step, length = self._direction(solve, target=centring * mean, weight=second_order)
         if _FRACTION * length < _SHORT:
             corrected_step = step
             corrected_length = length
             corrected_change = self.change.copy()
-            step, length = self._direction(solve, _CENTRED * mean, 0.0)
+            step, length = self._direction(solve, target=_CENTRED * mean, weight=0.0)
             if length < corrected_length:
                 step = corrected_step
                 length = corrected_length

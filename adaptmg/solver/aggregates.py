@@ -474,11 +474,14 @@ class _Smoothed(DenseSpan):
             else np.asarray
         )
         self._coupling = sparse.csc_array(coarse[self.far][:, self.near])
+        # the Schur complement on the unknowns that move contact nodes
         self.matrix = coarse[self.near][:, self.near].toarray() - self._coupling.T @ self._solve(
             self._coupling.toarray()
         )
 
     def factors(self, blocks: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Return the solution of equations with S + B'DB; see
+        :class:`~adaptmg.smoother.interior_point.Span`."""
         added = self.rows.T @ (block_diagonal(blocks) @ self.rows)
         return dense_factors(self.matrix + added.toarray())
 
@@ -521,13 +524,22 @@ def change_with_free_status(
     # where a support holds a tangent its reaction takes the place of friction
     without_support = ~problem.held_spans(problem.contact.nodes).any(axis=(1, 2))
     slip = to_frames(coarse.frames, claims.slip)[:, 1:]
-    # the conditions add e p to the gap of an unloaded surface; the gap of the claims contains it already
+    # the conditions add e p to the gap of an unloaded surface; the gap of the claims contains it
+    # already. The slip of the change counts from minus that of the claims
     gap = claims.gap - compliance * np.maximum(claims.pressure, 0.0)
     conditions = Conditions(
-        gap, -slip, limit * without_support, friction * without_support, compliance=compliance
+        gap=gap,
+        slip_reference=-slip,
+        limit=limit * without_support,
+        friction=friction * without_support,
+        compliance=compliance,
     )
     solution = interior_point(
-        coarse, coarse.condense(load), conditions, np.tile(stiffness[:, None], dim), _ENOUGH
+        coarse,
+        load=coarse.condense(load),
+        contact=conditions,
+        stiffness=np.tile(stiffness[:, None], dim),
+        tolerance=_ENOUGH,
     )
     if not solution.slack <= _ENOUGH:
         return None

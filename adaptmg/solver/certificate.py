@@ -649,11 +649,11 @@ class Evidence:
         solution = change_with_free_status(
             problem,
             residual,
-            conditions,
-            self.stiffness,
-            self.limit,
-            self.coefficient,
-            self.compliance,
+            claims=conditions,
+            stiffness=self.stiffness,
+            limit=self.limit,
+            friction=self.coefficient,
+            compliance=self.compliance,
         )
         if solution is None:
             return held

@@ -286,10 +286,12 @@ class _Direction:
     at_contact: np.ndarray  # (2, n_contact, dim): displacement and forces at contact nodes
 
     def add(self, factor: float, other: _Direction) -> None:
+        """Add a multiple of another direction, in place."""
         for array, added in zip(vars(self).values(), vars(other).values(), strict=True):
             array += factor * added
 
     def scale(self, factor: float) -> None:
+        """Multiply all arrays by a factor, in place."""
         for array in vars(self).values():
             array *= factor
 
@@ -322,6 +324,7 @@ class _Equations:
             soft = self.volumes.areas * self.volumes.compliance
             areas = self.volumes.areas
             volumes = self.volumes.rows @ nodal
+            # (A s + B z) / (A/kappa + A/(lambda_1 + mu))
             pressures = (residual[self.n :] + volumes) / (soft + areas / self.volumes.modulus)
             values = np.append(nodal, pressures)
             energetic = np.append(forces, soft * pressures)
@@ -332,6 +335,7 @@ class _Equations:
         forces_at_contact = by_node[status.nodes]
         of_stiffening = np.einsum("nij,nj->ni", status.stiffening, motion_at_contact)
         energetic[: self.n].reshape(by_node.shape)[status.nodes] += of_stiffening
+        # K (I + D) A + K S
         by_node[status.nodes] += of_stiffening + np.einsum(
             "nij,nj->ni", status.dragged, forces_at_contact
         )
@@ -471,4 +475,5 @@ def _factorised(
     energy = max(float(solution[:n] @ image), 0.0) + volumes.energy(solution[n:])
     image += volumes.forces(solution[n:])
     moved, forces = (vector.reshape(-1, dim)[status.nodes] for vector in (solution[:n], image))
+    # forces that do not balance load a motion that the status leaves free
     return HeldCorrection(energy if balanced else float("inf"), moved, forces)

@@ -200,6 +200,7 @@ class L2(_Projection):
 def mass_matrix(mesh: MeshArrays) -> sparse.csr_array:
     """Return the P1 mass matrix (n_nodes, n_nodes), m^2 or m^3."""
     k = mesh.elements.shape[1]
+    # |T| (1 + delta_ab) / (k (k + 1))
     blocks = (np.eye(k) + 1.0) * (mesh.volumes / (k * (k + 1)))[:, None, None]
     rows = np.repeat(mesh.elements, k, axis=1).ravel()
     columns = np.tile(mesh.elements, (1, k)).ravel()
@@ -294,6 +295,7 @@ class MixedMass:
 
 def mixed_mass(coarse: MeshArrays, fine: MeshArrays) -> MixedMass:
     """Compute the integrals, body by body."""
+    # both are called for their checks alone: nodes outside the coarse mesh, and nodes without elements
     interpolation.locate_nodes(coarse, fine)
     interpolation.nodes_of_bodies(fine)
     parts = []
