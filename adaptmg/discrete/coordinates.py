@@ -312,8 +312,15 @@ class Unknowns:
         result = displacement[nodes]
         if self.coupling is None:
             return result
-        # u - W u, and along tangents that supports hold on both sides relative to the held nodes
-        result -= self.coupling.weights[nodes] @ displacement
+        # u - W u. Along what supports hold of a node only what they hold of the nodes counts whose part
+        # it takes over: their free motion there is not that of an unknown of the node
+        weights = self.coupling.weights[nodes]
+        free = np.where(self.held.reshape(-1, self.dim), 0.0, displacement)
+        free[self.inclined.nodes] -= self.inclined.along(free.reshape(-1))
+        not_counted = (weights - facing_part(weights)) @ free
+        result -= weights @ displacement
+        result += np.einsum("nij,nj->ni", self.held_spans(nodes), not_counted)
+        # along tangents that supports hold on both sides relative to the held nodes
         for slaves, weights, tangents in self.held_together():
             change = displacement[nodes[slaves]] - weights @ displacement - result[slaves]
             result[slaves] += np.einsum("nd,nd->n", tangents, change)[:, None] * tangents

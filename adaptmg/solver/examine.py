@@ -426,7 +426,8 @@ def _forces_on_other_nodes(
     forces (m, dim) on them, the numbers (m,) of the contacts, and the mask (m,) of the nodes on
     slave surfaces; the others are on masters.
 
-    Nodes of a contact boundary without a condition carry the shares that their neighbours take over.
+    Nodes of a contact boundary without a condition carry the shares that their neighbours take over,
+    along a direction that supports hold at the neighbour only if they hold it there, too.
     Nodes of a master carry -W' times the contact forces; along a tangent that supports hold at slave
     and master only the held nodes of the master do."""
     contact = discrete.contact
@@ -443,6 +444,7 @@ def _forces_on_other_nodes(
         master_weights = sparse.csr_array(master_weights + taken_over)
         master_weights.data[np.abs(master_weights.data) < checks.ROUNDING] = 0.0
         master_weights.eliminate_zeros()
+    held_forces = np.einsum("nij,nj->ni", discrete.held_spans(contact.nodes), forces)
     rows = [master_weights]
     row_forces = [forces.copy()]
     boundaries = [contact.boundary]
@@ -466,6 +468,9 @@ def _forces_on_other_nodes(
             weights_of_boundary = weights_of_rows[rows_of_boundary]
             node = np.unique(weights_of_boundary.indices).astype(np.int64)
             exerted = -(weights_of_boundary.T @ forces_of_rows[rows_of_boundary])[node]
+            if on_slave:
+                along = (weights_of_boundary.T @ held_forces[rows_of_boundary])[node]
+                exerted += along - np.einsum("nij,nj->ni", discrete.held_spans(node), along)
             count = len(node)
             pieces.append((node, exerted, np.full(count, k), np.full(count, on_slave)))
     node, exerted, boundary, on_slave = map(np.concatenate, zip(*pieces, strict=True))
