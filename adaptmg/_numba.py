@@ -45,17 +45,35 @@ def kernel(function: Callable | None = None, **options: Any) -> Any:
         "nogil": True,
     } | options
     try:
-        return numba.njit(**chosen)(function)
+        compiled = numba.njit(**chosen)(function)
     except RuntimeError:  # numba finds no folder that it can write
         _warn_of_no_cache()
         chosen["cache"] = False
-        return numba.njit(**chosen)(function)
+        compiled = numba.njit(**chosen)(function)
+    return compiled if Recorder.calls is None else Recorder(compiled)
 
 
 def inner_kernel(function: Callable | None = None, **options: object) -> Any:
     """Compile a function that only kernels call: Python must not, as there is no code for its
     calls."""
     return kernel(function, no_cpython_wrapper=True, **options)
+
+
+class Recorder:
+    """A kernel that runs as plain Python and records the types of its arguments, so that it can be
+    compiled for them later."""
+
+    #: each kernel that Python called, with the types; None: kernels are compiled, none records
+    calls: dict[tuple[Any, tuple], None] | None = None
+
+    def __init__(self, compiled: Any) -> None:
+        self.compiled = compiled
+
+    def __call__(self, *arguments: Any) -> Any:
+        # kernels that only kernels call are compiled with these
+        if self.calls is not None and not self.compiled.targetoptions.get("no_cpython_wrapper"):
+            self.calls[self.compiled, tuple(map(numba.typeof, arguments))] = None
+        return self.compiled.py_func(*arguments)
 
 
 @lru_cache(maxsize=1)
@@ -125,7 +143,7 @@ class _Compiling(Listener):
             package, _, part = str(self.kernel.__module__).partition(".")
             if compiling_seconds() > 1.0 and package == "adaptmg":
                 _announce(part.partition(".")[0])
-            if f"{part}.{self.kernel.__name__}" in _FIRST:
+            if f"{part}.{self.kernel.__name__}" in _FIRST and Recorder.calls is None:
                 _compile_ahead()
             # looking for garbage among the many objects of a compilation takes 2 of 17 s of a first
             # solve (uniform bar) with an empty cache
@@ -175,17 +193,13 @@ def _compile_ahead() -> None:
     if not (is_stored and may_use_two and is_python and has_idle_processor()):
         return
     code = "from adaptmg.cli.ahead import compile_ahead; compile_ahead()"
-    variables = {
-        "NUMBA_NUM_THREADS": "1",  # it starts no further process
-        "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
-    }
     # without an object of subprocess, which warns where Python ends before the process
     with suppress(OSError):
         os.posix_spawn(
             sys.executable,
             # modules come from the folders of this process only, not from the working directory
             [sys.executable, "-P", "-c", code],
-            os.environ | variables,
+            os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
             file_actions=[
                 (os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)
             ],
