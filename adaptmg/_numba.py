@@ -143,7 +143,7 @@ class _Compiling(Listener):
             package, _, part = str(self.kernel.__module__).partition(".")
             if compiling_seconds() > 1.0 and package == "adaptmg":
                 _announce(part.partition(".")[0])
-            if f"{part}.{self.kernel.__name__}" in _FIRST and Recorder.calls is None:
+            if f"{part}.{self.kernel.__name__}" in _FIRST:
                 _compile_ahead()
             # looking for garbage among the many objects of a compilation takes 2 of 17 s of a first
             # solve (uniform bar) with an empty cache
@@ -193,13 +193,17 @@ def _compile_ahead() -> None:
     if not (is_stored and may_use_two and is_python and has_idle_processor()):
         return
     code = "from adaptmg.cli.ahead import compile_ahead; compile_ahead()"
+    variables = {
+        "NUMBA_NUM_THREADS": "1",  # it starts no further process
+        "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
+    }
     # without an object of subprocess, which warns where Python ends before the process
     with suppress(OSError):
         os.posix_spawn(
             sys.executable,
             # modules come from the folders of this process only, not from the working directory
             [sys.executable, "-P", "-c", code],
-            os.environ | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
+            os.environ | variables,
             file_actions=[
                 (os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)
             ],

@@ -342,12 +342,12 @@ def _remedy(result: Result, violated: tuple[str, ...]) -> str:
         )
     residuals = result.history.get("residual", np.empty(0))
     grew = residuals.max(where=np.isfinite(residuals), initial=0.0) > _GROWN
-    if result.status is Status.DIVERGED and not np.isfinite(result.residual) and not grew:
-        return (
-            "numbers that are not finite came from one step, before which the residual had not grown: look for "
-            "a division by zero in what user-defined parts return"
-        )
     advice = result.status.value
+    if result.status is Status.DIVERGED and not np.isfinite(result.residual) and not grew:
+        advice = (
+            "numbers that are not finite came from one step, before which the residual had not grown: look for "
+            f"a division by zero in what user-defined parts return; else, {advice}"
+        )
     if "ActiveSet" not in result.method or "am.ActiveSet()" not in advice:
         return advice
     levels = not result.fallback and len(result.levels) > 1
