@@ -565,5 +565,6 @@ def warn_of_several_solutions(grids: Grids) -> None:
         examined = finest
         critical = critical_coefficients(contact_blocks(examined))
     # the least at any pressure and slip: advise_on_law examines those of the result
-    least = sampled_friction(examined.law, len(examined.contact)).min(axis=0)
-    warn_where_steep(least, critical, "friction")
+    warn_where_steep(
+        sampled_friction(examined.law, len(examined.contact)).min(axis=0), critical, "friction"
+    )
