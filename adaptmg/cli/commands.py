@@ -195,6 +195,13 @@ def _add_studies(made: Callable[..., Callable[..., object]]) -> None:
         help="column to draw; several times (default: two that vary)",
     )
     add(
+        "--unit",
+        metavar="COLUMN=UNIT",
+        action="append",
+        default=[],
+        help="unit of a column, such as peak=Pa; several times",
+    )
+    add(
         "--to",
         metavar="FILE.html",
         type=Path,
@@ -236,12 +243,19 @@ def _settings(parsed: Namespace) -> dict[str, dict[str, object]]:
     from adaptmg.cli import build
 
     texts = {name: text for name, text in vars(parsed).items() if "." in name}
-    for text in parsed.set:
+    texts |= {f"case.{name}": value for name, value in _pairs("--set", parsed.set).items()}
+    return build.from_texts(parsed.case, texts, adaptive=parsed.run is _adapt)
+
+
+def _pairs(option: str, texts: Sequence[str]) -> dict[str, str]:
+    """Return names and values of an option that is given as NAME=VALUE."""
+    pairs = {}
+    for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals or not value:
-            raise ValueError(f"--set must be NAME=VALUE, got {printable(ascii(text))}")
-        texts[f"case.{name}"] = value
-    return build.from_texts(parsed.case, texts, adaptive=parsed.run is _adapt)
+            raise ValueError(f"{option} must be NAME=VALUE, got {printable(ascii(text))}")
+        pairs[name] = value
+    return pairs
 
 
 def _as_json(value: object) -> str:
@@ -483,8 +497,17 @@ def _report(parsed: Namespace) -> None:
     varied = [key for key in parameters if key not in fixed]
     table = frame(varied, [(record.parameters, record, record.status) for record in records])
     table.attrs |= {"study": name, "fixed": fixed}
+    units = _pairs("--unit", parsed.unit)
+    if unknown := sorted(set(units) - set(table)):
+        raise ValueError(f"--unit: there is no column {unknown[0]}; there are {', '.join(table)}")
     study_report(
-        table, page, parameters=varied, results=parsed.result, csv=csv.name, made=_origin(records)
+        table,
+        page,
+        parameters=varied,
+        results=parsed.result,
+        units=units,
+        csv=csv.name,
+        made=_origin(records),
     )
     write_bytes(csv, table.to_csv(index=False).encode("utf-8", "backslashreplace"))
     _say(f"wrote {page} and {csv}", err=True)

@@ -380,8 +380,12 @@ def test_a_page_and_its_table_stand_beside_the_store(report):
     page = Path("first.html").read_text(encoding="utf-8")
     assert "data:image/svg+xml" in page and "three &lt;b&gt;" in page and "<b>&</b>" not in page
     assert pd.read_csv("first.csv")["m"].dropna().tolist() == [0.5, 1.0]
-    assert report("s.sqlite", "--result", "w", "--to", "other.html")[0] == 0
-    assert Path("other.html").read_text(encoding="utf-8").count("<img") < page.count("<img")
+    assert report("s.sqlite", "--result", "w", "--unit", "w=kPa", "--to", "other.html")[0] == 0
+    other = Path("other.html").read_text(encoding="utf-8")
+    assert other.count("<img") < page.count("<img")
+    assert other.count("kPa") >= 1 and "kPa" not in page
+    assert "there is no column v; there are n, m, w" in report("s.sqlite", "--unit", "v=m")[1]
+    assert "--unit must be NAME=VALUE, got 'w'" in report("s.sqlite", "--unit", "w")[1]
 
 
 def test_a_page_says_what_all_runs_share_and_when_they_ran(report):
