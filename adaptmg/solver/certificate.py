@@ -727,10 +727,12 @@ class Evidence:
         inclined = self.problem.inclined
         held_elsewhere = np.setdiff1d(np.append(self.fixed.nonzero()[0], inclined.nodes), nodes)
         projection = friction.slides[:, None, None] * tangents + ~on_rigid[:, None, None] * along
+        # a tied node, all of whose dofs are fixed, may be one of the inclined nodes
+        not_fixed = ~self.fixed[held_elsewhere][:, :, None] * np.eye(dim)
         projection = np.concatenate(
             [
                 free @ projection @ free,
-                ~self.fixed[held_elsewhere][:, :, None] * np.eye(dim) - inclined.at(held_elsewhere),
+                not_fixed @ (np.eye(dim) - inclined.at(held_elsewhere)),
             ]
         )
         # S: friction turns with the slip (3D), (B/|tau|) across it; D: friction grows with the

@@ -443,9 +443,14 @@ def test_a_boundary_that_is_tied_and_in_contact_bears_both():
     assert result.moment == pytest.approx(-0.5 * 1e6 - 1.5 * 2e6)
 
 
-@pytest.mark.parametrize("shift", [0.0, 4e-4])
-def test_a_tie_between_a_plane_support_and_contact_bears_what_one_body_bears(shift):
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("shift", [0.0, -4e-4])
+def test_a_tie_between_a_plane_support_and_contact_bears_what_one_body_bears(shift, turned):
     """Contact nodes in the plane take over parts of tied nodes that are free along its normal."""
+    turn = (
+        np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0] if turned else np.eye(3)
+    )
+    turn[0] *= np.linalg.det(turn)
     box = am.Box(width=1, depth=1, height=1)
     parts = am.Assembly(parts={"a": box, "b": replace(box, origin=(1, 0, 0))})
     whole = am.Box(width=2, depth=1, height=1)
@@ -454,19 +459,21 @@ def test_a_tie_between_a_plane_support_and_contact_bears_what_one_body_bears(shi
         (parts, ("a.", "b."), [{"a": n, "b": n} for n in (1, 3)]),
         (whole, ("",), [(2 * n, n, n) for n in (1, 3)]),
     ):
+        plane = am.Plane((0, 0, 0), turn[:, 2])
         problem = am.ContactProblem(
-            domain=domain,
             material=am.Solid(young=1e7, poisson=0.3),
             law=am.Coulomb(0.3),
-            contact=[am.Contact(f"{name}bottom", am.Plane((0, 0, 0), (0, 0, 1))) for name in names],
+            contact=[am.Contact(f"{name}bottom", plane) for name in names],
             ties=[am.Tied("a.right", "b.left")] if len(names) > 1 else [],
             supports=[
-                am.Support(f"{names[0]}left", x=0.0),
-                *[am.Support(f"{name}front", y=shift) for name in names],
-                *[am.Support(f"{name}top", z=-2e-3) for name in names],
+                am.Symmetry(f"{names[0]}left"),
+                *[am.Support(f"{name}front", normal=shift) for name in names],
+                *[am.Support(f"{name}top", normal=-2e-3) for name in names],
             ],
         )
-        result = am.solve(am.Hierarchy.uniform(problem, cells))
+        meshes = [am.mesh.structured(domain, n) for n in cells]
+        meshes = [replace(one, points=one.points @ turn.T) for one in meshes]
+        result = am.solve(am.Hierarchy.from_meshes(problem, meshes))
         assert not result.certificate().contradictions(1e-8)
         forces.append(result.resultant("contact").force)
     np.testing.assert_allclose(*forces, atol=0.005 * np.linalg.norm(forces[1]))
