@@ -46,7 +46,7 @@ PROJECTED: dict[str, Any] = {
     "coarse_matrices": "galerkin",
     "stop": "error",
 }
-#: where Truncated() takes what an option of that method is
+#: by option of Multigrid the argument with which Truncated() is given the same
 _OF_TRUNCATED = {
     "cycle": "am.Truncated(correct=am.Cycle(...))",
     "smoother": "am.Truncated(smooth=...)",

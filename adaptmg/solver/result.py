@@ -185,7 +185,7 @@ class Result(Quantities):
         return shortened(_summary(self))
 
     def _repr_html_(self) -> str:
-        narrow = r"^(?!moment|half_width)"  # what fits on a page
+        narrow = r"^(?!moment|half_width)"  # a page has no room for these
         table = "" if self.mesh is None else html_table(self.pairs().filter(regex=narrow))
         return in_html_lines(_summary(self)) + table
 
