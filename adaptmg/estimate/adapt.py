@@ -159,14 +159,14 @@ def adapt(
     limits = Limits(tolerance=tolerance, max_nodes=max_nodes, max_seconds=max_seconds)
     engine = Bisect() if engine is None else engine
     parts = LoopParts(
-        Residual() if indicator is None else indicator,
-        Doerfler() if mark is None else mark,
-        engine,
-        solver,
-        load_path,
-        adapt_on,
-        tolerance_argument(rtol, solver),
-        remesh_every,
+        indicator=Residual() if indicator is None else indicator,
+        mark=Doerfler() if mark is None else mark,
+        engine=engine,
+        solver=solver,
+        load_path=load_path,
+        adapt_on=adapt_on,
+        rtol=tolerance_argument(rtol, solver),
+        remesh_every=remesh_every,
     )
     _check_parts(parts)
     if not isinstance(progress, bool):

@@ -153,6 +153,7 @@ class Goal:
             )
         if not self.quantities:
             raise ValueError("quantity is empty: give at least one")
+        # options compare and have a hash, which lists have not
         if isinstance(self.quantity, list):
             object.__setattr__(self, "quantity", tuple(self.quantity))
 

@@ -308,7 +308,7 @@ class AdaptiveLoop:
             self._remember(self._restored(number, stored))
             yield self.done[-1]
         if not self.done:
-            yield self._solve(self.first, None)
+            yield self._solve(self.first, start=None)
         while True:
             last = self.done[-1]
             limit = self._reached(last)

@@ -252,7 +252,7 @@ class Displacement:
             nodal[mesh.elements[element], k] = weights
             value = float(np.sum(nodal * view.displacement))
             name = f"u_{'xyz'[k]} at {_place(cast('Sequence[float]', point))}"
-            result.append(Functional(name, value, "m", view.load_of(nodal)))
+            result.append(Functional(name=name, value=value, unit="m", vector=view.load_of(nodal)))
         return result
 
 
@@ -434,7 +434,14 @@ class PeakPressure:
         local[:, 0] = np.where(weights > 0, -change / total, 0.0)
         direction = _direction(view, source, local)
         name = f"smoothed peak pressure on {self.boundary!r}"
-        return [Functional(name, float(largest * mean), "Pa", view.discrete.matrix @ direction)]
+        return [
+            Functional(
+                name=name,
+                value=float(largest * mean),
+                unit="Pa",
+                vector=view.discrete.matrix @ direction,
+            )
+        ]
 
 
 @dataclass(frozen=True)

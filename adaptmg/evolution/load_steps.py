@@ -526,7 +526,7 @@ class Guide:
             changes = _DIFFERENCE * np.eye(self.size)
             moved = [self._balancing_change(values, force) - rest for force in changes]
             return np.linalg.inv(np.stack(moved, axis=1) / _DIFFERENCE)
-        except ValueError:
+        except ValueError:  # singular equations, also those of numpy.linalg.inv
             return None
 
     def _balancing_change(self, values: np.ndarray, extra: np.ndarray) -> np.ndarray:

@@ -121,8 +121,8 @@ def transfer_state(old_grids: Grids, result: Result, new_grids: Grids) -> Result
             cycles=0,
             rtol=result.rtol,
         ),
-        None,
-        _stress_data(before, cast("StressData", result.stress_data), after),
+        solver=None,
+        stress_data=_stress_data(before, cast("StressData", result.stress_data), after),
     )
     return replace(
         carried,

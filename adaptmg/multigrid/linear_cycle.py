@@ -101,6 +101,7 @@ class LinearLevel:
         lower = matrix.lower_arrays
         upper = matrix.upper_arrays
         no_entries = matrix.no_half
+        # the flag before the halves says whether a sweep goes backward
         matrix.sweep(gauss_seidel, False, *lower, *no_entries, matrix.inverse, load, u, rest)
         passes = 0.5  # L
         # an odd number begins with two forward sweeps; backward and forward alternate after them

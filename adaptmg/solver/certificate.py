@@ -441,22 +441,22 @@ class Evidence:
         total = float(np.linalg.norm(forces))
         return Condition(
             name,
-            float(np.abs(forces).max(initial=0.0)),
-            total,
-            "N",
-            _over(total, self.force),
-            _over(self.rounding, self.force),
+            largest=float(np.abs(forces).max(initial=0.0)),
+            total=total,
+            unit="N",
+            relative=_over(total, self.force),
+            rounding=_over(self.rounding, self.force),
         )
 
     def _lengths(self, name: str, lengths: np.ndarray) -> Condition:
         largest = float(np.abs(lengths).max(initial=0.0))
         return Condition(
             name,
-            largest,
-            float(np.linalg.norm(lengths)),
-            "m",
-            _over(largest, self.length),
-            16 * _EPSILON,
+            largest=largest,
+            total=float(np.linalg.norm(lengths)),
+            unit="m",
+            relative=_over(largest, self.length),
+            rounding=16 * _EPSILON,
         )
 
     def _works(self, name: str, works: np.ndarray, scale: float) -> Condition:
@@ -466,7 +466,12 @@ class Evidence:
         # a scale that cannot vanish: bodies may part, or slip without friction
         scale = max(scale, self.force) * self.length
         return Condition(
-            name, float(works.max(initial=0.0)), total, "N m", _over(total, scale), rounding
+            name,
+            largest=float(works.max(initial=0.0)),
+            total=total,
+            unit="N m",
+            relative=_over(total, scale),
+            rounding=rounding,
         )
 
     def equilibrium(self) -> Condition:
@@ -498,11 +503,11 @@ class Evidence:
         )
         complementarity = Condition(
             "complementarity",
-            float(both.max(initial=0.0)),
-            _norm(both),
-            "",
-            _norm(both),
-            _over(self.rounding, self.force) + 16 * _EPSILON,
+            largest=float(both.max(initial=0.0)),
+            total=_norm(both),
+            unit="",
+            relative=_norm(both),
+            rounding=_over(self.rounding, self.force) + 16 * _EPSILON,
         )
         return (
             self._lengths("penetration", np.maximum(-gap, 0.0)),
@@ -550,11 +555,11 @@ class Evidence:
         rounding = self.rounding * np.sqrt(self.problem.n_nodes)
         return Condition(
             "balance",
-            float(np.abs(sums).max()),
-            total,
-            "N",
-            _over(total, self.total),
-            _over(rounding, self.total),
+            largest=float(np.abs(sums).max()),
+            total=total,
+            unit="N",
+            relative=_over(total, self.total),
+            rounding=_over(rounding, self.total),
         )
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
@@ -623,7 +628,13 @@ class Evidence:
         exerted = forces[contact.nodes] + lawful
         missed = self.problem.volumes.missed((unknowns + change).reshape(-1), self.pressures)
         corrected = correction(
-            self.problem, status, forces, missed, aggregates, negligible, self.rounding
+            self.problem,
+            status,
+            residual=forces,
+            missed=missed,
+            aggregates=aggregates,
+            negligible=negligible,
+            rounding=self.rounding,
         )
         # gaps and pressures after the correction
         gap = conditions.gap - _along(change[contact.nodes] - corrected.moved, contact.normals)

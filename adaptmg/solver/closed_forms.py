@@ -80,7 +80,15 @@ def _condition(
     total = float(np.linalg.norm(missed))
     largest = float(np.abs(missed).max(initial=0.0))
     scale = scale or 1.0
-    return Condition(name, largest, total, "N", total / scale, float(rounding / scale), limit)
+    return Condition(
+        name,
+        largest=largest,
+        total=total,
+        unit="N",
+        relative=total / scale,
+        rounding=float(rounding / scale),
+        limit=limit,
+    )
 
 
 def _stiffness(

@@ -272,7 +272,9 @@ def handed_over(outcome: Outcome, hierarchy: Grids, run: Run) -> Outcome:
     if outcome.left and len(problem.volumes) and len(hierarchy) > 2:
         solver = Multigrid(rtol=outcome.rtol, max_cycles=outcome.left)
         fewer = _fewer_levels(hierarchy)
-        return _continued(outcome, solver, "Truncated on fewer levels", None, fewer, run)
+        return _continued(
+            outcome, solver, "Truncated on fewer levels", start=None, hierarchy=fewer, run=run
+        )
     return outcome
 
 

@@ -96,14 +96,14 @@ class ProjectedRun:
                 condensed = condense(coarsest, lenient=True)
                 condensed = condensed if condensed.by_nodes else None
         return MultigridCycle(
-            levels,
-            self.cycle,
-            self.smoother,
-            self.correction,
-            self.coarse,
-            self.run,
-            self.initial,
-            condensed,
+            levels=levels,
+            options=self.cycle,
+            smoother=self.smoother,
+            correction=self.correction,
+            coarse=self.coarse,
+            recorder=self.run,
+            initial=self.initial,
+            condensed=condensed,
         )
 
     def nested_start(self, start: NestedStart) -> np.ndarray:

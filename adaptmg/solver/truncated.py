@@ -293,11 +293,11 @@ class TruncatedRun:
             self.cycle = LinearCycle(
                 levels,
                 prolongations,
-                run,
-                parts.sweeps(levels),
-                parts.coarse_solve,
-                parts.coarse_smoother,
-                parts.correct,
+                recorder=run,
+                sweeps=parts.sweeps(levels),
+                coarse_solve=parts.coarse_solve,
+                coarse_smoother=parts.coarse_smoother,
+                correct=parts.correct,
             )
         # Any: None on coarse spaces, whose problems nothing reads
         self.problems: list[DiscreteProblem | Any] = [
@@ -459,7 +459,15 @@ class TruncatedRun:
                 smoother = FrameSmoother(parts.smooth, problem, levels[number])
             if number == len(levels) - 1:
                 levels[number].drop_diagonal()
-            step = TruncatedStep(self.cycle, number, problem, contact, parts, interface, smoother)
+            step = TruncatedStep(
+                self.cycle,
+                number,
+                problem,
+                contact,
+                options=parts,
+                interface=interface,
+                smoother=smoother,
+            )
             if number == len(levels) - 1 and not self.cycle.reads_diagonals:
                 # small levels may become the coarse contact problem, which reads them
                 for level in levels[1:-1]:
@@ -520,7 +528,7 @@ class TruncatedRun:
         for cycle in range(max(least_cycles, self.START_CYCLES)):
             state = parts.linearise(
                 parts.smooth(parts.correct(state)),
-                trusted=lambda u: self.TRUSTED * sizes.forces(u, 0.0),
+                trusted=lambda u: self.TRUSTED * sizes.forces(u, contact=0.0),
             )
             trusted = self.TRUSTED * sizes.forces(parts.displacement(state), state.reactions)
             least_residual = min(least_residual, state.natural)
