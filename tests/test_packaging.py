@@ -145,7 +145,8 @@ def test_every_public_name_has_an_example_that_runs(tmp_path, monkeypatch):
         "solver",
         "transfer",
     )
-    for name, thing in (_public(ingredients) | _public()).items():
+    result_parts = {"Result.": adaptmg.Result.__mro__[1]}  # its base, whose methods are public
+    for name, thing in (_public(ingredients) | _public() | result_parts).items():
         globs = vars(sys.modules[thing.__module__]) | {"am": adaptmg, "np": np}
         # those of methods too
         for found in finder.find(thing, name, globs=globs):
@@ -154,7 +155,7 @@ def test_every_public_name_has_an_example_that_runs(tmp_path, monkeypatch):
                 # a page is as wide: 100 columns with the prompt
                 lines = [line for example in found.examples for line in example.source.split("\n")]
                 assert max(map(len, lines)) <= 96, (found.name, max(lines, key=len))
-            elif found.name == name:
+            elif found.name == name and name not in result_parts:
                 without.add(found.name)
     assert not runner.failures, report.getvalue()
     assert without == WITHOUT_EXAMPLE

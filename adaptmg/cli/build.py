@@ -159,10 +159,8 @@ def _words(item: inspect.Parameter) -> str:
 
 def _default(value: object) -> str:
     """Return a default as text; "" for objects and None."""
-    if isinstance(value, str):
-        return value
-    if isinstance(value, bool):
-        return str(value).lower()
+    if isinstance(value, bool | str):
+        return str(value).lower() if isinstance(value, bool) else value
     return f"{value:g}" if isinstance(value, int | float) else ""
 
 

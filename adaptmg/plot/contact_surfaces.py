@@ -2,9 +2,8 @@ r"""contact: pressure, friction, gap and slip along contact lines, maps of them 
 surfaces; and load_history: quantities of a sequence of load steps against the load, and the contact
 pressure of each step.
 
-Lines are drawn against x or y where they are straight, or where the part that is drawn is nowhere
-steep, else against the arc length. A surface is
-seen along its mean normal; where that is short, as around a hole, it is unrolled: the direction
+Lines are drawn against x or y where they are straight or nearly so, else against the arc length. A
+surface is seen along its mean normal; where that is short, as around a hole, it is unrolled: the direction
 across all normals is the axis, and the coordinates are the angle of the normal and the length along
 the axis."""
 
@@ -40,9 +39,9 @@ _AROUND_PATCH = 2.0
 #: a line. Half and twice change none of these pictures either
 _SMALL_PART = 0.2
 
-#: a line is drawn against x or y where it runs within 60 degrees of this axis: there an edge is drawn as at least
-#: half of its length, and of a quarter of a circle the arc length is left
-_STEEP = 0.5
+#: length over extent in x or y up to which a line is drawn against x or y; that of a quarter of a circle is 1.57, of an
+#: arc of 85 degrees seen from its middle 1.1
+_BENT = 1.1
 
 
 @style.styled
@@ -327,22 +326,20 @@ def lines_of(result: Result, boundary: str) -> list[Line]:
 
 
 def _near_contact(result: Result, name: str) -> list[Line]:
-    """Return the parts of lines that are drawn: around a small patch; a single one that is a graph
-    over x or y against this coordinate."""
+    """Return the parts of lines that are drawn: around a small patch; a single one that is nearly
+    straight there against x or y."""
     c = result.contact
     lines = [line.around(c.state[line.index] != OPEN) for line in lines_of(result, name)]
-    line = lines[0]
-    points = c.x[line.index]
+    points = c.x[lines[0].index]
     axis = int(np.argmax(np.ptp(points, axis=0)))
-    steps = np.diff(points[:, axis])
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if len(lines) > 1 or not (np.sign(steps.sum()) * steps >= _STEEP * lengths).all():
-        return lines
-    order = np.argsort(points[:, axis])
     whole = c.x[c.boundary == c.names.index(name)]
     scale, unit = style.scaled(float(np.ptp(whole, axis=0).max()), "m")
+    position = scale * points[:, axis]
+    if len(lines) > 1 or not np.ptp(lines[0].position) <= _BENT * np.ptp(position):
+        return lines
+    order = np.argsort(position)
     label = f"{style.axis_names(result)[axis]} [{unit}]"
-    return [Line(line.index[order], scale * points[order, axis], label)]
+    return [Line(lines[0].index[order], position[order], label)]
 
 
 def _parts(
