@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import bar_hierarchy, bar_on_block
+from norms import distance as energy_distance
 from norms import far as distance
 from smoother_problems import Idle
 
@@ -108,6 +109,17 @@ class TestSteps:
             and distance(back[0], first) <= 1e-13
         )
         assert all(result.work_units <= 1.1 * first.work_units for result in back)
+
+    def test_extrapolated_steps_are_as_accurate_as_required(self):
+        grids = bar(n=8)
+        path = am.LoadPath({"left": np.linspace(0.5, 0.6, 25)}, default=1.0)
+        exact = am.solve_path(grids, path, am.ActiveSet())
+        steps = am.solve_path(grids, path, rtol=1e-6)
+        assert 0 < sum(step.cycles == 0 for step in steps) < len(steps) - 1
+        discrete = grids.finest.discrete
+        for step, reference in zip(steps, exact, strict=True):
+            error = energy_distance(discrete, step.displacement, reference.displacement)
+            assert error <= 1.1 * step.rtol
 
     @pytest.mark.parametrize("solver", [am.ActiveSet(), am.ActiveSet(condensed=False), None])
     def test_nothing_moves_or_slips_under_unchanged_loads(self, solver):
