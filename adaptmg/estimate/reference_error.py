@@ -123,7 +123,9 @@ def energy_error(reference: Reference | tuple[Hierarchy, Result], result: Result
     Parameters
     ----------
     reference : Reference, or (Hierarchy, Result)
-        On a mesh 4 to 8 times finer; a Reference made once serves many results.
+        On a mesh 4 to 8 times finer; a Reference made once serves many results. ValueError for
+        smoothed elements, whose energy is not that of the strains of elements: solve the reference
+        with linear ones.
     result : Result
         Of the same problem, on any mesh of the same domain with the same names. On curved
         boundaries the domains of two meshes differ, which counts as error too: on a pin with a

@@ -70,7 +70,10 @@ def _method(solver: Solver | Method | None, grids: Grids) -> tuple[Grids, Solver
     if solver is not None:
         if hasattr(solver, "setup") and not hasattr(solver, "run"):
             return grids, Stepped(cast("Method", solver)), ""
-        words = "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer setup() or run()"
+        words = (
+            "SingleGrid(), Multigrid(), FullMultigrid(), ActiveSet() or offer setup() or run() (a "
+            "correction belongs in FullMultigrid(correction=...))"
+        )
         return grids, cast("Solver", checks.offers("solver", solver, "run", words)), ""
     if len(grids) > 1:
         return _levels_that_pay(grids) if grids.discretised else (grids, Multigrid(), "")
