@@ -499,7 +499,9 @@ def _report(parsed: Namespace) -> None:
     table.attrs |= {"study": name, "fixed": fixed}
     units = _pairs("--unit", parsed.unit)
     if unknown := sorted(set(units) - set(table)):
-        raise ValueError(f"--unit: there is no column {unknown[0]}; there are {', '.join(table)}")
+        raise ValueError(
+            f"--unit: there is no column {unknown[0]}; there are {', '.join(map(str, table))}"
+        )
     study_report(
         table,
         page,

@@ -276,10 +276,10 @@ def adaptation(steps: Sequence[Step]) -> Figure:
     ax = _panel(figure, (rows, columns, 4), dim, f"indicator,{between}step {last.number}")
     draw_bodies(ax, need_mesh(last.result), Coloring(parts, False, "", norm), lines=False)
     label = r"$|\eta_E|^{1/2}$ of the goal" if goal else r"$\eta_E$ [$\sqrt{\mathrm{N\,m}}$]"
-    place = {"location": "bottom" if style.narrow(ax) else "right", "shrink": 0.8}
-    bar = figure.colorbar(ScalarMappable(norm), ax=ax, label=label, **place)
-    if style.narrow(ax):
-        bar.ax.xaxis.set_minor_formatter(NullFormatter())
+    location = "bottom" if style.narrow(ax) else "right"
+    bar = figure.colorbar(ScalarMappable(norm), ax=ax, label=label, location=location, shrink=0.8)
+    # labels of a short horizontal scale would touch each other
+    bar.ax.xaxis.set_minor_formatter(NullFormatter())
     # the estimate against nodes and seconds
     nodes = np.array([step.nodes for step in steps], dtype=float)
     relative = np.array([step.estimate.relative for step in steps])

@@ -332,8 +332,7 @@ def plain(name: str) -> str:
 
 def titled(problem: str, text: str = "") -> str:
     """Return a title: the name of a problem, if the user has given one, before a text."""
-    named = "" if problem == UNNAMED else plain(problem)
-    return ": ".join(filter(None, (named, text)))
+    return ": ".join(filter(None, ("" if problem == UNNAMED else plain(problem), text)))
 
 
 def quoted(name: str) -> str:
