@@ -365,7 +365,7 @@ def label_plainly(axis: Axis) -> None:
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
     # LogLocator would label every hundredth where it has less than two ticks
     axis.set_major_locator(MaxNLocator(2))
-    for subs in ((1.0,), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
+    for subs in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
         ticks = np.outer(decades, subs)
         if np.count_nonzero((low <= ticks) & (ticks <= high)) >= 2:
             axis.set_major_locator(LogLocator(subs=subs, numticks=20))
