@@ -320,9 +320,10 @@ class Posed(Boundaries):
         weights: np.ndarray,
         taken: sparse.csr_array | None,
     ) -> dict[str, np.ndarray]:
-        """Return the compliances (n,) of the surfaces at contact nodes, m/N^(1/m), and the exponents m
-        (n,): a surface yields by c (F/w)^(1/m) under the force F of a node of the boundary measure w,
-        and the gap of a node that takes over others is a sum with theirs."""
+        """Return the compliances (n,) of the surfaces at contact nodes, in metre/N^(1/m), and the
+        exponents m (n,): a surface yields by c (F/w)^(1/m) under the force F of a node of the
+        boundary measure w. The gap of a node that takes over the part of others (``taken``) is the
+        sum of theirs and its own, each of which yields alike."""
         compliance = np.zeros(len(nodes))
         exponent = np.ones(len(nodes))
         summed_gaps = np.ones(len(nodes)) if taken is None else 1 + taken.sum(axis=1)

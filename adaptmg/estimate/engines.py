@@ -182,11 +182,12 @@ class Bisect:
         self, mesh: MeshArrays, squares: np.ndarray, chosen: np.ndarray, limit: float
     ) -> MeshArrays:
         """Return the mesh with the edges of the ``chosen`` (n_elements,) elements halved; those of
-        large squares twice unless the mesh then exceeds the limit of nodes."""
+        large squared errors ``squares`` (n_elements,) twice unless the mesh then exceeds the limit
+        of nodes."""
         fine = refined(mesh, chosen)
-        # halving once leaves 2^-(2 + dim) of a square
-        large = 2.0 ** (2 + mesh.dim) * _LEFT * max(squares.mean(), squares[chosen].min())
-        again = chosen & (squares > large)
+        left_by_one_halving = 2.0 ** -(2 + mesh.dim) * squares
+        large = max(squares.mean(), squares[chosen].min())
+        again = chosen & (left_by_one_halving > _LEFT * large)
         if again.any() and fine.mesh.n_nodes < limit:
             finer = refined(fine.mesh, again[fine.origin]).mesh
             return finer if finer.n_nodes <= limit else fine.mesh

@@ -419,15 +419,16 @@ def _surfaces_of_file(domain: StepFile, names: Sequence[str]) -> dict[str, list[
 def _read_surfaces(
     domain: StepFile, _changed: int, bodies: frozenset[str]
 ) -> dict[str, list[Revolved]]:
-    """Return the surfaces of the faces "body.face" of some bodies; those of a file are read once as
-    long as it does not change."""
+    """Return the surfaces of the faces "body.face" of some bodies, without faces of which a part lies
+    on no known surface; those of a file are read once as long as it does not change."""
     faces: dict[str, list[list[Revolved]]] = {}
     solids = {body: solid for body, solid in step_solids(domain).items() if body in bodies}
     with netgen() as worker:
         for body, solid in solids.items():
             shape = built_shape(worker, solid)
             for face, samples in zip(shape.names, shape.samples, strict=True):
-                surfaces = (candidates([samples]) or [[]])[0]
+                found = candidates([samples])
+                surfaces = [] if found is None else found[0]
                 moved = [surface.moved(np.eye(3), shape.lower, shape.scale) for surface in surfaces]
                 faces.setdefault(f"{body}.{face}", []).append(moved)
     return {name: list(chain(*patches)) for name, patches in faces.items() if all(patches)}

@@ -189,13 +189,17 @@ def _advise_on_chords(
 
 
 def critical_coefficients(stiffness: np.ndarray) -> np.ndarray:
-    """Return the critical coefficients of friction (n,) of nodes with these stiffnesses (n, dim, dim)
-    in their frames."""
+    """Return the critical coefficients of friction (n,) of nodes with these stiffnesses K (n, dim,
+    dim) in their frames: the least eigenvalue of K_tt over |K_nt|. Below it the contact problem
+    of a node alone has one solution."""
     tangential = stiffness[:, 1:, 1:].copy()
-    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])  # negative where held
-    along = np.linalg.eigvalsh(tangential)[:, 0]
-    across = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
-    return np.divide(along, across, out=np.full(len(along), np.inf), where=across > 1e-12 * along)
+    # diagonal blocks mark held tangents by negative entries
+    tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])
+    least = np.linalg.eigvalsh(tangential)[:, 0]
+    coupling = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
+    return np.divide(
+        least, coupling, out=np.full(len(least), np.inf), where=coupling > 1e-12 * least
+    )
 
 
 def warn_where_steep(rise: np.ndarray, critical: np.ndarray, what: str) -> None:

@@ -167,9 +167,10 @@ def certify(
     on_mesh: ConditionsOnMesh | None = None,
 ) -> Certificate:
     """Check a displacement and the contact forces and states that go with it; of a problem with
-    volumes also their ``pressures``, Pa. An energy error far below ``rtol`` is estimated by two
-    steps. ``residual``: b - A w, if it was computed. ``on_mesh`` returns the lines that need the
-    mesh (:mod:`adaptmg.solver.closed_forms`)."""
+    volumes also their ``pressures``, Pa. The energy error is that of the solution with the same
+    contact status, by iteration; two steps do where it is far below ``rtol``. With ``bound`` it is
+    exact, by factors of the matrix. ``residual``: b - A w, if it was computed. ``on_mesh`` returns
+    the lines that need the mesh (:mod:`adaptmg.solver.closed_forms`)."""
     # a diverged displacement overflows: its lines are inf or nan, which contradict every tolerance
     with np.errstate(over="ignore", invalid="ignore"):
         evidence = Evidence(

@@ -640,7 +640,8 @@ def advice_on_patches(contact: ContactResult, mesh: MeshArrays) -> list[str]:
     factor, unit = converted("m")
     smallest: dict[str, Patch] = {}
     for patch in touching_patches(contact, mesh):
-        if len(patch.nodes) < min(nodes_needed, len(smallest.get(patch.name, patch).nodes) + 1):
+        known = smallest.get(patch.name)
+        if len(patch.nodes) < (nodes_needed if known is None else len(known.nodes)):
             smallest[patch.name] = patch
     return [
         f"contact {name!r}: {len(patch.nodes)} nodes touch in a patch, and peaks of pressure need {nodes_needed}; "

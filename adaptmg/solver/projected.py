@@ -147,14 +147,14 @@ class ProjectedRun:
         return self.levels.outcome(state, status, stop, self.rtol)
 
     def _cycles(self, multigrid: MultigridCycle) -> Smoothing:
-        """Return cycles on the finest level, measured after the first smoothing, where the cycle has its
-        residual."""
+        """Return cycles on the finest level in two halves: the iterate is measured between them, since
+        the cycle needs its residual there anyway."""
         level = len(self.hierarchy) - 1
         local = self.problems[level]
 
         def smooth(unknowns: np.ndarray, cycles: int) -> int:
             multigrid.smooth(level, local.contact, local.load, unknowns, self.cycle.pre)
-            return 0
+            return 0  # corrections count as cycles, not these sweeps
 
         def correct(unknowns: np.ndarray, r: np.ndarray) -> None:
             multigrid.correct(level, local.contact, unknowns, r)
