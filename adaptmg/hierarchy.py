@@ -44,12 +44,13 @@ Divisions = int | tuple[int, ...]
 _BYTES = {2: 2000.0, 3: 6500.0}
 #: processor seconds a node in the same solves: plane 3.2e-6 to 33e-6 s, in space 17e-6 to 71e-6 s
 _SECONDS = {2: 10e-6, 3: 35e-6}
-#: and of graded meshes: a dovetail 43e-6 s, blocks, balls and plates 50e-6 to 420e-6 s
+#: and of graded meshes, with the solve: a dovetail 43e-6 s, blocks, balls and plates 50e-6 to 420e-6 s
 _MESHING = {2: 20e-6, 3: 150e-6}
 #: processor seconds of the start on the coarsest level: per m^3 of m contact unknowns, whose matrix is dense, in about
-#: 45 steps (balls between planes, m 876 and 2112: .7 and 9.5 s), and per n^(3 - 3/dim) of n unknowns, of sparse
-#: factors (block of 14 739 and sphere on a block of 6564: 2 s)
+#: 45 steps (balls between planes, m 876 and 2112: .7 and 9.5 s)
 _DENSE = 1e-9
+#: and per n^(3 - 3/dim) of n unknowns, of sparse factors (block of 14 739 and sphere on a block of 6564: 2 seconds;
+#: right to a factor of 2.2)
 _SPARSE = 2e-8
 _MOST_LEVELS = 40  # as of a range that is meant for one number
 
