@@ -70,6 +70,8 @@ class Inclined:
     def at(self, nodes: np.ndarray) -> np.ndarray:
         """Return the projections (n, dim, dim) at some nodes, zero where no direction is held."""
         result = np.zeros((len(nodes), *self.spans.shape[1:]))
+        if not len(self):
+            return result
         inclined = np.isin(nodes, self.nodes)
         result[inclined] = self.spans[np.searchsorted(self.nodes, nodes[inclined])]
         return result
@@ -77,7 +79,8 @@ class Inclined:
     def free_part(self, vector: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) without its parts along the directions that are held."""
         result = vector.copy()
-        result.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
+        if len(self):
+            result.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
         return result
 
     def spread(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
