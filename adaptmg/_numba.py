@@ -24,7 +24,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core.event import Event, Listener, register
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic, overload, typeof_impl
 
 from adaptmg._machine import has_idle_processor
 from adaptmg._text import say
@@ -50,7 +50,7 @@ def kernel(function: Callable | None = None, **options: Any) -> Any:
         _warn_of_no_cache()
         chosen["cache"] = False
         compiled = numba.njit(**chosen)(function)
-    return compiled if Recorder.calls is None else Recorder(compiled)
+    return compiled if RecordedKernel.calls is None else RecordedKernel(compiled)
 
 
 def inner_kernel(function: Callable | None = None, **options: object) -> Any:
@@ -59,7 +59,7 @@ def inner_kernel(function: Callable | None = None, **options: object) -> Any:
     return kernel(function, no_cpython_wrapper=True, **options)
 
 
-class Recorder:
+class RecordedKernel:
     """A kernel that runs as plain Python and records the types of its arguments, so that it can be
     compiled for them later."""
 
@@ -74,6 +74,12 @@ class Recorder:
         if self.calls is not None and not self.compiled.targetoptions.get("no_cpython_wrapper"):
             self.calls[self.compiled, tuple(map(numba.typeof, arguments))] = None
         return self.compiled.py_func(*arguments)
+
+
+@typeof_impl.register(RecordedKernel)
+def _type_of_recorded(recorded, context):
+    """Return the type of the kernel itself: kernels that are compiled call compiled ones."""
+    return typeof_impl(recorded.compiled, context)
 
 
 @lru_cache(maxsize=1)
