@@ -203,17 +203,24 @@ def _compile_ahead() -> None:
         "NUMBA_NUM_THREADS": "1",  # it starts no further process
         "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
     }
-    # without an object of subprocess, which warns where Python ends before the process
-    with suppress(OSError):
-        os.posix_spawn(
-            sys.executable,
-            # modules come from the folders of this process only, not from the working directory
-            [sys.executable, "-P", "-c", code],
-            os.environ | variables,
-            file_actions=[
-                (os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)
-            ],
-        )
+
+    def compile_until_done() -> None:
+        """Run the second process, and wait for its end: nobody else does, and it would stay in the
+        table of the system as a zombie."""
+        with suppress(OSError):
+            # without an object of subprocess, which warns where Python ends before the process
+            process = os.posix_spawn(
+                sys.executable,
+                # modules come from the folders of this process only, not from the working directory
+                [sys.executable, "-P", "-c", code],
+                os.environ | variables,
+                file_actions=[
+                    (os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)
+                ],
+            )
+            os.waitpid(process, 0)
+
+    threading.Thread(target=compile_until_done, daemon=True).start()
 
 
 _COMPILING = _Compiling()
