@@ -60,11 +60,12 @@ class Certificate:
         'stresses' (of linear elements, against forces of supports, ties and contact).
     energy_error : float
         Estimated ||u - u_h||_A / ||u||_A with the contact status held, by a few preconditioned
-        steps: mostly 0 to 10 % too large, seldom too small. Where a solve stopped far below its
-        rtol two steps do, below .6 rtol, which may say half too much. Where the corrected
-        displacement contradicts the status, the status may change
-        (:mod:`adaptmg.solver.aggregates`). With ``bound=True`` by a factorisation: exact for this
-        status, and infinite where it leaves a motion free that is loaded.
+        steps: mostly 0 to 10 % too large, seldom too small. Two steps suffice where the estimate is
+        at most .6 rtol, which may then be half too large. Where the corrected displacement
+        contradicts the status, the status may change (:mod:`adaptmg.solver.aggregates`). With
+        ``bound=True`` by a factorisation, and the status stays: an upper bound of the distance to the
+        solution with this status, equal to it where touching nodes are on the obstacle and sticking
+        ones do not slip, and infinite where the status leaves a motion free that is loaded.
     energy_rounding : float
         The part of it that rounding explains: of the displacement, and where the error is above
         rtol though all forces balance to the last digits, of the residual, too, measured: some
@@ -146,7 +147,7 @@ class Certificate:
             f"{line.name:<22} {line.largest:>9.2e} {line.total:>9.2e} {line.unit:<4} {line.relative:>9.2e}"
             for line in self.lines
         ]
-        how = "exact for this contact status" if self.exact_energy else "estimated"
+        how = "a bound for this contact status" if self.exact_energy else "estimated"
         return "\n".join(
             [
                 *rows,
@@ -167,10 +168,12 @@ def certify(
     on_mesh: ConditionsOnMesh | None = None,
 ) -> Certificate:
     """Check a displacement and the contact forces and states that go with it; of a problem with
-    volumes also their ``pressures``, Pa. The energy error is that of the solution with the same
-    contact status, by iteration; two steps do where it is far below ``rtol``. With ``bound`` it is
-    exact, by factors of the matrix. ``residual``: b - A w, if it was computed. ``on_mesh`` returns
-    the lines that need the mesh (:mod:`adaptmg.solver.closed_forms`)."""
+    volumes also their ``pressures``, Pa. ``residual``: b - A w, if it was computed. ``on_mesh``
+    returns the lines that need the mesh (:mod:`adaptmg.solver.closed_forms`).
+
+    The energy error is estimated by iteration with the contact status held, in fewer steps where it
+    is small against ``rtol``; where the corrected displacement contradicts this status, with a status
+    that may change. With ``bound`` it is bounded by a factorisation, and the status stays."""
     # a diverged displacement overflows: its lines are inf or nan, which contradict every tolerance
     with np.errstate(over="ignore", invalid="ignore"):
         evidence = Evidence(
@@ -564,8 +567,9 @@ class Evidence:
         )
 
     def energy_error(self, aggregates: Aggregates | None, rtol: float = 0.0) -> tuple[float, float]:
-        """Return the relative energy error, and the part of it that rounding explains; estimated with
-        ``aggregates``, without them by a factorisation."""
+        """Return the relative energy error, and the part of it that rounding explains: estimated with
+        ``aggregates``, with a status that may change where it is wrong; without them by a factorisation
+        for the status of the displacement."""
         conditions = ContactValues(self.gap, self.slip, self.pressure, self.friction)
         forces = self.problem.relative_forces(self.unexplained.reshape(-1)).reshape(self.u.shape)
         # an energy: the square of a norm
@@ -613,10 +617,10 @@ class Evidence:
         aggregates: Aggregates | None,
         negligible: float = 0.0,
     ) -> tuple[float, bool]:
-        """Return ||u - u_h||_A of ``unknowns`` (n_nodes, dim) with the contact status held, infinite
-        where it leaves a loaded motion free, and whether the corrected displacement contradicts this
-        status: an open node penetrates, or a closed one pulls. ``forces`` (n_nodes, dim) are the
-        unexplained ones."""
+        """Return a bound of ||u - u_h||_A for ``unknowns`` (n_nodes, dim) with the contact status held,
+        infinite where it leaves a loaded motion free, and whether the corrected displacement
+        contradicts this status: an open node penetrates, or a closed one pulls. ``forces`` (n_nodes,
+        dim) are the unexplained ones."""
         contact = self.problem.contact
         matrix = self.problem.matrix
         status, change, lawful, closed = self._frozen(conditions, unknowns)

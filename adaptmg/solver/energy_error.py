@@ -26,9 +26,10 @@ solves
 .. math:: K(I + D)(K' y + B^T q) + K S\,y = e,\qquad -B y + A\,q/\kappa = -A\,(b\,v - p/\kappa);
 
 its energy is :math:`y'K'y + \sum A q^2/\kappa`, that of the whole displacement where :math:`p =
-\kappa\,b\,u`. Directions are z, what the preconditioner of K' makes of the forces, with :math:`(A s
-+ B z)/(A/\kappa + A/(\lambda_1 + \mu))`, s the volumes that are missed. The symmetric part of the
-equations is the energy. The steps end when the last two have hardly changed it.
+\kappa\,b\,u`. Directions are z, the residual of the first equation preconditioned, with
+:math:`(\rho + B z)/(A/\kappa + A/(\lambda_1 + \mu))`, :math:`\rho` the residual of the second one.
+The symmetric part of the equations is the energy. The steps end when the last two have hardly
+changed it.
 
 Nothing here comes from the solvers but the arithmetic of small blocks.
 """
@@ -324,7 +325,7 @@ class _Equations:
             soft = self.volumes.areas * self.volumes.compliance
             areas = self.volumes.areas
             volumes = self.volumes.rows @ nodal
-            # (A s + B z) / (A/kappa + A/(lambda_1 + mu))
+            # (rho + B z) / (A/kappa + A/(lambda_1 + mu))
             pressures = (residual[self.n :] + volumes) / (soft + areas / self.volumes.modulus)
             values = np.append(nodal, pressures)
             energetic = np.append(forces, soft * pressures)

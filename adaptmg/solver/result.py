@@ -195,8 +195,9 @@ class Result(Quantities):
         """Check by how much each condition of contact is violated, by code that shares nothing with
         the solvers.
 
-        Without ``problem``: what was found when the problem was solved; with it that is checked
-        again, and ``bound`` bounds the energy error by a sparse factorisation."""
+        Without ``problem`` the certificate of the solve is returned. With it the result is checked
+        again, and ``bound`` bounds the distance to the solution with the same contact status by a
+        sparse factorisation."""
         checks.flag("bound", bound)
         if problem is not None:
             checks.instance("problem", problem, DiscreteProblem)
