@@ -265,9 +265,7 @@ class Unknowns:
     def free_part(self, vector: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) or (n_nodes, dim) without its parts along fixed dofs and along
         what inclined supports hold; flat."""
-        result = np.where(self.fixed, 0.0, vector.reshape(-1))
-        result.reshape(-1, self.dim)[self.inclined.nodes] -= self.inclined.along(result)
-        return result
+        return self.inclined.free_part(np.where(self.fixed, 0.0, vector.reshape(-1)))
 
     def from_prescribed(self, solution: np.ndarray) -> np.ndarray:
         """Return unknowns (n_dofs,) or (n_nodes, dim), m, or a solution (n_unknowns,), minus the
@@ -312,12 +310,12 @@ class Unknowns:
         result = displacement[nodes]
         if self.coupling is None:
             return result
-        # u - W u. Along what supports hold of a node only what they hold of the nodes counts whose part
-        # it takes over: their free motion there is not that of an unknown of the node
+        # u - W u. The negative weights are those of nodes whose part a node takes over: along directions
+        # that supports hold at the node their free motion does not count
         weights = self.coupling.weights[nodes]
-        free = np.where(self.held.reshape(-1, self.dim), 0.0, displacement)
-        free[self.inclined.nodes] -= self.inclined.along(free.reshape(-1))
-        not_counted = (weights - facing_part(weights)) @ free
+        free = self.inclined.free_part(np.where(self.held, 0.0, displacement.reshape(-1)))
+        taken_over = weights - facing_part(weights)
+        not_counted = taken_over @ free.reshape(displacement.shape)
         result -= weights @ displacement
         result += np.einsum("nij,nj->ni", self.held_spans(nodes), not_counted)
         # along tangents that supports hold on both sides relative to the held nodes
@@ -360,10 +358,9 @@ def frames_of(problem: Unknowns) -> np.ndarray:
     normals = contact.normals
     frames = np.empty((len(normals), contact.dim, contact.dim))
     frames[:, 0] = normals
-    # in the plane the tangent is the normal, turned by +90 degrees
     if contact.dim == 1:
         return frames
-    if contact.dim == 2:
+    if contact.dim == 2:  # the tangent is the normal, turned by +90 degrees
         frames[:, 1, 0] = -normals[:, 1]
         frames[:, 1, 1] = normals[:, 0]
         return frames

@@ -104,20 +104,28 @@ class Inclined:
         if not len(self):
             return parts
         matrix = parts["matrix"]
+        size = matrix.blocksize
+        n = matrix.shape[0]
         dim = self.spans.shape[1]
         dofs = (dim * self.nodes[:, None] + np.arange(dim)).reshape(-1)
         rows = sparse.csr_array(sparse.csr_array(matrix)[dofs])
+        # D, of the size of the diagonal blocks
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
         volumes = parts["volumes"]
         supports = replace(self, rows=rows, stiffness=stiffness, volumes=volumes.rows)
-        # B (I - Z) and, below, stiffnesses of the size of the diagonal blocks
-        held = self.spread(self.spans, matrix.shape[0] // dim)
-        free = volumes.rows - volumes.rows @ held
-        eliminated = {
-            "matrix": supports._eliminated(matrix),
-            "volumes": volumes.with_rows(checks.narrowed(sparse.csr_array(free))),
+        held = self.spread(self.spans, n // dim)
+        held_stiffness = self.spread(stiffness[:, None, None] * self.spans, n // dim)
+        free = sparse.bsr_array(sparse.eye_array(n) - held, blocksize=size)
+        # half of (I - Z) A (I - Z) + Z D Z, whose sum with its transpose is symmetric to the bit
+        half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
+        eliminated = sparse.bsr_array(half + half.T, blocksize=size).sorted_indices()
+        # B (I - Z)
+        free_rows = sparse.csr_array(volumes.rows - volumes.rows @ held)
+        changed = {
+            "matrix": checks.narrowed(eliminated),
+            "volumes": volumes.with_rows(checks.narrowed(free_rows)),
         }
-        return supports.lifted(parts | eliminated)
+        return supports.lifted(parts | changed)
 
     def lifted(self, parts: dict[str, Any]) -> dict[str, Any]:
         """Return parts of a problem with the load b' in place of b, with the volumes under the
@@ -144,18 +152,6 @@ class Inclined:
             "inclined": replace(self, load=parts["load"]),
             "volumes": replace(volumes, prescribed=(self.volumes @ prescribed) / volumes.areas),
         }
-
-    def _eliminated(self, matrix: sparse.bsr_array) -> sparse.bsr_array:
-        """Return A' (n_dofs, n_dofs) of a matrix A in relative coordinates."""
-        size = matrix.blocksize
-        n = matrix.shape[0]
-        free = sparse.bsr_array(
-            sparse.eye_array(n) - self.spread(self.spans, n // size[0]), blocksize=size
-        )
-        held_stiffness = self.spread(self.stiffness[:, None, None] * self.spans, n // size[0])
-        # (I - Z) A (I - Z) + Z D Z, symmetric to the bit
-        half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
-        return checks.narrowed(sparse.bsr_array(half + half.T, blocksize=size).sorted_indices())
 
     def imbalance(
         self, residual: np.ndarray, unknowns: np.ndarray, prescribed: np.ndarray
