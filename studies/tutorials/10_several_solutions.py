@@ -33,7 +33,7 @@ for ax, (start, result) in zip(axes, results.items(), strict=True):
 
 # %%
 # All three satisfy every condition. ``am.solve`` warns where friction exceeds an estimate of the
-# critical coefficient. Newton steps of the active set method stay near their start;
-# multigrid finds the foot open from all three.
+# critical coefficient. Newton steps of the active set method stay near their start; multigrid finds
+# the foot open from zero and from the last two of these starts.
 #
 # **Next:** a load path decides physically which solution is reached. **It depends on** the bar in ten lines.
