@@ -163,8 +163,8 @@ class Patches:
     hoops: np.ndarray  # (n,), or (0,)
     measures: np.ndarray  # (n_patches,): volumes
     element: np.ndarray | slice  # (n_patches,): an element there
-    # (n, corners), or (0, 0): integrals by which the hoop strain that varies within an element adds
-    # C_hoop times these to the stiffness; see the module
+    # (n, corners), or (0, 0): integrals that, times C_hoop, are the stiffness of the part of the hoop
+    # strain that varies within an element; see the module
     spread: np.ndarray
 
 

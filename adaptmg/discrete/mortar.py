@@ -230,7 +230,7 @@ def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse
             break
         scale = np.divide(1.0, reached_mass, out=np.zeros(n), where=newly_reached)
         new_shares = sparse.diags_array(scale) @ mass @ sparse.diags_array(is_reached.astype(float))
-        # these nodes stand for a new one in the proportions of the mass between them and it
+        # the shares of a new node are proportional to its entries of the mass matrix
         shares = sparse.csr_array(shares + new_shares @ shares)
         is_reached |= newly_reached
     return shares
@@ -389,11 +389,11 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         / np.maximum(carries.sum(axis=1), 1)[:, None, None]
     )
     share = share + np.eye(carries.shape[1]) * (carries | without_multiplier[:, None])[:, :, None]
-    # quadrature weights times the test functions; products are M of the module, facing M assembled
+    # quadrature weights times the test functions
     tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
-    # D of the module: ``diagonal`` at nodes with a multiplier, ``taken_over_rows`` at the others
     mass_without_multiplier = share * np.where(carries, 0.0, shape_mass)[:, None, :]
-    # summed over facets: the matrices of master nodes and of slave nodes, and the gaps
+    # sums over facets: M (``facing``), D (``diagonal`` at nodes with a multiplier, ``taken_over_rows``
+    # at the others) and the integrals of the gap
     slave = surfaces.slave[parts.slave]
     products = np.einsum("piq,pqk->pik", tests, parts.shapes)
     facing = _assembled(products, slave, surfaces.master[parts.master], n_nodes)
@@ -415,10 +415,9 @@ def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
         facing = sparse.csr_array(node_share @ facing)
         taken_over_rows = sparse.csr_array(node_share @ taken_over_rows)
         gaps = node_share @ gaps
-    # over the diagonal, what the nodes with a multiplier face
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
-    # B = M / D_jj, less the share of nodes without a multiplier
+    # M_ak / D_aa, minus D_ab / D_aa at nodes b without a multiplier
     over_diagonal = sparse.diags_array(1 / diagonal[nodes], format="csr")
     coupling = over_diagonal @ facing[nodes]
     if taken_over_rows is not None:

@@ -37,7 +37,7 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
         contact.obstacle, contact.boundary, mesh.points[nodes], boundaries.outward[k]
     )
     gaps = np.array(given_gaps, dtype=np.float64)
-    # overlaps of rounding are none
+    # overlaps within rounding count as 0
     gaps[(gaps < 0) & (gaps > -checks.ROUNDING * np.linalg.norm(mesh.sides))] = 0.0
     if gaps.min(initial=0.0) < 0 and not may_overlap(contact):
         deepest = int(np.argmin(gaps))

@@ -154,8 +154,8 @@ class Volumes:
 
 def formed_volumes(groups: Volumes, dim: int) -> sparse.bsr_array:
     """Return the stiffness (n_dofs, n_dofs) of the mean volume strains over groups of nodes, bitwise
-    symmetric. Of plastic bodies it is formed: with pressures as unknowns Prandtl's punch on 2667 nodes
-    takes 1507 cycles in place of 232."""
+    symmetric. Plastic bodies use it: with pressures as unknowns Prandtl's punch on 2667 nodes takes 1507
+    cycles in place of 232."""
     factors = 1 / np.sqrt(groups.areas * groups.compliance)
     half = sparse.csr_array(sparse.diags_array(factors) @ groups.rows)
     return sparse.bsr_array(half.T @ half, blocksize=(dim, dim))
@@ -196,7 +196,7 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
         GROUP[dim],
         group,
     )
-    # a corner has its part of the volume of an element; a group the divergence there in its rows
+    # each corner has an equal part of the volume of its element; rows sum the divergence over corners
     slopes, corner_volumes = (every[in_groups] for every in shape_gradients(mesh))
     if is_axisymmetric(materials):
         mean_radius = mesh.points[elements, 0].mean(axis=1)

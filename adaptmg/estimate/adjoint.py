@@ -119,9 +119,8 @@ def linearised_contact(
     )
     sticks = (state == State.STICK) | open_at_rest
     slips = (state == State.SLIP) | (open_with_friction & ~open_at_rest)
-    # friction B f of a node that slips, f = -slip / |slip|: it changes with the pressure by
-    # direction, and with the direction of the slip by hessian
-    # g = s + mu p, and H = g/|s| (I - s s'/|s|^2)
+    # the friction g f of a node with the slip s and f = -s/|s|: its derivatives are mu f
+    # (``direction``) by the pressure, and -H = -g/|s| (I - s s'/|s|^2) by the slip
     limit = nodal.limit + nodal.friction * np.maximum(-force[:, 0], 0.0)
     unit = _opposite(slip, slip_length, force[:, 1:])
     direction = np.where((state == State.SLIP)[:, None], nodal.friction[:, None] * unit, 0.0)

@@ -462,7 +462,7 @@ def condition_squares(state: Solved) -> tuple[np.ndarray, np.ndarray]:
         rule, _, weights = integration(
             mesh.points, surface.facets, surface.measures, state.stress.axisymmetric
         )
-        # int p (g0 - u_n), and int B |d_t| + t . d_t, by the mass matrices of facets
+        # int p (g0 - u_n), and the limit times |d_t| + t . d_t, by the mass matrices of facets
         mass = np.einsum("fq,qi,qj->fij", weights, rule, rule)
         open_part = np.einsum("fij,fi,fj->f", mass, pressure, gap)
         slip_part = np.einsum("fij,fi,fj->f", mass, limit, np.linalg.norm(slip, axis=2))

@@ -338,14 +338,13 @@ def _algebraic(view: GoalView, functional: Functional, dual: AdjointSolution) ->
     unit of the quantity.
 
     With the residual r = A u - b, the slip force s f of Tresca's law, and the amount
-    :math:`\delta` by which the result misses prescribed values (a gap where bodies touch, a slip
-    where they stick),
+    :math:`\delta` by which the result misses prescribed values (a gap where bodies touch, minus the
+    slip where they stick),
 
     .. math:: -z \cdot r + \sum_{\mathrm{slip}} s\, f \cdot z_t - \lambda^* \cdot \delta, \qquad \lambda^* = A z - j .
     """
     contact = view.contact
     discrete = view.discrete
-    # lambda* = A z - j; -z . r, + s f . z_t, and -lambda* . delta with delta the gap or minus the slip
     dual_reaction = contact.local(discrete.matrix @ dual.field - functional.vector)
     reaction = dual_reaction.reshape(-1, discrete.dim)[contact.nodes]
     part = -float(dual.field @ np.where(discrete.fixed, 0.0, contact.residual))

@@ -118,7 +118,7 @@ class Step(Generic[AnyEstimate]):
         no smaller than the change of the corrected values since then; False on the first mesh.
         While they are not, the printed step says "not settled", and only two meshes in a row below
         it end the loop by ``tolerance``. It may be True, False and True again where the error
-        passes through zero, which is no fault of the loop: take the corrected values then, and
+        passes through zero, which is not a fault of the loop: take the corrected values then, and
         their change from mesh to mesh as the error. None for energy norms.
     outcome : str
         Why the loop stopped after this step; empty as long as it has not.

@@ -65,11 +65,11 @@ def scalar_squares(
             )
     pressures = np.zeros(distances.shape)
     pressures[:, contact.node] = contact.pressure * (contact.normal[:, 0] == -_PRESSING)
-    # held nodes have no contact, but may lie on an obstacle
-    # all of a body may lie on an obstacle at zero: then the load says how large values are
+    # held nodes have no contact, but may lie on an obstacle. All of a body may lie on one at zero: then
+    # the load gives the size of values
     discrete = level.discrete
     size = max(np.abs(values).max(), np.abs(discrete.load).sum() / discrete.matrix.diagonal().max())
-    on_limit = level.discrete.fixed & (distances <= checks.ROUNDING * size)
+    on_limit = discrete.fixed & (distances <= checks.ROUNDING * size)
     lower, upper = ((pressures > 0) | on_limit)[:, mesh.elements].all(axis=2).astype(int)
     full_contact = lower - upper  # 1 with the lower obstacle, -1 with the upper one, else 0
     equation, complementarity = _integrals(problem, mesh, distances, pressures, full_contact)
@@ -123,7 +123,7 @@ def _flux_squares(
     first, second = full_contact[sides]
     contact = np.where(first == second, first, 0)
     jump = np.where(contact == 0, jump, np.maximum(-contact * jump, 0.0))
-    # h_F/2 |[k d_n u]|^2; the element of a free facet gets both halves
+    # h_F/2 |[k d_n u]|^2
     halves = 0.5 * surface.sizes * surface.measures * jump**2
     return np.bincount(sides.ravel(), np.tile(halves, 2), len(mesh.elements))
 

@@ -105,7 +105,7 @@ class ElementStress:
             per_hoop_strain = np.einsum(
                 "nij,nj->ni", self.of_hoop[elements][:, self.columns], normals
             )
-            # sigma n at the centroid, and what the hoop strain there and here adds
+            # the difference of the hoop strains at a point and at the centroid
             result += self.rise(elements, facets, rule)[:, :, None] * per_hoop_strain[:, None, :]
         return result
 
@@ -268,8 +268,8 @@ class Solved:
             raise ValueError(
                 f"result.reaction must have {forces.size} components, got {exerted.shape}"
             )
-        # the load of the result is that of the discrete problem, or of the posed one, which the
-        # hierarchy of a load step may have got without being discretised again
+        # the load of the result is that of the discrete problem, or that of the posed one: a hierarchy
+        # may have the problem of a load step without its discretisation
         load = forces - self.discrete.relative_forces(exerted)
         inclined = self.discrete.inclined
         expected = self.discrete.load

@@ -123,7 +123,7 @@ class _Deck:
         self.files += 1
         if self.files > _MOST_FILES:
             raise ValueError(f"it includes more than {_MOST_FILES} files")
-        file_size("INPUT", path)  # only its check that there is a file
+        file_size("INPUT", path)  # called for its check that the file exists
         block = None
         for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
             line = line.strip()

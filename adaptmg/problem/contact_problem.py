@@ -39,7 +39,7 @@ CONTACT = "contact"  # name of all contact boundaries together
 # between the Young's moduli of two bodies: the softer one would be rounding next to the stiffer one
 _MOST_STIFFER = 1 / np.finfo(np.float64).eps
 ELEMENTS = ("linear", "smoothed")
-UNNAMED = "contact problem"  # the name of a problem without one, which no title has
+UNNAMED = "contact problem"  # the default name, which titles leave out
 # of smoothed elements of one part: the Poisson's ratio at which it is all of Lame's first constant
 _MOST_POISSON = EDGE_PART / (2 * (1 + EDGE_PART))
 

@@ -402,7 +402,7 @@ def smallest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     --------
     >>> from scipy import sparse
     >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
-    >>> am.transfer.smallest_gap(sets, np.array([1e-6, 3e-6, 2e-6])).tolist()      # m
+    >>> am.transfer.smallest_gap(sets, np.array([1e-6, 2e-6, 3e-6])).tolist()      # m
     [1e-06, 2e-06]
     """
     return sets.reduced(np.minimum, opening, np.inf)
@@ -416,8 +416,8 @@ def largest_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     --------
     >>> from scipy import sparse
     >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
-    >>> am.transfer.largest_gap(sets, np.array([1e-6, 3e-6, 2e-6])).tolist()       # m
-    [3e-06, 3e-06]
+    >>> am.transfer.largest_gap(sets, np.array([1e-6, 2e-6, 3e-6])).tolist()       # m
+    [2e-06, 3e-06]
     """
     return sets.reduced(np.maximum, opening, np.inf)
 
@@ -470,8 +470,8 @@ def injected_gap(sets: Supports, opening: np.ndarray) -> np.ndarray:
     --------
     >>> from scipy import sparse
     >>> sets = am.transfer.supports(sparse.csr_array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]))
-    >>> am.transfer.injected_gap(sets, np.array([1e-6, 3e-6, 2e-6])).tolist()      # m
-    [1e-06, 2e-06]
+    >>> am.transfer.injected_gap(sets, np.array([1e-6, 2e-6, 3e-6])).tolist()      # m
+    [1e-06, 3e-06]
     """
     return sets.injected(opening, np.inf)
 
