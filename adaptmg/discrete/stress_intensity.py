@@ -73,18 +73,13 @@ class StressIntensity:
 
     Examples
     --------
-    >>> crack = am.Cracked(am.Rectangle(width=1.0, height=1.0), {"crack": [(0.3, 0.5), (0.7, 0.5)]})
-    >>> problem = am.ContactProblem(
-    ...     domain=crack,
-    ...     material=am.PlaneStrain(young=2e11, poisson=0.3),
-    ...     contact=am.ContactPair("crack.left", "crack.right"),
-    ...     law=am.Frictionless(),
-    ...     supports=am.Support("bottom", x=0.0, y=0.0),
-    ...     loads=am.Traction("top", (0.0, 1e6)),
+    :meth:`adaptmg.Result.stress_intensity` returns them:
+
+    >>> factors = am.solver.StressIntensity(
+    ...     tip=(0.7, 0.5), K_I=8e5, K_II=0.0, radii=(0.1, 0.2), spread=(4e3, 0.0)
     ... )
-    >>> result = am.solve(am.Hierarchy.graded(problem, sizes=(0.05, 0.025)))
-    >>> result.stress_intensity("crack").K_I > 0
-    True
+    >>> factors.spread[0] / factors.K_I                            # how well the radii agree
+    0.005
     """
 
     tip: tuple[float, float]
