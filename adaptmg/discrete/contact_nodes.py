@@ -339,8 +339,8 @@ class Bounds(checks.Checked):
         if math.prod(shape) != len(fixed):
             raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
         # gaps along and against the axes, u <= upper and -u <= -lower, infinite at fixed dofs
-        against_axes = np.where(fixed, np.inf, -_finite_below("bounds.lower", lower, shape, -1.0))
-        along_axes = np.where(fixed, np.inf, _finite_below("bounds.upper", upper, shape, 1.0))
+        against_axes = np.where(fixed, np.inf, -_open_limits("bounds.lower", lower, shape, np.inf))
+        along_axes = np.where(fixed, np.inf, _open_limits("bounds.upper", upper, shape, -np.inf))
         dim = shape[1] if len(shape) == 2 else 1
         gaps = np.stack([against_axes, along_axes], axis=1).reshape(-1, dim, 2)
         is_limited = np.isfinite(gaps)
@@ -373,14 +373,12 @@ class Bounds(checks.Checked):
         )
 
 
-def _finite_below(name: str, limit: ArrayLike, shape: tuple[int, ...], sign: float) -> np.ndarray:
+def _open_limits(name: str, limit: ArrayLike, shape: tuple[int, ...], closing: float) -> np.ndarray:
     """Return limits (n_dofs,) from a number for all dofs or an array of this shape; ValueError if one is
-    infinite on the side of the opposite ``sign``, and so leaves no room."""
+    the infinity ``closing``, which leaves no room."""
     limits = _limits(name, np.full(shape, limit) if np.ndim(limit) == 0 else limit, shape)
-    if (limits == -sign * np.inf).any():
-        raise ValueError(
-            f"{name} must be {'<' if sign < 0 else '>'} {-sign * np.inf}, got {-sign * np.inf}"
-        )
+    if (limits == closing).any():
+        raise ValueError(f"{name} must be {'<' if closing > 0 else '>'} {closing}, got {closing}")
     return limits.reshape(-1)
 
 
