@@ -423,7 +423,8 @@ def _study_of(path: Path, store: Path | None) -> Study:
         raise ValueError(
             f"FILE must be a Python script that makes an am.Study, got {checks.shown(os.fspath(path))}"
         )
-    file_size("FILE", file)  # only its check that there is a file
+    # only its check that there is a file
+    file_size("FILE", file)
     # as Python does for a script, so that it can import files next to it
     sys.path.insert(0, os.fspath(file.resolve().parent))
     # a file whose name ends with .py has a spec and a loader
@@ -469,9 +470,8 @@ def _report(parsed: Namespace) -> None:
     from adaptmg.study.store import Store
     from adaptmg.study.tables import frame
 
-    file_size(
-        "STORE", checks.file_path("STORE", parsed.store)
-    )  # only its check that there is a file
+    # only its check that there is a file
+    file_size("STORE", checks.file_path("STORE", parsed.store))
     store = Store(parsed.store)
     names = store.studies()
     if parsed.study not in names and (parsed.study is not None or len(names) != 1):

@@ -300,6 +300,8 @@ def test_a_small_patch_of_contact_fills_the_picture():
     left, right = np.diff([ax.get_xlim() for ax in axes]).ravel()[[0, -1]]
     # mm; the arc is 78 mm long
     assert left == right == pytest.approx(2.5 * 1e3 * half_width, rel=0.1)
+    assert axes[2].get_xlabel() == "x [mm]"  # the patch is straight, the arc is not
+    assert lines_of(result, "arc")[0].label.startswith("arc length")
     assert axes[0].get_ylim()[1] > 1e-6 * result.max_pressure
     # the gap is that of the surroundings, not of the whole arc
     assert axes[2].get_ylim()[1] < 50
