@@ -62,6 +62,7 @@ def html_table(table: pandas.DataFrame) -> str:
     import pandas
 
     with pandas.option_context("display.max_colwidth", MOST):
+        # -0.0 + 0.0 is 0.0
         return table.to_html(
             index=False, max_rows=20, border=0, float_format=lambda x: f"{x + 0.0:.4g}"
         )

@@ -67,7 +67,8 @@ SYSTEMS = {
     ),
 }
 _HEAD = re.compile(r"(.*) \[(.+)\]")
-_LENGTHS = re.compile(r"([\d.e+-]+(?:, [\d.e+-]+)*) m\b")
+#: a number, not the name of a body, before " m,"
+_LENGTH = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]\d+)?(?![\w.:])(?=.* m,)")
 
 
 class _Chosen:
@@ -105,14 +106,10 @@ def converted(unit: str, units: str | None = None) -> tuple[float, str]:
 
 
 def lengths_in_units(text: str) -> str:
-    """Return a text of the package in which lengths, numbers before "m", are converted."""
+    """Return a text of the package in which lengths, the numbers before " m,", are converted."""
     factor, unit = converted("m")
-    return _LENGTHS.sub(
-        lambda found: (
-            ", ".join(f"{factor * float(part):.6g}" for part in found[1].split(", ")) + f" {unit}"
-        ),
-        text,
-    )
+    numbers = _LENGTH.sub(lambda found: f"{factor * float(found[0]):.6g}", text)
+    return numbers.replace(" m,", f" {unit},")
 
 
 def with_prefixes() -> bool:

@@ -43,9 +43,9 @@ _SMALL_PART = 0.2
 #: arc of 85 degrees seen from its middle 1.1
 _BENT = 1.1
 
-#: part of the largest stress up to which stresses of a boundary are errors of the solve. On the open floor of a dovetail
-#: the friction bound is 1.6e-8 of the pressure of the flank after am.adapt, 6e-11 after am.solve: half and twice
-#: change nothing there
+#: part of the largest stress up to which stresses of a boundary are errors of the solve: on the open floor of a
+#: dovetail the friction bound is 1.6e-8 of the pressure of the flank after am.adapt, 6e-11 after am.solve. Half and
+#: twice change nothing there
 _SOLVE_ERROR = 1e-7
 
 

@@ -1,5 +1,7 @@
 """Other units than SI: of tables, pictures and reports; arrays stay in SI units."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -55,12 +57,14 @@ def test_pictures_have_the_units_that_are_set(chosen):
 
 def test_printed_texts_have_the_units_that_are_set(chosen):
     grids = am.Hierarchy.graded(am.cases.greco_bar(), sizes=(20e-3, 10e-3), contact_ratio=2)
+    by_body = replace(grids, origin="graded {1: 0.02, pin: 5e-05} m, ratio 2 at contact")
     assert "(graded 0.02, 0.01 m, ratio 2 at contact)" in str(grids)
     result = am.solve(grids)
     size = float(result.advice[0].split("at most ")[1].split(" m ")[0])
     step, *_ = am.adapt(am.cases.greco_bar(), start=20e-3, max_nodes=20)
     chosen("mm-MPa")
     assert "(graded 20, 10 mm, ratio 2 at contact)" in str(grids)
+    assert "(graded {1: 20, pin: 0.05} mm, ratio 2 at contact)" in str(by_body)
     assert f"at most {1e3 * size:.2g} mm there" in result.advice[0]
     assert am.Step.table([step])["pressure [MPa]"][0] == 1e-6 * step.result.max_pressure
 
