@@ -286,9 +286,9 @@ class Study:
                     runs = execute(task, self._claimed(todo, owner))
                     self._compute(runs, code, len(todo), progress, throw)
             except KeyboardInterrupt:
-                n_done = sum(state == "done" for _, _, state in self._rows(code))
+                n_stored = sum(state in ("done", "failed") for _, _, state in self._rows(code))
                 raise KeyboardInterrupt(
-                    f"study {self.name}: {n_done} of {len(rows)} runs are stored; run() computes the rest"
+                    f"study {self.name}: {n_stored} of {len(rows)} runs are stored; run() computes the rest"
                 ) from None
         table = self._table(code, False)
         done = table[table.attrs["columns"]["status"]] == "done"
