@@ -130,7 +130,8 @@ def coarse_displacements(hierarchy: Grids, displacement: np.ndarray) -> list[np.
 
 
 #: extrapolation is taken where it leaves less than this share of the residual of the nested start, whose error
-#: is rough and soon smoothed away; half and twice change none of 97 cycles of four load paths (campaign constants)
+#: is rough and soon smoothed away. 40 load paths of 10 and 20 steps to 1e-8 and 1e-5 take 2300 cycles; half 2302,
+#: twice 2289, the better one of both 2297, without extrapolation here 2647
 _EXTRAPOLATE = 0.05
 
 
@@ -165,8 +166,8 @@ def step_outcome(
     # under unchanged loads friction at its bound without slip has no direction: Newton steps may cycle
     is_repeated = isinstance(solver, ActiveSet) and np.array_equal(past.extrapolated, past.last)
     extrapolates = past.given and not past.near and (is_truncated or is_repeated)
-    rtol = getattr(solver, "rtol", "")
-    if extrapolates and not isinstance(rtol, str):  # "discretisation": the step sets the tolerance
+    rtol = getattr(solver, "rtol", None)
+    if extrapolates and isinstance(rtol, float):  # not "discretisation", which needs a nested start
         outcome = extrapolated_outcome(hierarchy.finest.discrete, rtol, examiner, run, past)
         if outcome is not None:
             return outcome, multigrid, past.extrapolated_levels[:-1]
