@@ -15,7 +15,6 @@ import ast
 import io
 import json
 import os
-import platform
 import re
 import shutil
 import subprocess
@@ -29,6 +28,8 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+
+from adaptmg._machine import processor
 
 HERE = Path(__file__).resolve().parent
 MEASURED, README = HERE.parent / "data" / "measured", HERE.parent / "README.md"
@@ -213,7 +214,8 @@ def record(
 
     lines = []
     measured.mkdir(exist_ok=True)
-    run = f"python studies/reproduce.py, commit {commit()}, {date.today()}, {machine()}"
+    machine = f"{processor()}, {os.cpu_count()} processors"
+    run = f"python studies/reproduce.py, commit {commit()}, {date.today()}, {machine}"
     for name in names:
         file = out / name / "section.json"
         for item in json.loads(file.read_text())["items"] if file.exists() else []:
@@ -235,14 +237,6 @@ def record(
     write_measured(measured / "readme.csv", pd.DataFrame(lines), "Numbers of the README", "", run)
     text = readme.read_text(encoding="utf-8")
     readme.write_text(TABLE.sub(lambda found: markdown(found[1], measured), text), encoding="utf-8")
-
-
-def machine() -> str:
-    """Return the name of the processor, where Linux reports one, and the number of processors."""
-    facts = Path("/proc/cpuinfo")
-    text = facts.read_text(encoding="utf-8") if facts.exists() else ""
-    name = re.search(r"model name\s*: (.*)", text)
-    return f"{name[1] if name else platform.machine()}, {os.cpu_count()} processors"
 
 
 def write_measured(file: Path, frame: pd.DataFrame, caption: str, note: str, run: str) -> None:
