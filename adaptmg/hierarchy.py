@@ -67,8 +67,8 @@ class Forecast(NamedTuple):
     seconds : float
         Of one processor like that of the measurements, meshes included, by the default method with
         a start on the coarsest level of this hierarchy; right to a factor of 4 in 14 cases, among
-        them balls between planes. Not where slaves are far stiffer than their masters: what takes
-        over then takes longer in space.
+        them balls between planes. Where slaves are far stiffer than their masters, another method
+        takes over, which takes longer in space.
 
     Examples
     --------
