@@ -497,17 +497,12 @@ def _report(parsed: Namespace) -> None:
     varied = [key for key in parameters if key not in fixed]
     table = frame(varied, [(record.parameters, record, record.status) for record in records])
     table.attrs |= {"study": name, "fixed": fixed}
-    units = _pairs("--unit", parsed.unit)
-    if unknown := sorted(set(units) - set(table)):
-        raise ValueError(
-            f"--unit: there is no column {unknown[0]}; there are {', '.join(map(str, table))}"
-        )
     study_report(
         table,
         page,
         parameters=varied,
         results=parsed.result,
-        units=units,
+        units=_pairs("--unit", parsed.unit),
         csv=csv.name,
         made=_origin(records),
     )

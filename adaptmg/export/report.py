@@ -448,7 +448,13 @@ def study_report(
     'study.html'
     """
     checks.instance("table", table, pd.DataFrame, "a pandas DataFrame")
-    for name, columns in (("parameters", parameters), ("results", results or ())):
+    units = checks.mapping("units", {} if units is None else units, "names to texts")
+    checks.mapping("made", {} if made is None else made, "names to texts")
+    for name, columns in (
+        ("parameters", parameters),
+        ("results", results or ()),
+        ("units", list(units)),
+    ):
         if missing := [column for column in checks.strings(name, columns) if column not in table]:
             raise ValueError(
                 f"{name} names columns the table does not have: {missing}; it has {list(table.columns)}"
@@ -458,9 +464,7 @@ def study_report(
     )
     for name, text in (("summary", summary), ("csv", csv)):
         checks.instance(name, text, str, "a text")
-    for name, given in (("units", units), ("made", made)):
-        checks.mapping(name, {} if given is None else given, "names to texts")
-    units = {column_names["seconds"]: "s"} | dict(units or {})
+    units = {column_names["seconds"]: "s"} | units
     status = column_names["status"]
     error = column_names["error"]
     done = table[table[status] == "done"] if status in table else table
