@@ -157,6 +157,7 @@ def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     for name in dict.fromkeys(support.path_name for support in posed.problem.supports):
         holds = [hold for hold in posed.holds if hold.support.path_name == name]
         fixed, values = held_components(points, holds)
+        fixed &= posed.fixed  # a support of another name may hold a node along another direction
         result[name] = np.flatnonzero(fixed), values[fixed]
     # jumps of periodic sides, along what supports leave free
     for tie, part in zip(posed.problem.ties, posed.ties, strict=True):

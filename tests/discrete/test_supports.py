@@ -296,6 +296,26 @@ def test_inclined_rollers_carry_a_uniform_pressure_exactly(
         assert indicator.indicate(grids, result).relative < 1e-6
 
 
+@pytest.mark.parametrize("factor", [1.0, -0.5])
+def test_a_plane_and_an_inclined_plane_of_a_path_move_their_common_nodes(factor):
+    """Without loads all of the body moves with its guides."""
+    shear = np.array([[1.0, 0.6], [0.0, 1.0]])
+    square = am.mesh.structured(am.Rectangle(width=1, height=1), 2)
+    mesh = replace(square, points=square.points @ shear.T)
+    shift = np.array([2e-4, -3e-4])
+    problem = am.ContactProblem(
+        material=am.PlaneStrain(young=1e7, poisson=0.3),
+        supports=[
+            am.Support("left", normal=mesh.surface("left").normals[0] @ shift),
+            am.Support("bottom", y=shift[1]),
+        ],
+    )
+    grids = am.Hierarchy.from_meshes(problem, [mesh])
+    path = am.LoadPath({"left": [factor], "bottom": [factor]})
+    moved = am.solve_path(grids, path, EXACT)[0].displacement
+    np.testing.assert_allclose(moved, np.tile(factor * shift, (mesh.n_nodes, 1)), atol=1e-12)
+
+
 def test_moving_planes_next_to_contact_compress_uniformly():
     """Two planes, not at right angles, push a body along its obstacle while a pressure shrinks it."""
     turn = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))[0]
