@@ -127,8 +127,8 @@ def test_a_law_may_return_itself_from_every_mesh(name):
     for law in (Wearing(), am.Coulomb(lambda x: 0.2 + 10 * x[:, 0])):
         problem = am.cases.greco_bar(law=law)
         if name is not None:
-            own = replace(problem.contact[0], law=law)
-            problem = replace(problem, contact=own, law=am.Frictionless())
+            contact = replace(problem.contact[0], law=law)
+            problem = replace(problem, contact=contact, law=am.Frictionless())
         results.append(am.solve(am.Hierarchy.uniform(problem, (4, 8, 16))).displacement)
     assert np.array_equal(*results)
 

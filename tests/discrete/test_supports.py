@@ -322,8 +322,8 @@ def test_moving_planes_next_to_contact_compress_uniformly():
     turn[0] *= np.linalg.det(turn)
     shear = turn @ [[1.0, 0.6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     unit = am.Box(width=1, depth=1, height=1)
-    meshes = [am.mesh.structured(unit, n) for n in (2, 4)]
-    meshes = [replace(one, points=one.points @ shear.T) for one in meshes]
+    straight = [am.mesh.structured(unit, n) for n in (2, 4)]
+    meshes = [replace(mesh, points=mesh.points @ shear.T) for mesh in straight]
     young, nu, pressure = 1e7, 0.3, 1e3
     shift = turn @ [2e-4, -3e-4, 0.0]
     normals = {name: meshes[0].surface(name).normals[0] for name in ("left", "front")}

@@ -471,8 +471,8 @@ def test_a_tie_between_a_plane_support_and_contact_bears_what_one_body_bears(shi
                 *[am.Support(f"{name}top", normal=-2e-3) for name in names],
             ],
         )
-        meshes = [am.mesh.structured(domain, n) for n in cells]
-        meshes = [replace(one, points=one.points @ turn.T) for one in meshes]
+        straight = [am.mesh.structured(domain, n) for n in cells]
+        meshes = [replace(mesh, points=mesh.points @ turn.T) for mesh in straight]
         result = am.solve(am.Hierarchy.from_meshes(problem, meshes))
         assert not result.certificate().contradictions(1e-8)
         forces.append(result.resultant("contact").force)

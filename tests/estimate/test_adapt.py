@@ -362,7 +362,7 @@ def test_doerfler_marks_a_smallest_set_that_holds_the_share(theta):
 
 
 def test_all_elements_with_an_error_are_marked_for_uniform_refinement():
-    """Also those that the sum loses by rounding; a share of 0 names the way."""
+    """Also those that the sum loses by rounding; the error for a share of 0 names them."""
     squares = np.array([1e-30, 0.0, 1.0, 1e-300, 0.3])
     assert am.Doerfler(1.0).mark(squares).tolist() == [True, False, True, True, True]
     with pytest.raises(ValueError, match=r"refine uniformly, take am.Doerfler\(1.0\)"):

@@ -144,9 +144,9 @@ def test_friction_without_contact_is_named():
     """Tresca's limit holds at open nodes, too, which carry most of the friction of a small patch."""
     with pytest.warns(
         UserWarning, match="'bottom': its open nodes carry .* N/m of friction"
-    ) as said:
+    ) as caught:
         result = am.solve(rubbed(am.Tresca(LIMIT)))
-    assert len(said) == 1 and said[0].filename == __file__
+    assert len(caught) == 1 and caught[0].filename == __file__
     contact = result.contact
     open_nodes = contact.state == am.OPEN
     friction = np.abs(contact.force_t[:, 0])

@@ -124,8 +124,10 @@ class TestSteps:
     @pytest.mark.parametrize("solver", [am.ActiveSet(), am.ActiveSet(condensed=False), None])
     def test_nothing_moves_or_slips_under_unchanged_loads(self, solver):
         grids = am.Hierarchy.uniform(am.cases.greco_block(), (2, 4))
-        _, before, *held = am.solve_path(grids, am.LoadPath(default=[0.5, 1.0, 1.0, 1.0]), solver)
-        for step in held:
+        _, before, *unchanged = am.solve_path(
+            grids, am.LoadPath(default=[0.5, 1.0, 1.0, 1.0]), solver
+        )
+        for step in unchanged:
             assert distance(step, before) <= 1e-13
             assert not step.contact.counts()["slip"]
 
@@ -190,10 +192,10 @@ class TestHistory:
         assert results[1].displacement.any() and distance(results[1], exact[1]) <= 1e-8
 
     @pytest.mark.parametrize("case", ["plane", "wider slave", "space"])
-    def test_steady_sliding_dissipates_friction_times_way(self, case):
+    def test_steady_sliding_dissipates_friction_times_distance(self, case):
         """A block that a pressure holds down is moved forth and back by its top; slave nodes at its
         ends take over the part of their neighbours."""
-        friction, pressure, way = 0.3, 1e7, 1e-4
+        friction, pressure, shift = 0.3, 1e7, 1e-4
         body, top, face, load = am.Rectangle(width=0.04, height=0.02), "top", "bottom", 4e5
         material, contact = STEEL, am.Contact("bottom", am.Plane((0.0, 0.0), (0.0, 1.0)))
         cells, held = [2, 4], ()
@@ -214,13 +216,13 @@ class TestHistory:
             contact=contact,
             law=am.Coulomb(friction),
             loads=(am.Pressure(top, pressure),),
-            supports=(am.Support(top, x=way, name="drag", **other), *held),
+            supports=(am.Support(top, x=shift, name="drag", **other), *held),
         )
         path = am.LoadPath({"drag": [1.0, 3.0, 0.0, -2.0, -2.5]}, default=1.0)
         steps = am.solve_path(am.Hierarchy.uniform(problem, cells), path, rtol=1e-10)
         assert abs(steps[-1].resultant(face).force[-1]) == pytest.approx(load)
         dissipated = np.diff(steps.dissipation)[[0, 2, 3]]  # not where it turns
-        assert dissipated == pytest.approx(friction * load * way * np.array([2.0, 2.0, 0.5]))
+        assert dissipated == pytest.approx(friction * load * shift * np.array([2.0, 2.0, 0.5]))
         unit = "J" if case == "space" else "J/m"
         assert steps.table()[f"dissipation [{unit}]"].iloc[-1] == steps.dissipation[-1]
 

@@ -174,7 +174,7 @@ def pin(law):
     return am.Hierarchy.graded(problem, sizes=(8e-3,)).finest.discrete
 
 
-def test_a_round_body_that_turns_freely_is_told_how_to_be_held():
+def test_the_error_for_a_round_body_that_turns_freely_says_how_to_hold_it():
     """It has no natural node to hold: the message names what helps, and a little friction does."""
     with pytest.raises(ValueError, match=r"rotation about .* half of a round body, or .* friction"):
         check_statics(pin(am.Frictionless()))

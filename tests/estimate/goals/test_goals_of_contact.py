@@ -34,9 +34,9 @@ def test_goals_of_contact_are_estimated_with_their_sign(case, quantity, value_of
         assert abs(exact - float(step.estimate.corrected[0])) < abs(error)
 
 
-def test_steady_sliding_on_a_narrower_master_dissipates_friction_times_way():
+def test_steady_sliding_on_a_narrower_master_dissipates_friction_times_distance():
     """Slave nodes next to the ends of the master take over the part of their neighbours."""
-    width, pressure, friction, way = 0.04, 1e7, 0.3, 1e-4
+    width, pressure, friction, shift = 0.04, 1e7, 0.3, 1e-4
     block = am.Rectangle(width=width, height=0.02)
     floor = am.Rectangle(width=0.1, height=0.02, origin=(-0.033, -0.02))
     problem = am.ContactProblem(
@@ -46,7 +46,7 @@ def test_steady_sliding_on_a_narrower_master_dissipates_friction_times_way():
         law=am.Coulomb(friction),
         loads=(am.Pressure("block.top", pressure),),
         supports=(
-            am.Support("block.top", x=way, name="drag"),
+            am.Support("block.top", x=shift, name="drag"),
             am.Support("floor.bottom", x=0.0, y=0.0),
         ),
     )
@@ -54,7 +54,7 @@ def test_steady_sliding_on_a_narrower_master_dissipates_friction_times_way():
     goal = am.Goal(am.Dissipation())
     step = next(am.adapt(problem, None, goal, load_path=path, max_nodes=400))
     assert (step.result.contact.measures > step.result.contact.weights).any()
-    energy = friction * pressure * width * 2 * way
+    energy = friction * pressure * width * 2 * shift
     assert float(step.estimate.value) == pytest.approx(energy, rel=1e-6)
 
 
