@@ -200,8 +200,12 @@ def test_slips_beyond_an_element_count_between_bodies_alone():
         am.solve(pushed(15e-3), throw=False)
     # a plane is the same everywhere, also after a motion
     problem = bar().problem
-    pulled = am.Moving(problem.contact[0].obstacle, displacement=(15e-3, 0))
-    problem = replace(problem, contact=am.Contact("bottom", am.Moving(pulled, displacement=(0, 0))))
+    raised = am.Moving(problem.contact[0].obstacle, displacement=(0.0, 1e-6))
+    problem = replace(
+        problem,
+        contact=am.Contact("bottom", am.Moving(raised, displacement=(0.0, 0.0))),
+        supports=am.Support("top", x=15e-3, y=0.0),
+    )
     assert not warned(lambda: am.solve(am.Hierarchy.uniform(problem, divisions=(4, 8))))
 
 

@@ -101,9 +101,10 @@ def test_slips_by_hand(slip, stick, expected):
     np.testing.assert_array_equal(am.transfer.injected_slip(LINE, slip)[:, 0], [*slip[::2, 0], 0])
 
 
-def test_slips_in_the_plane_by_hand():
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+def test_slips_in_the_plane_by_hand(angle):
     slip = np.array([[3.0, 0], [1, 1e-8], [2, 0], [0, 2], [0, 1]])
-    turn = rotation(0.7)
+    turn = rotation(angle)
 
     def found(slip, *stick, function=am.transfer.minmod_slip):
         return function(LINE, slip @ turn, *stick) @ turn.T
