@@ -80,7 +80,7 @@ def assembled(
     values = posed.prescribed
     contact = posed.contact
     if slip_reference is not None:
-        # slips count from there and from the motion of obstacles
+        # slips count from these displacements plus the motion of obstacles
         before = checks.array("slip_reference", slip_reference, mesh.points.shape)[contact.nodes]
         contact = replace(contact, slip_reference=before + contact.slip_reference)
     materials = posed.materials
@@ -120,8 +120,8 @@ def assembled(
 
 
 def _strain_free(posed: Posed, volumes: Volumes) -> dict[str, Any]:
-    """Return what initial strains make of a problem in addition to loads: ``strain_free``, None without
-    them, and the volumes with their expansion."""
+    """Return the parts of a problem that depend on initial strains, apart from the load:
+    ``strain_free``, None without them, and the volumes with their expansion."""
     problem = posed.problem
     mesh = posed.mesh
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]

@@ -120,7 +120,7 @@ class Moduli:
 
 
 def inelastic_bodies(materials: tuple[Elastic, ...]) -> np.ndarray:
-    """Return which bodies (n_bodies,) are plastic, or of another material with a history."""
+    """Return the mask (n_bodies,) of bodies that are plastic, or of another material with a history."""
     return np.array([elastic.inelastic is not None for elastic in materials])
 
 

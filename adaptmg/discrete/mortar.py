@@ -1,4 +1,4 @@
-r"""What couples the contact nodes of a slave surface to the surface of another body: dual mortar
+r"""The coupling of the contact nodes of a slave surface to the surface of another body by dual mortar
 multipliers.
 
 The point opposite slave node j moves by :math:`\sum_k B_{jk} u_k`, a combination of the nodes of

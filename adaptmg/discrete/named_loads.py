@@ -33,7 +33,7 @@ class LoadSteps:
     n_dofs: int
     loads: Mapping[str, np.ndarray]  # dict of str to (n_dofs,)
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
-    # likewise of nodes held along directions that are not axes, where the parts of all names add up
+    # the same for nodes held along directions that are not axes; the parts of all names add up there
     inclined: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     # stress data without initial strains; Any: None without a problem, which then has no strains
     stress: StressData | Any = None
@@ -163,7 +163,7 @@ def _prescribed(posed: Posed) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     for tie, part in zip(posed.problem.ties, posed.ties, strict=True):
         if isinstance(tie, Periodic) and tie.jump is not None:
             free = ~posed.fixed[part.nodes]
-            dofs = (points.shape[1] * part.nodes[:, None] + np.arange(points.shape[1]))[free]
+            dofs = dofs_of(part.nodes, posed.mesh.dim)[free.reshape(-1)]
             jumps = jump_of(tie, part.nodes, posed)[free]
             before = result.get(tie.path_name, (dofs[:0], jumps[:0]))
             result[tie.path_name] = tuple(map(np.append, before, (dofs, jumps)))

@@ -137,7 +137,8 @@ def along_free(
 
 
 def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return where (n,) supports hold a part of the normal, however small, and not all of it."""
+    """Return the mask (n,) of nodes of which supports hold a part of the normal, however small, and not
+    all of it."""
     return (np.linalg.norm(free, axis=1) > checks.ALIKE) & (free != normals).any(axis=1)
 
 

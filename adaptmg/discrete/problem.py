@@ -1,4 +1,4 @@
-r"""What is solved: a contact problem as arrays and matrices.
+r"""The discrete problem: a contact problem as arrays and matrices.
 
 Find u with :math:`A u - b = r`, r = 0 except at fixed dofs and at contact nodes, where with the
 outward unit normal n and :math:`u_n = u\cdot n,\; p = -r_n,\; f_t = r_t`
@@ -517,7 +517,7 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
 
 
 def _relative_motions(coupling: Coupling, motions: Callable[[], np.ndarray]) -> np.ndarray:
-    """Return what ``motions`` computes, rigid motions (n_dofs, k), in relative coordinates."""
+    """Return the rigid motions (n_dofs, k) that ``motions`` computes, in relative coordinates."""
     return coupling.relative(motions())
 
 

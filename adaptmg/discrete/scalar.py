@@ -87,9 +87,9 @@ class ScalarProblem(checks.Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        known = None if self.domain is None else self.domain.boundaries
-        for boundary in self.held or ():
-            checks.choice("held", boundary, known or (boundary,))
+        if self.domain is not None and self.domain.boundaries is not None:
+            for boundary in self.held or ():
+                checks.choice("held", boundary, self.domain.boundaries)
 
     def conductivity_on(self, mesh: MeshArrays) -> np.ndarray:
         """Return the conductivity (n_elements,) at the centroids of elements."""

@@ -128,9 +128,9 @@ class Inclined:
         return supports.lifted(parts | changed)
 
     def lifted(self, parts: dict[str, Any]) -> dict[str, Any]:
-        """Return parts of a problem with the load b' in place of b, with the volumes under the
-        displacement that supports prescribe, a part of ``fixed_values``, and with ``strain_free`` that
-        makes the energy of A' that of A; see ``DiscreteProblem.stress_energy``."""
+        """Return parts of a problem under the displacement that supports prescribe along these
+        directions, a part of ``fixed_values``: with the load b', the strain of the volumes, and the
+        ``strain_free`` by which ``DiscreteProblem.stress_energy`` of A' is that of A."""
         if not len(self):
             return parts
         values = parts["fixed_values"]
@@ -141,8 +141,8 @@ class Inclined:
         held.reshape(-1, along.shape[1])[self.nodes] = self.stiffness[:, None] * along
         load, energy = parts["strain_free"] or (0.0, 0.0)
         volumes = parts["volumes"]
-        # b' = (I - Z) (b - A ubar) + Z D ubar; the energy of A is that of A' less 2 u . load plus the
-        # number, here -(I - Z) A ubar and ubar'A ubar - ubar'D ubar
+        # b' = (I - Z) (b - A ubar) + Z D ubar, and u'A u = u'A'u - 2 u . load + energy with the load
+        # -(I - Z) A ubar and the energy ubar'A ubar - ubar'D ubar
         return parts | {
             "load": self.free_part(parts["load"] - forces) + held,
             "strain_free": (
@@ -427,7 +427,7 @@ class Boundaries:
 
     @property
     def fixed(self) -> np.ndarray:
-        """Return which components (n_nodes, dim) supports hold."""
+        """Return the mask (n_nodes, dim) of the components that supports hold."""
         return self._components[0]
 
     @cached_property

@@ -206,7 +206,7 @@ def settled(estimate: Estimate, before: Estimate | None) -> bool | None:
         return False
     values, errors = _values_and_errors(estimate)
     old_values, old_errors = _values_and_errors(before)
-    # of the corrected values; quantities of another number cannot be compared
+    # the change of the corrected values; another number of quantities cannot be compared
     change = np.inf
     if values.shape == old_values.shape:
         change = np.abs(values + errors - old_values - old_errors)
@@ -673,7 +673,7 @@ def _path_estimate(
     for step_estimate in estimates.values():
         # a quantity that is zero has no relative error: above 1 all steps count alike
         weight = min(step_estimate.relative, 1.0) ** 2
-        # of the squares of an element, over their sum, times the square of the relative estimate
+        # the squares over their sum, times the square of the relative estimate
         shares.append(weight / (step_estimate.squares.sum() or 1.0) * step_estimate.squares)
     return k, estimates[k], replace(estimates[k], squares=np.max(shares, axis=0))
 

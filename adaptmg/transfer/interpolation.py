@@ -1,4 +1,4 @@
-r"""What a transfer is, and point interpolation: the coarse function evaluated at the fine nodes.
+r"""Transfers, and point interpolation: the coarse function evaluated at the fine nodes.
 
 .. math:: u_f(x_i) \leftarrow \sum_j P_{ij}\, u_c(x_j), \qquad P_{ij} = \varphi^c_j(x_i), \qquad \sum_j P_{ij} = 1
 
