@@ -72,6 +72,7 @@ _WORDS = {
     "FieldLikeOrArray": "number",
     "bool": "{true, false}",
     "MeshLike": "file",
+    "Sequence": "list of numbers",
 }
 
 
@@ -149,12 +150,12 @@ def _choices(names: Iterable[str]) -> str:
 
 def _words(item: inspect.Parameter) -> str:
     """Return the choices of an argument, or words for its types."""
-    text = str(item.annotation)
-    if text.startswith("Literal"):
-        return _choices(re.findall(r"'(.*?)'", text))
-    if text.startswith("Sequence"):
-        return "list of numbers"
-    return " or ".join(_WORDS[name] for name in text.split(" | ") if name in _WORDS)
+    words = []
+    for kind in str(item.annotation).split(" | "):
+        name, _, values = kind.partition("[")
+        choices = _choices(re.findall(r"'(.*?)'", values))
+        words.append(choices if name == "Literal" else _WORDS.get(name))
+    return " or ".join(dict.fromkeys(filter(None, words)))
 
 
 def _default(value: object) -> str:

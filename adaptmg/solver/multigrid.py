@@ -105,7 +105,7 @@ class Multigrid:
     coarse: CoarseSolve | None = None
     coarse_matrices: Literal["galerkin", "discretised"] | None = None
     stop: Literal["error", "change"] | None = None
-    rtol: float | str = 1e-8
+    rtol: float | Literal["discretisation"] = 1e-8
     max_cycles: int = 100
 
     __repr__ = brief
