@@ -37,6 +37,33 @@ def turned(mesh, turn):
     )
 
 
+def dragged_block(dim, floor):
+    """A block that 1e7 Pa press on a plane, or on a wider floor that is the slave, with friction 0.3;
+    the support "drag" moves its top by 1e-4 m. Slave nodes next to the ends of the block take over
+    the part of their neighbours."""
+    body = am.Box(width=0.04, depth=0.03, height=0.02)
+    if dim == 2:
+        body = am.Rectangle(width=0.04, height=0.02)
+    top = "top"
+    contact = am.Contact("bottom", am.Plane(np.zeros(dim), np.eye(dim)[-1]))
+    supports = []
+    if floor:
+        lower = am.Rectangle(width=0.1, height=0.02, origin=(-0.033, -0.02))
+        body = am.Assembly(parts={"block": body, "floor": lower})
+        top = "block.top"
+        contact = am.ContactPair("floor.top", "block.bottom")
+        supports = [am.Support("floor.bottom", x=0.0, y=0.0)]
+    drag = am.Support(top, x=1e-4, y=0.0 if dim == 3 else None, name="drag")
+    return am.ContactProblem(
+        domain=body,
+        material=MATERIALS[dim][0],
+        law=am.Coulomb(0.3),
+        contact=contact,
+        loads=am.Pressure(top, 1e7),
+        supports=[drag, *supports],
+    )
+
+
 def held_at_points(problem, mesh, exact, points, load=0.0):
     """The discrete problem with prescribed values of ``exact`` (n_nodes, dim) at some (node,
     component)."""

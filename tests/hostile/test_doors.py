@@ -377,7 +377,6 @@ def computed():
         (lambda: am.Step.table([3]), r"steps\[0\] must be Step"),
         (lambda: am.Bounds(lower=1.0, upper=0.5), "lower must be <= upper, got 1.0 and 0.5"),
         (lambda: am.Bounds(upper="1"), "upper must be an array of real numbers, got '1'"),
-        (lambda: am.Bounds(weights=OTHER), "weights must be an array of real numbers"),
         (lambda: am.ScalarProblem(conductivity=0), "conductivity must be > 0, got 0"),
         (
             lambda: am.ScalarProblem(domain=UNIT, held=("lft",)),
@@ -387,8 +386,6 @@ def computed():
         (lambda: line().pressure([0.0, NAN]), "distance must be finite"),
         (lambda: solved().certificate().contradictions(NAN), "rtol must be finite, got nan"),
         (lambda: am.solve_path(grids(), am.LoadPath()).count(OTHER), "value must be Result"),
-        (lambda: am.solve(grids(), am.Multigrid(), rtol=0.1), "rtol must not be given with a sol"),
-        (lambda: am.Multigrid(cycle=am.Cycle()), r"give correction=am.Truncated\(correct="),
     ],
 )
 def test_what_no_type_shows_is_refused_by_name(call, says):

@@ -333,7 +333,7 @@ def test_certificate_allows_that_forces_of_rounding_move_a_soft_surface():
     [
         (lambda p, s: 0.5 * np.exp(-p / 2e7), "falls with the pressure"),
         (lambda p, s: 0.2 + 0.6 * np.exp(-s / 1e-7), "falls with the slip"),
-        # twice the coefficient counts, which is 10 at PRESSURE, 0 without
+        # the slope of friction over pressure is 20 at PRESSURE, and 0 without pressure
         (lambda p, s: 10 * p / PRESSURE, "a slope of friction over pressure of .* exceeds"),
         (lambda p, s: 20.0 + 0 * p, "friction 20 exceeds"),
     ],
