@@ -2,8 +2,8 @@ r"""contact: pressure, friction, gap and slip along contact lines, maps of them 
 surfaces; and load_history: quantities of a sequence of load steps against the load, and the contact
 pressure of each step.
 
-Lines are drawn against x or y where they are straight or nearly so, else against the arc length. A
-surface is seen along its mean normal; where that is short, as around a hole, it is unrolled: the direction
+Lines that run nearly along x or y are drawn against it, others against the arc length. A surface is
+seen along its mean normal; where that is short, as around a hole, it is unrolled: the direction
 across all normals is the axis, and the coordinates are the angle of the normal and the length along
 the axis."""
 

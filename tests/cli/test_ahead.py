@@ -43,6 +43,23 @@ for child in psutil.Process().children():
         time.sleep(0.1)
 """
 
+#: starts the other process, ends it, and prints whether the system still lists it
+ENDED = """
+import time
+import adaptmg._machine as machine
+machine.has_idle_processor = lambda: True
+import psutil
+from adaptmg._numba import _compile_ahead
+_compile_ahead()
+while not (children := psutil.Process().children()):
+    time.sleep(0.01)
+children[0].kill()
+end = time.monotonic() + 10.0
+while psutil.pid_exists(children[0].pid) and time.monotonic() < end:
+    time.sleep(0.01)
+print(psutil.pid_exists(children[0].pid))
+"""
+
 
 def run(code: str, folder: Path, **environment: str) -> list[str]:
     """Return the lines that a new process in a folder prints; warnings are errors."""
@@ -62,6 +79,10 @@ def test_the_second_process_knows_the_kernels_of_a_first_solve(tmp_path: Path):
     called = set(run(SOLVED, tmp_path))
     recorded = set(run(RECORDED, tmp_path))
     assert len(called) > 30 and called <= recorded
+
+
+def test_a_second_process_that_has_ended_leaves_no_zombie(tmp_path: Path):
+    assert run(ENDED, tmp_path, NUMBA_NUM_THREADS="2") == ["False"]
 
 
 @pytest.mark.slow
