@@ -237,9 +237,9 @@ class InitialStrain(Acting):
     r"""Stress-free strain of one body: thermal expansion, the imposed shortening of a bolt.
 
     The stress is :math:`\sigma = C (\varepsilon - \varepsilon_0)`, the load
-    :math:`\int C \varepsilon_0 : \varepsilon(v)`. Elements see the mean of a function over them: a
-    temperature that is linear over the height of a bar bends it .71, .94 and .99 of what it should
-    with 2, 4 and 8 smoothed elements over the height, .38, .70 and .90 with linear ones.
+    :math:`\int C \varepsilon_0 : \varepsilon(v)`. Elements see the mean of a function over them: with 2,
+    4 and 8 square cells over the height, a temperature that is linear over it bends a sheet ten times
+    as long .80, .96 and .99 of what it should with smoothed elements, .60, .85 and .96 with linear ones.
 
     Parameters
     ----------
