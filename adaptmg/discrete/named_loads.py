@@ -7,18 +7,19 @@ combination of them:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from adaptmg import _checks as checks
 from adaptmg.discrete.coordinates import dofs_of
 from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import held_components
+from adaptmg.discrete.supports import Held, held_components
 from adaptmg.discrete.ties import jump_of
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.problem.load_path import DEFAULT
@@ -35,6 +36,7 @@ class LoadSteps:
     prescribed: Mapping[str, tuple[np.ndarray, np.ndarray]]  # dict of str to ((n,) int, (n,))
     # the same for nodes held along directions that are not axes; the parts of all names add up there
     inclined: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    holds: Sequence[Held] = ()
     # stress data without initial strains; Any: None without a problem, which then has no strains
     stress: StressData | Any = None
     strains: Mapping[str, np.ndarray] = field(
@@ -96,25 +98,32 @@ class LoadSteps:
     def fixed_values(self, factors: Mapping[str, float]) -> np.ndarray:
         """Return the prescribed displacement (n_dofs,) of a step, zero at free dofs, m."""
         result = np.zeros(self.n_dofs)
-        support_of_dof = np.full(self.n_dofs, -1)
-        for k, (name, (dofs, values)) in enumerate(self.prescribed.items()):
-            scaled = factors.get(name, 1.0) * values
-            # a dof of two supports must get the same value from both
-            differs = np.abs(result[dofs] - scaled) > 1e-12 * np.abs(scaled)
-            clash = (support_of_dof[dofs] >= 0) & differs
-            if clash.any():
-                dof = int(dofs[np.argmax(clash)])
-                other = list(self.prescribed)[support_of_dof[dof]]
-                raise ValueError(
-                    f"the factors of {other!r} and {name!r} prescribe different displacements, "
-                    f"{result[dof]:g} and {scaled[np.argmax(clash)]:g} m, at dof {dof}, which both fix: "
-                    "give both the same factors"
-                )
-            result[dofs] = scaled
-            support_of_dof[dofs] = k
+        for name, (dofs, values) in self.prescribed.items():
+            result[dofs] = factors.get(name, 1.0) * values
         for name, (dofs, values) in self.inclined.items():
             result[dofs] += factors.get(name, 1.0) * values
+        self._check_holds(result, factors)
         return result
+
+    def _check_holds(self, prescribed: np.ndarray, factors: Mapping[str, float]) -> None:
+        """Raise ValueError if a displacement (n_dofs,), m, is not that of every support, where several
+        hold a node along one direction."""
+        allowed = checks.ALIKE * np.abs(prescribed).max(initial=0.0)
+        for hold in self.holds:
+            moved = prescribed.reshape(-1, len(hold.direction))[hold.nodes] @ hold.direction
+            wanted = factors.get(hold.support.path_name, 1.0) * hold.values
+            differs = np.abs(moved - wanted) > allowed
+            if differs.any():
+                node = hold.nodes[np.argmax(differs)]
+                names = dict.fromkeys(
+                    other.support.path_name
+                    for other in self.holds
+                    if node in other.nodes and other.direction @ hold.direction != 0
+                )
+                raise ValueError(
+                    f"the factors of {' and '.join(map(repr, names))} prescribe different displacements at "
+                    f"node {node}, which all of them hold: give them the same factors"
+                )
 
 
 def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
@@ -143,6 +152,7 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
         loads=loads,
         prescribed=_prescribed(posed),
         inclined={name: (dofs, part.reshape(-1)) for name, part in posed.inclined.moved.items()},
+        holds=posed.holds,
         stress=StressData.of(mesh, posed.materials, elements=problem.elements),
         strains=strains,
         strain_loads=strain_loads,

@@ -316,6 +316,26 @@ def test_a_plane_and_an_inclined_plane_of_a_path_move_their_common_nodes(factor)
     np.testing.assert_allclose(moved, np.tile(factor * shift, (mesh.n_nodes, 1)), atol=1e-12)
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_supports_along_one_normal_that_part_in_a_path_are_refused(angle):
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0.5)]) @ turn.T
+    problem = am.ContactProblem(
+        domain=am.Polygon(
+            vertices=corners.tolist(), boundaries=["bottom", "right", "top", "upper", "lower"]
+        ),
+        material=am.PlaneStrain(young=1e7, poisson=0.3),
+        supports=[
+            am.Support("upper", normal=1e-3),
+            am.Support("lower", normal=1e-3),
+            am.Support("bottom", normal=0.0),
+        ],
+    )
+    grids = am.Hierarchy.graded(problem, sizes=(0.5, 0.25))
+    with pytest.raises(ValueError, match="'upper' and 'lower' prescribe different displacements"):
+        am.solve_path(grids, am.LoadPath({"upper": [1.0], "lower": [0.5]}), EXACT)
+
+
 def test_moving_planes_next_to_contact_compress_uniformly():
     """Two planes, not at right angles, push a body along its obstacle while a pressure shrinks it."""
     turn = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))[0]
