@@ -70,8 +70,8 @@ ACCURACY = 10.0
 _MOST = 40  # contact problems in a step on a level
 # of the size of the unknowns so far: half 535 cycles, at most 47 a step, twice 553, at most 51
 _DIFFERENCE = 0.02
-# unknowns of the level on which motions are found first: half 535 cycles, twice 443 and 93 guides, 700 here 497, at
-# most 26 a step
+# unknowns of the level on which motions are found first: half 535 cycles, twice 443 and 93 guides, 700 unknowns 497
+# cycles, at most 26 a step
 _GUIDING = 2500
 # deviation of forces, over their size, up to which they count as met there: half 510 cycles, at most 27 a step, twice
 # 548, at most 48

@@ -11,7 +11,7 @@ from the solution.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, cast
 
@@ -138,8 +138,7 @@ def nested_start(
     ``prolonged`` from level to level, ``cycled`` on those between."""
     with run.phase("start"):
         state = coarsest()
-    for number in range(1, levels):
-        with run.phase("start"):
+        for number in range(1, levels):
             state = prolonged(number, state)
             run.visit(number, "start")
             if number < levels - 1:  # on the finest level the method itself goes on
@@ -324,11 +323,8 @@ class StopTest:
     @property
     def stalled(self) -> bool:
         """Return whether the change has not reached a new minimum for ``PATIENCE`` iterates."""
-        return self._no_new_minimum(self.changes)
-
-    def _no_new_minimum(self, values: Sequence[float]) -> bool:
-        """Return whether the least value is more than ``PATIENCE`` values old."""
-        return len(values) > self.PATIENCE and int(np.argmin(values)) < len(values) - self.PATIENCE
+        iterates = len(self.changes)
+        return iterates > self.PATIENCE and int(np.argmin(self.changes)) < iterates - self.PATIENCE
 
     def _small_enough(self) -> bool:
         return self.error_estimate <= self.rtol and self.residual_met

@@ -208,7 +208,7 @@ class LocalLevels:
         return nested_start(self.run, len(self.hierarchy), coarsest, prolonged, cycled)
 
     def shortfall(self, state: State, rtol: float) -> float:
-        """Return by how much the certificate finds a state short of a tolerance."""
+        """Ask the certificate about a state; see :class:`~adaptmg.solver.iterate.StopTest`."""
         return self.run.shortfall(self.finest.to_cartesian(state.unknowns), rtol)
 
     def outcome(self, state: State, status: Status, stop: StopTest, rtol: float) -> Outcome:
