@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial, wraps
 from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar
 
@@ -497,7 +497,7 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     if strain_free is not None:
         strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
     volumes = parts["volumes"]
-    volumes = volumes.with_rows(coupling.relative_rows(volumes.rows))
+    volumes = replace(volumes, rows=coupling.relative_rows(volumes.rows))
     if parts.get("ties"):  # the relative displacement of tied nodes is fixed
         tied = parts["fixed"].copy().reshape(weights.shape[0], -1)
         for _, _, nodes, _ in parts["ties"]:

@@ -123,7 +123,7 @@ class Inclined:
         free_rows = sparse.csr_array(volumes.rows - volumes.rows @ held)
         changed = {
             "matrix": checks.narrowed(eliminated),
-            "volumes": volumes.with_rows(checks.narrowed(free_rows)),
+            "volumes": replace(volumes, rows=checks.narrowed(free_rows)),
         }
         return supports.lifted(parts | changed)
 
@@ -244,13 +244,9 @@ def held_by(
     for support in supports:
         directions: list[tuple[np.ndarray, int | None, FieldLike]] = []
         components = list(support.components(mesh.dim))
-        normal = (
-            0.0
-            if isinstance(support, Symmetry)
-            else support.normal
-            if isinstance(support, Support)
-            else None
-        )
+        normal = support.normal if isinstance(support, Support) else None
+        if isinstance(support, Symmetry):
+            normal = 0.0
         if normal is not None:
             normals = surfaces[cast("str", support.boundary)].normals  # with a normal, no point
             direction = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))

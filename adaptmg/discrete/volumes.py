@@ -123,10 +123,6 @@ class Volumes:
     def _dim(self) -> int:
         return self.rows.shape[1] // self.means.shape[1]
 
-    def with_rows(self, rows: sparse.csr_array) -> Volumes:
-        """Return these groups with ``rows`` that act on other unknowns."""
-        return replace(self, rows=rows)
-
     def expanding(self, mesh: MeshArrays, strain: np.ndarray, axisymmetric: bool) -> Volumes:
         """Return these groups with the expansion of initial strains (n_elements, 3) of elements."""
         if not len(self):

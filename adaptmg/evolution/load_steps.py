@@ -577,7 +577,7 @@ class Guide:
             inclined=discrete.inclined,
             law=discrete.law,
             contact=contact,
-            volumes=discrete.volumes.with_rows(discrete.volumes.rows @ basis),
+            volumes=replace(discrete.volumes, rows=discrete.volumes.rows @ basis),
         )
         run = Run(unit=posed.finest.discrete.matrix.nnz)
         with run.phase("start"):
