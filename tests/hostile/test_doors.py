@@ -377,6 +377,7 @@ def computed():
         (lambda: am.Step.table([3]), r"steps\[0\] must be Step"),
         (lambda: am.Bounds(lower=1.0, upper=0.5), "lower must be <= upper, got 1.0 and 0.5"),
         (lambda: am.Bounds(upper="1"), "upper must be an array of real numbers, got '1'"),
+        (lambda: am.Bounds(weights=OTHER), "weights must be an array of real numbers"),
         (lambda: am.ScalarProblem(conductivity=0), "conductivity must be > 0, got 0"),
         (
             lambda: am.ScalarProblem(domain=UNIT, held=("lft",)),
