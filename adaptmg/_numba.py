@@ -190,7 +190,8 @@ _FIRST = ("mesh.delaunay._put", "discrete.elasticity._shape_gradients")
 def _compile_ahead() -> None:
     """Let a second process compile the kernels of a first solve, from the last one to the first,
     while this one needs them from the first to the last, where a processor is idle and the code is
-    stored. Workers start none, nor does the program around an embedded Python start again."""
+    stored. Workers start no such process, nor does an embedded Python, whose executable is another
+    program."""
     from multiprocessing import parent_process
 
     is_stored = not _warn_of_no_cache.cache_info().misses

@@ -160,9 +160,11 @@ def _words(item: inspect.Parameter) -> str:
 
 def _default(value: object) -> str:
     """Return a default as text; "" for objects and None."""
-    if isinstance(value, bool | str):
-        return str(value).lower() if isinstance(value, bool) else value
-    return f"{value:g}" if isinstance(value, int | float) else ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return f"{value:g}"
+    return value if isinstance(value, str) else ""
 
 
 def arguments_of(function: Maker, values: Arguments, prefix: str, what: str) -> Arguments:

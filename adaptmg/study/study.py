@@ -276,8 +276,7 @@ class Study:
                 from adaptmg.study.cluster import opened
 
                 if workers is not None and progress is not False:
-                    count = min(workers, len(todo))
-                    say(f"adaptmg: starting {count} worker{'s' * (count > 1)}")
+                    say(f"adaptmg: starting workers: {min(workers, len(todo))}")
                 executor = opened(workers, scheduler, len(todo), memory)
             task = Task(self._function, code, tuple(self._depends), limit_s)
             owner = new_owner()
