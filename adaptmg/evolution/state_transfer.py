@@ -69,7 +69,7 @@ def transfer_state(old_grids: Grids, result: Result, new_grids: Grids) -> Result
         the contact nodes and, with plastic bodies, means of the state, the plastic strain and the
         stress. It is not in equilibrium, which its status TRANSFERRED says: its contact forces and
         reactions are zero, its residual is NaN. A load step with the same loads restores equilibrium.
-        There the forces of plastic bodies dip below those of ``result``, by 3 to 6 % in the middle of
+        There the forces of plastic bodies dip below those of ``result``, by 3 to 7 % in the middle of
         a path of Prandtl's punch; in the next step they differ from those of an uninterrupted path
         on the new mesh by .05 % with smoothed elements on 1900 nodes, by .2 % with linear ones, and
         with these on 7500 nodes by .12 %.
