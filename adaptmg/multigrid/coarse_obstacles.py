@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from adaptmg.mesh.arrays import mask_of
 from adaptmg.multigrid.cycle import CoarseSolve, CorrectionLevel, Cycle, Monotone, MultigridCycle
 from adaptmg.multigrid.truncated_step import TruncatedState, TruncatedStep
 from adaptmg.smoother.gauss_seidel import ProjectedGaussSeidel
@@ -49,26 +50,32 @@ class CoarseObstacles:
 
 
 def _levels(step: TruncatedStep) -> list[CorrectionLevel]:
-    """Return the levels up to that of the step, coarsest first."""
-    result: list[CorrectionLevel] = []
-    nodes = step.contact.nodes
-    for number in range(step.number, -1, -1):
-        level = step.cycle.levels[number]
-        n = level.matrix.n_dofs
-        fixed = np.isin(np.arange(n), level.matrix.fixed)
-        # nothing reads the matrix of the level of the step
-        matrix = step.base_matrix(number) if result else sparse.bsr_array(sparse.eye_array(n))
-        # result[0] is the next finer level, and gets the transfers from this one
-        if result:
-            free = sparse.diags_array((~fixed).astype(float))
-            result[0].prolongation = sparse.csr_array(
-                step.cycle.levels[number + 1].prolongation @ free
-            )
-            # nodes of this level are contact nodes where they reach some of the finer one
-            rows = result[0].prolongation[nodes]
-            rows.eliminate_zeros()
-            nodes = np.unique(rows.indices)
-            result[0].restriction = sparse.csr_array(result[0].prolongation.T)
-            result[0].contact_prolongation = rows[:, nodes]
-        result.insert(0, CorrectionLevel(LocalSystem.from_matrix(matrix, fixed, nodes)))
-    return result
+    """Return the levels up to that of the step, coarsest first. The problem is scalar: a node has the
+    number of its dof."""
+    levels = step.cycle.levels
+    # of the level of the step the cycle reads the contact nodes only: the state has the residual
+    finest = levels[step.number].matrix
+    identity = sparse.bsr_array(sparse.eye_array(finest.n_dofs))
+    fine = _level(identity, finest.fixed, step.contact.nodes)
+    result = [fine]  # finest first
+    for number in range(step.number - 1, -1, -1):
+        fixed = levels[number].matrix.fixed
+        prolongation = levels[number + 1].prolongation
+        # columns of fixed coarse nodes are zero: values there do not reach the finer levels
+        free = sparse.diags_array((~mask_of(fixed, prolongation.shape[1])).astype(float))
+        fine.prolongation = sparse.csr_array(prolongation @ free)
+        fine.restriction = sparse.csr_array(fine.prolongation.T)
+        # coarse nodes are contact nodes where they reach some of the fine ones
+        contact_rows = fine.prolongation[fine.system.nodes]
+        contact_rows.eliminate_zeros()
+        nodes = np.unique(contact_rows.indices)
+        fine.contact_prolongation = contact_rows[:, nodes]
+        fine = _level(step.base_matrix(number), fixed, nodes)
+        result.append(fine)
+    return result[::-1]
+
+
+def _level(matrix: sparse.bsr_array, fixed: np.ndarray, nodes: np.ndarray) -> CorrectionLevel:
+    """Return a level with the numbers of its fixed dofs and of its contact nodes, without transfers."""
+    system = LocalSystem.from_matrix(matrix, mask_of(fixed, matrix.shape[0]), nodes)
+    return CorrectionLevel(system)

@@ -110,16 +110,22 @@ def correction_contact(
     residual (n_dofs,)."""
     values = unknowns.reshape(-1, system.dim)[system.nodes]
     fine_slip = values[:, 1:] - contact.slip_reference
-    # |E| is a bound of what a correction changes in a slip that is held along one tangent
+    # where a support moves a node along one tangent, a correction E changes the length of its slip tau
+    # by at most |E|: | |tau + E| - |tau| | <= |E|, which is the term |U + E| of the coarse friction
+    # with U = 0
     fine_slip[contact.driven] = 0.0
-    slip_data = fine_slip, sliding_limit(system, contact, residual), initial
-    # D from the openings g0 - w_n; of a second obstacle from those on the other side
-    transported = correction.transport(reach, contact.gap - values[:, 0], *slip_data)
-    gap, slip, limit = _transported(correction, coarse, transported)
+    fine_limit = sliding_limit(system, contact, residual)
+
+    def transported(opening: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return D, U and G for the distances (n_contact,), m, to one of the obstacles."""
+        returned = correction.transport(reach, opening, fine_slip, fine_limit, initial)
+        return _checked_transport(correction, coarse, returned)
+
+    gap, slip, limit = transported(contact.gap - values[:, 0])
     lowest = None
     if contact.lowest is not None:
-        transported = correction.transport(reach, values[:, 0] - contact.lowest, *slip_data)
-        lowest = -_transported(correction, coarse, transported)[0]
+        # U and G do not depend on the obstacle
+        lowest = -transported(values[:, 0] - contact.lowest)[0]
     slip = np.where(coarse.fixed.reshape(-1, coarse.dim)[coarse.nodes][:, 1:], 0.0, slip)
     # G |U + E_t|: the slip of E counts from -U, with the limit frozen, so that friction is zero
     return NodalContact(
@@ -127,7 +133,7 @@ def correction_contact(
     )
 
 
-def _transported(
+def _checked_transport(
     correction: Correction, coarse: LocalSystem, returned: object
 ) -> tuple[np.ndarray, ...]:
     """Return gap, slip and limit that a correction has transported, with types and shapes checked:
@@ -205,22 +211,24 @@ def correction_levels(
     coarse_matrices: str = "galerkin",
 ) -> list[CorrectionLevel]:
     """Return the level ``finest`` of a hierarchy and those below it, coarsest first."""
-    levels = [CorrectionLevel(problems[finest].system)]
+    fine = CorrectionLevel(problems[finest].system)
+    finer = None  # the level above ``fine``
+    levels = [fine]  # finest first
     for k in range(finest, 0, -1):
-        upper = problems[k]
-        lower = problems[k - 1]
         nodal = hierarchy[k].contact_prolongation
-        levels[0].prolongation = local_prolongation(nodal, upper, lower)
-        levels[0].restriction = sparse.bsr_array(levels[0].prolongation.T)
-        levels[0].contact_prolongation = contact_weights(nodal, upper.discrete, lower.discrete)
-        finer = levels[1] if len(levels) > 1 else None
-        system = (
-            local_galerkin(levels[0], lower.system, finer)
-            if coarse_matrices == "galerkin"
-            else lower.system
+        coarse_problem = problems[k - 1]
+        fine.prolongation = local_prolongation(nodal, problems[k], coarse_problem)
+        fine.restriction = sparse.bsr_array(fine.prolongation.T)
+        fine.contact_prolongation = contact_weights(
+            nodal, problems[k].discrete, coarse_problem.discrete
         )
-        levels.insert(0, CorrectionLevel(system))
-    return levels
+        system = coarse_problem.system
+        if coarse_matrices == "galerkin":
+            system = local_galerkin(fine, system, finer)
+        finer = fine
+        fine = CorrectionLevel(system)
+        levels.append(fine)
+    return levels[::-1]
 
 
 def contact_weights(
@@ -281,26 +289,26 @@ def _tangential_part(rotation: np.ndarray) -> np.ndarray:
 def local_galerkin(
     level: CorrectionLevel, coarse: LocalSystem, finer: CorrectionLevel | None = None
 ) -> LocalSystem:
-    """Return the Galerkin coarse matrix. A coarse dof that moves no fine dof gets a diagonal entry of
-    the mean size of the others. Such entries of ``level``, at dofs that move none of the next level
-    ``finer``, are left out of the product."""
+    """Return the system of the Galerkin matrix P'AP, A and P those of ``level``.
+
+    An idle coarse dof moves no fine dof: its column of P is zero, and so is its residual. It gets a
+    diagonal entry, without which a sweep divides by zero; as its correction is zero, any size serves,
+    here the mean of the other entries. The matrix of ``level`` has such entries, too, at dofs that are
+    idle for the level ``finer`` above it: they are no stiffness, and do not enter P'AP."""
     dim = coarse.dim
     prolongation = level.prolongation
     restriction = level.restriction
     if finer is not None:
-        seen = sparse.diags_array(
-            (np.asarray(abs(finer.prolongation).sum(axis=0)).ravel() > 0).astype(float)
-        )
-        prolongation = seen @ prolongation
-        restriction = restriction @ seen
-    # P'AP
+        column_sums = np.asarray(abs(finer.prolongation).sum(axis=0)).ravel()
+        without_idle = sparse.diags_array((column_sums > 0).astype(float))
+        prolongation = without_idle @ prolongation
+        restriction = restriction @ without_idle
     product = sparse.csr_array(restriction @ level.system.matrix @ prolongation)
     diagonal = product.diagonal()
-    unseen = ~(diagonal > 0)
-    diagonal_added = np.where(unseen, diagonal[~unseen].mean() if (~unseen).any() else 1.0, 0.0)
-    matrix = sparse.bsr_array(
-        product + sparse.diags_array(diagonal_added), blocksize=(dim, dim)
-    ).sorted_indices()
+    idle = ~(diagonal > 0)
+    size = 1.0 if idle.all() else diagonal[~idle].mean()
+    with_idle = product + sparse.diags_array(np.where(idle, size, 0.0))
+    matrix = sparse.bsr_array(with_idle, blocksize=(dim, dim)).sorted_indices()
     return LocalSystem.from_matrix(matrix, coarse.fixed, coarse.nodes)
 
 
