@@ -82,10 +82,13 @@ class LinearLevel:
         )
 
     def presmooth(self, load: np.ndarray) -> float:
-        """Smooth from zero, and leave the residual in ``rest``; return the passes over the matrix.
+        """Smooth from zero, and leave the residual f - A u in ``rest``; return the passes over the
+        matrix. f is the load, A = L + D + U.
 
-        The first sweep, from zero, needs L only. A backward sweep reads only U, since the forward
-        sweep before it leaves load - L u in ``rest``."""
+        One sweep goes forward; two go forward and backward; three forward, forward and backward, and
+        so on: a forward sweep in front of an odd number. A forward sweep leaves s = f - L u in
+        ``rest`` and ends with D u = s - U u, where u is that before the sweep, zero in the first one. A
+        backward sweep keeps s and ends with D u = s - U u, where u is that after it."""
         matrix = self.matrix
         u = self.solution
         rest = self.rest
@@ -99,17 +102,15 @@ class LinearLevel:
             rest[:] = load
             return 0.0
         lower = matrix.lower_arrays
-        upper = matrix.upper_arrays
-        no_entries = matrix.no_half
-        # the flag before the halves says whether a sweep goes backward
-        matrix.sweep(gauss_seidel, False, *lower, *no_entries, matrix.inverse, load, u, rest)
+        # the first sweep, whose U u is zero
+        matrix.sweep(gauss_seidel, False, *lower, *matrix.no_half, matrix.inverse, load, u, rest)
+        if self.pre == 1:
+            # f - A u = -U u, since D u = f - L u
+            rest[:] = 0.0
+            matrix.sweep(subtract_half, *matrix.upper_arrays, u, rest)
+            return 1.0  # L, U
         passes = 0.5  # L
-        # an odd number begins with two forward sweeps; backward and forward alternate after them
         if self.pre % 2 == 1:
-            if self.pre == 1:
-                rest[:] = 0.0
-                matrix.sweep(subtract_half, *upper, u, rest)
-                return passes + 0.5  # U
             self._forward(load)
             passes += 1.0
         self._backward()
@@ -117,6 +118,7 @@ class LinearLevel:
             self._forward(load)
             self._backward()
             passes += 1.5
+        # f - A u = f - s - L u, since D u = s - U u
         np.subtract(load, rest, out=rest)
         matrix.sweep(subtract_half, *lower, u, rest)
         return passes + 1.0  # U, L

@@ -40,13 +40,14 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     differ in units."""
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
-    squares = np.linalg.eigvalsh((rows / size).T @ (rows / size)) if rows.size else np.zeros(1)
+    scaled = rows / size  # columns of length 1, or 0
+    # a cheap exit, which costs k x k: the squares of the singular values are the eigenvalues of the
+    # Gram matrix. The largest one is 1 at least, so that none is below 1e-3 here, far above ALIKE
+    squares = np.linalg.eigvalsh(scaled.T @ scaled) if rows.size else np.zeros(1)
     if squares[0] > checks.SIX_DIGITS * squares[-1]:
         return np.empty((rows.shape[1], 0))
     # by the triangular factor, which has the same singular values and at most k rows
-    _, singular, combinations = np.linalg.svd(
-        np.linalg.qr(rows / size, mode="r"), full_matrices=True
-    )
+    _, singular, combinations = np.linalg.svd(np.linalg.qr(scaled, mode="r"), full_matrices=True)
     rank = np.count_nonzero(singular > checks.ALIKE)
     return (combinations[rank:] / size).T
 
@@ -203,52 +204,44 @@ class _Descent:
             return None
         at_contact = self.motions.at_contact
         tangents = at_contact[:, 1:] @ free
-        # F = M'f of the free motions, and B = s + mu p
+        # F = M'f of the free motions, and g = s + mu p
         force = free.T @ self.motions.work
         of_pressure = np.where(closed, contact.friction * self.pressure, 0.0)
-        bound = np.where(resists, contact.limit + of_pressure, 0.0)
-        direction = self._direction(self.factor * bound, slip, tangents, force)
+        bound = self.factor * np.where(resists, contact.limit + of_pressure, 0.0)
+        direction = self._direction(bound, slip, tangents, force)
         if direction is None:
             return None
-        # rates of slips and of normal displacements along the direction
+        # rates of slips and of normal displacements along the direction; where they are rounding a node
+        # neither closes nor rubs
         slip_rate = tangents @ direction
         approach = at_contact[:, 0] @ (free @ direction)
         speed = np.linalg.norm(slip_rate, axis=1)
         small = checks.ALIKE * max(speed.max(), np.abs(approach).max())
+        bound[speed <= small] = 0.0
         closing = ~closed & (approach > small) & np.isfinite(contact.gap)
-        # the step ends where the first gap closes, or where the sum of friction and work is least
-        closes_at = np.divide(
-            contact.gap - self.values[:, 0],
-            approach,
-            out=np.full(len(approach), np.inf),
-            where=closing,
-        )
+        closes_at = np.full(len(approach), np.inf)
+        np.divide(contact.gap - self.values[:, 0], approach, out=closes_at, where=closing)
+        first_closing = float(closes_at.min())
         work = float(force @ direction)
-        bound = np.where(speed > small, self.factor * bound, 0.0)
         resistance = float(bound @ speed)
-        # nothing ends the step: no node closes, and friction does not hold the body yet
-        if not (np.isfinite(closes_at.min()) or resistance > work):
+        if first_closing == np.inf and not resistance > work:
+            # phi has no minimum along the direction: no node closes, and friction with the pressures so
+            # far does not hold the body. The same step is taken with all g raised, so that it does
             if not resistance > 0.0:
                 return None
             self.factor *= self.ENOUGH * work / resistance
             return self.step()
-        slope = friction_slope(slip, slip_rate, bound)
-        acts = bound > 0
-        size = np.linalg.norm(slip, axis=1)
-        longest = float((size[acts] / speed[acts]).max(initial=0.0)) or 1.0
-        # -F.d + sum g (tau + alpha T d).T d / |tau + alpha T d| = 0
-        length = _least(
-            lambda alpha: slope(alpha) - work, first=2.0 * longest, stop=float(closes_at.min())
-        )
+        length = _step_length(slip, slip_rate, bound, work, first_closing)
         change = length * direction
-        if length == closes_at.min():
+        if length == first_closing:
             closed[np.argmin(closes_at)] = True
         else:
             left = np.linalg.norm(slip + length * slip_rate, axis=1)
-            share = np.divide(left, length * speed, out=np.full(len(left), np.inf), where=acts)
-            node = int(np.argmin(share))
-            if share[node] < checks.SIX_DIGITS:
-                # the slip of this node vanishes to the bit
+            share_left = np.full(len(left), np.inf)
+            np.divide(left, length * speed, out=share_left, where=bound > 0)
+            node = int(np.argmin(share_left))
+            if share_left[node] < checks.SIX_DIGITS:
+                # the least energy lies where the slip of this node vanishes: it does so to the bit
                 rest = slip[node] + tangents[node] @ change
                 change = change - np.linalg.lstsq(tangents[node], rest, rcond=checks.ALIKE)[0]
                 held[node] = True
@@ -269,18 +262,18 @@ class _Descent:
         self, bound: np.ndarray, slip: np.ndarray, tangents: np.ndarray, force: np.ndarray
     ) -> np.ndarray | None:
         """Return the direction (j,) of a step in the j free motions, None at a minimum: that of Newton's
-        method for sum B |slip| - force, or the steepest descent where the Hessian is singular.
+        method for sum g |slip| - force, or the steepest descent where the Hessian is singular.
         ``bound`` (n_contact,), ``slip`` (n_contact, dim - 1), ``tangents`` (n_contact, dim - 1, j)
-        and ``force`` (j,): B, the slips, the motions at the nodes, and the work of the load."""
+        and ``force`` (j,): g, the slips, the motions at the nodes, and the work of the load."""
         size = np.linalg.norm(slip, axis=1, keepdims=True)
         slip_direction = np.divide(slip, size, out=np.zeros_like(slip), where=size > 0)
-        # s = sum B T' tau/|tau| - F
+        # s = sum g T' tau/|tau| - F
         gradient = np.einsum("n,nt,ntj->j", bound, slip_direction, tangents) - force
         if np.linalg.norm(gradient) <= self.BALANCED[self.contact.dim] * np.linalg.norm(force):
             return None
         if slip.shape[1] == 1:
             return -gradient
-        # H = sum (B/|tau|) T' (I - tau tau'/|tau|^2) T
+        # H = sum (g/|tau|) T' (I - tau tau'/|tau|^2) T
         across_slip = (
             tangents
             - slip_direction[:, :, None]
@@ -294,7 +287,22 @@ class _Descent:
         return -(eigenvectors @ ((eigenvectors.T @ gradient) / eigenvalues))
 
 
-def _least(slope: Callable[[float], float], first: float, stop: float) -> float:
+def _step_length(
+    slip: np.ndarray, slip_rate: np.ndarray, bound: np.ndarray, work: float, stop: float
+) -> float:
+    """Return the length alpha <= ``stop`` of a step at which the slope of phi along it vanishes,
+    -F.d + sum g (tau + alpha T d).T d / |tau + alpha T d|; T d is the ``slip_rate``, F.d the
+    ``work``."""
+    rubs = bound > 0
+    size = np.linalg.norm(slip, axis=1)
+    speed = np.linalg.norm(slip_rate, axis=1)
+    # after this length all slips have turned along the step
+    longest = float((size[rubs] / speed[rubs]).max(initial=0.0)) or 1.0
+    slope = friction_slope(slip, slip_rate, bound)
+    return _root(lambda alpha: slope(alpha) - work, first=2.0 * longest, stop=stop)
+
+
+def _root(slope: Callable[[float], float], first: float, stop: float) -> float:
     """Find the root of an increasing function in (0, stop], bracketed from ``first``."""
     low = 0.0
     high = min(first, stop)

@@ -133,7 +133,12 @@ class TruncatedContact:
         self._set_springs()
 
     def posed(self, problem: DiscreteProblem) -> TruncatedContact:
-        """Return these nodes with gaps and slip references of another load step, without a status."""
+        """Return these nodes with the conditions of another load step, without a status.
+
+        Load steps differ in gaps and slip references, which prescribed values move, too, and so in
+        what follows from these: coefficients that depend on the state, layers, driven nodes. They agree
+        in nodes, frames, blocks, Tresca limits and compliances; :meth:`start` and
+        :meth:`update_status` renew the linear laws of layers, springs and hardening."""
         contact, _ = local_contact(problem)
         return replace(
             self,
@@ -198,14 +203,12 @@ class TruncatedContact:
     def start(self, unknowns: np.ndarray) -> None:
         """Project unknowns (n_dofs,) that may penetrate onto the admissible ones, in place, and take
         over their values. Compliant surfaces admit all."""
-        codes = self.codes
         normal_displacement = self.normal_components(unknowns)
         if self.layer is not None:
             self._follow_layer(self.layer, np.zeros_like(normal_displacement), normal_displacement)
+        # there is no status yet: no node sticks, and those that penetrate a spring may stay in it
         penetrates_spring = (self.spring > 0) & (normal_displacement > self.gap)
-        self.codes = np.where(penetrates_spring, CLOSED, 0).astype(np.int8)
-        self.project(unknowns)
-        self.codes = codes
+        self._project(unknowns, np.where(penetrates_spring, CLOSED, 0).astype(np.int8))
 
     def closing_share(self, unknowns: np.ndarray) -> float:
         """Return the share of a change to unknowns (n_dofs,) at which its first open node closes,
@@ -243,17 +246,22 @@ class TruncatedContact:
 
     def _follow_friction(self, friction_at: FrictionAt, forces: np.ndarray) -> float:
         """Update the coefficients of friction to the present unknowns and forces, only in part where
-        friction rises with the slip; return the sum of squares of the friction that is then missed."""
+        friction rises with the slip; return the sum of squares of the friction that is then missed.
+
+        Friction that is raised by df shortens the slip of a node of stiffness k by df/k, which lowers
+        the friction of the law by h df/k, h its slope by the slip. If a part a of the difference to
+        the law is followed, it is multiplied by 1 - a (1 + h/k): a = 1/(1 + h/k) ends it."""
         n = len(self.nodes)
         slip = self.values.reshape(n, -1)[:, 1:] - self.reference.reshape(n, -1)
         size = np.linalg.norm(slip, axis=1)
-        bound, _, slope_of_slip = friction_bound(friction_at, forces, size)
+        bound_of_law, _, slope_of_slip = friction_bound(friction_at, forces, size)
         self.hardening = np.maximum(slope_of_slip, 0.0)
-        stiffness = np.abs(self.blocks.reshape(n, -1)[:, -1])
-        part_followed = 1 / (1 + self.hardening / (self.YIELDING * stiffness))
+        # the entry of the last tangent: that of a held one is negative
+        tangential = np.abs(self.blocks.reshape(n, -1)[:, -1])
+        part_followed = 1 / (1 + self.hardening / (self.YIELDING * tangential))
         # a new array: copies share the old one
         self.friction = self.friction + part_followed * (friction_at(forces, size) - self.friction)
-        return float(np.sum((bound - self.friction * forces) ** 2))
+        return float(np.sum((bound_of_law - self.friction * forces) ** 2))
 
     def linearise_friction(self) -> None:
         """Set the slip directions (3D: and the Hessian of g |slip|) from the present unknowns, zero at
@@ -323,10 +331,7 @@ class TruncatedContact:
     def project(self, unknowns: np.ndarray) -> int:
         """Make a corrected iterate admissible, in place; returns the number of nodes that had to be
         cut."""
-        cut = self._project(unknowns, move=True)
-        self._remove_held(unknowns)
-        self.values.reshape(-1, self.dim)[self.driven, 1:2] = 0.0
-        return cut
+        return self._project(unknowns, self.codes)
 
     def project_by(
         self,
@@ -359,11 +364,18 @@ class TruncatedContact:
         self.values[:] = values.reshape(-1)
         unknowns[dofs] = from_frames(frames, values)
 
-    def _project(self, unknowns: np.ndarray, move: bool) -> int:
-        """Project an iterate, or with ``move`` False only count the nodes that would be cut."""
+    def _project(self, unknowns: np.ndarray, codes: np.ndarray) -> int:
+        """Make unknowns admissible to a status, in place; return the number of nodes that were cut."""
+        cut = self._cut(unknowns, codes, move=True)
+        self._remove_held(unknowns)
+        self.values.reshape(-1, self.dim)[self.driven, 1:2] = 0.0
+        return cut
+
+    def _cut(self, unknowns: np.ndarray, codes: np.ndarray, move: bool) -> int:
+        """Return the number of nodes that the projection cuts; with ``move`` cut them, in place."""
         return project(
             self.dim,
-            self.codes,
+            codes,
             self.nodes,
             self.frames,
             self.gap,
@@ -378,18 +390,19 @@ class TruncatedContact:
     def admits(self, unknowns: np.ndarray) -> bool:
         """Return whether an iterate closes open nodes or reverses slips at one node at most, which
         the projection cuts."""
-        return self._project(unknowns, move=False) <= 1
+        return self._cut(unknowns, self.codes, move=False) <= 1
 
     def slope_along(self, before: np.ndarray) -> Callable[[float], float]:
-        """Return the slope of the energy of friction, sum g |slip|, and of springs along the step from
-        local unknowns ``before``, the springs relative to its beginning; slipping and closed nodes
-        only."""
+        """Return the derivative by alpha of sum g |tau + alpha d_t| over slipping nodes, and of half of
+        sum k (alpha d_n)^2 over the springs k of closed ones: d is the step from local unknowns
+        ``before`` to the values. What the springs bore before the step is in its residual."""
         shape = len(self.nodes), self.dim
         if self.dim == 1:
             return lambda alpha: 0.0
         slipping = np.flatnonzero(self.codes & TANGENTIAL >= SLIPS)
         change = (self.values - before).reshape(shape)
-        of_springs = float((self.spring * (self.codes & CLOSED)) @ change[:, 0] ** 2)
+        closed = self.codes & CLOSED != 0
+        of_springs = float(np.where(closed, self.spring, 0.0) @ change[:, 0] ** 2)
         slip = (
             before.reshape(shape)[slipping, 1:] - self.reference.reshape(-1, self.dim - 1)[slipping]
         )
