@@ -7,6 +7,7 @@ import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -333,44 +334,44 @@ class Bounds(checks.Checked):
     def at_nodes(self, fixed: np.ndarray) -> ContactNodes:
         """Return the contact nodes of a problem: those with a finite limit, without the limits of the
         ``fixed`` dofs, a mask (n_dofs,)."""
-        lower = -np.inf if self.lower is None else self.lower
-        upper = np.inf if self.upper is None else self.upper
-        shape = max(np.shape(lower), np.shape(upper), key=len) or fixed.shape
-        if math.prod(shape) != len(fixed):
-            raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
-        # gaps along and against the axes, u <= upper and -u <= -lower, infinite at fixed dofs
-        against_axes = np.where(fixed, np.inf, -_open_limits("bounds.lower", lower, shape, np.inf))
-        along_axes = np.where(fixed, np.inf, _open_limits("bounds.upper", upper, shape, -np.inf))
-        dim = shape[1] if len(shape) == 2 else 1
-        gaps = np.stack([against_axes, along_axes], axis=1).reshape(-1, dim, 2)
+        gaps = self._gaps(fixed)
         is_limited = np.isfinite(gaps)
         n_limits = is_limited.sum(axis=(1, 2))
         nodes = np.flatnonzero(n_limits)
         weights = self.weights
         if weights is not None:
             weights = bounded("bounds.weights", weights, (len(gaps),))[nodes]
-        normals = np.ones((len(nodes), dim))
-        node_gaps = gaps[nodes, 0, 1]
-        opposite_gaps = gaps[nodes, 0, 0]
-        if dim > 1:
-            if (n_limits > 1).any():
-                raise ValueError(
-                    f"bounds: node {np.argmax(n_limits > 1)} has several finite limits, a node of a body "
-                    "can have one: give the nodes of each face of the body the limit that it meets"
-                )
-            # of each node with a limit the component, and the side: 0 against the axis, 1 along it
-            _, component, side = np.nonzero(is_limited)
-            normals = np.eye(dim)[component] * (2.0 * side - 1.0)[:, None]
-            node_gaps = gaps[is_limited]
-            opposite_gaps = None
-        return ContactNodes(
-            nodes=nodes,
-            normals=normals,
-            gaps=node_gaps,
-            opposite_gaps=opposite_gaps,
-            weights=weights,
-            allow_interference=True,
-        )
+        limited = partial(ContactNodes, nodes=nodes, weights=weights, allow_interference=True)
+        dim = gaps.shape[1]
+        if dim == 1:  # a scalar unknown may have both limits
+            return limited(
+                normals=np.ones((len(nodes), 1)),
+                gaps=gaps[nodes, 0, 1],
+                opposite_gaps=gaps[nodes, 0, 0],
+            )
+        if (n_limits > 1).any():
+            raise ValueError(
+                f"bounds: node {np.argmax(n_limits > 1)} has several finite limits, a node of a body "
+                "can have one: give the nodes of each face of the body the limit that it meets"
+            )
+        # the normal of a node is the axis of its limited component, or minus this axis
+        _, component, side = np.nonzero(is_limited)
+        normals = np.eye(dim)[component] * np.where(side == 1, 1.0, -1.0)[:, None]
+        return limited(normals=normals, gaps=gaps[is_limited])
+
+    def _gaps(self, fixed: np.ndarray) -> np.ndarray:
+        """Return the gaps (n_nodes, dim, 2) of each component to its limits: side 0 is against the
+        axis, -u <= -lower, side 1 along it, u <= upper; infinite without a limit, and at the ``fixed``
+        dofs (n_dofs,)."""
+        lower = -np.inf if self.lower is None else self.lower
+        upper = np.inf if self.upper is None else self.upper
+        shape = max(np.shape(lower), np.shape(upper), key=len) or fixed.shape
+        if math.prod(shape) != len(fixed):
+            raise ValueError(f"bounds must have {len(fixed)} entries, one a dof, got shape {shape}")
+        against_axes = -_open_limits("bounds.lower", lower, shape, np.inf)
+        along_axes = _open_limits("bounds.upper", upper, shape, -np.inf)
+        gaps = np.where(fixed[:, None], np.inf, np.stack([against_axes, along_axes], axis=1))
+        return gaps.reshape(-1, shape[1] if len(shape) == 2 else 1, 2)
 
 
 def _open_limits(name: str, limit: ArrayLike, shape: tuple[int, ...], closing: float) -> np.ndarray:
@@ -423,7 +424,9 @@ def check_size(name: str, size: float) -> None:
 
 
 def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
-    """Return a read-only copy of a boolean mask over dofs."""
+    """Return a boolean mask over dofs that nobody can change: the array itself if it is read-only and
+    owns its data, else a read-only copy."""
+    # the entries of a list stay objects, or numpy would turn True in [True, 1] into a number
     mask = np.asarray(value) if hasattr(value, "dtype") else np.array(value, dtype=object)
     if mask.dtype != bool and not all(
         isinstance(entry, (bool, np.bool_)) for entry in mask.ravel()
@@ -431,6 +434,7 @@ def checked_mask(name: str, value: object, n: int | None = None) -> np.ndarray:
         raise TypeError(f"{name} must be a boolean mask over the dofs, got {checks.shown(value)}")
     if mask.ndim != 1 or (n is not None and len(mask) != n):
         raise ValueError(f"{name} must have shape ({'n' if n is None else n},), got {mask.shape}")
+    # a view (with a base) changes with the array that it shows
     if mask.dtype != bool or mask.base is not None or mask.flags.writeable:
         mask = mask.astype(bool)
         mask.flags.writeable = False

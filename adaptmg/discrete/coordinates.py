@@ -48,18 +48,19 @@ class Coupling:
     weights: sparse.csr_array  # (n_nodes, n_nodes) sparse
     fixed: np.ndarray  # (n_dofs,) bool: fixed dofs; those of slave nodes are not relative
     inclined: Inclined  # further directions that supports hold, likewise
-    upward: sparse.csr_array = field(init=False, repr=False)  # (n_nodes, n_nodes) csr_array
-    _by_dof: sparse.csr_array = field(init=False, repr=False)  # (n_dofs, n_dofs): 1 - T^-1
-    _series: sparse.csr_array = field(init=False, repr=False)  # (n_dofs, n_dofs): T - 1
+    # (n_nodes, n_nodes): I + W + W^2 + ..., which is T without supports; for nodal prolongations
+    upward: sparse.csr_array = field(init=False, repr=False)
+    _by_dof: sparse.csr_array = field(init=False, repr=False)  # (n_dofs, n_dofs): I - T^-1 = Pi W
+    _series: sparse.csr_array = field(init=False, repr=False)  # (n_dofs, n_dofs): T - I
 
     def __post_init__(self) -> None:
         """Compute the products with W that the changes of coordinates take."""
         weights = self.weights
         n = self.weights.shape[0]
         dim = len(self.fixed) // n
-        # Pi W, with Pi = I without fixed dofs and without Z
-        held = self.inclined.spread(self.inclined.spans, n)
-        free = sparse.diags_array((~self.fixed).astype(float), format="csr") - held
+        # Pi drops the fixed dofs and, by the projections Z, the directions of inclined supports
+        projections = self.inclined.block_diagonal(self.inclined.spans, n)
+        free = sparse.diags_array((~self.fixed).astype(float), format="csr") - projections
         by_dof = sparse.csr_array(free @ sparse.kron(weights, sparse.eye_array(dim), format="csr"))
         by_dof.eliminate_zeros()
         upward = sparse.csr_array(sparse.eye_array(n, format="csr") + _series(weights))
@@ -181,13 +182,17 @@ def held_slaves(
 ) -> np.ndarray:
     """Return the indices among the contact ``nodes`` of those whose slip is not an unknown: friction
     acts at them, and a support holds them along the surface, but not the nodes that they face.
-    ``weights`` (n_nodes, n_nodes) and ``fixed`` (n_dofs,) are those of :class:`Coupling`."""
+    ``weights`` (n_nodes, n_nodes) and ``fixed`` (n_dofs,) are those of :class:`Coupling`.
+
+    Components that are held are tangential here, as no support holds a normal of a contact node."""
     fixed = fixed.reshape(weights.shape[0], -1)
     rows = sparse.csr_array(weights[nodes])
     facing = facing_part(rows)
     rubs = friction_acts(law, len(nodes)) & (facing.sum(axis=1) > 0)
     # a component is held at the node, and at nothing that it faces
     held = (fixed[nodes] & (facing @ fixed.astype(float) <= checks.SIX_DIGITS)).any(axis=1)
+    # directions of inclined supports are not compared one by one: a node that faces any held node may
+    # move with it
     held_in_any_direction = np.any(fixed, axis=1)
     held_in_any_direction[inclined.nodes] = True
     held |= np.isin(nodes, inclined.nodes) & (
@@ -305,23 +310,27 @@ class Unknowns:
         return result + np.einsum("nij,nj->ni", spans, self.apart(self.physical(nodal)))
 
     def apart(self, displacement: np.ndarray) -> np.ndarray:
-        """Return :meth:`at_contact` of a displacement (n_nodes, dim) of the bodies, m."""
+        """Return :meth:`at_contact` of a displacement u (n_nodes, dim) of the bodies, m: u_j - (W u)_j,
+        with two corrections along directions that supports hold.
+
+        W has negative entries W^- in the columns of nodes whose part node j takes over. Along the
+        directions that supports hold at j (projection P_j) these nodes count only with what supports
+        prescribe for them: P_j (W^- u_free)_j is added, with the free part of u. Along tangents that
+        supports hold at j and at nodes that it faces, u_j counts relative to these nodes alone."""
         nodes = self.contact.nodes
         result = displacement[nodes]
         if self.coupling is None:
             return result
-        # u - W u. The negative weights are those of nodes whose part a node takes over: along directions
-        # that supports hold at the node their free motion does not count
         weights = self.coupling.weights[nodes]
-        free = self.inclined.free_part(np.where(self.held, 0.0, displacement.reshape(-1)))
-        taken_over = weights - facing_part(weights)
-        not_counted = taken_over @ free.reshape(displacement.shape)
         result -= weights @ displacement
-        result += np.einsum("nij,nj->ni", self.held_spans(nodes), not_counted)
-        # along tangents that supports hold on both sides relative to the held nodes
-        for slaves, weights, tangents in self.held_together():
-            change = displacement[nodes[slaves]] - weights @ displacement - result[slaves]
-            result[slaves] += np.einsum("nd,nd->n", tangents, change)[:, None] * tangents
+        free = self.inclined.free_part(np.where(self.held, 0.0, displacement.reshape(-1)))
+        negative_weights = weights - facing_part(weights)
+        free_of_taken_over = negative_weights @ free.reshape(displacement.shape)
+        result += np.einsum("nij,nj->ni", self.held_spans(nodes), free_of_taken_over)
+        for slaves, held_weights, tangents in self.held_together():
+            relative = displacement[nodes[slaves]] - held_weights @ displacement
+            change = np.einsum("nd,nd->n", tangents, relative - result[slaves])
+            result[slaves] += change[:, None] * tangents
         return result
 
     def held_together(self) -> list[tuple[np.ndarray, sparse.csr_array, np.ndarray]]:
@@ -353,7 +362,10 @@ class Unknowns:
 
 
 def frames_of(problem: Unknowns) -> np.ndarray:
-    """Return orthonormal frames (n_contact, dim, dim) at contact nodes."""
+    """Return orthonormal frames (n_contact, dim, dim) at contact nodes: normal, then tangents.
+
+    In space a tangent direction that supports hold becomes the first tangent, so that solvers can fix
+    it as one local component."""
     contact = problem.contact
     normals = contact.normals
     frames = np.empty((len(normals), contact.dim, contact.dim))
@@ -364,8 +376,7 @@ def frames_of(problem: Unknowns) -> np.ndarray:
         frames[:, 1, 0] = -normals[:, 1]
         frames[:, 1, 1] = normals[:, 0]
         return frames
-    # the Cartesian axis nearest the tangent plane, projected into it; a direction that supports
-    # hold lies in the plane and goes first
+    # the Cartesian axis nearest the tangent plane, or the held direction, projected into the plane
     axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     spans = problem.held_spans(contact.nodes)
     held = np.flatnonzero(spans.any(axis=(1, 2)))

@@ -30,6 +30,7 @@ from adaptmg.discrete.obstacles import check_held
 from adaptmg.discrete.posed import Posed, nodal_law
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
+from adaptmg.discrete.supports import EnergyTerms
 from adaptmg.discrete.volumes import Volumes, volume_groups
 from adaptmg.mesh.arrays import MeshArrays
 from adaptmg.problem.contact_problem import ContactProblem
@@ -111,7 +112,7 @@ def assembled(
             "smoothed elements of elastic bodies next to plastic ones must have poisson of at most "
             '.4; take elements="linear"'
         )
-    parts |= _strain_free(posed, parts["volumes"])
+    parts |= _initial_strain_parts(posed, parts["volumes"])
     for array in (parts["load"], posed.fixed, values, *posed.bodies.values()):
         array.flags.writeable = False  # what nobody writes is not copied
     result = DiscreteProblem.assembled(posed.rows.follows, **parts)
@@ -119,9 +120,10 @@ def assembled(
     return result
 
 
-def _strain_free(posed: Posed, volumes: Volumes) -> dict[str, Any]:
-    """Return the parts of a problem that depend on initial strains, apart from the load:
-    ``strain_free``, None without them, and the volumes with their expansion."""
+def _initial_strain_parts(posed: Posed, volumes: Volumes) -> dict[str, Any]:
+    """Return the parts of a problem that depend on initial strains, apart from the load: the energy
+    terms ``strain_free`` in displacements of the bodies, None without initial strains, and the
+    ``volumes`` with their expansion."""
     problem = posed.problem
     mesh = posed.mesh
     strains = [load for load in problem.loads if isinstance(load, InitialStrain)]
@@ -132,9 +134,9 @@ def _strain_free(posed: Posed, volumes: Volumes) -> dict[str, Any]:
         }
     data = StressData.of(mesh, posed.materials, strains, problem.elements)
     return {
-        "strain_free": (
-            load_vector(mesh, strains, posed.materials, problem.elements),
-            data.suppressed(mesh),
+        "strain_free": EnergyTerms(
+            load=load_vector(mesh, strains, posed.materials, problem.elements),
+            constant=data.suppressed(mesh),
         ),
         "volumes": volumes.expanding(mesh, data.initial_strain, data.axisymmetric),
     }
@@ -144,7 +146,9 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     """Return the problem of :func:`assembled`, with all parts of ``old`` that do not depend on loads and
     the law.
 
-    The problem of ``old`` differs in the parts ``changed``, and perhaps in its law."""
+    The problem of ``old`` differs in the parts ``changed``, and perhaps in its law. All is assembled
+    again where other parts than loads changed, where slips do not count from zero (obstacles move, or
+    ``old`` belongs to a load step), and where other slave nodes carry multipliers."""
     problem = posed.problem
     mesh = posed.mesh
     contact = old.contact
@@ -161,10 +165,10 @@ def reassembled(posed: Posed, old: DiscreteProblem, changed: frozenset[str]) -> 
     if changed:
         forces = load_vector(mesh, problem.loads, posed.materials, problem.elements)
         load = old.relative_forces(forces)
-        strains = _strain_free(posed, old.volumes)
-        if strains["strain_free"] is not None:
-            forces, suppressed = strains["strain_free"]
-            strains["strain_free"] = old.relative_forces(forces), suppressed
+        strains = _initial_strain_parts(posed, old.volumes)
+        terms = strains["strain_free"]
+        if terms is not None:
+            strains["strain_free"] = terms._replace(load=old.relative_forces(terms.load))
         check_size("load", largest_entry(load))
-        parts |= old.lifted(load, old.fixed_values, **strains)
+        parts |= old.parts_under(load, old.fixed_values, **strains)
     return old.posing(**parts)

@@ -19,7 +19,7 @@ from adaptmg.discrete.loads import load_vector
 from adaptmg.discrete.posed import Posed
 from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
-from adaptmg.discrete.supports import Held, held_components
+from adaptmg.discrete.supports import EnergyTerms, Held, held_components
 from adaptmg.discrete.ties import jump_of
 from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.problem.load_path import DEFAULT
@@ -76,16 +76,15 @@ class LoadSteps:
             volumes=volumes,
         )
 
-    def strain_free(self, factors: Mapping[str, float]) -> tuple[np.ndarray, float] | None:
-        """Return ``strain_free`` of a step, see :class:`DiscreteProblem`: the load of its initial strains
-        (n_dofs,), N, and twice the energy of suppressing them, N m; None without them."""
+    def strain_free(self, factors: Mapping[str, float]) -> EnergyTerms | None:
+        """Return the energy terms of the initial strains of a step; None without initial strains."""
         if not self.strains:
             return None
         load = sum(
             (factors[name] * load for name, load in self.strain_loads.items()),
             np.zeros(self.n_dofs),
         )
-        return load, self.stress_data(factors).suppressed(need_mesh(self))
+        return EnergyTerms(load, self.stress_data(factors).suppressed(need_mesh(self)))
 
     def load(self, factors: Mapping[str, float]) -> np.ndarray:
         """Return the nodal forces (n_dofs,) of a step, N."""

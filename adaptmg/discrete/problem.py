@@ -37,7 +37,7 @@ from adaptmg.discrete.contact_nodes import (
 )
 from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
 from adaptmg.discrete.elasticity import rigid_body_modes
-from adaptmg.discrete.supports import Inclined
+from adaptmg.discrete.supports import EnergyTerms, Inclined
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import FollowsState, Frictionless, Law, check_law, friction_at
 
@@ -124,7 +124,7 @@ class DiscreteProblem(Unknowns):
     name: str = "discrete problem"
     coupling: Coupling | None = None  # says that all of the above is in relative coordinates
     bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
-    # of initial strains the part of the load, N, and the energy of suppressing them, N m
+    # terms that u'Au lacks of twice the energy of the stresses, see EnergyTerms; None without them
     strain_free: tuple[np.ndarray, float] | None = None
     inclined: Inclined  # supports along directions that are not axes, which are eliminated from matrix and load
     # slave and master boundary, and slave nodes whose relative displacement is fixed to zero
@@ -277,11 +277,11 @@ class DiscreteProblem(Unknowns):
         the energy of suppressed expansion is rounding, and raised to that."""
         if self.strain_free is None:
             return energy
-        load, suppressed = self.strain_free
-        # |eps(u) - eps_0|^2 = u'Au - 2 u . b_0 + |eps_0|^2
+        load, constant = self.strain_free
+        # with initial strains |eps(u) - eps_0|^2 = u'Au - 2 u . b_0 + |eps_0|^2
         return max(
-            energy - 2 * float(np.einsum("i,i->", displacement, load)) + suppressed,
-            1e-8 * abs(suppressed),
+            energy - 2 * float(np.einsum("i,i->", displacement, load)) + constant,
+            1e-8 * abs(constant),
         )
 
     def with_step(
@@ -312,18 +312,19 @@ class DiscreteProblem(Unknowns):
         # only along what is held: fixed dofs and inclined directions
         prescribed = fixed_values - self.free_part(fixed_values)
         values = bounded("fixed_values", prescribed, (self.n_dofs,))
-        return self.posing(contact=contact, **self.lifted(load, values, strain_free, volumes))
+        return self.posing(contact=contact, **self.parts_under(load, values, strain_free, volumes))
 
-    def lifted(
+    def parts_under(
         self,
         load: np.ndarray,
         fixed_values: np.ndarray,
         strain_free: tuple[np.ndarray, float] | None,
         volumes: Volumes,
     ) -> dict[str, Any]:
-        """Return the parts of this problem that change with the load (n_dofs,), N, and with the
-        displacement (n_dofs,), m, which supports prescribe."""
-        parts = self.inclined.lifted(
+        """Return the parts of this problem under a load (n_dofs,), N, and prescribed displacements
+        (n_dofs,), m: ``load``, ``fixed_values``, ``strain_free`` and ``volumes``, and ``inclined`` where
+        inclined supports are eliminated (:meth:`Inclined.eliminate_prescribed`)."""
+        parts = self.inclined.eliminate_prescribed(
             {
                 "load": load,
                 "fixed_values": fixed_values,
@@ -492,10 +493,10 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     coupling = Coupling(weights, parts["fixed"], parts["inclined"])
     # forces and rows of volumes are dual
     load = coupling.relative_forces(parts["load"])
-    strain_free = parts.get("strain_free")
     load.flags.writeable = False
+    strain_free = parts.get("strain_free")
     if strain_free is not None:
-        strain_free = coupling.relative_forces(strain_free[0]), strain_free[1]
+        strain_free = EnergyTerms(coupling.relative_forces(strain_free[0]), strain_free[1])
     volumes = parts["volumes"]
     volumes = replace(volumes, rows=coupling.relative_rows(volumes.rows))
     if parts.get("ties"):  # the relative displacement of tied nodes is fixed

@@ -211,8 +211,8 @@ class StressData:
 
     def suppressed(self, mesh: MeshArrays) -> float:
         """Return twice the energy of the stresses that suppress the initial strains, N m: the square
-        of their energy norm. In plane bodies stresses in the plane count, as no displacement changes
-        the others."""
+        of their energy norm, int eps_0 : C eps_0, of smoothed elements sum V eps_0 : C S eps_0. In plane
+        bodies stresses in the plane count, as no displacement changes the others."""
         of_elements = self.of_elements(mesh)
         volume = element_measures(mesh, self.axisymmetric)
         strain = self.initial_strain.copy()
@@ -221,7 +221,7 @@ class StressData:
         plane = mesh.dim == 2 and not self.axisymmetric
         if plane:
             stress = stress[:, [0, 1, 3]]  # xx, yy and xy: without zz
-        # smoothed elements bear the means of the stresses around their edges
+        # C S eps_0 = S C eps_0: bodies share no edges. One S, as in the stiffness
         means = smoothed(mesh, stress, volume) if self.smoothed else stress
         return float(volume @ of_elements.work(stress, means, plane))
 

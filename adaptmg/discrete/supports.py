@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Any, NamedTuple, cast, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from scipy import sparse
@@ -39,6 +39,17 @@ from adaptmg.problem.loads import (
     Symmetry,
     times,
 )
+
+
+class EnergyTerms(NamedTuple):
+    """The terms that u'Au lacks of twice the energy of the stresses of a displacement u: this is u'Au -
+    2 u . load + constant.
+
+    Initial strains eps_0 have the load of int C eps_0 : eps(v) and the constant int C eps_0 : eps_0;
+    displacements that inclined supports prescribe add to both (module docstring)."""
+
+    load: np.ndarray  # (n_dofs,), N
+    constant: float  # N m
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +94,9 @@ class Inclined:
             result.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
         return result
 
-    def spread(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
-        """Return the matrix of all nodes with blocks (k, dim, dim) on the diagonal."""
+    def block_diagonal(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
+        """Return the matrix (n_dofs, n_dofs) with the blocks (k, dim, dim) of these nodes on its diagonal,
+        zero at other nodes."""
         counts = np.zeros(n_nodes, dtype=np.int64)
         counts[self.nodes] = 1
         n = n_nodes * self.spans.shape[1]
@@ -99,8 +111,8 @@ class Inclined:
         )
 
     def of_problem(self, parts: dict[str, Any]) -> dict[str, Any]:
-        """Return the parts of a problem, in relative coordinates, with these directions
-        eliminated."""
+        """Return the parts of a problem, in relative coordinates, with these directions eliminated:
+        the matrix A', the rows B (I - Z) of volumes, and the parts of :meth:`eliminate_prescribed`."""
         if not len(self):
             return parts
         matrix = parts["matrix"]
@@ -113,8 +125,8 @@ class Inclined:
         stiffness = np.abs(matrix.diagonal().reshape(-1, dim)[self.nodes]).mean(axis=1)
         volumes = parts["volumes"]
         supports = replace(self, rows=rows, stiffness=stiffness, volumes=volumes.rows)
-        held = self.spread(self.spans, n // dim)
-        held_stiffness = self.spread(stiffness[:, None, None] * self.spans, n // dim)
+        held = self.block_diagonal(self.spans, n // dim)
+        held_stiffness = self.block_diagonal(stiffness[:, None, None] * self.spans, n // dim)
         free = sparse.bsr_array(sparse.eye_array(n) - held, blocksize=size)
         # half of (I - Z) A (I - Z) + Z D Z, whose sum with its transpose is symmetric to the bit
         half = sparse.bsr_array(0.5 * (free @ matrix @ free + held_stiffness), blocksize=size)
@@ -125,12 +137,15 @@ class Inclined:
             "matrix": checks.narrowed(eliminated),
             "volumes": replace(volumes, rows=checks.narrowed(free_rows)),
         }
-        return supports.lifted(parts | changed)
+        return supports.eliminate_prescribed(parts | changed)
 
-    def lifted(self, parts: dict[str, Any]) -> dict[str, Any]:
-        """Return parts of a problem under the displacement that supports prescribe along these
-        directions, a part of ``fixed_values``: with the load b', the strain of the volumes, and the
-        ``strain_free`` by which ``DiscreteProblem.stress_energy`` of A' is that of A."""
+    def eliminate_prescribed(self, parts: dict[str, Any]) -> dict[str, Any]:
+        """Return the parts of a problem, given for A, as A' takes them under the displacement ubar that
+        supports prescribe along these directions (a part of ``fixed_values``). Changed are
+
+        - ``load``: b' in place of b, which ``inclined`` keeps,
+        - ``volumes``: with the strain B ubar,
+        - ``strain_free``: with the terms that u'A'u lacks of u'Au."""
         if not len(self):
             return parts
         values = parts["fixed_values"]
@@ -139,15 +154,15 @@ class Inclined:
         forces = self.rows.T @ along.reshape(-1)  # A ubar
         held = np.zeros_like(forces)  # Z D ubar
         held.reshape(-1, along.shape[1])[self.nodes] = self.stiffness[:, None] * along
-        load, energy = parts["strain_free"] or (0.0, 0.0)
+        terms = EnergyTerms(*(parts["strain_free"] or (0.0, 0.0)))
         volumes = parts["volumes"]
-        # b' = (I - Z) (b - A ubar) + Z D ubar, and u'A u = u'A'u - 2 u . load + energy with the load
-        # -(I - Z) A ubar and the energy ubar'A ubar - ubar'D ubar
         return parts | {
+            # b' = (I - Z) (b - A ubar) + Z D ubar
             "load": self.free_part(parts["load"] - forces) + held,
-            "strain_free": (
-                load - self.free_part(forces),
-                energy + float(prescribed @ (forces - held)),
+            # u'A u = u'A'u + 2 u . (I - Z) A ubar + ubar'A ubar - ubar'D ubar
+            "strain_free": EnergyTerms(
+                load=terms.load - self.free_part(forces),
+                constant=terms.constant + float(prescribed @ (forces - held)),
             ),
             "inclined": replace(self, load=parts["load"]),
             "volumes": replace(volumes, prescribed=(self.volumes @ prescribed) / volumes.areas),
@@ -244,17 +259,9 @@ def held_by(
     for support in supports:
         directions: list[tuple[np.ndarray, int | None, FieldLike]] = []
         components = list(support.components(mesh.dim))
-        normal = support.normal if isinstance(support, Support) else None
-        if isinstance(support, Symmetry):
-            normal = 0.0
-        if normal is not None:
-            normals = surfaces[cast("str", support.boundary)].normals  # with a normal, no point
-            direction = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
-            if not (normals @ direction).min() > 1 - checks.ALIKE:
-                raise ValueError(
-                    f"the support on {support.boundary!r} holds its normal, and the boundary is not plane: "
-                    "name each of its plane parts"
-                )
+        normal = 0.0 if isinstance(support, Symmetry) else getattr(support, "normal", None)
+        if isinstance(support, Support | Symmetry) and normal is not None:
+            direction = _plane_normal(support.boundary, surfaces[support.boundary])
             axis = int(np.argmax(np.abs(direction)))
             if np.abs(direction[axis]) <= 1 - checks.ALIKE:
                 directions.append((direction, None, normal))
@@ -263,7 +270,7 @@ def held_by(
                     f"the support on {support.boundary!r} prescribes {'xyz'[axis]}, which is its normal "
                     "displacement, twice: leave one out"
                 )
-            else:
+            else:  # the normal is an axis, or minus one: the component along it is held
                 components[axis] = times(normal, np.sign(direction[axis]))
         directions += [
             (axes[k], k, value) for k, value in enumerate(components) if value is not None
@@ -277,6 +284,19 @@ def held_by(
             values = checks.field(name, value, mesh.points[nodes])
             result.append(Held(support, direction, axis, nodes, values, not callable(value)))
     return result
+
+
+def _plane_normal(boundary: str, surface: Surface) -> np.ndarray:
+    """Return the unit normal (dim,) of a boundary whose normal a support holds; ValueError unless it is
+    plane."""
+    mean = surface.normals.mean(axis=0)
+    normal = mean / np.linalg.norm(mean)
+    if not (surface.normals @ normal).min() > 1 - checks.ALIKE:
+        raise ValueError(
+            f"the support on {boundary!r} holds its normal, and the boundary is not plane: "
+            "name each of its plane parts"
+        )
+    return normal
 
 
 def held_directions(holds: Sequence[Held]) -> dict[str, np.ndarray]:

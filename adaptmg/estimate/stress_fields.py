@@ -238,16 +238,17 @@ class Solved:
     def norm(self) -> float:
         """Return ||u_h||_A, sqrt(N m), of the displacement with prescribed values."""
         unknowns, forces = self._moved
-        # inclined supports are eliminated from the matrix: their part of the energy is added
-        eliminated = self.discrete.lifted(
+        # the matrix A' is without the directions of inclined supports, along which u is prescribed: the
+        # terms that this takes from the energy of A
+        parts = self.discrete.parts_under(
             forces, unknowns, strain_free=None, volumes=self.discrete.volumes
         )
-        if eliminated["strain_free"] is None:
+        terms = parts["strain_free"]
+        if terms is None:  # there are no such supports
             return energy_norm(unknowns, forces)
-        load, constant = eliminated["strain_free"]
-        volumes = eliminated["volumes"]
-        # u'Au = u'A'u - 2 u . load + constant, see Inclined.lifted; then the pressures on B ubar
-        energy = unknowns @ (forces - 2 * load) + constant
+        # u'Au = u'A'u - 2 u . load + constant; p . B ubar, as forces hold B'p with B (I - Z)
+        energy = unknowns @ (forces - 2 * terms.load) + terms.constant
+        volumes = parts["volumes"]
         energy += self.result.pressures @ (volumes.areas * volumes.prescribed)
         return float(np.sqrt(max(energy, 0.0)))
 
@@ -260,34 +261,43 @@ class Solved:
         return unknowns, forces + self.discrete.volumes.forces(self.result.pressures)
 
     def check_loads(self) -> None:
-        """Raise ValueError unless the result is of the loads and obstacles of the problem: its load is
-        b = A u - reactions - contact forces."""
+        """Raise ValueError unless the result is of the loads of the problem: its load is b = A u -
+        reactions - contact forces. It must be the load of the discrete problem, or that of the posed
+        one, as a hierarchy may have the problem of a load step without its discretisation."""
         unknowns, forces = self._moved
         exerted = np.asarray(self.result.reaction, dtype=np.float64).reshape(-1)
         if exerted.shape != forces.shape:
             raise ValueError(
                 f"result.reaction must have {forces.size} components, got {exerted.shape}"
             )
-        # the load of the result is that of the discrete problem, or that of the posed one: a hierarchy
-        # may have the problem of a load step without its discretisation
-        load = forces - self.discrete.relative_forces(exerted)
-        inclined = self.discrete.inclined
-        expected = self.discrete.load
-        posed = self.discrete.relative_forces(
-            load_vector(self.mesh, self.problem.loads, self.problem.material, self.problem.elements)
+        nodal_forces = load_vector(
+            self.mesh, self.problem.loads, self.problem.material, self.problem.elements
         )
-        # supports bear the components along held directions
-        posed = self.discrete.lifted(
-            posed, unknowns, strain_free=None, volumes=self.discrete.volumes
-        )["load"]
-        load, expected, posed = map(inclined.free_part, (load, expected, posed))
+        parts = self.discrete.parts_under(
+            self.discrete.relative_forces(nodal_forces),
+            unknowns,
+            strain_free=None,
+            volumes=self.discrete.volumes,
+        )
+        of_result, of_discrete, of_posed = (
+            self.discrete.inclined.free_part(load)  # supports bear the rest
+            for load in (
+                forces - self.discrete.relative_forces(exerted),
+                self.discrete.load,
+                parts["load"],
+            )
+        )
         rounding = checks.ROUNDING * euclidean_norm(self.discrete.matrix.diagonal() * unknowns)
-        size = max(euclidean_norm(forces), euclidean_norm(load))
+        size = max(euclidean_norm(forces), euclidean_norm(of_result))
         allowed = max(checks.SIX_DIGITS * size, rounding)
-        if not min(euclidean_norm(load - expected), euclidean_norm(load - posed)) <= allowed:
+        differences = [euclidean_norm(of_result - load) for load in (of_discrete, of_posed)]
+        if not min(differences) <= allowed:
             raise ValueError(
                 "result has other loads than those of hierarchy.problem: " + _OTHER_STEP
             )
+
+    def check_obstacles(self) -> None:
+        """Raise ValueError unless the obstacles of the result are in the places of the problem."""
         contact = self.result.contact
         # contact results are means, conditions of nodes that take over others sums
         gaps = self.discrete.contact.gaps * contact.weights / contact.measures
@@ -317,6 +327,7 @@ def solved(hierarchy: Hierarchy, result: Result, plastic: bool = False) -> Solve
         return Solved(posed, hierarchy.finest.discrete, result)
     state = Solved(posed, hierarchy.finest.discrete, result)
     state.check_loads()
+    state.check_obstacles()
     return state
 
 
