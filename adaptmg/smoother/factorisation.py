@@ -282,6 +282,11 @@ class Condensed(Eliminated):
         """Return the interior solution and the condensed load; see :meth:`reduce`."""
         return self.reduce(self.full.load)
 
+    @property
+    def load(self) -> np.ndarray:
+        """Return the condensed load s (n_contact * dim,)."""
+        return self.reduced[1]
+
     @cached_property
     def problem(self) -> LocalProblem:
         """Return the condensed problem."""
@@ -293,7 +298,7 @@ class Condensed(Eliminated):
             sparse.bsr_array(self.matrix, blocksize=(dim, dim)), fixed, np.arange(n)
         )
         turn_held(dense.diagonal, dense.nodes, full.contact)
-        return replace(full, system=dense, load=np.where(fixed, 0.0, self.reduced[1]))
+        return replace(full, system=dense, load=np.where(fixed, 0.0, self.load))
 
     def restrict(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the entries (n_contact * dim,) at contact nodes of a vector over all dofs."""

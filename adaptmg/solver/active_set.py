@@ -140,7 +140,13 @@ class ActiveSet:
         return Outcome(solved, status, state.cycles, self.rtol, stop.error_estimate, stop.rate)
 
     def _augmented(self, hierarchy: Grids, run: Run, start: np.ndarray | None) -> Outcome:
-        """Solve a finest problem with volumes, by one factorisation and perhaps several solves."""
+        r"""Solve a finest problem with volumes, by one factorisation and perhaps several solves.
+
+        With the symbols of :mod:`adaptmg.multigrid.volume_pressures`, a solve that begins with the
+        pressures p_0 finds a displacement u of a problem without volumes, and leaves the pressures
+        :math:`p = (1 - \tilde\kappa/\kappa)\,p_0 + \tilde\kappa\,b\,u`. One solve is exact where
+        :math:`\tilde\kappa = \kappa`. Otherwise the last solve, which the certificate confirms, is the
+        one whose start fulfils :math:`|b\,u - p_0/\kappa| \le rtol\,|p_0|/(\lambda_1 + \mu)`."""
         if self.nested_start:
             raise ValueError(
                 "nested_start=True: ActiveSet has no nested start for smoothed elements with poisson "
@@ -152,6 +158,7 @@ class ActiveSet:
         if start is not None:
             start, pressures = problem.parts(start)
         cycles = 0
+        first_cycle = run.first_cycle
         past_pressures: list[tuple[np.ndarray, np.ndarray]] = []
         with run.phase("setup"):
             local_of_start = local_system(Augmented(problem, pressures).problem)
@@ -174,10 +181,9 @@ class ActiveSet:
                 finest=True,
                 whole=augmented.whole,
             )
-            # the history numbers the steps of all solves on; each solve counts from zero
-            run.first_cycle += cycles
+            # a solve counts its steps from zero, the history those of all solves together
+            run.first_cycle = first_cycle + cycles
             state, status, stop = newton.solve(certified=is_last)
-            run.first_cycle -= cycles
             cycles += state.cycles
             start = local.to_cartesian(state.unknowns)
             pressures = augmented.pressures(start)
@@ -187,6 +193,7 @@ class ActiveSet:
                 status = Status.LIMIT
                 break
             pressures = augmented.accelerated(pressures, past_pressures)
+        run.first_cycle = first_cycle
         solution = np.append(cast("np.ndarray", start), pressures)  # of the last solve
         return Outcome(solution, status, cycles, self.rtol, stop.error_estimate, stop.rate)
 
@@ -196,16 +203,19 @@ class _NewtonTest(StopTest):
     at rounding does not replace this bound."""
 
     def judge(self, state: Measured) -> None:
-        """Take the last step, not an estimate from a rate, as the error of a state."""
+        """Judge a state as other tests do; then replace the estimate of the error, which comes from a
+        rate or from a residual at rounding, by the last step: ``change`` is ||w_k - w_(k-1)||_A over
+        ``size`` = ||u||_A. The certificate multiplies it by the factor by which it found an earlier
+        one too small."""
         super().judge(state)
         if self.met and self.error_estimate == 0.0:
             return  # the residual is zero, since nothing strains the bodies
-        # ||w_k - w_(k-1)||_A / ||u||_A, times the factor that the certificate found
-        self.error_estimate = np.inf
-        if self.changes and self.size > 0:
+        if not self.changes:  # no step comes before the first state
+            self.error_estimate = np.inf
+        elif self.size > 0:
             self.error_estimate = self._caution * self.change
-        elif self.changes and self.changes[-1] == 0:
-            self.error_estimate = 0.0
+        else:  # of u = 0, to which no step is small
+            self.error_estimate = 0.0 if self.changes[-1] == 0 else np.inf
         self.met = self._small_enough()
 
 
@@ -214,9 +224,12 @@ class _NewtonState:
     """An iterate, and the contact status that it decides."""
 
     unknowns: np.ndarray  # (n_dofs,), local
-    residual: np.ndarray | Any = None  # (n_dofs,); Any: of a start as of equations
-    reduced: np.ndarray | Any = None  # (n_dofs,): what linear steps make of it
-    equations: Linearised | Any = None  # None: at a start
+    # Any: a start has None of the next three, and nothing reads them there
+    residual: np.ndarray | Any = None  # (n_dofs,): b - A w
+    step_data: np.ndarray | Any = (
+        None  # (n_dofs,): what the linear step takes; see contact_residual
+    )
+    equations: Linearised | Any = None
     cycles: int = 0
     # contact statuses since the last interior point or the start: all of them, and the last one
     past_keys: frozenset[bytes] = frozenset()
@@ -319,7 +332,7 @@ class _Newton:
         status_returns = key in state.past_keys and key != state.last_key
         if not status_returns and state.steps_since_interior < self.LONG:
             try:
-                change = self.linear_steps.solve(state.equations, state.reduced)
+                change = self.linear_steps.solve(state.equations, state.step_data)
             except np.linalg.LinAlgError as error:
                 _LOG.info("step %d: %s", state.cycles, error)
         if change is None:
@@ -367,15 +380,15 @@ class _Newton:
 
     def _decided(self, state: _NewtonState, hold: bool = False) -> _NewtonState:
         """Return the state with its residual and the equations of its contact status; ``hold``: all
-        nodes touch and stick."""
+        nodes touch and stick. The contact conditions of the problem follow the state, in place: the
+        friction of laws that depend on pressure and slip, and the linear law of surface layers."""
         if state.gives_up is not None:
             return state
         system = self.local.system
         contact = self.local.contact
         self.run.count(1.0, system.nonzeros)
         residual = self.local.residual(state.unknowns)
-        # q at the contact nodes, which decides the status, and the right-hand side of a step
-        forces, reduced = self.linear_steps.contact_residual(residual)
+        step_data, forces = self.linear_steps.contact_residual(residual)
         at_contact = state.unknowns.reshape(-1, system.dim)[system.nodes]
         contact.follow(at_contact, forces)
         equations = (
@@ -383,7 +396,7 @@ class _Newton:
             if hold
             else linearise(contact, at_contact, forces, self.linear_steps.stiffness, self.FACTOR)
         )
-        return replace(state, residual=residual, reduced=reduced, equations=equations)
+        return replace(state, residual=residual, step_data=step_data, equations=equations)
 
 
 class CondensedSteps:
@@ -400,19 +413,21 @@ class CondensedSteps:
         return self.condensed.matrix.diagonal().reshape(-1, self.local.system.dim)
 
     def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residual (n_contact, dim) at contact nodes that decides their status, with the
-        interior in equilibrium, from that at all dofs; and what :meth:`solve` needs of it."""
+        """Return the interior solution (n_dofs,) of a residual r (n_dofs,), which :meth:`solve` takes,
+        and the forces (n_contact, dim), r_c - A_ci A_ii^-1 r_i, that are left at the contact nodes with
+        the interior in equilibrium. They decide the status of these nodes."""
         with self.run.phase("solve"):
             particular, force = self.condensed.reduce(residual)
-        return force.reshape(-1, self.local.system.dim), particular
+        return particular, force.reshape(-1, self.local.system.dim)
 
     def interior_problem(self) -> tuple[Span, np.ndarray]:
-        """Return the unknowns of the interior point method, and their load."""
+        """Return the unknowns of the interior point method, the free contact dofs with the Schur
+        complement as matrix, and their load."""
         free = ~self.local.system.fixed[self.condensed.contact]
         with self.run.phase("solve"):
             return (
                 ContactDofs(self.condensed.matrix, free.reshape(-1, self.local.system.dim)),
-                self.condensed.reduced[1][free],
+                self.condensed.load[free],
             )
 
     def from_interior(self, interior: Interior) -> np.ndarray:
@@ -421,8 +436,8 @@ class CondensedSteps:
             return self.condensed.recover(interior.values.reshape(-1))
 
     def solve(self, equations: Linearised, particular: np.ndarray) -> np.ndarray:
-        """Return the change (n_dofs,) of a Newton step; ``particular`` is the second result of
-        :meth:`contact_residual`. LinAlgError if the equations are singular or an iterative linear
+        """Return the change (n_dofs,) of a Newton step; ``particular`` is the interior solution
+        of :meth:`contact_residual`. LinAlgError if the equations are singular or an iterative linear
         solver does not converge."""
         with self.run.phase("solve"):
             n, dim = equations.force.shape
@@ -484,7 +499,9 @@ class SparseSteps:
         return self._matrix.diagonal().reshape(-1, system.dim)[system.nodes]
 
     def contact_residual(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return residual.reshape(-1, self.local.system.dim)[self.local.system.nodes], residual
+        """Return the residual (n_dofs,), the right-hand side of :meth:`solve`, and its part (n_contact,
+        dim) at the contact nodes, which decides their status."""
+        return residual, residual.reshape(-1, self.local.system.dim)[self.local.system.nodes]
 
     def interior_problem(self) -> tuple[Span, np.ndarray]:
         return self, self.local.load
@@ -641,17 +658,19 @@ def local_near_nullspace(local: LocalProblem, prescribed: np.ndarray | None = No
 def coarsest_solution(
     problem: DiscreteProblem, rtol: float, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, int, float]:
-    """Return the solution (n_unknowns,) of a coarsest problem, whose matrix may be singular, and
-    the numbers of its steps and of the passes over its matrix. ``start`` is a displacement near to
-    it (not used with volumes)."""
+    """Return the solution (n_unknowns,) of a coarsest problem, whose matrix may be singular, from
+    which finer levels start; the number of its steps, and its work in passes over its matrix.
+    ``start`` is a displacement near to it (not used with volumes)."""
     if len(problem.volumes):
+        # one solve from zero pressures: exact up to a Poisson's ratio of .499, and beyond near
+        # enough for a start
         augmented = Augmented(problem, np.zeros(len(problem.volumes)))
         solution, steps, passes = coarsest_solution(augmented.problem, rtol)
         return augmented.whole(solution), steps, passes
     # of scalar problems all nodes may touch: nothing is condensed
     condensed = None if problem.dim == 1 else condense_problem(problem, lenient=True)
     local = local_system(problem) if condensed is None else condensed.full
-    run = Run(unit=local.system.nonzeros)
+    run = Run(unit=local.system.nonzeros)  # a work unit is a pass over this matrix
     options = ActiveSet(rtol=rtol, condensed=condensed is not None)
     newton = _Newton(options, local, run, level=0, start=start, condensed=condensed)
     state, *_ = newton.solve(certified=False)
