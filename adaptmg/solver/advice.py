@@ -33,7 +33,7 @@ from adaptmg.solver.examine import ContactResult
 from adaptmg.solver.result import Result
 
 if TYPE_CHECKING:
-    from adaptmg.mesh.arrays import MeshArrays
+    from adaptmg.mesh.arrays import MeshArrays, Surface
 
 #: what locking means, measured: a roller (plane strain, frictionless, squeezed between planes) on adapted meshes of
 #: 3500 nodes; at .3 they are .1 and 1.5 %
@@ -158,26 +158,20 @@ def _advise_on_chords(
             continue
         nodes = contact.nodes[pressed]
         facing = discrete.coupling.weights[nodes]
-        near_pressed = mask_of(np.append(nodes, facing.indices), discrete.n_nodes)
-        heights, lengths = np.concatenate(
-            [
-                chord_heights(side)[:, near_pressed[side.facets].all(axis=1)]
-                for side in posed.sides[k]
-            ],
-            axis=1,
-        )
-        is_arc = (FLAT * lengths < 4 * heights) & (4 * heights < CORNER * lengths)
-        if not is_arc.any() or np.median(facing.max(axis=1).toarray()) > PARTNER:
+        if np.median(facing.max(axis=1).toarray()) > PARTNER:
             continue
-        highest = int(np.argmax(heights * is_arc))
-        height = heights[highest]
-        length = lengths[highest]
+        near_pressed = mask_of(np.append(nodes, facing.indices), discrete.n_nodes)
+        chord = _highest_chord(posed.sides[k], near_pressed)
+        if chord is None:
+            continue
+        height, length = chord
         mean_gap = np.average(np.abs(contact.gaps[pressed]), weights=contact.weights[pressed])
         modulus_in_series = 1 / (1 / posed.young(pair.slave) + 1 / posed.young(pair.master))
-        # pressure by chords over the largest that is not reported
+        # p = .4 E' h / l, over the largest that is not reported
         pressure_by_chords = PRESSED * modulus_in_series * height / length
         excess = pressure_by_chords / max(EXCESS * peaks[pressed].max(), 1e-300)
         if height > CHORDS * mean_gap or excess > 1:
+            # an arc has heights like l^2, and so pressures like l
             size_needed = length * min(np.sqrt(CHORDS * mean_gap / height), 1 / excess)
             advise(
                 "chords",
@@ -188,18 +182,35 @@ def _advise_on_chords(
             )
 
 
+def _highest_chord(
+    sides: Sequence[Surface], near_pressed: np.ndarray
+) -> tuple[float, float] | None:
+    """Return the height h and the length l, m, of the highest chord of an arc on two surfaces, from
+    facets with all their nodes in the mask ``near_pressed`` (n_nodes,); None without an arc. By its
+    height l^2 / (8 r) a chord spans the angle l / r = 8 h / l of an arc of radius r."""
+    heights, lengths = np.concatenate(
+        [chord_heights(side)[:, near_pressed[side.facets].all(axis=1)] for side in sides], axis=1
+    )
+    # 4 h / l is the angle between the chord and the tangents at its ends
+    is_arc = (FLAT * lengths < 4 * heights) & (4 * heights < CORNER * lengths)
+    if not is_arc.any():
+        return None
+    highest = int(np.argmax(heights * is_arc))
+    return heights[highest], lengths[highest]
+
+
 def critical_coefficients(stiffness: np.ndarray) -> np.ndarray:
     """Return the critical coefficients of friction (n,) of nodes with these stiffnesses K (n, dim,
     dim) in their frames: the least eigenvalue of K_tt over |K_nt|. Below it the contact problem
     of a node alone has one solution."""
     tangential = stiffness[:, 1:, 1:].copy()
-    # diagonal blocks mark held tangents by negative entries
+    # contact_blocks turns the sign of this entry where a support holds the first tangent alone; other
+    # held tangents have no mark
     tangential[:, 0, 0] = np.abs(tangential[:, 0, 0])
     least = np.linalg.eigvalsh(tangential)[:, 0]
     coupling = np.linalg.norm(stiffness[:, 0, 1:], axis=1)
-    return np.divide(
-        least, coupling, out=np.full(len(least), np.inf), where=coupling > 1e-12 * least
-    )
+    is_coupled = coupling > 1e-12 * least  # less is rounding: any friction leaves one solution
+    return np.divide(least, coupling, out=np.full(len(least), np.inf), where=is_coupled)
 
 
 def warn_where_steep(rise: np.ndarray, critical: np.ndarray, what: str) -> None:
@@ -218,17 +229,18 @@ def warn_where_steep(rise: np.ndarray, critical: np.ndarray, what: str) -> None:
 
 
 def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
-    """Warn of friction that rises or falls with pressure or slip in a way that may have several
-    solutions."""
+    """Warn of friction that may have several solutions: where the bound mu p falls with the pressure,
+    rises with it by more than the critical coefficient, or falls with the slip faster than the
+    force of the body rises, -d(mu p)/ds > K_tt, at a slip s on the way to the present one."""
     if not isinstance(discrete.law, FollowsState):
         return
     force = contact.force_n
+    # results have means over the nodes whose part a contact node takes over, laws take their sums
     slip = np.linalg.norm(contact.slip, axis=1) * contact.measures / contact.weights
-    # the derivative of mu p by p, below that by the slip
-    _, slope, _ = friction_bound(discrete.friction_at, force, slip)
-    falling = contact.closed & (slope < -FALLING)
+    _, slope_of_pressure, _ = friction_bound(discrete.friction_at, force, slip)
+    falling = contact.closed & (slope_of_pressure < -FALLING)
     if falling.any():
-        i = int(np.argmin(np.where(falling, slope, 0.0)))
+        i = int(np.argmin(np.where(falling, slope_of_pressure, 0.0)))
         advise(
             "falling",
             f"friction times pressure falls with the pressure at {np.count_nonzero(falling)} contact nodes "
@@ -239,22 +251,23 @@ def advise_on_law(discrete: DiscreteProblem, contact: ContactResult) -> None:
     blocks = contact_blocks(discrete)
     # a coefficient alone says little: where it falls like 1 / pressure the friction is constant
     warn_where_steep(
-        np.where(contact.closed, slope, 0.0),
+        np.where(contact.closed, slope_of_pressure, 0.0),
         critical_coefficients(blocks),
         "a slope of friction over pressure of",
     )
-    # what has jumped has passed the slips where friction falls fastest
-    hardening = np.min(
-        [friction_bound(discrete.friction_at, force, share * slip)[2] for share in ON_THE_WAY],
-        axis=0,
-    )
+    # a node that has jumped is beyond the slips where friction falls fastest, and shows nothing
+    slopes_of_slip = []
+    for share in ON_THE_WAY:
+        _, _, slope_of_slip = friction_bound(discrete.friction_at, force, share * slip)
+        slopes_of_slip.append(slope_of_slip)
+    steepest = np.min(slopes_of_slip, axis=0)
     stiffness = np.abs(np.diagonal(blocks[:, 1:, 1:], axis1=1, axis2=2)).max(axis=1)
-    weak = (contact.state == SLIP) & (-hardening > stiffness)
+    weak = (contact.state == SLIP) & (-steepest > stiffness)
     if weak.any():
-        i = int(np.argmax(np.where(weak, -hardening / stiffness, 0.0)))
+        i = int(np.argmax(np.where(weak, -steepest / stiffness, 0.0)))
         advise(
             "weakening",
-            f"friction falls with the slip {-hardening[i] / stiffness[i]:.2g} times faster than the body "
+            f"friction falls with the slip {-steepest[i] / stiffness[i]:.2g} times faster than the body "
             f"follows at {np.count_nonzero(weak)} contact nodes: they may jump, and the solution may not be "
             "unique; let friction fall over a longer slip",
             RuntimeWarning,
@@ -344,18 +357,7 @@ def _advise_on_strains(posed: Posed, result: Result) -> bool:
     if problem.axisymmetric:
         volumes = volumes * (2 * np.pi * mesh.points[mesh.elements, 0].mean(axis=1))
     body_volumes = np.bincount(mesh.element_body, volumes, len(mesh.bodies))
-    # the energy u'Au is at least that of these strains in that volume: rarely do they have to be
-    # computed
-    energy = (
-        STRAIN**2
-        * SHARE
-        * min(
-            elastic.least_stiffness * body
-            for elastic, body in zip(materials, body_volumes, strict=True)
-        )
-    )
-    stressed = not any(isinstance(load, InitialStrain) for load in problem.loads)
-    if stressed and result.checked is not None and result.checked.energy_norm**2 < energy:
+    if _energy_excludes_strains(posed, result, body_volumes):
         return False
     strain_sizes = np.linalg.norm(element_strain(mesh, result.displacement), ord=2, axis=(1, 2))
     if problem.axisymmetric:
@@ -374,6 +376,19 @@ def _advise_on_strains(posed: Posed, result: Result) -> bool:
             f"({materials[body].young:g} Pa; steel has 2.1e11) and the loads (Pa, N), or load it less",
         )
     return bool(large_share[body] > SHARE)
+
+
+def _energy_excludes_strains(posed: Posed, result: Result, body_volumes: np.ndarray) -> bool:
+    """Return whether u'Au is below the energy of strains STRAIN in the share SHARE of any body: at
+    least C STRAIN^2 SHARE V, C its least stiffness and V its volume (``body_volumes``, m^2 or m^3).
+    This spares most solves the strains. Bodies that strain without stress may have no energy."""
+    if result.checked is None or any(isinstance(x, InitialStrain) for x in posed.problem.loads):
+        return False
+    least_stiffness = min(
+        elastic.least_stiffness * volume
+        for elastic, volume in zip(posed.materials, body_volumes, strict=True)
+    )
+    return result.checked.energy_norm**2 < STRAIN**2 * SHARE * least_stiffness
 
 
 def _advise_on_rotations(mesh: MeshArrays, result: Result) -> None:
@@ -405,9 +420,11 @@ def _advise_on_slips(posed: Posed, result: Result) -> None:
     contact = result.contact
     for k, contact_part in enumerate(posed.problem.contact):
         if isinstance(contact_part, Contact):
-            obstacle = contact_part.obstacle
-            shapes = [obstacle, *(part.obstacle for part in moving_parts(obstacle))]
-            if isinstance(shapes[-1], Plane):
+            # the shape that the innermost of the motions moves
+            shape = contact_part.obstacle
+            for moving in moving_parts(shape):
+                shape = moving.obstacle
+            if isinstance(shape, Plane):
                 continue  # it is the same everywhere, also after a motion
         touching = np.flatnonzero((contact.boundary == k) & (contact.state != OPEN))
         facets = posed.surfaces[contact_part.boundary].facets
