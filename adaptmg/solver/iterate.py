@@ -158,14 +158,14 @@ class StopTest:
     #: half changes 1 of 119 solves, paths and loops, twice 0; cycles 691, 690, 691 (campaign
     #: constants)
     RESIDUAL_FACTOR = 10.0
-    #: largest relative residual that rounding excuses
+    #: a residual up to ``ROUNDING`` of the terms that it sums, and up to this share of the forces, is zero but for
+    #: rounding: the state has converged
     ROUNDING_LIMIT = checks.ALIKE
-    #: level of rounding of a residual, relative to the terms that it sums, and iterates at that level
-    #: after which no further one is better
+    #: a residual up to this share of the terms that it sums, and up to ``BALANCED`` of the forces, cannot fall any
+    #: more: after this number of such iterates the iteration gives up, with :attr:`Status.ROUNDING`
     ROUNDING_LEVEL = 2 * np.finfo(float).eps
-    ROUNDING_ITERATES = 4
-    #: largest relative residual that counts as being at that level
     BALANCED = Certificate.MOST_ROUNDING
+    ROUNDING_ITERATES = 4
     #: iterates without a new smallest change after which sweeps and cycles of other methods count as stalled: of
     #: 90 solves of random problems by monotone cycles and over-relaxed sweeps to 1e-6 68 converge, at 30 and 120, too;
     #: the monotone cycles are 3409, 3439, 3469
@@ -218,8 +218,8 @@ class StopTest:
         self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)
         self._last_residual = residual
         self._at_rounding = self.residual_is_rounding(state.floor)
-        balanced = residual <= self.ROUNDING_LEVEL * state.floor and self.residual <= self.BALANCED
-        self._iterates_at_rounding = self._iterates_at_rounding + 1 if balanced else 0
+        is_least = self._residual_within(self.ROUNDING_LEVEL * state.floor, self.BALANCED)
+        self._iterates_at_rounding = self._iterates_at_rounding + 1 if is_least else 0
         # changes at rounding have no rate: there the residual stands for the error
         self.error_estimate = (
             self.residual if self._at_rounding else self._caution * self._estimate()
@@ -240,12 +240,14 @@ class StopTest:
         return Status.LIMIT if self.cycles >= self.limit else None
 
     def residual_is_rounding(self, floor: float) -> bool:
-        """Return whether the last residual is as small as arithmetic allows; ``floor`` is the norm of
-        D u, N. The relative residual is bounded, too, since the floor grows with unknowns that
-        diverge."""
-        return bool(
-            self._last_residual <= ROUNDING * floor and self.residual <= self.ROUNDING_LIMIT
-        )
+        """Return whether the last residual is zero but for rounding; ``floor`` is the norm of D u, N,
+        the terms that it sums."""
+        return self._residual_within(ROUNDING * floor, self.ROUNDING_LIMIT)
+
+    def _residual_within(self, rounding: float, limit: float) -> bool:
+        """Return whether the last residual is at most ``rounding``, N, and at most the share ``limit``
+        of the forces: rounding grows with unknowns that diverge, forces do not."""
+        return bool(self._last_residual <= rounding and self.residual <= limit)
 
     @property
     def residual_met(self) -> bool:
@@ -363,16 +365,16 @@ class ChangeTest(StopTest):
         self._measure = measure
 
     def take(self, measured: Measured, run: Run | None = None) -> Status | None:
-        """Judge a state by the change alone, and measure the last one whole; return how the
-        iteration ends, None if it goes on."""
+        """Judge a state by the change in its cycle alone; return how the iteration ends, None if it goes
+        on. The history gets the norms of the state between smoothing and correction, if there is a
+        correction; at the end also those of the state after both, which is the solution."""
         self.cycles = measured.cycles
         self.relative_change = measured.relative_change
-        if not self.relative_change < np.inf:
+        if not np.isfinite(self.relative_change):
             return Status.DIVERGED
-        if measured.residual is not None:
+        if measured.residual is not None:  # None: there is no correction
             self._record(measured, cast("Run", run))
-        small = not self.relative_change > self.rtol
-        # of the last state, small or not, all norms are taken
+        small = self.relative_change <= self.rtol
         if not small and self.cycles < self.limit:
             return None
         self._record(self._measure(self.state), cast("Run", run))

@@ -92,9 +92,12 @@ class ProjectedRun:
             with self.run.phase("factorise"):
                 system = levels[0].system
                 coarsest = replace(self.problems[0], system=system, load=np.zeros(system.n_dofs))
-                # where the next mesh is locally the coarser one, some coarse functions vanish on it
+                # lenient: where the next mesh is locally the coarser one, some coarse functions
+                # vanish on it
                 condensed = condense(coarsest, lenient=True)
-                condensed = condensed if condensed.by_nodes else None
+                if not condensed.by_nodes:
+                    # a block of the Schur complement is singular: sweeps go over all nodes instead
+                    condensed = None
         return MultigridCycle(
             levels=levels,
             options=self.cycle,

@@ -190,32 +190,39 @@ class TruncatedCycles:
         """Return the state after a correction (of a start there is none), perhaps a coarse contact
         problem, smoothing and linearisation."""
         parts = self.parts
-        new = parts.correct(state, state.shorten)
+        # a status that was only just found lets a correction carry open nodes through the obstacle:
+        # it ends where the first of them closes. So does the first correction of a solve, unless the
+        # start is given, and the first after a coarse contact problem.
+        begins = self.coarse is not None and self.origin != "given" and state.linearised is None
+        new = parts.correct(state, state.shorten).but(shorten=begins)
         from_start = None
         if new.cycles == 1 and self.nested is not None:
             from_start = parts.distance(parts.displacement(new), self.nested[: parts.matrix.n_dofs])
-        # Sizes are measured every fourth cycle, but every cycle with prescribed displacements, into
-        # which the iterate has to grow.
-        measured = new.cycles % 4 == 0 or self.sizes.prescribed
-        shorten = self.coarse is not None and self.origin != "given" and new.cycles == 0
-        if self._seeks_status(new) and self.coarse is not None:
-            coarse_contact = self.coarse()
-            if coarse_contact.number is None:  # no level serves
-                self.coarse = None
-            else:
-                smoothed = parts.smooth(new)
-                new = coarse_contact(smoothed)
-                shorten = new is not smoothed
-                new = new.but(moves=new.moves + 1)
-                measured = True
+        if self.coarse is not None and self._seeks_status(new):
+            new = self._after_coarse_contact(new, self.coarse())
+        # Sizes are measured every fourth cycle and after a coarse contact problem, but every cycle
+        # with prescribed displacements, into which the iterate has to grow.
+        measured = new.cycles % 4 == 0 or new.moves > state.moves or self.sizes.prescribed
         new = parts.linearise(parts.smooth(new), with_energy=measured)
         size = self.sizes.norm(parts.displacement(new), new.energy) if measured else new.size
-        return new.but(size=size, shorten=shorten, from_start=from_start)
+        return new.but(size=size, from_start=from_start)
+
+    def _after_coarse_contact(
+        self, state: TruncatedState, coarse_contact: CoarseContact | CoarseObstacles
+    ) -> TruncatedState:
+        """Return the state after smoothing and a coarse contact problem; the same state, without
+        smoothing, where no coarse level serves, which is then not asked again."""
+        if coarse_contact.number is None:
+            self.coarse = None
+            return state
+        smoothed = self.parts.smooth(state)
+        moved = coarse_contact(smoothed)
+        return moved.but(moves=state.moves + 1, shorten=moved is not smoothed)
 
     def _seeks_status(self, state: TruncatedState) -> bool:
         """Return whether the contact status is too uncertain to go on without a coarse contact
         problem."""
-        if self.coarse is None or state.moves >= self.MOVES:
+        if state.moves >= self.MOVES:
             return False
         if not state.cycles:
             return self.origin == "zero"
@@ -227,10 +234,12 @@ class TruncatedCycles:
         """Return the norms of the state after its smoothing."""
         sizes = self.sizes
         unknowns = self.parts.displacement(state)
-        # before the second cycle no rate is known: an exact start is recognised by rounding alone
+        columns = {"status_changes": float(state.changed)}
+        # |D u| is computed where it decides: before the second cycle, when no rate is known and an
+        # exact start is recognised by rounding alone; and where supports that move bodies may exert
+        # no force at all. Later the test asks for it when the residual is small.
         early = state.cycles < 2
         floor = self.rounding(state) if early or sizes.prescribed else 0.0
-        columns = {"status_changes": float(state.changed)}
         idle = sizes.nothing_strains(state.reactions, ROUNDING * floor, unknowns)
         if self.run.reference is not None:
             error = unknowns - self.problem.from_prescribed(self.run.reference)
@@ -457,7 +466,9 @@ class TruncatedRun:
             smoother = None
             if not isinstance(parts.smooth, int):
                 smoother = FrameSmoother(parts.smooth, problem, levels[number])
-            if number == len(levels) - 1:
+            is_finest = number == len(levels) - 1
+            if is_finest:
+                # only contact and smoother read it: the finest matrix is never truncated
                 levels[number].drop_diagonal()
             step = TruncatedStep(
                 self.cycle,
@@ -468,10 +479,12 @@ class TruncatedRun:
                 interface=interface,
                 smoother=smoother,
             )
-            if number == len(levels) - 1 and not self.cycle.reads_diagonals:
-                # small levels may become the coarse contact problem, which reads them
+            if is_finest and not self.cycle.reads_diagonals and problem.dim > 1:
+                # the truncation has read those of coarse levels. The coarsest level is factorised
+                # with its own, and a coarse contact problem reads those of a small level, of scalar
+                # problems those of all levels.
                 for level in levels[1:-1]:
-                    if level.n_dofs > CoarseContact.MOST and problem.dim > 1:
+                    if level.n_dofs > CoarseContact.MOST:
                         level.drop_diagonal()
             if self._keeps:
                 self._steps[number] = step
@@ -522,18 +535,23 @@ class TruncatedRun:
         least_cycles: int,
     ) -> TruncatedState | None:
         """Return the state after ``least_cycles`` cycles, or more until its residual is small enough
-        for the next level to take over; None if they diverge."""
+        for the next level to take over; None if they diverge, to a residual that is neither near the
+        least one nor small. The state has had one correction more: the smoothing after it takes place
+        on the next level."""
         sizes = Sizes(problem)
+
+        def trust_limit(unknowns: np.ndarray, reactions: float = 0.0) -> float:
+            """Return the natural residual, N, up to which a state is trusted."""
+            return self.TRUSTED * sizes.forces(unknowns, reactions)
+
         least_residual = np.inf
         for cycle in range(max(least_cycles, self.START_CYCLES)):
-            state = parts.linearise(
-                parts.smooth(parts.correct(state)),
-                trusted=lambda u: self.TRUSTED * sizes.forces(u, contact=0.0),
-            )
-            trusted = self.TRUSTED * sizes.forces(parts.displacement(state), state.reactions)
+            smoothed = parts.smooth(parts.correct(state))
+            state = parts.linearise(smoothed, trusted=trust_limit)
+            is_trusted = state.natural <= trust_limit(parts.displacement(state), state.reactions)
             least_residual = min(least_residual, state.natural)
-            if state.natural > self.RUNAWAY * least_residual and state.natural > trusted:
+            if state.natural > self.RUNAWAY * least_residual and not is_trusted:
                 return None
-            if cycle + 1 >= least_cycles and state.natural <= trusted:
+            if cycle + 1 >= least_cycles and is_trusted:
                 break
         return parts.correct(state)
