@@ -11,6 +11,8 @@ from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 
+import matplotlib
+import matplotlib.pyplot as plt
 import pytest
 import step_assembly
 from gmsh_file import write
@@ -195,10 +197,12 @@ def test_examples_of_the_documentation_run(page, tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     names = given(tmp_path)
     caplog.set_level(logging.NOTSET, "adaptmg")
-    for block in blocks(page):
-        code = compile(block, str(page), "exec")
-        if page.stem != "cluster":  # the lines there need a scheduler
-            exec(code, names)
+    with matplotlib.rc_context():  # a page shows how to change settings
+        for block in blocks(page):
+            code = compile(block, str(page), "exec")
+            if page.stem != "cluster":  # the lines there need a scheduler
+                exec(code, names)
+    plt.close("all")
     assert "result" not in names or names["result"].status.ok
 
 
