@@ -174,26 +174,25 @@ class TruncatedStep:
         of a start. With ``shorten`` the correction ends where the first open node closes."""
         if state.linearised is None or state.coarse_residual is None:
             return state.but(iterate=state.iterate.copy(), contact=state.contact.copy())
-        unknowns = self.displacement(state)
         self._truncate(state.linearised)
-        combined, coarse_residual = self._recombined(state, state.coarse_residual)
-        load = coarse_residual[: self.coarse.n_dofs]
-        iterate = combined.copy()
+        present = state.iterate, state.coarse_residual
+        recombined = self._recombined(state, state.coarse_residual)
+        newest = (present,) if recombined is None else (recombined, present)
+        begin, coarse_residual = newest[0]
+        iterate = begin.copy()
+        # views of the new iterate, which are changed in place
         proposed = iterate[: self._n_dofs]
-        # without the first smoothing the cycle is cheaper; recombination makes up for the difference
-        correction = self.cycle.solve(self.number - 1, load, smooth=not state.corrected)
-        energy = _product(load, correction)
-        self.level.prolong(correction, proposed)
-        proposed[self.matrix.fixed] = 0.0
+        pressures = iterate[self._n_dofs :]
+        load = coarse_residual[: self.coarse.n_dofs]
+        energy = self._add_correction(proposed, load, smooth=not state.corrected)
         contact = state.contact.copy()
         if shorten:
+            unknowns = self.displacement(state)
             share = contact.closing_share(proposed)
             proposed[:] = unknowns + share * (proposed - unknowns)
         self._project(contact, proposed)
         if state.linearised.frozen and self.options.search:
             self._search(state, proposed, contact)
-        smoothed = () if combined is state.iterate else ((state.iterate, state.coarse_residual),)
-        pressures = iterate[len(proposed) :]
         if len(pressures):
             energy += self.pressures.advance(proposed, pressures, state.cautious > 0)
             self.cycle.recorder.count(2.0, self.pressures.nonzeros)
@@ -205,9 +204,18 @@ class TruncatedStep:
             cycles=state.cycles + 1,
             correction=energy,
             corrected=True,
-            past=((combined, coarse_residual), *smoothed, *state.past)[: self.options.recombine],
+            past=(*newest, *state.past)[: self.options.recombine],
             cautious=max(state.cautious - 1, 0),
         )
+
+    def _add_correction(self, unknowns: np.ndarray, load: np.ndarray, smooth: bool) -> float:
+        """Add the correction of the coarser levels for a load on the next one to a displacement
+        (n_dofs,), in place; return its energy. Without the first smoothing the cycle is cheaper, and
+        recombination makes up for the difference."""
+        correction = self.cycle.solve(self.number - 1, load, smooth=smooth)
+        self.level.prolong(correction, unknowns)
+        unknowns[self.matrix.fixed] = 0.0
+        return _product(load, correction)
 
     def smooth(self, state: TruncatedState) -> TruncatedState:
         """Improve the iterate of a state from :meth:`correct` locally, in place, and write f - A u to
@@ -243,54 +251,65 @@ class TruncatedStep:
 
         If the residual, N, is above ``trusted(unknowns)``, g is frozen in the coarse matrices, which
         keeps them symmetric."""
-        unknowns, values = self.parts(state)
-        residual = state.residual
+        unknowns, pressures = self.parts(state)
         contact = state.contact
-        energy = np.nan
-        if with_energy:
-            # u'Au = u'f - u'r; the linearisation truncates r
-            energy = _product(unknowns, self._balanced(values)) - _product(unknowns, residual)
-            energy += self.pressures.volumes.energy(values)
-        changed, natural, reactions = contact.update_status(residual)
-        full_residual = residual.copy() if len(values) else residual
-        at_contact = contact.truncate(residual)
+        residual = state.residual  # f - A u, which is truncated in place below
+        energy = self._energy(unknowns, pressures, residual) if with_energy else np.nan
+        changed, natural_squares, reaction_squares = contact.update_status(residual)
+        full_residual = residual.copy() if len(pressures) else residual
+        truncated_squares = contact.truncate(residual)
         n = self.coarse.n_dofs
-        coarse_residual = np.empty(n + len(values))
-        free_squares = max(self.level.restrict(residual, coarse_residual[:n]) - at_contact, 0.0)
+        coarse_residual = np.empty(n + len(pressures))
+        all_squares = self.level.restrict(residual, coarse_residual[:n])
         self.cycle.recorder.visit(self.number, "restrict")
-        if len(values):
-            coarse_residual[n:] = self.pressures.missed(unknowns, values)
-            natural += self.pressures.forces_missed(coarse_residual[n:])
+        if len(pressures):
+            coarse_residual[n:] = self.pressures.missed(unknowns, pressures)
+            natural_squares += self.pressures.forces_missed(coarse_residual[n:])
             self.cycle.recorder.count(1.0, self.pressures.nonzeros)
-        # a start has no status that moves: if it counts, 46 problems with Poisson's ratios of .45 to
-        # .5 take 1512 cycles in place of 1441
-        status_moves = changed and state.linearised is not None
-        natural_size = float(np.sqrt(free_squares + natural))
-        frozen = natural_size > trusted(unknowns)
-        linearised = state.linearised
-        past = state.past
-        uniform = state.uniform
-        if linearised is None or changed or frozen != linearised.frozen:
-            contact.linearise_friction()
-            linearised = TruncatedStatus(contact, frozen)
-            past = ()
-            uniform = ()
-        if len(values) and not uniform and changed <= self.UNIFORM_CHANGES:
-            uniform = tuple(
-                self._of_uniform(contact, full_residual, residual, mode)
-                for mode in self.pressures.uniform
-            )
-        return state.but(
-            past=past,
-            uniform=uniform,
-            cautious=self.pressures.STEPS if status_moves else state.cautious,
-            linearised=linearised,
+        # away from contact nodes the natural residual is the residual
+        free_squares = max(all_squares - truncated_squares, 0.0)
+        natural = float(np.sqrt(free_squares + natural_squares))
+        measured = state.but(
             coarse_residual=coarse_residual,
             changed=changed,
-            natural=natural_size,
-            reactions=float(np.sqrt(reactions)),
+            natural=natural,
+            reactions=float(np.sqrt(reaction_squares)),
             energy=energy,
         )
+        frozen = natural > trusted(unknowns)
+        return self._with_linear_problem(measured, full_residual, frozen)
+
+    def _with_linear_problem(
+        self, state: TruncatedState, full_residual: np.ndarray, frozen: bool
+    ) -> TruncatedState:
+        """Return a measured state with the linear problem of its status: if that has changed, the
+        earlier iterates had another one and are dropped. ``full_residual`` (n_dofs,) is that before
+        the truncation."""
+        contact = state.contact
+        if state.linearised is None or state.changed or frozen != state.linearised.frozen:
+            # a start has no status that moves: if it counts, 46 problems with Poisson's ratios of .45
+            # to .5 take 1512 cycles in place of 1441
+            status_moves = state.changed and state.linearised is not None
+            contact.linearise_friction()
+            state = state.but(
+                linearised=TruncatedStatus(contact, frozen),
+                past=(),
+                uniform=(),
+                cautious=self.pressures.STEPS if status_moves else state.cautious,
+            )
+        with_pressures = len(state.iterate) > self._n_dofs
+        if with_pressures and not state.uniform and state.changed <= self.UNIFORM_CHANGES:
+            directions = tuple(
+                self._of_uniform(contact, full_residual, state.residual, mode)
+                for mode in self.pressures.uniform
+            )
+            state = state.but(uniform=directions)
+        return state
+
+    def _energy(self, unknowns: np.ndarray, pressures: np.ndarray, residual: np.ndarray) -> float:
+        """Return u'Au = u'f - u'r, N m, of unknowns with the residual r, and the energy of pressures."""
+        energy = _product(unknowns, self._balanced(pressures)) - _product(unknowns, residual)
+        return energy + self.pressures.volumes.energy(pressures)
 
     def move(self, state: TruncatedState, change: np.ndarray) -> TruncatedState:
         """Add a change (n_dofs,) to an iterate that is being smoothed, and project it."""
@@ -415,35 +434,36 @@ class TruncatedStep:
         )
         self.cycle.recorder.count(1.0, interface.nonzeros)
 
-    def _recombined(self, state: TruncatedState, coarse_residual: np.ndarray) -> Recombinable:
+    def _recombined(
+        self, state: TruncatedState, coarse_residual: np.ndarray
+    ) -> Recombinable | None:
         r"""Return the iterate and its restricted residual, recombined with the last ones: the weights of
         :math:`u + \sum_j \alpha_j (u_j - u)` minimise :math:`\sum_k |R_0 + \sum_j \alpha_j (R_j - R_0)|_k^2 / d_k`, d
         the diagonal of the coarse matrix (Anderson acceleration). While the contact status stays,
-        the residual is affine in u (3D: nearly). The weights are dropped if the recombined iterate
-        is not admissible. Of symmetric problems a few recombined iterates would do; Coulomb's law
-        needs those that they were made from, too."""
-        if state.past or state.uniform:
-            dim = self.coarse.dim
-            n = len(state.past)
-            weights = (
-                self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
-            )
-            weights = np.concatenate([weights, self.pressures.weights])
-            changes = np.empty((n + len(state.uniform), len(coarse_residual)))
-            for change, (_, residual) in zip(changes, state.past, strict=False):
-                np.subtract(residual, coarse_residual, out=change)
-            for change, (_, of_uniform) in zip(changes[n:], state.uniform, strict=True):
-                change[:] = of_uniform
-            shares = least_weights(coarse_residual, changes, weights)
-            combined = (1.0 - shares[:n].sum()) * state.iterate
-            for share, (past, _) in zip(shares, state.past, strict=False):
-                # in place: one pass over long vectors
-                combined = linalg.blas.daxpy(past, combined, a=share)
-            for share, (pressures, _) in zip(shares[n:], state.uniform, strict=True):
-                combined[self._n_dofs :] += share * pressures
-            if state.contact.admits(combined[: self._n_dofs]):
-                return combined, coarse_residual + shares @ changes
-        return state.iterate, coarse_residual
+        the residual is affine in u (3D: nearly). None without earlier iterates, or if the recombined
+        iterate is not admissible. Of symmetric problems a few recombined iterates would do; Coulomb's
+        law needs those that they were made from, too."""
+        if not (state.past or state.uniform):
+            return None
+        dim = self.coarse.dim
+        n = len(state.past)
+        weights = self.coarse.inverse.reshape(-1, dim, dim).diagonal(axis1=1, axis2=2).reshape(-1)
+        weights = np.concatenate([weights, self.pressures.weights])
+        changes = np.empty((n + len(state.uniform), len(coarse_residual)))
+        for change, (_, residual) in zip(changes, state.past, strict=False):
+            np.subtract(residual, coarse_residual, out=change)
+        for change, (_, of_uniform) in zip(changes[n:], state.uniform, strict=True):
+            change[:] = of_uniform
+        shares = least_weights(coarse_residual, changes, weights)
+        combined = (1.0 - shares[:n].sum()) * state.iterate
+        for share, (past, _) in zip(shares, state.past, strict=False):
+            # in place: one pass over long vectors
+            combined = linalg.blas.daxpy(past, combined, a=share)
+        for share, (pressures, _) in zip(shares[n:], state.uniform, strict=True):
+            combined[self._n_dofs :] += share * pressures
+        if not state.contact.admits(combined[: self._n_dofs]):
+            return None
+        return combined, coarse_residual + shares @ changes
 
     def _search(
         self, state: TruncatedState, proposed: np.ndarray, contact: TruncatedContact

@@ -21,6 +21,7 @@ from scipy import sparse
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg._threads import in_parts
+from adaptmg.discrete.coordinates import dofs_of
 from adaptmg.mesh.arrays import pair_keys
 from adaptmg.multigrid.split_matrix import SplitMatrix, invert_block
 from adaptmg.multigrid.truncated_contact import TruncatedContact
@@ -81,10 +82,12 @@ class _ChangedDofs(_Changed):
     ) -> _ChangedDofs:
         """Find the entries of a level in ``pattern``, a matrix of ones between the changed ``dofs``;
         ``weights`` is the prolongation from these to the changed dofs of the finer level."""
-        order = sparse.coo_array(pattern)
-        keys = np.sort(pair_keys(order.row, order.col, len(dofs)))
-        rows = dofs[keys // len(dofs)]
-        columns = dofs[keys % len(dofs)]
+        entries = sparse.coo_array(pattern)
+        # a key is the row times the number of dofs, plus the column
+        keys = np.sort(pair_keys(entries.row, entries.col, len(dofs)))
+        row_numbers, column_numbers = np.divmod(keys, len(dofs))
+        rows = dofs[row_numbers]
+        columns = dofs[column_numbers]
         slots = np.empty(len(keys), dtype=np.int64)
         find_slots(
             rows,
@@ -163,13 +166,11 @@ class DofUpdate(_Update[_ChangedDofs]):
     ) -> None:
         """Find the dofs of changed blocks at ``rows`` and ``columns`` (n_blocks,), nodes, and those
         that they reach on the levels below."""
-        # for each entry of a block the dof of its row, and that of its column
-        components = np.arange(dim)
-        row_dofs = (dim * rows.astype(np.int64)[:, None] + components)[:, :, None]
-        column_dofs = (dim * columns.astype(np.int64)[:, None] + components)[:, None, :]
-        entries = np.stack(np.broadcast_arrays(row_dofs, column_dofs))
-        # dofs count among those that blocks have
-        dofs, numbers = np.unique(entries, return_inverse=True)
+        # for each entry of a block, row by row, the dof of its row and that of its column
+        row_dofs = np.repeat(dofs_of(rows, dim), dim)
+        column_dofs = dofs_of(np.repeat(columns, dim), dim)
+        # the changed dofs, and the numbers of rows and columns among them
+        dofs, numbers = np.unique(np.append(row_dofs, column_dofs), return_inverse=True)
         self._rows, self._columns = numbers.reshape(2, -1)
         self._size = len(dofs)
         pattern = sparse.csr_array(
@@ -181,13 +182,14 @@ class DofUpdate(_Update[_ChangedDofs]):
         self.below: list[_ChangedDofs] = []
         for level, prolongation in zip(reversed(levels), reversed(prolongations), strict=True):
             weights = sparse.csr_array(prolongation[dofs])
-            dofs = np.unique(weights.indices).astype(np.int64)
-            weights = sparse.csr_array(weights[:, dofs])
+            coarse_dofs = np.unique(weights.indices).astype(np.int64)
+            weights = sparse.csr_array(weights[:, coarse_dofs])
             reach = sparse.csr_array(
                 (np.ones(weights.nnz), weights.indices, weights.indptr), shape=weights.shape
             )
             pattern = sparse.csr_array(reach.T @ (pattern @ reach))
-            self.below.append(_ChangedDofs.of(level, weights, dofs, pattern))
+            self.below.append(_ChangedDofs.of(level, weights, coarse_dofs, pattern))
+            dofs = coarse_dofs
 
     def update(self, change: np.ndarray) -> None:
         """Write the matrices for a change (n_blocks * dim^2,) on the finest level."""
@@ -286,35 +288,8 @@ class Truncation:
         """Collect the blocks of the finest matrix in rows and columns of contact nodes, and find the
         blocks below that their changes reach."""
         fine = levels[-1]
-        dim = fine.dim
-        in_lower = np.concatenate(
-            in_parts(
-                _at_contact,
-                fine.n_nodes,
-                len(fine.lower),
-                fine.strips.order,
-                fine.lower_indptr,
-                fine.lower_indices,
-                contact.contact_of,
-            )
-        )
-        row_node = fine.strips.order[np.searchsorted(fine.lower_indptr, in_lower, side="right") - 1]
-        column_node = fine.lower_indices[in_lower]
-        lower_blocks = fine.lower.reshape(-1, dim, dim)[in_lower]
-        # blocks in rows and columns of contact nodes: on the diagonal, and of L for both sides
-        rows, columns = (
-            np.concatenate([contact.nodes, np.column_stack(pair).reshape(-1)]).astype(np.int32)
-            for pair in ((row_node, column_node), (column_node, row_node))
-        )
-        blocks = np.concatenate(
-            [
-                contact.diagonal.reshape(-1, dim, dim),
-                np.stack([lower_blocks, lower_blocks.transpose(0, 2, 1)], axis=1).reshape(
-                    -1, dim, dim
-                ),
-            ]
-        )
-        # contact node by contact node, so that the blocks written below lie close together
+        rows, columns, blocks = _blocks_at_contact(fine, contact)
+        # any order would do: contact node by contact node the blocks written below lie close together
         contact_of_block = np.where(
             contact.contact_of[rows] < 0, contact.contact_of[columns], contact.contact_of[rows]
         )
@@ -328,7 +303,7 @@ class Truncation:
                 levels[:-1], prolongations, self.rows, self.columns
             )
         else:
-            self.products = DofUpdate(levels[:-1], prolongations, dim, self.rows, self.columns)
+            self.products = DofUpdate(levels[:-1], prolongations, fine.dim, self.rows, self.columns)
 
     def apply(self, contact: TruncatedContact, newton: bool) -> None:
         """Truncate the matrices for a status. Without ``newton`` g is frozen, which keeps them
@@ -356,6 +331,39 @@ class Truncation:
         self.products.restore()
 
 
+def _blocks_at_contact(
+    fine: SplitMatrix, contact: TruncatedContact
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows (n,), columns (n,) and blocks (n, dim, dim) of a symmetric matrix, which stores L
+    alone, in rows and columns of contact nodes."""
+    dim = fine.dim
+    in_lower = np.concatenate(
+        in_parts(
+            _at_contact,
+            fine.n_nodes,
+            len(fine.lower),
+            fine.strips.order,
+            fine.lower_indptr,
+            fine.lower_indices,
+            contact.contact_of,
+        )
+    )
+    # each block of L, followed by its transpose, which is a block of L'
+    place = np.repeat(in_lower, 2)
+    in_transpose = np.arange(len(place)) % 2 == 1
+    row_of_lower = fine.strips.order[np.searchsorted(fine.lower_indptr, place, side="right") - 1]
+    column_of_lower = fine.lower_indices[place]
+    rows = np.where(in_transpose, column_of_lower, row_of_lower)
+    columns = np.where(in_transpose, row_of_lower, column_of_lower)
+    off_diagonal = fine.lower.reshape(-1, dim, dim)[place]
+    off_diagonal[in_transpose] = off_diagonal[in_transpose].transpose(0, 2, 1)
+    return (
+        np.append(contact.nodes, rows).astype(np.int32),
+        np.append(contact.nodes, columns).astype(np.int32),
+        np.concatenate([contact.diagonal.reshape(-1, dim, dim), off_diagonal]),
+    )
+
+
 @kernel
 def _at_contact(first, last, order, indptr, indices, contact_of):
     """Return the numbers of the blocks of a half in rows and columns of contact nodes."""
@@ -372,15 +380,18 @@ def _at_contact(first, last, order, indptr, indices, contact_of):
 
 @inner_kernel
 def _turn(dim, frames, k, inverse, rows, block, spare):
-    """Change a block to F block (``rows``) or block F', F the frame of contact node k, with ``inverse``
-    its transpose; ``spare`` (dim, dim) is overwritten."""
+    """Turn the rows of a block, G block, or else its columns, block G'. G is the frame F of contact
+    node k, which turns components into it, or its ``inverse`` F', which turns them back. ``spare``
+    (dim, dim) is overwritten."""
     for a in range(dim):
         for b in range(dim):
             spare[a, b] = 0.0
+            # the sum over c of G_ac block_cb, or of G_bc block_ac
             i = a if rows else b
             for c in range(dim):
-                at = c * dim + i if inverse else i * dim + c
-                spare[a, b] += frames[k * dim * dim + at] * (block[c, b] if rows else block[a, c])
+                entry_of_frame = c * dim + i if inverse else i * dim + c
+                turned = block[c, b] if rows else block[a, c]
+                spare[a, b] += frames[k * dim * dim + entry_of_frame] * turned
     for a in range(dim):
         for b in range(dim):
             block[a, b] = spare[a, b]
