@@ -16,7 +16,7 @@ reactions :math:`A u - b` of the supports."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from scipy import sparse
@@ -42,6 +42,7 @@ from adaptmg.solver.certificate import Certificate, ConditionsOnMesh, certify
 if TYPE_CHECKING:
     import pandas
 
+    from adaptmg.discrete.coordinates import Coupling
     from adaptmg.mesh.arrays import MeshArrays
 
 
@@ -296,8 +297,10 @@ class Examiner:
         return self._at_contact(self.discrete.from_prescribed(solved))
 
     def _residual(self, solution: np.ndarray, residual: np.ndarray) -> float:
-        """Return the relative natural residual of a solution (n_unknowns,) whose residual b - A w
-        (n_dofs,), N, is known."""
+        """Return the relative natural residual of a solution (n_unknowns,) whose residual r = b - A w
+        (n_dofs,), N, is known: the norm of the free part of r away from contact, of the natural
+        residual at contact nodes and of what the volumes miss, over the largest norm of loads,
+        contact forces and reactions."""
         discrete = self.discrete
         solved, pressures = discrete.parts(solution)
         free = np.where(discrete.fixed, 0.0, residual)
@@ -306,20 +309,19 @@ class Examiner:
         # the friction of laws that see pressure and slip is that of this state
         self.contact.follow(values, at_contact)
         natural = natural_at_nodes(self.contact, self.blocks, values, at_contact)
-        # in free: r away from contact, the natural residual at contact nodes
-        free.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
-        # relative to the forces that act: loads, contact forces, reactions
-        unknowns = np.where(discrete.fixed, 0.0, solved) if self.sizes.prescribed else solved
-        exerted = euclidean_norm(at_contact.reshape(-1))
-        scale = self.sizes.forces(unknowns, exerted)
+        whole = free  # the free part of r away from contact, the natural residual at contact nodes
+        whole.reshape(-1, discrete.dim)[discrete.contact.nodes] = natural
         missed = discrete.volumes.scale * discrete.volumes.missed(solved, pressures)
-        size = float(np.hypot(euclidean_norm(free), euclidean_norm(missed)))
+        size = float(np.hypot(euclidean_norm(whole), euclidean_norm(missed)))
+        exerted = euclidean_norm(at_contact.reshape(-1))
+        unknowns = solved
         if self.sizes.prescribed:
+            unknowns = np.where(discrete.fixed, 0.0, solved)
             # a row sums terms of the size of its diagonal times its displacement
             floor = ROUNDING * euclidean_norm(discrete.matrix.diagonal() * unknowns)
             if size <= floor and self.sizes.nothing_strains(exerted, floor, unknowns):
                 return 0.0
-        return 0.0 if size == 0.0 else size / (scale or size)
+        return relative_to(self.sizes.forces(unknowns, exerted), size)
 
     def __call__(self, solution: np.ndarray, rtol: float = 0.0) -> Examined:
         """Examine a solution (n_unknowns,), between bodies in relative coordinates. The last answer is
@@ -359,9 +361,9 @@ class Examiner:
         return examined
 
     def _contact_result(self, solved: np.ndarray, residual: np.ndarray) -> ContactResult:
-        """Return contact quantities at a solution (n_dofs,). Where a support holds a tangential component,
-        the equations give only the sum of friction and reaction of the support: there the friction is
-        that of the law for the prescribed slip, zero without slip."""
+        """Return contact quantities at a solution (n_dofs,) with its residual r (n_dofs,): the pressure
+        force p = max(0, r_n) and the friction f_t = -r_t. Where a support holds a tangent, r_t is
+        friction and reaction of the support together: there the friction is that of the law."""
         discrete = self.discrete
         frames = self.frames
         held = self.held
@@ -375,21 +377,22 @@ class Examiner:
             force = contact.normals * force
             u = contact.normals * u
         slip = u[:, 1:] - to_frames(frames, contact.slip_reference)[:, 1:]
-        force_n = np.maximum(force[:, 0], 0.0)  # p = max(0, r_n), and f_t = -r_t
-        self.contact.follow(self._values(solved), force)
-        force_t = np.where(held, 0.0, -force[:, 1:])
+        force_n = np.maximum(force[:, 0], 0.0)
+        values = self._values(solved)
+        self.contact.follow(values, force)
         limit = self.contact.limit + self.contact.friction * force_n
-        state = states(self.contact, self._values(solved), force_n, negligible_slip)
+        state = states(self.contact, values, force_n, negligible_slip)
+        # along a held tangent -(s + mu p) tau/|tau|, zero without slip
         slip_size = np.linalg.norm(slip, axis=1)
         slides_held = held.any(axis=1) & (slip_size > negligible_slip)
         direction = np.divide(
             slip, slip_size[:, None], out=np.zeros_like(slip), where=slides_held[:, None]
         )
-        # -(s + mu p) tau/|tau| along held tangents
-        force_t[held] = (-limit[:, None] * direction)[held]
+        force_t = np.where(held, -limit[:, None] * direction, -force[:, 1:])
         state[slides_held & (state == STICK)] = SLIP
         x = discrete.coordinates
-        # nodes that take over parts of others have sums of their conditions; means are reported
+        # gaps and displacements of a contact node contain those of the nodes of which it takes over the
+        # shares V: over 1 + sum(V) they are means, which are reported
         share = contact.measures / contact.weights
         other_nodes, other_forces, other_boundary, on_slave = _forces_on_other_nodes(
             discrete, from_frames(frames, np.column_stack([-force_n, force_t]))
@@ -426,10 +429,10 @@ def _forces_on_other_nodes(
     forces (m, dim) on them, the numbers (m,) of the contacts, and the mask (m,) of the nodes on
     slave surfaces; the others are on masters.
 
-    Nodes of a contact boundary without a condition carry the shares that their neighbours take over,
-    along a direction that supports hold at the neighbour only if they hold it there, too.
-    Nodes of a master carry -W' times the contact forces; along a tangent that supports hold at slave
-    and master only the held nodes of the master do."""
+    With the shares V (n_contact, n_nodes) that contact nodes take over and contact forces f, nodes of
+    a contact boundary without a condition carry V'f; but of the part P f that supports hold at the
+    contact node only what supports hold at these nodes, too. Nodes of a master carry -W'f, with the
+    weights W of :func:`_weights_of_masters`."""
     contact = discrete.contact
     dim = discrete.dim
     # nodes, forces, contacts and mask, piece by piece; the first piece is empty
@@ -438,43 +441,60 @@ def _forces_on_other_nodes(
     ]
     if discrete.coupling is None:
         return pieces[0]
-    taken_over = contact.taken_over
-    master_weights = discrete.coupling.weights[contact.nodes]
-    if taken_over.shape[1]:
-        master_weights = sparse.csr_array(master_weights + taken_over)
-        master_weights.data[np.abs(master_weights.data) < checks.ROUNDING] = 0.0
-        master_weights.eliminate_zeros()
     held_forces = np.einsum("nij,nj->ni", discrete.held_spans(contact.nodes), forces)
-    rows = [master_weights]
-    row_forces = [forces.copy()]
+    all_weights, all_forces, boundaries = _weights_of_masters(discrete, forces)
+    for k in np.unique(contact.boundary):
+        slaves = np.flatnonzero(contact.boundary == k)
+        taken_over = contact.taken_over[slaves]
+        neighbours = np.unique(taken_over.indices).astype(np.int64)
+        carried = (taken_over.T @ forces[slaves])[neighbours]
+        held = (taken_over.T @ held_forces[slaves])[neighbours]
+        carried -= held - np.einsum("nij,nj->ni", discrete.held_spans(neighbours), held)
+        count = len(neighbours)
+        pieces.append((neighbours, carried, np.full(count, k), np.full(count, True)))
+        rows = np.flatnonzero(boundaries == k)
+        weights = all_weights[rows]
+        masters = np.unique(weights.indices).astype(np.int64)
+        on_masters = -(weights.T @ all_forces[rows])[masters]
+        count = len(masters)
+        pieces.append((masters, on_masters, np.full(count, k), np.full(count, False)))
+    node, exerted, boundary, on_slave = map(np.concatenate, zip(*pieces, strict=True))
+    return node, exerted, boundary, on_slave
+
+
+def _weights_of_masters(
+    discrete: DiscreteProblem, forces: np.ndarray
+) -> tuple[sparse.csr_array, np.ndarray, np.ndarray]:
+    """Return rows W (m, n_nodes) of weights of master nodes, the parts (m, dim) of contact forces
+    (n_contact, dim) that these carry, and the numbers (m,) of the contacts.
+
+    A row for each contact node has the weights of all nodes that it faces. Along a tangent that
+    supports hold at the contact node and at some of these, the held ones carry all: the part of the
+    force along it is in a row of its own."""
+    contact = discrete.contact
+    taken_over = contact.taken_over
+    # the coupling has -V in the columns of the nodes whose shares are taken over
+    weights = cast("Coupling", discrete.coupling).weights[contact.nodes]
+    if taken_over.shape[1]:
+        weights = sparse.csr_array(weights + taken_over)
+        weights.data[np.abs(weights.data) < checks.ROUNDING] = 0.0
+        weights.eliminate_zeros()
+    rows = [weights]
+    parts = [forces.copy()]
     boundaries = [contact.boundary]
     for slaves, held_weights, tangents in discrete.held_together():
         along = np.einsum("nd,nd->n", tangents, forces[slaves])[:, None] * tangents
-        row_forces[0][slaves] -= along
+        parts[0][slaves] -= along
         rows.append(held_weights)
-        row_forces.append((1 + taken_over[slaves].sum(axis=1))[:, None] * along)
+        # the sum of the row of a contact node; that of the held weights is 1
+        row_sums = 1 + taken_over[slaves].sum(axis=1)
+        parts.append(row_sums[:, None] * along)
         boundaries.append(contact.boundary[slaves])
-    on_master = (
+    return (
         sparse.csr_array(sparse.vstack(rows, format="csr")),
-        np.concatenate(row_forces),
+        np.concatenate(parts),
         np.concatenate(boundaries),
     )
-    for k in np.unique(contact.boundary):
-        for on_slave, (weights_of_rows, forces_of_rows, boundary_of_rows) in (
-            (True, (-taken_over, forces, contact.boundary)),
-            (False, on_master),
-        ):
-            rows_of_boundary = np.flatnonzero(boundary_of_rows == k)
-            weights_of_boundary = weights_of_rows[rows_of_boundary]
-            node = np.unique(weights_of_boundary.indices).astype(np.int64)
-            exerted = -(weights_of_boundary.T @ forces_of_rows[rows_of_boundary])[node]
-            if on_slave:
-                along = (weights_of_boundary.T @ held_forces[rows_of_boundary])[node]
-                exerted += along - np.einsum("nij,nj->ni", discrete.held_spans(node), along)
-            count = len(node)
-            pieces.append((node, exerted, np.full(count, k), np.full(count, on_slave)))
-    node, exerted, boundary, on_slave = map(np.concatenate, zip(*pieces, strict=True))
-    return node, exerted, boundary, on_slave
 
 
 #: a natural residual below this share of the terms it sums is rounding
@@ -491,6 +511,11 @@ def energy_norm(unknowns: np.ndarray, forces: np.ndarray) -> float:
 def euclidean_norm(vector: np.ndarray) -> float:
     """Return |v| of a flat vector, on one thread."""
     return energy_norm(vector, vector)
+
+
+def relative_to(scale: float, size: float) -> float:
+    """Return ``size`` over a ``scale``: 0 where the size is 0, and 1 where only the scale is 0."""
+    return 0.0 if size == 0.0 else size / (scale or size)
 
 
 def displacement_norm(problem: DiscreteProblem, displacement: np.ndarray) -> float:
@@ -518,12 +543,14 @@ class Sizes:
         self._frames = frames
         if not self.prescribed:
             return
-        lift = problem.matrix @ problem.fixed_values
-        self._jump = float(np.einsum("i,i->", problem.fixed_values, lift))
-        self._rows = sparse.csr_array(problem.matrix)[np.flatnonzero(problem.fixed)]
-        self._lifted = lift[problem.fixed]
-        self._loaded = problem.load[problem.fixed]
-        self._free_load = euclidean_norm(problem.load[~problem.fixed])
+        fixed = problem.fixed
+        lift = problem.matrix @ problem.fixed_values  # A ubar, ubar the prescribed values
+        self._lift_energy = float(np.einsum("i,i->", problem.fixed_values, lift))  # ubar'A ubar
+        self._fixed_rows = sparse.csr_array(problem.matrix)[np.flatnonzero(fixed)]
+        self._lift_at_fixed = lift[fixed]
+        self._load_at_fixed = problem.load[fixed]
+        self._free_load = euclidean_norm(problem.load[~fixed])
+        #: A ubar in the components of the unknowns
         self._lift = lift if frames is None else rotate(lift, frames, problem.contact.nodes)
 
     def nothing_strains(self, contact: float, rounding: float, unknowns: np.ndarray) -> bool:
@@ -545,7 +572,7 @@ class Sizes:
         w'Aw (N m)."""
         if self.prescribed:
             # u'Au = w'Aw + 2 w'A ubar + ubar'A ubar
-            energy += 2 * float(np.einsum("i,i->", unknowns, self._lift)) + self._jump
+            energy += 2 * float(np.einsum("i,i->", unknowns, self._lift)) + self._lift_energy
         if self._problem.strain_free is not None:
             energy = self._problem.stress_energy(
                 self._cartesian(unknowns) + self._problem.fixed_values, energy
@@ -558,12 +585,12 @@ class Sizes:
         if not self.prescribed:
             return max(self.load, contact)
         # A u - b at fixed dofs
-        reactions = euclidean_norm(self._in_supports(unknowns) - self._loaded)
+        reactions = euclidean_norm(self._in_supports(unknowns) - self._load_at_fixed)
         return max(self.load, contact, reactions)
 
     def _in_supports(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the forces of the stresses at fixed dofs, A w + A ubar there."""
-        return self._rows @ self._cartesian(unknowns) + self._lifted
+        return self._fixed_rows @ self._cartesian(unknowns) + self._lift_at_fixed
 
     def _cartesian(self, unknowns: np.ndarray) -> np.ndarray:
         """Return unknowns (n_dofs,) in Cartesian components."""

@@ -23,7 +23,14 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.smoother.conditions import natural_residual
 from adaptmg.smoother.system import LocalProblem
 from adaptmg.solver.certificate import Certificate
-from adaptmg.solver.examine import ROUNDING, Sizes, displacement_norm, energy_norm, euclidean_norm
+from adaptmg.solver.examine import (
+    ROUNDING,
+    Sizes,
+    displacement_norm,
+    energy_norm,
+    euclidean_norm,
+    relative_to,
+)
 from adaptmg.solver.record import Run, Status
 
 
@@ -215,7 +222,7 @@ class StopTest:
         if state.idle and residual <= ROUNDING * state.floor:
             residual = 0.0
         # relative to the forces; without any, as before an interference is met, it is 1
-        self.residual = 0.0 if residual == 0 else residual / (state.forces or residual)
+        self.residual = relative_to(state.forces, residual)
         self._last_residual = residual
         self._at_rounding = self.residual_is_rounding(state.floor)
         is_least = self._residual_within(self.ROUNDING_LEVEL * state.floor, self.BALANCED)
