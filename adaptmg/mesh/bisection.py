@@ -47,7 +47,8 @@ from adaptmg.mesh.soundness import check_mesh
 
 __all__ = ["bisect", "check_marked", "refine_near"]
 
-# what a flagged element has its marks raised by
+# marks of an element are 3 times that of the face (1, 2, 3) plus that of (0, 2, 3), below 9; this is
+# added where the element is flagged
 _FLAG = 9
 # columns of the nodes: first and next of the list of edges, and both ends of the edge that a node
 # halves
@@ -228,12 +229,14 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
     rows = _rows(mesh)
     sizes = np.array([n, mesh.n_nodes])
     n_cells = -1
-    # of uniform refinement in 2D: 4 times the elements, 4 times the nodes
-    room = min(1.0, 2.0 * np.count_nonzero(marked) / n) * (2.0**mesh.dim if every_edge else 2.0)
+    # estimate of new elements over elements, and of new nodes over nodes: an element that is refined
+    # gives up to 2^dim, or 2, and conformity refines as many others as are marked
+    children = 2.0**mesh.dim if every_edge else 2.0
+    growth = min(1.0, 2.0 * np.count_nonzero(marked) / n) * children
     while n_cells < 0:  # the tables were too short: again with longer ones
-        spare = (room * sizes).astype(int) + 16
-        cells = np.concatenate([rows, np.empty((spare[0], rows.shape[1]), dtype=np.int32)])
-        nodes = np.full((mesh.n_nodes + spare[1], 4), -1, dtype=np.int32)
+        spare_cells, spare_nodes = (growth * sizes).astype(int) + 16
+        cells = np.concatenate([rows, np.empty((spare_cells, rows.shape[1]), dtype=np.int32)])
+        nodes = np.full((mesh.n_nodes + spare_nodes, 4), -1, dtype=np.int32)
         n_cells, n_nodes = _bisected(
             cells,
             n,
@@ -246,7 +249,7 @@ def _once(mesh: MeshArrays, marked: np.ndarray, every_edge: bool) -> Refined:
             _NEW_MARK,
             np.empty(rows.shape[1], dtype=np.int64),
         )
-        room = 2 * room + 0.5
+        growth = 2 * growth + 0.5
     points = np.empty((n_nodes, mesh.dim))
     points[: mesh.n_nodes] = mesh.points
     _halfway(points, mesh.n_nodes, nodes)
@@ -312,23 +315,13 @@ def _sides(mesh: MeshArrays) -> np.ndarray:
 def _longest(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Return which pair of corners (a row of ``_PAIRS``) is the longest edge of each cell; of edges
     of one length that with the higher node numbers."""
-    longest = np.zeros(len(cells), dtype=np.int64)
-    best = None
-    for k, (i, j) in enumerate(_PAIRS[cells.shape[1]]):
-        low = np.minimum(cells[:, i], cells[:, j])
-        high = np.maximum(cells[:, i], cells[:, j])
-        # lengths are added up alike from both sides of a face
-        edge = [sum(np.square(x[low] - x[high]) for x in points.T), high, low]
-        if best is None:
-            best = edge
-            continue
-        # (length, high, low) in the order of words, compared from the last entry to the first
-        longer = edge[2] > best[2]
-        for length, other in zip(edge[1::-1], best[1::-1], strict=True):
-            longer = (length > other) | ((length == other) & longer)
-        longest[longer] = k
-        best = [np.where(longer, length, other) for length, other in zip(edge, best, strict=True)]
-    return longest
+    ends = cells[:, _PAIRS[cells.shape[1]]]
+    low = ends.min(axis=2)
+    high = ends.max(axis=2)
+    # lengths are added up alike from both sides of a face
+    squared_lengths = sum(np.square(x[low] - x[high]) for x in points.T)
+    # lexsort takes the first key last: by length, then by the higher and by the lower node
+    return np.lexsort((low, high, squared_lengths), axis=1)[:, -1]
 
 
 def _mesh_of(
@@ -415,17 +408,23 @@ def _write_children(cells, e, n, corners, p, orders, new_mark, old):
         old[k] = cells[e, k]
     flagged = old[2 * corners] >= _FLAG
     marks = old[2 * corners] - _FLAG if flagged else old[2 * corners]
-    # both marked edges go to the same corner, 2 or 3: they lie in one plane with the halved edge
-    plane = corners == 4 and marks // 3 == marks % 3 and marks < 6
+    # the marked edges of two faces, 0: to corner 2, 1: to corner 3, 2: the edge (2, 3)
+    mark_of_123 = marks // 3
+    mark_of_023 = marks % 3
+    # both go to the same corner, 2 or 3: they lie in one plane with the halved edge
+    plane = corners == 4 and mark_of_123 == mark_of_023 and mark_of_123 < 2
     for child in range(2):
-        row, mark = (n, marks // 3) if child else (e, marks % 3)
+        row = n if child else e
+        mark = mark_of_123 if child else mark_of_023
         for j in range(corners):
             k = orders[child, mark, j]
             cells[row, j] = p if k == 1 - child else old[k]
             cells[row, corners + j] = -1 if k == child else old[corners + k]
-        # marks (that of the new face in a table, of the cut ones 0), generation, origin
+        # both marks of the child, whose corner 3 is p: code 0, to corner 2, is the edge opposite p in
+        # a cut face, and in the new face too, unless that has the edge from p to the first edge
         marked = new_mark[child, mark] if plane and flagged else 0
         cells[row, 2 * corners] = marked + (_FLAG if plane and not flagged else 0)
+        # generation and origin
         cells[row, 2 * corners + 1] = old[2 * corners + 1] + 1
         cells[row, 2 * corners + 2] = old[2 * corners + 2]
 

@@ -70,19 +70,11 @@ def mesh_of(
     """Return the checked mesh, the midpoints (n, dim), m, of boundary facets that no name of the
     file holds, and what is to be said of facets that no element has."""
     _check(contents)
-    points, elements, block, cell, notes = _cut(contents)
+    points, elements, block, row, notes = _cut(contents)
     points = unit * points
     table = facet_table(elements, len(points))
-    # which elements are in each set of cells; of no interest where the caller names the body
-    sets = (
-        {}
-        if body is not None
-        else {
-            name: np.any([(block == k) & np.isin(cell, rows) for k, rows in members], axis=0)
-            for name, members in contents.sets.items()
-            if any(len(rows) and (block == k).any() for k, rows in members)
-        }
-    )
+    # sets of cells name bodies, unless the caller does
+    sets = {} if body is not None else _in_sets(contents, block, row)
     parts = _pieces(len(elements), table, sets, contents.bodies)
     names, split_notes = _names(parts, sets, body or "body", split_bodies)
     facets, label, named, overlaps, strange = _labelled(
@@ -97,11 +89,23 @@ def mesh_of(
             for k, name in enumerate(names)
         }
         mesh = merged({name: body_mesh for name, (body_mesh, _) in made.items()})
-        rest = [rest for _, rest in made.values()]
+        unnamed_places = np.concatenate([places for _, places in made.values()])
     else:
-        mesh, *rest = _completed(points, elements, facets, label, [unnamed, *named], names, parts)
+        mesh, unnamed_places = _completed(
+            points, elements, facets, label, [unnamed, *named], names, parts
+        )
     object.__setattr__(mesh, "notes", tuple(notes + split_notes + contents.notes + overlaps))
-    return mesh, np.concatenate(rest), strange
+    return mesh, unnamed_places, strange
+
+
+def _in_sets(contents: Contents, block: np.ndarray, row: np.ndarray) -> dict[str, np.ndarray]:
+    """Return by name the mask (n_elements,) of the elements in each set of cells that has any; element e
+    is a part of the cell ``row[e]`` of the block ``block[e]``."""
+    return {
+        name: np.any([(block == k) & np.isin(row, rows) for k, rows in members], axis=0)
+        for name, members in contents.sets.items()
+        if any(len(rows) and (block == k).any() for k, rows in members)
+    }
 
 
 def _check(contents: Contents) -> None:
@@ -133,15 +137,7 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
     parts = []
     for k, (kind, nodes) in enumerate(contents.cells):
         if len(nodes) and dimension(kind) == dim:
-            cells, owner = simplices(kind, nodes, points)
-            bad = _turned_over(points[:, :dim], cells, owner, len(nodes))
-            if dim == 3 and len(bad) and kind not in ("tetra", "hexahedron27"):
-                # cells with a simplex that is turned over are cut from their centres instead
-                whole = ~np.isin(owner, bad)
-                again, cut_cell = around_centres(kind, nodes[bad], len(points))
-                points = np.concatenate([points, points[nodes[bad]].mean(axis=1)])
-                cells = np.concatenate([cells[whole], again])
-                owner = np.concatenate([owner[whole], bad[cut_cell]])
+            cells, owner, points = _block_simplices(kind, nodes, points, dim)
             parts.append((cells, np.full(len(cells), k), owner))
             counts.setdefault(kind, []).append(np.bincount(owner, minlength=len(nodes)))
     elements, block, cell = map(np.concatenate, zip(*parts, strict=True))
@@ -153,6 +149,27 @@ def _cut(contents: Contents) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
         )
     notes = [cut_note(kind, np.concatenate(parts)) for kind, parts in counts.items()]
     return points[:, :dim], elements, block, cell, list(filter(None, notes))
+
+
+def _block_simplices(
+    kind: str, nodes: np.ndarray, points: np.ndarray, dim: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the simplices of the cells ``nodes`` (n, k) of one kind, the number of the cell that each
+    is a part of, and the points, followed by new ones at the centres of cells that are cut there:
+    solids of which a simplex is turned over."""
+    cells, owner = simplices(kind, nodes, points)
+    bad = _turned_over(points[:, :dim], cells, owner, len(nodes))
+    # a tetrahedron is not cut, and a brick of 27 nodes has a node at its centre, which another one
+    # would replace
+    if dim < 3 or not len(bad) or kind in ("tetra", "hexahedron27"):
+        return cells, owner, points
+    whole = ~np.isin(owner, bad)
+    from_centres, cut_cell = around_centres(kind, nodes[bad], len(points))
+    return (
+        np.concatenate([cells[whole], from_centres]),
+        np.concatenate([owner[whole], bad[cut_cell]]),
+        np.concatenate([points, points[nodes[bad]].mean(axis=1)]),
+    )
 
 
 def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
@@ -223,36 +240,18 @@ def _labelled(
     """Return the facets (m, dim) that have names, on the boundary and between bodies that are
     split; their labels (m,), from 1 on; names, notes, and notes of facets that no element has."""
     # facets that may have names; ``facets_of`` holds rows of these for each name
-    rim = (table.counts == 1) | (split & (parts[table.first] != parts[table.second]))
-    keys = table.keys[rim]
-    facets = table.facets[rim]
+    is_nameable = table.counts == 1
+    if split:
+        is_nameable |= parts[table.first] != parts[table.second]
+    keys = table.keys[is_nameable]
+    facets = table.facets[is_nameable]
     facets_of, notes, strange = _of_face_sets(n, table, keys, contents)
-    # a set of nodes names the facets that have all their nodes in it
     surface_names = contents.surfaces.union(facets_of)
-    between = _between(contents) if contents.node_sets else []
-    at_rim = mask_of(facets, n)
-    for name, nodes in contents.node_sets.items():
-        inside = mask_of(nodes, n)
-        for middle in between:
-            # a set of corners means the middle nodes between them too
-            inside[middle[inside[middle[:, 1:]].all(axis=1), 0]] = True
-        if boundaries is None and _is_volume(inside, elements, at_rim, parts):
-            notes.append(
-                f"set of all nodes of elements, which is not taken for a boundary: {name!r}"
-            )
-        else:
-            facets_of.setdefault(name, np.flatnonzero(inside[facets].all(axis=1)))
-    # names in the order of their claims: surfaces before sets of nodes, small ones before large ones
-    order = (
-        list(boundaries)
-        if boundaries is not None
-        else sorted(facets_of, key=lambda name: (name not in surface_names, len(facets_of[name])))
-    )
-    if unknown := [name for name in order if name not in facets_of]:
-        raise ValueError(
-            f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds "
-            f"{_some(list(facets_of))}"
-        )
+    by_nodes, node_notes = _of_node_sets(n, elements, facets, parts, contents, boundaries is None)
+    # of two sets of one name that of faces counts
+    facets_of |= {name: rows for name, rows in by_nodes.items() if name not in facets_of}
+    notes += node_notes
+    order = _claims(facets_of, surface_names, boundaries)
     # each name gets those of its facets that none before it has
     names = list(facets_of)
     label = np.zeros(len(keys), dtype=np.int64)
@@ -270,6 +269,49 @@ def _labelled(
             f"sets that name no facet of the boundary, or only facets of other names: {_some(empty)}"
         )
     return facets[label > 0], label[label > 0], names, notes, strange
+
+
+def _claims(
+    facets_of: dict[str, np.ndarray], surface_names: set[str], boundaries: Sequence[str] | None
+) -> list[str]:
+    """Return the names in the order in which they claim facets: that of the caller, or surfaces before
+    sets of nodes, and small ones before large ones."""
+    if boundaries is None:
+        return sorted(facets_of, key=lambda name: (name not in surface_names, len(facets_of[name])))
+    if unknown := [name for name in boundaries if name not in facets_of]:
+        raise ValueError(
+            f"boundaries: it holds no {_some(list(map(repr, unknown)))}; it holds "
+            f"{_some(list(facets_of))}"
+        )
+    return list(boundaries)
+
+
+def _of_node_sets(
+    n: int,
+    elements: np.ndarray,
+    facets: np.ndarray,
+    parts: np.ndarray,
+    contents: Contents,
+    skip_volumes: bool,
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return for each set of nodes the rows of the ``facets`` (m, dim) that have all their nodes in it,
+    and notes of sets that are left out as volumes."""
+    facets_of: dict[str, np.ndarray] = {}
+    notes: list[str] = []
+    between = _between(contents) if contents.node_sets else []
+    on_facets = mask_of(facets, n)
+    for name, nodes in contents.node_sets.items():
+        inside = mask_of(nodes, n)
+        for middle in between:
+            # a set of corners means the middle nodes between them too
+            inside[middle[inside[middle[:, 1:]].all(axis=1), 0]] = True
+        if skip_volumes and _is_volume(inside, elements, on_facets, parts):
+            notes.append(
+                f"set of all nodes of elements, which is not taken for a boundary: {name!r}"
+            )
+        else:
+            facets_of[name] = np.flatnonzero(inside[facets].all(axis=1))
+    return facets_of, notes
 
 
 def _of_face_sets(
@@ -306,10 +348,13 @@ def _of_face_sets(
 
 
 def _is_volume(
-    inside: np.ndarray, elements: np.ndarray, at_rim: np.ndarray, parts: np.ndarray
+    inside: np.ndarray, elements: np.ndarray, on_facets: np.ndarray, parts: np.ndarray
 ) -> bool:
-    """Return whether a set of nodes is that of some elements, among them a whole piece of the mesh
-    or one with a node within."""
+    """Return whether a set of nodes stands for a volume. Programs write sets of all nodes of a body,
+    which would name all facets of its boundary.
+
+    The nodes ``inside`` (n_nodes,) are a volume if they are those of some elements, of which one has
+    a node that is not ``on_facets`` (n_nodes,) of the boundary, or which are all of a piece."""
     whole = inside[elements].all(axis=1)
     # every node of the set must be in such an element; nodes of no element may be in it
     covered = np.ones_like(inside)
@@ -318,7 +363,7 @@ def _is_volume(
     if (inside & ~covered).any():
         return False
     pieces = np.bincount(parts, whole) == np.bincount(parts)
-    return bool(pieces.any() or not at_rim[elements[whole]].all())
+    return bool(pieces.any() or not on_facets[elements[whole]].all())
 
 
 def _between(contents: Contents) -> list[np.ndarray]:
