@@ -77,6 +77,10 @@ _NOT_READ = (
 _MOST_FILES, _MOST_NUMBER, _MOST_GENERATED = 100, 10**12, 10**7
 
 
+#: the elements of one type: kind of cell, numbers (n,), and nodes (n, k) as rows of the points
+_Numbered = tuple[str, np.ndarray, np.ndarray]
+
+
 @dataclass
 class _Block:
     """A keyword with its parameters and data lines."""
@@ -244,7 +248,10 @@ class _Deck:
         name = block.parameters.get("NAME", "")
         nodal = block.parameters.get("TYPE", "ELEMENT") == "NODE"
         for word, *rest in block.rows():
-            facet = re.fullmatch(r"[SE](\d)|SPOS|SNEG|", "" if nodal else "".join(rest[:1]).upper())
+            # S1 to S6 a face of solids, E1 to E4 an edge of plane elements; 0, all facets, where no
+            # facet is named, or a side of shells (SPOS, SNEG)
+            label = "" if nodal else "".join(rest[:1]).upper()
+            facet = re.fullmatch(r"[SE](\d)|SPOS|SNEG|", label)
             if facet is None:
                 raise ValueError(f"a face is S1 to S6, got {rest[0]!r}")
             if nodal:
@@ -332,23 +339,29 @@ class _Deck:
             notes=notes,
             surfaces=self.nodal,
         )
-        # sets of elements
-        groups = self._groups()
-        if self.sections or not self.of_gmsh:
-            bodies = self.sections or [section for *_, section in self.elements]
-            contents.bodies = [self._spelt(name) for name in bodies]
-        for name, members in groups.items():
-            contents.sets[self._spelt(name)] = [
-                (k, np.flatnonzero(np.isin(elements, members)))
-                for k, (_, elements, _) in enumerate(blocks)
-            ]
-        # sets of nodes
         for name, members in self.sets["NSET"].items():
             contents.node_sets[self._spelt(name)] = np.flatnonzero(
                 np.isin(numbers, np.concatenate(members))
             )
-        # surfaces: their faces become blocks of their own, behind those of the elements
-        solid = [block for block in blocks if dimension(block[0]) == dim]
+        self._add_sets(contents, blocks)
+        self._add_surfaces(contents, [block for block in blocks if dimension(block[0]) == dim])
+        return contents
+
+    def _add_sets(self, contents: Contents, blocks: list[_Numbered]) -> None:
+        """Add the sets of elements to the contents, and say which of them are bodies."""
+        for name, members in self._groups().items():
+            contents.sets[self._spelt(name)] = [
+                (k, np.flatnonzero(np.isin(elements, members)))
+                for k, (_, elements, _) in enumerate(blocks)
+            ]
+        # bodies are the sets that have a section, else those that lines *ELEMENT name. In these Gmsh
+        # writes the entities of its geometry: without sections all of its sets may be bodies
+        if self.sections or not self.of_gmsh:
+            bodies = self.sections or [section for *_, section in self.elements]
+            contents.bodies = [self._spelt(name) for name in bodies]
+
+    def _add_surfaces(self, contents: Contents, solid: list[_Numbered]) -> None:
+        """Add the surfaces to the contents as sets of faces, which become further blocks of cells."""
         for name, members in self.surfaces.items():
             faces = [face for selected, facet in members for face in _faces(solid, selected, facet)]
             rows = contents.sets.setdefault(self._spelt(name), [])
@@ -357,7 +370,6 @@ class _Deck:
                 for k, (_, nodes) in enumerate(faces)
             ]
             contents.cells += faces
-        return contents
 
 
 _READERS = {
@@ -403,7 +415,7 @@ def _kind(name: str) -> str | None:
 
 
 def _faces(
-    solid: list[tuple[str, np.ndarray, np.ndarray]], members: np.ndarray, facet: int
+    solid: list[_Numbered], members: np.ndarray, facet: int
 ) -> Iterator[tuple[str, np.ndarray]]:
     """Yield kind and nodes of facet ``facet`` of the elements ``members``, or of all their facets if it
     is 0."""

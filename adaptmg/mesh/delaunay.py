@@ -45,46 +45,52 @@ def of_boundary(places: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.n
     across[1, 2] = 0
     present = np.zeros(len(edges), dtype=bool)
     points = np.concatenate([places, corners])
-    # put in the nodes one by one
+    # put in the nodes one by one, from coarse to fine along the boundary: multiples of high powers of
+    # two first, odd numbers (and 0) last. In the order along the boundary a node would swap all edges
+    # that the nodes before it have to a corner of the square, which takes six times as long with 27
+    # swaps a node, and in a thin ring all edges across it
     count = 2
     e = 0
-    order = np.arange(n)
-    # every second node last, of the others again, and so on: in their order along the boundary each
-    # swaps the edges that those before have to a far corner (27 a node, six times as long), and
-    # around a thin ring all the edges across it
-    order = order[np.argsort(-(order & -order), kind="stable")]
+    numbers = np.arange(n)
+    power_of_two = numbers & -numbers  # the largest one that divides the number
+    order = np.argsort(-power_of_two, kind="stable")
     for begin in range(0, n, BATCH):
         count, e = _put(points, elements, across, order[begin : begin + BATCH], count, e)
         if e < 0:
             raise Untriangulated(f"nodes at {places[begin : begin + 1]}")
-    # swap until every edge of the boundary is there; edges from node i have the rows start[i] to
-    # start[i + 1] of tails and heads, and at[i] is a triangle of it
+    # swap until every edge of the boundary is there
     rows = np.argsort(edges[:, 0], kind="stable")
     tails, heads = np.ascontiguousarray(edges[rows].T)
-    start = np.searchsorted(tails, np.arange(n + 1))
-    at = np.empty(n + 4, dtype=np.int64)
-    missing = np.zeros(len(edges), dtype=bool)
-    at[elements[:count]] = np.arange(count)[:, None]
-    for begin in range(0, len(edges), BATCH):
-        _force(
-            points,
-            elements,
-            across,
-            start,
-            tails,
-            heads,
-            begin,
-            min(len(edges), begin + BATCH),
-            at,
-            missing,
-        )
+    missing = _missing_after_swaps(points, elements, across, tails, heads)
     if missing.any():
         present[rows] = ~missing
         return elements, across, present
-    elements, across, present[rows] = _inside(elements[:count], across[:count], n + 4, tails, heads)
+    elements, across, present[rows] = _inside(elements, across, n + 4, tails, heads)
     # edges that were swapped for others may not be Delaunay
     swap_all(points, elements, across, np.ones(len(elements), dtype=bool))
     return elements, across, present
+
+
+def _missing_after_swaps(
+    points: np.ndarray,
+    elements: np.ndarray,
+    across: np.ndarray,
+    tails: np.ndarray,
+    heads: np.ndarray,
+) -> np.ndarray:
+    """Swap edges in place until triangles have the edges of the boundary from ``tails``, ascending, to
+    ``heads``, and return the mask of those that they do not have then."""
+    # edges from node i have the rows start[i] to start[i + 1]; triangle_of[i] is a triangle of node i,
+    # the last four nodes are the corners of the square
+    n = len(points) - 4
+    start = np.searchsorted(tails, np.arange(n + 1))
+    triangle_of = np.empty(n + 4, dtype=np.int64)
+    triangle_of[elements] = np.arange(len(elements))[:, None]
+    missing = np.zeros(len(tails), dtype=bool)
+    for begin in range(0, len(tails), BATCH):
+        end = min(len(tails), begin + BATCH)
+        _force(points, elements, across, start, tails, heads, begin, end, triangle_of, missing)
+    return missing
 
 
 def _inside(
@@ -336,9 +342,13 @@ def _edge(start, heads, a, b):
 
 @inner_kernel
 def _towards(points, elements, across, e, a, b):
-    """Look from node a, a corner of triangle e, to node b. Returns the triangle (a, u, v) at a that
-    the straight way enters, and which of its corners is a; -1 and b if the edge is there, -1 and
-    the node u if that lies on the way."""
+    """Look from node a, a corner of triangle e, to node b. Returns a triangle and a corner, or -1 and a
+    node:
+
+    - the triangle (a, u, v) that the straight way enters, and which of its corners is a;
+    - -1 and b, if a triangle at a has the edge to b;
+    - -1 and u, if a node u lies on the way;
+    - -1 and a, if the way leaves the mesh at a."""
     first = e
     while True:  # once around a
         k = np.int64(0 if elements[e, 0] == a else 1 if elements[e, 1] == a else 2)
@@ -362,11 +372,15 @@ def _towards(points, elements, across, e, a, b):
 
 
 @inner_kernel
-def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
+def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, triangle_of):
     r"""Go from node a, corner k of triangle e, to node b, and swap the first edge on the way that
-    ends to the left in node ``far`` and is the diagonal of a strictly convex quadrilateral. Returns
-    1 if it swapped one, 0 if it came to b, and the farthest node to the left so far; -1 and the
-    first node of what is in the way if that is an edge of the boundary, or a node.
+    ends to the left in node ``far`` (-1: swap none) and is the diagonal of a strictly convex
+    quadrilateral. Returns a status and a node:
+
+    - 1 if it swapped an edge, and the farthest node to the left so far;
+    - 0 if it came to b, and the farthest node to the left of the whole way;
+    - -1 if an edge of the boundary crosses the way, or a node lies on it, and the first node of the
+      edge, or this node.
 
                   v
                 / | \
@@ -386,8 +400,8 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
         w = np.int64(elements[f, _opposite(elements, f, u, v)])
         if v == far and turn(points, behind, u, w) > 0.0 and turn(points, w, v, behind) > 0.0:
             _swap(elements, across, e, k)
-            at[behind] = at[u] = at[w] = e
-            at[v] = f
+            triangle_of[behind] = triangle_of[u] = triangle_of[w] = e
+            triangle_of[v] = f
             return 1, farthest
         height = turn(points, a, b, v)
         if height > most:
@@ -402,28 +416,33 @@ def _swap_towards(points, elements, across, start, heads, e, k, a, b, far, at):
 
 
 @kernel
-def _force(points, elements, across, start, tails, heads, begin, end, at, missing):
-    """Make the edges ``begin`` to ``end`` from ``tails`` to ``heads`` by swaps; ``at`` is a triangle
-    of each node. ``missing`` becomes True for an edge that crosses others, and for these. At the
-    farthest of the nodes to the left of an edge some edge that it crosses can be swapped, until
-    none ends there: no more swaps than the square of the edges that are crossed."""
+def _force(points, elements, across, start, tails, heads, begin, end, triangle_of, missing):
+    """Make the edges ``begin`` to ``end`` from ``tails`` to ``heads`` by swaps; ``triangle_of`` has a
+    triangle of each node. ``missing`` becomes True for an edge that crosses others, and for these.
+
+    Of the edges that a new edge crosses, one can be swapped that ends in the node farthest to the
+    left: there it is the diagonal of a convex quadrilateral. A swap takes an edge away from this
+    node. After at most as many swaps as edges are crossed none is left there, and another node is the
+    farthest: there are at most as many swaps as the square of the number of crossed edges."""
     for edge in range(begin, end):
         a = tails[edge]
         b = heads[edge]
         for _ in range(len(elements)):
-            e, node = _towards(points, elements, across, at[a], a, b)
+            e, corner_or_node = _towards(points, elements, across, triangle_of[a], a, b)
+            node = corner_or_node
             if e < 0:
                 break
-            k = node
+            corner = corner_or_node
             # a first way, without swaps, finds the farthest node; the second swaps an edge there
-            swapped, node = _swap_towards(
-                points, elements, across, start, heads, e, k, a, b, np.int64(-1), at
+            status, node = _swap_towards(
+                points, elements, across, start, heads, e, corner, a, b, np.int64(-1), triangle_of
             )
-            if swapped == 0:
-                swapped, node = _swap_towards(
-                    points, elements, across, start, heads, e, k, a, b, node, at
+            if status == 0:
+                farthest = node
+                status, node = _swap_towards(
+                    points, elements, across, start, heads, e, corner, a, b, farthest, triangle_of
                 )
-            if swapped < 1:
+            if status < 1:
                 break
         if node != b:
             missing[edge] = True

@@ -73,7 +73,13 @@ def _faces(domain: Domain) -> Iterator[tuple[str, Revolved]]:
     elif isinstance(domain, Ball):
         yield (
             "surface",
-            Revolved(np.array(domain.centre), _AXIS, np.zeros(2), domain.radius, False),
+            Revolved(
+                np.array(domain.centre),
+                _AXIS,
+                profile=np.zeros(2),
+                extent=domain.radius,
+                straight=False,
+            ),
         )
     elif isinstance(domain, Extrusion):
         yield from _swept(domain.polygon)
@@ -106,9 +112,11 @@ def _turned(domain: Revolution) -> Iterator[tuple[str, Revolved]]:
     for i, name in enumerate(domain.polygon.boundaries):
         edge = domain.polygon.edges[i]
         if isinstance(edge, Arc):
-            yield name, Revolved(origin, _AXIS, np.array(edge.center), edge.radius, False)
+            centre = np.array(edge.center)
+            yield name, Revolved(origin, _AXIS, centre, extent=edge.radius, straight=False)
         else:
             normal = _normal(edge)
-            yield name, Revolved(origin, _AXIS, normal, float(normal @ edge.start), True)
+            distance = float(normal @ edge.start)
+            yield name, Revolved(origin, _AXIS, normal, extent=distance, straight=True)
     for name, angle in (("start", 0.0), ("end", np.radians(domain.angle))):
         yield name, plane_through(origin, (-np.sin(angle), np.cos(angle), 0.0))

@@ -224,6 +224,8 @@ def _graded_body(
         return mesh
     if isinstance(domain, Box):
         return solid_mesh(domain, solid, "netgen")
+    # meshes of Netgen before the last one, which it follows: one where sizes vary towards boundaries,
+    # and one where a function gives them
     rounds = int(bool(names)) + int(size_function is not None)
     return plane_mesh(domain, field, size, near, names, grading, rounds)
 
@@ -251,17 +253,18 @@ def _cells(domain: Box, field: SizeField) -> MeshArrays:
     shares = np.indices([_READINGS] * 3).reshape(3, -1).T / (_READINGS - 1)
     sizes = field(domain.lower + shares * sides)
     least = float(sizes.min())
-    # near the largest size, and the least one times a power of two: halved edges come to the least
+    # cells of about the largest size, whose edges have the least size after a whole number of halvings
     halvings = round(math.log2(sizes.max() / least))
     size = least * 2**halvings
     refuse_too_many(guessed_nodes(3, float(np.prod(sides)), size), domain)
     # twelve equilateral tetrahedra of this size have the volume of the cell that they are cut from
     side = size * (12 * EQUILATERAL) ** (1 / 3)
-    # a side may be a quarter of a cell longer than its cells
+    # rounded up, but for a remainder of up to a quarter of a cell
     counts = np.ceil(np.maximum(1, sides / side - 1 / 4)).astype(int)
     longest = np.argmax(sides)
     if counts[longest] > 3 and counts[longest] % 2 == 0:
-        # odd, so that the cells of no level are nested in those of the next
+        # odd: the cells of a size and of half of it are not nested, as no two meshes of other domains
+        # are
         counts[longest] += 1
     cell = sides / counts
     if cell.max() > _FLATTEST * cell.min():
@@ -348,18 +351,23 @@ def sized_by(
     if mesher == "own":
         if isinstance(shape, Outline):
             refuse_too_many(guessed_nodes(2, shape.area, largest), shape)
-            # the field on a coarse mesh shows whether it asks for too much
-            size = max(largest, float((shape.upper - shape.lower).max()) / 16)
-            if (
-                not foreseen
-                and (coarse := _own(shape, lambda x: np.full(len(x), size))) is not None
-            ):
-                refuse_too_many(expected_nodes(coarse, too_large(coarse, limited)[1]), shape)
+            if not foreseen:
+                _refuse_large_field(shape, limited, largest)
         if (mesh := _own(shape, limited, grading)) is not None:
             return mesh
     if isinstance(shape, Box):
         return solid_mesh(shape, solid, "netgen")
-    return plane_mesh(shape, limited, largest, None, (), grading, 2)
+    return plane_mesh(shape, limited, largest, near=None, names=(), grading=grading, rounds=2)
+
+
+def _refuse_large_field(domain: Outline, field: SizeField, largest: float) -> None:
+    """Raise ValueError if a size field asks for too many nodes: it is read on a coarse mesh, with a
+    sixteenth of the extent, or the largest size, as edge length."""
+    size = max(largest, float((domain.upper - domain.lower).max()) / 16)
+    coarse = _own(domain, lambda x: np.full(len(x), size))
+    if coarse is not None:
+        _, sizes = too_large(coarse, field)
+        refuse_too_many(expected_nodes(coarse, sizes), domain)
 
 
 def gradings_of(

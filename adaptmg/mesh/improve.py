@@ -43,9 +43,9 @@ from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.delaunay import swap_all
 from adaptmg.mesh.sizes import (
     MAX_BISECTIONS,
-    NODES_PER_CELL,
     TOO_LARGE,
     equilateral_sizes,
+    expected_nodes,
     facet_elements,
     overlong,
     refuse_too_many,
@@ -73,26 +73,28 @@ def drafted(
     """Refine a sound draft until its elements have the sizes that ``field`` gives at the nodes of a
     mesh. ``onto`` puts the nodes of a mesh from a number on onto the boundary of the domain."""
     mesh = draft
+    # three bisections halve the size of a tetrahedron
     for _ in range(3 * MAX_BISECTIONS):
-        at = field(mesh)
+        field_at_nodes = field(mesh)
         n_old = mesh.n_nodes
-        # sizes over those wanted: above sqrt 2 they are too large
-        elements = equilateral_sizes(mesh.points, mesh.elements) / at[mesh.elements].mean(axis=1)
-        facets = equilateral_sizes(mesh.points, mesh.facets) / at[mesh.facets].mean(axis=1)
-        large = elements > TOO_LARGE
-        long = facets > TOO_LARGE
-        if not (large.any() or long.any()):
+        wanted = field_at_nodes[mesh.elements].mean(axis=1)
+        wanted_of_facets = field_at_nodes[mesh.facets].mean(axis=1)
+        excess = equilateral_sizes(mesh.points, mesh.elements) / wanted
+        large = excess > TOO_LARGE
+        facet_excess = equilateral_sizes(mesh.points, mesh.facets) / wanted_of_facets
+        large_facets = facet_excess > TOO_LARGE
+        if not (large.any() or large_facets.any()):
             mesh = improved(mesh, _ROUNDS)
             # flat elements that go through a whole body are small by their volume
-            large = overlong(mesh, at[mesh.elements].mean(axis=1))
+            large = overlong(mesh, wanted)
             if not large.any():
                 return mesh
-        refuse_too_many(NODES_PER_CELL[3] * EQUILATERAL * float((elements**3).sum()), domain)
-        if np.median(elements) > 2 * TOO_LARGE:
+        refuse_too_many(expected_nodes(mesh, wanted), domain)
+        if np.median(excess) > 2 * TOO_LARGE:
             # most are too large even when all edges are halved
             mesh = halved(mesh)
         else:
-            large[facet_elements(mesh, mesh.facets[long])] = True
+            large[facet_elements(mesh, mesh.facets[large_facets])] = True
             mesh = refined(mesh, large, 1).mesh
         if onto is not None:
             mesh = onto(mesh, n_old)
@@ -135,16 +137,18 @@ def halved(mesh: MeshArrays) -> MeshArrays:
     # number the distinct edges: each gets a node at its middle
     every = facet_keys(mesh.elements[:, _EDGES].reshape(-1, 2), n)
     keys, first, number = np.unique(every, return_index=True, return_inverse=True)
-    middles = n + np.argsort(np.argsort(first))  # in the order of the elements
-    low, high = np.divmod(every[np.sort(first)], n)
+    # new nodes are numbered in the order in which elements name their edges first; ``middles`` has the
+    # node of each of the sorted keys
+    order = np.argsort(first)
+    middles = n + np.argsort(order)  # the inverse of the order
+    low, high = np.divmod(keys[order], n)
     points = np.concatenate([mesh.points, 0.5 * (mesh.points[low] + mesh.points[high])])
     nodes = np.concatenate([mesh.elements, middles[number].reshape(-1, 6)], axis=1)
     # eight children: four at the corners, four in the octahedron between them
     elements = np.concatenate([nodes[:, _CORNERS], _inside(points, nodes)], axis=1)
-    on = middles[
-        np.searchsorted(keys, facet_keys(mesh.facets[:, _SIDES].reshape(-1, 2), n))
-    ].reshape(-1, 3)
-    facets = np.concatenate([mesh.facets, on], axis=1)[:, _FACES]
+    side_keys = facet_keys(mesh.facets[:, _SIDES].reshape(-1, 2), n)
+    middles_of_sides = middles[np.searchsorted(keys, side_keys)].reshape(-1, 3)
+    facets = np.concatenate([mesh.facets, middles_of_sides], axis=1)[:, _FACES]
     return trusted(
         replace(
             mesh,

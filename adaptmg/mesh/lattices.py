@@ -188,15 +188,14 @@ def body_centred(domain: Box, counts: Sequence[int]) -> MeshArrays:
     )
 
 
-def _cells(counts: tuple[int, ...], last: np.ndarray, *, axis: int = -1) -> np.ndarray:
-    """Return the lowest node of each cell whose place along ``axis`` is in ``last``, ascending."""
+def _cells(counts: tuple[int, ...], places: np.ndarray, *, axis: int = -1) -> np.ndarray:
+    """Return the lowest node of each cell whose place along ``axis`` is among ``places``, ascending: the
+    sum of i_k stride_k of a cell with the place i_k along axis k."""
     axis %= len(counts)
     result = np.zeros(1, dtype=np.int32)
-    stride = 1
-    for k, n in enumerate(counts):
-        places = last if k == axis else np.arange(n)
-        result = (places.astype(np.int32)[:, None] * np.int32(stride) + result).reshape(-1)
-        stride *= n + 1
+    for k, (n, stride) in enumerate(zip(counts, _strides(counts), strict=True)):
+        along = places if k == axis else np.arange(n)
+        result = (along.astype(np.int32)[:, None] * stride + result).reshape(-1)
     return result
 
 
@@ -217,12 +216,11 @@ def _boundary(
     every = element_facets(simplices).reshape(-1, dim)
     for name in names:
         axis, end = BOX_SIDES[name]
-        axis = min(axis, dim - 1)
+        axis = min(axis, dim - 1)  # bottom and top have the last axis, in the plane 1
         cells = _cells(counts, np.array([(counts[axis] - 1) * end]), axis=axis)
-        # facets of the cell whose nodes all have the place ``end`` along the axis
-        side_facets = _moved(
-            every[(every // strides[axis] % (counts[axis] + 1) == end).all(axis=1)], cells
-        )
+        # facets of the cell at node 0 whose nodes all have the place ``end`` along the axis
+        place = every // strides[axis] % (counts[axis] + 1)
+        side_facets = _moved(every[(place == end).all(axis=1)], cells)
         facets.append(side_facets[np.lexsort(np.sort(side_facets, axis=1).T[::-1])])
     return np.concatenate(facets), np.repeat(
         np.arange(len(facets)), [len(side_facets) for side_facets in facets]
