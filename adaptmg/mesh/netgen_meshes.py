@@ -177,10 +177,10 @@ def _plane_draft(
     at: SizesAt = []
     options = {"maxh": size / scale, "grading": grading}
     sides = {name: h / scale for name, h in sides.items()}
-    for left in range(rounds, -1, -1):
+    for rounds_left in range(rounds, -1, -1):
         # the steps that improve shapes take most of the time: here only nodes and centroids are
         # used
-        fast = {"optsteps2d": 0} if left else {}
+        fast = {"optsteps2d": 0} if rounds_left else {}
         try:
             with netgen() as worker:
                 tables = worker(
@@ -194,16 +194,12 @@ def _plane_draft(
                     seconds=limit_s(nodes, 2),
                 )
             if domain.twins:
-                # open the cracks: ``edges`` are the labels by the numbers of edges, normals are edges
-                # turned by -90 degrees
-                normals = (np.array(domain.vertices)[domain.following] - domain.vertices) @ [
-                    [0, -1],
-                    [1, 0],
-                ]
-                edges = {i: k for k, i in enumerate(map(int, tables[4]))}
+                # outward normals are the edges turned by -90 degrees
+                along = np.array(domain.vertices)[domain.following] - domain.vertices
+                normals = along @ [[0, -1], [1, 0]]
                 tables = opened_tables(
-                    {edges[left]: str(right) for right, left in domain.twins.items()},
-                    {k: normals[i] for i, k in edges.items()},
+                    {str(left): str(right) for right, left in domain.twins.items()},
+                    {str(left): normals[left] for left in domain.twins.values()},
                     *tables,
                 )
             unit = normalised(*tables)
@@ -212,7 +208,7 @@ def _plane_draft(
         mesh = _onto_outline(
             domain, replace(unit, points=lower + scale * unit.points, bodies=("body",))
         )
-        if left:
+        if rounds_left:
             places = mesh.points[mesh.elements].mean(axis=1)
             target = sizes(places)
             nodes = refuse_too_many(expected_nodes(mesh, target), domain)
@@ -314,26 +310,34 @@ class SolidSizes:
             function=None if function is None else lambda x: factor * sizes_at(function, x),
         )
 
-    def field(
-        self, points: np.ndarray, mesh: MeshArrays, faces: Sequence[str], floor: float = 0.0
-    ) -> np.ndarray:
+    def for_netgen(self) -> SolidSizes:
+        """Return the sizes raised to what Netgen can take next to the largest one."""
+        function = self.function
+        least = self.size / _NETGEN_RATIO
+        return replace(
+            self,
+            near=_raised(self.near, self.size),
+            function=None
+            if function is None
+            else lambda x: np.maximum(sizes_at(function, x), least),
+        )
+
+    def field(self, points: np.ndarray, mesh: MeshArrays, faces: Sequence[str]) -> np.ndarray:
         """Return the edge lengths (n,) at points (n, 3): ``size``, less by the function, and less
-        near some faces of the mesh. With ``floor`` the sizes are those that Netgen can take: none by
-        the function is below it, and near faces they are raised."""
+        near some faces of the mesh."""
         from scipy.spatial import cKDTree  # a first solve without it starts sooner
 
         result = np.full(len(points), self.size)
         if self.function is not None:
-            result = np.minimum(result, np.maximum(sizes_at(self.function, points), floor))
+            result = np.minimum(result, sizes_at(self.function, points))
         if faces:
             facets = np.concatenate([mesh.boundary_facets(face) for face in faces])
             places = np.concatenate(
                 [mesh.points[np.unique(facets)], mesh.points[facets].mean(axis=1)]
             )
-            near = _raised(self.near, self.size) if floor else self.near
-            reach = max(self.size - near, 0.0) / self.grading
+            reach = max(self.size - self.near, 0.0) / self.grading
             away = cKDTree(places).query(points, distance_upper_bound=reach)[0]
-            result = np.minimum(result, near + self.grading * away)
+            result = np.minimum(result, self.near + self.grading * away)
         return result
 
 
@@ -468,30 +472,18 @@ def _unit_mesh(
             domain,
         )
     # attempts: drafts with sizes times a factor, then meshes with growth times ``slower``
-    drafts = [
+    attempts = [
         (factor, 1.0) for factor in _FACTORS if surfaces is not None and nodes > _LEAST * factor**3
     ]
+    attempts += [(1.0, slower) for slower in _ATTEMPTS]
     why: Exception = NetgenFails("it was not asked")
     best: MeshArrays | None = None
-    for factor, slower in (*drafts, *((1.0, slower) for slower in _ATTEMPTS)):
-        # a mesh of Netgen, brought to the sizes, and checked; the next attempt follows where it fails
+    for factor, slower in attempts:
+        draft_nodes = nodes / factor**3 + on_round
         try:
-            coarse = sizes.drafts(factor, slower)
-            # meshes made before, whose sizes the last one follows: one where sizes vary, and another
-            # at the wanted size where a function gives them
-            by_function = coarse.function is not None
-            rounds = int(by_function or bool(faces)) + int(by_function and factor == 1)
-            unit = _solid_draft(
-                worker, shape, coarse, faces, domain, nodes / factor**3 + on_round, rounds
+            unit = _attempted(
+                worker, shape, sizes, factor, slower, draft_nodes, faces, domain, surfaces
             )
-            # refined to the sizes: on the surfaces of its faces, or bisected by Netgen
-            if surfaces is None:
-                unit = _bisected(worker, unit, shape, sizes, faces, domain)
-            else:
-                unit = _on_surfaces(worker, unit, factor, shape, sizes, faces, domain, surfaces)
-            check_volume(unit, shape.volume)
-            mesh = _placed(check_mesh(unit), shape)
-            check_sizes(mesh, lambda x, mesh=mesh: sizes.field(x, mesh, faces))
             # with flat elements it is the result only if no attempt makes better ones
             if not _flat_ones(unit).any():
                 return unit
@@ -504,6 +496,36 @@ def _unit_mesh(
     if best is None:
         raise netgen_error(domain, why) from why
     return best
+
+
+def _attempted(
+    worker: Netgen,
+    shape: Shape,
+    sizes: SolidSizes,
+    factor: float,
+    slower: float,
+    nodes: float,
+    faces: Sequence[str],
+    domain: Domain,
+    surfaces: list[list[Revolved]] | None,
+) -> MeshArrays:
+    """Return a checked mesh at unit size from a draft of about ``nodes`` nodes, whose sizes are
+    ``factor`` times as large and grow ``slower`` times as fast; NetgenFails, Unfit or Misplaced if this
+    attempt fails."""
+    coarse = sizes.drafts(factor, slower)
+    # meshes before the draft, which it follows: one where sizes vary, and one more at the sizes
+    # themselves where a function gives them
+    by_function = coarse.function is not None
+    rounds = int(by_function or bool(faces)) + int(by_function and factor == 1)
+    unit = _solid_draft(worker, shape, coarse, faces, domain, nodes, rounds)
+    if surfaces is None:
+        unit = _bisected(worker, unit, shape, sizes, faces, domain)
+    else:
+        unit = _on_surfaces(worker, unit, factor, shape, sizes, faces, domain, surfaces)
+    check_volume(unit, shape.volume)
+    mesh = _placed(check_mesh(unit), shape)
+    check_sizes(mesh, lambda x: sizes.field(x, mesh, faces))
+    return unit
 
 
 def _on_surfaces(
@@ -532,14 +554,18 @@ def _on_surfaces(
 
 
 def _round_nodes(shape: Shape, size: float) -> float:
-    """Return the number of nodes that cylinders and spheres ask for where their radius over
-    _CURVATURE is below a size; half of the whole surfaces."""
+    """Return the number of nodes that cylinders and spheres ask for where their edges, of the radius over
+    _CURVATURE, are shorter than a size. Equilateral triangles have 1.15 nodes in the square of their
+    edge; about half of these are counted."""
     nodes = 0.0
     for area, samples in zip(shape.areas, shape.samples, strict=True):
-        for surface in (candidates([samples]) or [[]])[0][:1]:
-            is_round = surface.cylinder or surface.sphere
-            edge = surface.extent / _CURVATURE
-            nodes += 0.6 * area / edge**2 if is_round and 0 < edge < size else 0.0
+        of_face = candidates([samples])
+        if not of_face or not of_face[0]:
+            continue
+        surface = of_face[0][0]
+        edge = surface.extent / _CURVATURE
+        if (surface.cylinder or surface.sphere) and 0 < edge < size:
+            nodes += 0.6 * area / edge**2
     return nodes
 
 
@@ -547,13 +573,10 @@ def _sound(shape: Shape, tables: Sequence) -> MeshArrays:
     """Return the mesh of some tables, opened along cracks; NetgenFails if it is not sound."""
     try:
         if shape.cracks:
-            label = {name: k for k, name in enumerate(tables[4])}
+            # the right faces have the last numbers
             first = len(shape.names) - len(shape.cracks)
-            tables = opened_tables(
-                {label[name]: str(first + k) for k, name in enumerate(shape.cracks)},
-                {label[name]: normal for name, normal in shape.cracks.items()},
-                *tables,
-            )
+            right = {name: str(first + k) for k, name in enumerate(shape.cracks)}
+            tables = opened_tables(right, shape.cracks, *tables)
         return check_mesh(normalised(*tables))
     except ValueError as error:
         raise NetgenFails(str(error)) from error
@@ -570,20 +593,21 @@ def _solid_draft(
 ) -> MeshArrays:
     """Return Netgen's mesh at unit size: a first one, then ``rounds`` more, each by the sizes at
     the centroids of the mesh before."""
-    face_sizes = {int(face): _raised(sizes.near, sizes.size) / shape.scale for face in faces}
+    raised = sizes.for_netgen()
+    face_sizes = {int(face): raised.near / shape.scale for face in faces}
     options = {
         "maxh": sizes.size / shape.scale,
         "grading": sizes.grading,
         "curvaturesafety": _CURVATURE,
     }
     at: SizesAt = []
-    for left in range(rounds, -1, -1):
+    for rounds_left in range(rounds, -1, -1):
         # of a draft only its sizes matter: optimising takes most of the time
-        fast = {"optsteps3d": 0} if left else {}
+        fast = {"optsteps3d": 0} if rounds_left else {}
         unit = _sound(
             shape, worker("mesh_shape", face_sizes, options | fast, at, seconds=limit_s(nodes, 3))
         )
-        if left:
+        if rounds_left:
             mesh = _placed(unit, shape)
             centroids = mesh.points[mesh.elements].mean(axis=1)
             # before Netgen works for minutes on a mesh that bisection would then find too large
@@ -591,7 +615,7 @@ def _solid_draft(
                 nodes,
                 refuse_too_many(expected_nodes(mesh, sizes.field(centroids, mesh, faces)), domain),
             )
-            target = sizes.field(centroids, mesh, faces, sizes.size / _NETGEN_RATIO)
+            target = raised.field(centroids, mesh, faces)
             small = target < sizes.size
             at = [((centroids - shape.lower)[small] / shape.scale, target[small] / shape.scale)]
     return unit
@@ -653,7 +677,7 @@ def _bisected(
         mesh = _placed(unit, shape)
         large, at_centroids = too_large(mesh, lambda x, mesh=mesh: sizes.field(x, mesh, faces))
         if sizes.function is None and not faces:
-            # Netgen meets a size that does not vary but for edges through the body
+            # a constant size, which Netgen meets: only edges that go through a thin body are too long
             large = overlong(mesh, at_centroids)
         if not large.any():
             return unit

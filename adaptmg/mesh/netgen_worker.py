@@ -247,10 +247,11 @@ def _spline_geometry(
     corners = [number[vertex] for vertex in domain.vertices]
     for i, name in enumerate(domain.boundaries):
         if i in domain.twins:
-            continue
+            continue  # the right face of a crack: the left one is an edge with the body on both sides
+        is_left_face = i in domain.twins.values()
         options = {
             "leftdomain": 1,
-            "rightdomain": int(i in domain.twins.values()),
+            "rightdomain": int(is_left_face),
             "bc": str(i),
             "maxh": sides.get(name, checks.VAST),
         }
@@ -328,20 +329,26 @@ def _name_products(
     uses: Mapping[str, Sequence[tuple[str, str]]],
     products: dict[Solid, str],
 ) -> None:
-    """Enter the names of the products of the solids below a node into ``products``. Netgen knows
-    the names of instances, the file (``names``, ``uses`` of :func:`_parts_of`) the product that an
-    instance is of; ``part`` is that of the node."""
-    below = list(uses.get(part, ()))
+    """Enter the names of the products of the solids below a node into ``products``: of a vice with two
+    instances "M6:1" and "M6:2" of a screw "M6" this is "M6" for both.
+
+    Netgen knows the names of instances only. The file (``names``, ``uses`` of :func:`_parts_of`) says
+    which part an instance is of, and how the product of the part is called; ``part`` is the number of
+    that of the node. A product without a name is called after its instance."""
+    instances = list(uses.get(part, ()))
     for child in node.children:
-        # names that OCC reads otherwise follow in the order of the file
-        same = [pair for pair in below if pair[0] == child.name] or below[:1]
-        if same:
-            below.remove(same[0])
-        _name_products(child, same[0][1] if same else "", names, uses, products)
+        # where OCC reads the name of an instance otherwise, it is the next one in the file
+        same_name = [instance for instance in instances if instance[0] == child.name]
+        matching = same_name or instances[:1]
+        part_of_child = ""
+        if matching:
+            instances.remove(matching[0])
+            _, part_of_child = matching[0]
+        _name_products(child, part_of_child, names, uses, products)
     if not node.is_assembly and node.shape is not None and len(node.shape.solids) == 1:
         # OCC calls an instance without a name after the place of its shape: =>[0:1:1:3]
-        product = "" if node.name.startswith("=>[") else node.name
-        products[node.shape.solids[0]] = names.get(part) or product
+        instance_name = "" if node.name.startswith("=>[") else node.name
+        products[node.shape.solids[0]] = names.get(part) or instance_name
 
 
 def _parts_of(text: str) -> tuple[dict[str, str], dict[str, list[tuple[str, str]]]]:
@@ -355,29 +362,31 @@ def _parts_of(text: str) -> tuple[dict[str, str], dict[str, list[tuple[str, str]
         #2=PRODUCT_DEFINITION_FORMATION('id','text',#1)
         #3=PRODUCT_DEFINITION('id','text',#2,...)                       the part number 3
         #9=NEXT_ASSEMBLY_USAGE_OCCURRENCE('id','name','text',#3,#7,$)   an instance of 7 in 3"""
-    string = r"'((?:[^']|'')*)'"
-    described = rf"\s*\(\s*{string}\s*,\s*(?:{string}|\$)\s*,\s*"
+    string = r"(?:[^']|'')*"
+    described = rf"\s*\(\s*'(?P<id>{string})'\s*,\s*(?:'(?P<name>{string})'|\$)\s*,\s*"
     text = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
 
-    def rows(pattern: str) -> list[tuple[str, ...]]:
-        return [tuple(map(_decoded, row)) for row in re.findall(rf"#(\d+)\s*=\s*{pattern}", text)]
+    def rows(pattern: str) -> list[dict[str, str]]:
+        found = re.finditer(rf"#(?P<number>\d+)\s*=\s*{pattern}", text)
+        return [
+            {key: _decoded(value or "") for key, value in row.groupdict().items()} for row in found
+        ]
 
-    name = {row[0]: row[2] or row[1] for row in rows(rf"PRODUCT{described}")}
+    product = {row["number"]: row["name"] or row["id"] for row in rows(rf"PRODUCT{described}")}
     version = {
-        row[0]: name.get(row[-1], "")
-        for row in rows(rf"PRODUCT_DEFINITION_FORMATION\w*{described}#(\d+)")
+        row["number"]: product.get(row["product"], "")
+        for row in rows(rf"PRODUCT_DEFINITION_FORMATION\w*{described}#(?P<product>\d+)")
     }
     names = {
-        row[0]: version.get(row[-1], "")
-        for row in rows(rf"PRODUCT_DEFINITION(?:_WITH_\w+)?{described}#(\d+)")
+        row["number"]: version.get(row["version"], "")
+        for row in rows(rf"PRODUCT_DEFINITION(?:_WITH_\w+)?{described}#(?P<version>\d+)")
     }
-    instances = rows(
-        rf"NEXT_ASSEMBLY_USAGE_OCCURRENCE{described}(?:{string}|\$)\s*,\s*#(\d+)\s*,\s*#(\d+)"
-    )
-    used = {row[-1] for row in instances}
-    uses = {"": [(product, number) for number, product in names.items() if number not in used]}
-    for _, number, instance, _, whole, part in instances:
-        uses.setdefault(whole, []).append((instance or number, part))
+    parts = r"#(?P<whole>\d+)\s*,\s*#(?P<part>\d+)"
+    instances = rows(rf"NEXT_ASSEMBLY_USAGE_OCCURRENCE{described}(?:'{string}'|\$)\s*,\s*{parts}")
+    used = {row["part"] for row in instances}
+    uses = {"": [(name, number) for number, name in names.items() if number not in used]}
+    for row in instances:
+        uses.setdefault(row["whole"], []).append((row["name"] or row["id"], row["part"]))
     return names, uses
 
 
@@ -648,19 +657,9 @@ def read_meshio(path: str) -> MeshioTables:
             cause = printed.getvalue().strip() or "it is not what the suffix says"
         raise ValueError(f"meshio does not read it ({cause}); it begins with {begins!r}") from None
     of_gmsh = "gmsh:geometrical" in raw.cell_data
-    sets = {
-        name: [(k, rows) for k, rows in enumerate(members) if rows is not None and len(rows)]
-        for name, members in raw.cell_sets.items()
-        if not name.startswith("gmsh:")
-    }
-    node_sets = {name: np.asarray(rows) for name, rows in raw.point_sets.items()}
-    if hasattr(raw, "cell_tags"):
-        # of MED: the names of groups by numbers of families
-        sets = _groups(raw.cell_tags, raw.cell_data.get("cell_tags", []))
-        nodes = _groups(raw.point_tags, [raw.point_data.get("point_tags", np.empty(0))])
-        node_sets = {name: np.concatenate([r for _, r in blocks]) for name, blocks in nodes.items()}
+    sets, node_sets = _sets_of(raw)
     if of_gmsh or not sets:
-        # groups whose numbers are negative, of curves that run the other way, are not in the sets
+        # of Gmsh, groups whose numbers are negative, of curves that run the other way, are in no set
         numbered = _numbered(raw)
         sets = {name: numbered.get(name, []) + sets.get(name, []) for name in numbered | sets}
     points = np.zeros((len(raw.points), 3))
@@ -675,11 +674,27 @@ def read_meshio(path: str) -> MeshioTables:
     return points, cells, sets, node_sets
 
 
-def _groups(
-    names: Mapping[int, Sequence[str]], numbers: Sequence[np.ndarray]
-) -> dict[str, list[tuple[int, np.ndarray]]]:
+_CellSets = dict[str, list[tuple[int, np.ndarray]]]
+
+
+def _sets_of(raw: meshio.Mesh) -> tuple[_CellSets, dict[str, np.ndarray]]:
+    """Return the named sets of cells (block, rows) and of nodes that meshio has read."""
+    if hasattr(raw, "cell_tags"):
+        # of MED: the names of groups by numbers of families
+        sets = _groups(raw.cell_tags, raw.cell_data.get("cell_tags", []))
+        nodes = _groups(raw.point_tags, [raw.point_data.get("point_tags", np.empty(0))])
+        return sets, {name: np.concatenate([r for _, r in rows]) for name, rows in nodes.items()}
+    sets = {
+        name: [(k, rows) for k, rows in enumerate(members) if rows is not None and len(rows)]
+        for name, members in raw.cell_sets.items()
+        if not name.startswith("gmsh:")
+    }
+    return sets, {name: np.asarray(rows) for name, rows in raw.point_sets.items()}
+
+
+def _groups(names: Mapping[int, Sequence[str]], numbers: Sequence[np.ndarray]) -> _CellSets:
     """Return the blocks and rows of each group, from the groups of a family and the families of rows."""
-    groups: dict[str, list[tuple[int, np.ndarray]]] = {}
+    groups: _CellSets = {}
     for family, names_of_family in names.items():
         for name in names_of_family:
             rows = [(k, np.flatnonzero(part == family)) for k, part in enumerate(numbers)]
@@ -687,29 +702,29 @@ def _groups(
     return groups
 
 
-def _numbered(raw: meshio.Mesh) -> dict[str, list[tuple[int, np.ndarray]]]:
+def _numbered(raw: meshio.Mesh) -> _CellSets:
     """Return sets of cells (block, rows) by their names: cells that have the same number in the
-    first data that are whole numbers. Of Gmsh these are numbers of physical groups, which have
-    names for some, and 0 for none."""
-    sets: dict[str, list[tuple[int, np.ndarray]]] = {}
-    key, numbers = next(
-        (
-            (key, parts)
-            for key, parts in raw.cell_data.items()
-            if key != "gmsh:geometrical"
-            and all(part.dtype.kind in "iu" and part.ndim == 1 for part in parts)
-        ),
-        ("", []),
-    )
+    first data that are whole numbers. Of Gmsh these are the numbers of physical groups: 0 of cells
+    that are in none, negative ones of curves that run against their group."""
+    sets: _CellSets = {}
+    whole_numbers = {
+        key: parts
+        for key, parts in raw.cell_data.items()
+        if key != "gmsh:geometrical"
+        and all(part.dtype.kind in "iu" and part.ndim == 1 for part in parts)
+    }
+    key = next(iter(whole_numbers), "")
+    of_groups = key == "gmsh:physical"
     names = {
         tuple(map(int, pair)): name for name, pair in raw.field_data.items() if np.size(pair) == 2
     }
-    for k, (block, part) in enumerate(zip(raw.cells, numbers, strict=False)):
+    for k, (block, part) in enumerate(zip(raw.cells, whole_numbers.get(key, []), strict=False)):
         for value in np.unique(part).tolist():
-            number = abs(value) if key == "gmsh:physical" else value
-            if value or key != "gmsh:physical":
-                name = names.get((number, block.dim), str(number))
-                sets.setdefault(name, []).append((k, np.flatnonzero(part == value)))
+            if of_groups and value == 0:
+                continue
+            number = abs(value) if of_groups else value
+            name = names.get((number, block.dim), str(number))
+            sets.setdefault(name, []).append((k, np.flatnonzero(part == value)))
     return sets
 
 

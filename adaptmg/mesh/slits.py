@@ -91,8 +91,8 @@ def opened(
 
 
 def opened_tables(
-    right: Mapping[int, str],
-    normals: Mapping[int, np.ndarray],
+    right: Mapping[str, str],
+    normals: Mapping[str, np.ndarray],
     points: np.ndarray,
     elements: np.ndarray,
     facets: np.ndarray,
@@ -103,31 +103,32 @@ def opened_tables(
 ) -> tuple:
     """Return Netgen's tables with cracks opened.
 
-    ``right`` names the right face by the label of the left one, and ``normals`` are outward normals
-    of left faces, by their labels. Facets that would stay closed are cut at their middles first."""
+    ``right`` has the names of the right faces by those of the left ones, and ``normals`` outward normals
+    of the left faces. Facets that would stay closed are cut at their middles first."""
     elements = positive(points, elements)
-    crack = np.isin(labels, list(right))
+    left_labels = [names.index(name) for name in right]
+    crack = np.isin(labels, left_labels)
     # each facet of a crack once, oriented as the left face
     once = np.unique(facet_keys(facets[crack], len(points)), return_index=True)[1]
     faces = facets[crack][once]
     left = labels[crack][once]
-    outward = np.array([normals[label] for label in left])
-    cosines = np.einsum("nd,nd->n", Surface(points, faces).vectors, outward)
-    faces = np.where(cosines[:, None] > 0, faces, faces[:, ::-1])
+    outward = np.array([normals[names[label]] for label in left])
+    faces_outward = np.einsum("nd,nd->n", Surface(points, faces).vectors, outward) > 0
+    faces = np.where(faces_outward[:, None], faces, faces[:, ::-1])
     facets = facets[~crack]
     labels = labels[~crack]
+    # until no facet stays closed: each time at least one facet is cut, and opens
     while True:
         every = np.concatenate([facets, faces, faces[:, ::-1]])
         opened_elements, sides, is_open, origin = opened(elements, every, len(points))
         if is_open.all():
             break
         closed = np.flatnonzero(~is_open[len(facets) : len(facets) + len(faces)])
-        # one facet more is cut each time, and opens
         points, elements, faces, left, body = _cut_middles(
             points, elements, faces, left, body, closed
         )
-    number = {label: len(names) + k for k, label in enumerate(right)}
-    labels = np.concatenate([labels, left, [number[k] for k in left]]).astype(np.int64)
+    right_label = {label: len(names) + k for k, label in enumerate(left_labels)}
+    labels = np.concatenate([labels, left, [right_label[k] for k in left]]).astype(np.int64)
     return points[origin], opened_elements, sides, labels, [*names, *right.values()], body, bodies
 
 
