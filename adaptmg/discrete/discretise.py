@@ -24,7 +24,7 @@ from adaptmg import _checks as checks
 from adaptmg._threads import one_blas_thread
 from adaptmg.discrete.contact_nodes import check_bounds, check_size, largest_entry
 from adaptmg.discrete.coordinates import friction_acts
-from adaptmg.discrete.elasticity import rigid_motions
+from adaptmg.discrete.elasticity import motions_at
 from adaptmg.discrete.loads import load_vector, supported_stiffness
 from adaptmg.discrete.obstacles import check_held
 from adaptmg.discrete.posed import Posed, nodal_law
@@ -95,7 +95,7 @@ def assembled(
         "coordinates": mesh.points,
         "bodies": posed.bodies,
         "law": nodal_law(posed, contact),
-        "motions": partial(rigid_motions, mesh, problem.axisymmetric),
+        "motions": partial(motions_at, mesh, problem.axisymmetric),
         "inclined": posed.inclined,
         "ties": tuple(
             (tie.slave, tie.master, part.nodes, posed.surfaces[tie.slave].nodes)

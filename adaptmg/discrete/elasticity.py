@@ -60,6 +60,8 @@ from adaptmg.problem.laws import Elastic
 #: patches between a prefetch and its use: those of smoothed elements lie far apart. Their matrix of 118k nodes in space
 #: takes .21 s to sum (without 1.19; at 4 and 16 .33 and .21), of 36k .060 (.082; .064, .060); linear elements no less
 _LATER = 8
+#: the rows of all nodes
+ALL_NODES = slice(None)
 #: corners of the edges of an element
 EDGES = {
     2: np.array([(0, 1), (0, 2), (1, 2)]),
@@ -617,18 +619,23 @@ def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:
     """
     checks.instance("mesh", mesh, MeshArrays)
     checks.flag("axisymmetric", axisymmetric)
+    return motions_at(mesh, axisymmetric, ALL_NODES).reshape(mesh.points.size, -1)
+
+
+def motions_at(mesh: MeshArrays, axisymmetric: bool, nodes: np.ndarray | slice) -> np.ndarray:
+    """Return :func:`rigid_motions` (n, dim, k) at some nodes."""
     columns = []
-    for nodes in nodes_of_pieces(mesh):
+    for piece in nodes_of_pieces(mesh):
         if axisymmetric:
-            modes = np.tile([[0.0], [1 / np.sqrt(len(nodes))]], (len(nodes), 1))
-        elif len(nodes) == mesh.n_nodes:
-            return rigid_body_modes(mesh.points)
+            modes = np.tile([[0.0], [1 / np.sqrt(len(piece))]], (len(piece), 1, 1))
+        elif len(piece) == mesh.n_nodes:
+            return rigid_body_modes(mesh.points, nodes)
         else:
-            modes = rigid_body_modes(mesh.points[nodes])
-        column = np.zeros((mesh.n_nodes, mesh.dim, modes.shape[1]))
-        column[nodes] = modes.reshape(len(nodes), mesh.dim, -1)
-        columns.append(column.reshape(mesh.points.size, -1))
-    return np.hstack(columns)
+            modes = rigid_body_modes(mesh.points[piece])
+        column = np.zeros((mesh.n_nodes, mesh.dim, modes.shape[2]))
+        column[piece] = modes
+        columns.append(column)
+    return np.concatenate(columns, axis=2)[nodes]
 
 
 def nodes_of_pieces(mesh: MeshArrays) -> list[np.ndarray]:
@@ -657,22 +664,24 @@ def rotations(points: np.ndarray, axes: np.ndarray) -> list[np.ndarray]:
 
 
 @one_blas_thread()
-def rigid_body_modes(points: np.ndarray) -> np.ndarray:
-    """Return the translations and, about the principal axes at the centroid, rotations (n_dofs, k)
-    of points, orthonormal."""
+def rigid_body_modes(points: np.ndarray, nodes: np.ndarray | slice = ALL_NODES) -> np.ndarray:
+    """Return the translations and, about the principal axes at the centroid, rotations (n, dim, k)
+    of points (n_nodes, dim) at some of them, orthonormal over all."""
     n, dim = points.shape
-    from_centroid = points - np.einsum("nd->d", points) / len(points)
-    turns = rotations(
-        from_centroid,
-        np.linalg.eigh(from_centroid.T @ from_centroid)[1].T if dim == 3 else np.eye(2),
-    )
-    modes = np.zeros((n, dim, dim + len(turns)))
+    from_centroid = points - np.einsum("nd->d", points) / n
+    moments = from_centroid.T @ from_centroid
+    moments_of_axes = np.zeros(1)
+    axes = np.eye(2)
+    if dim == 3:
+        moments_of_axes, axes = np.linalg.eigh(moments)
+    # sums of squares over all points, without the rotations of all
+    turn_sizes = np.sqrt(np.maximum(np.trace(moments) - moments_of_axes, 0.0))
+    on_line = not turn_sizes.min() > checks.SIX_DIGITS * turn_sizes.max()
+    turning = from_centroid if on_line else from_centroid[nodes]
+    modes = np.zeros((len(turning), dim, dim + len(turn_sizes)))
     modes[:, range(dim), range(dim)] = 1 / np.sqrt(n)
-    turn_sizes = np.empty(len(turns))
-    for k, turn in enumerate(turns):
-        turn_sizes[k] = np.linalg.norm(turn)
+    for k, turn in enumerate(rotations(turning, axes.T)):
         modes[:, :, dim + k] = turn / (turn_sizes[k] or 1.0)
-    modes = modes.reshape(n * dim, -1)
-    return (
-        modes if turn_sizes.min() > 1e-9 * turn_sizes.max() else np.linalg.qr(modes)[0]
-    )  # points on a line
+    if on_line:
+        return np.linalg.qr(modes.reshape(n * dim, -1))[0].reshape(n, dim, -1)[nodes]
+    return modes

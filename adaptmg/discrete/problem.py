@@ -36,7 +36,7 @@ from adaptmg.discrete.contact_nodes import (
     largest_entry,
 )
 from adaptmg.discrete.coordinates import Coupling, Unknowns, held_slaves
-from adaptmg.discrete.elasticity import rigid_body_modes
+from adaptmg.discrete.elasticity import ALL_NODES, rigid_body_modes
 from adaptmg.discrete.supports import EnergyTerms, Inclined
 from adaptmg.discrete.volumes import Volumes
 from adaptmg.problem.laws import FollowsState, Frictionless, Law, check_law, friction_at
@@ -52,18 +52,29 @@ class Computed(dict):
         return Computed, ()
 
 
-def _rigid_motions(problem: DiscreteProblem) -> np.ndarray | None:
-    """Return the rigid motions of a problem to which none were given; None without coordinates."""
+def near_nullspace_at(
+    problem: DiscreteProblem, nodes: np.ndarray | slice = ALL_NODES
+) -> np.ndarray | None:
+    """Return ``near_nullspace`` (n, dim, k) at some nodes without storing it in the problem; None
+    without coordinates."""
+    if "near_nullspace" in vars(problem):
+        stored = problem.near_nullspace
+        return None if stored is None else stored.reshape(problem.n_nodes, problem.dim, -1)[nodes]
     if problem.dim == 1:
-        motions = np.ones((problem.n_dofs, 1))
-    elif problem._motions is not None:
-        motions = problem._motions()
-    elif problem.coordinates is not None:
-        motions = rigid_body_modes(problem.coordinates)
-    else:
+        return np.ones((problem.n_nodes, 1, 1))[nodes]
+    if problem._motions is not None:
+        return problem._motions(nodes)
+    return None if problem.coordinates is None else rigid_body_modes(problem.coordinates, nodes)
+
+
+def _near_nullspace(problem: DiscreteProblem) -> np.ndarray | None:
+    """Return the rigid motions (n_dofs, k) of a problem to which none were given; None without
+    coordinates."""
+    modes = near_nullspace_at(problem)
+    if modes is None:
         return None
-    motions.flags.writeable = False
-    return motions
+    modes.flags.writeable = False
+    return modes.reshape(problem.n_dofs, -1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, init=False)
@@ -120,7 +131,7 @@ class DiscreteProblem(Unknowns):
     coordinates: np.ndarray | None = None
     # computed when it is first read, unless it is given; Any: only problems without coordinates
     # need the test for None
-    near_nullspace: np.ndarray | Any = cached_property(_rigid_motions)  # noqa: RUF009
+    near_nullspace: np.ndarray | Any = cached_property(_near_nullspace)  # noqa: RUF009
     name: str = "discrete problem"
     coupling: Coupling | None = None  # says that all of the above is in relative coordinates
     bodies: Mapping[str, np.ndarray] | None = None  # nodes of each body by name, for messages
@@ -134,7 +145,7 @@ class DiscreteProblem(Unknowns):
 
     # attributes of each object that are not fields: ``assembled`` sets the first, ``_complete`` the
     # others
-    _motions: ClassVar[Callable[[], np.ndarray] | None] = None
+    _motions: ClassVar[Callable[[np.ndarray | slice], np.ndarray] | None] = None
     _computed: ClassVar[Computed]
     _structure: ClassVar[Computed]
 
@@ -233,7 +244,7 @@ class DiscreteProblem(Unknowns):
     def assembled(cls, weights: sparse.csr_array | None = None, **parts: Any) -> DiscreteProblem:
         """Return the problem of arrays that the package has assembled: they are neither copied nor
         checked. ``weights`` are those of :meth:`coupled`. ``motions`` computes ``near_nullspace`` in
-        displacements, where that is not given."""
+        displacements, (n, dim, k) at some nodes, where that is not given."""
         if weights is not None:
             parts = _in_relative_coordinates(weights, parts)
         parts = parts["inclined"].of_problem(parts)
@@ -517,9 +528,15 @@ def _in_relative_coordinates(weights: sparse.csr_array, parts: dict[str, Any]) -
     }
 
 
-def _relative_motions(coupling: Coupling, motions: Callable[[], np.ndarray]) -> np.ndarray:
-    """Return the rigid motions (n_dofs, k) that ``motions`` computes, in relative coordinates."""
-    return coupling.relative(motions())
+def _relative_motions(
+    coupling: Coupling,
+    motions: Callable[[np.ndarray | slice], np.ndarray],
+    nodes: np.ndarray | slice,
+) -> np.ndarray:
+    """Return the rigid motions (n, dim, k) that ``motions`` computes, in relative coordinates."""
+    modes = motions(ALL_NODES)
+    flat = modes.reshape(-1, modes.shape[2])
+    return coupling.relative(flat).reshape(modes.shape)[nodes]
 
 
 def diagonal_places(matrix: sparse.bsr_array) -> np.ndarray:
@@ -540,10 +557,3 @@ def nodal_blocks(problem: DiscreteProblem, nodes: np.ndarray | None = None) -> n
     """Return the diagonal blocks (n, dim, dim) of the matrix, of some or of all nodes."""
     places = _diagonal_places(problem)
     return problem.matrix.data.take(places if nodes is None else places[nodes], axis=0)
-
-
-def near_nullspace_of(problem: DiscreteProblem) -> np.ndarray | None:
-    """Return ``near_nullspace`` without storing it in the problem: levels read it only once."""
-    if "near_nullspace" in vars(problem):
-        return problem.near_nullspace
-    return _rigid_motions(problem)

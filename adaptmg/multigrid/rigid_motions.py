@@ -21,15 +21,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
 from adaptmg import _checks as checks
-from adaptmg.discrete.elasticity import rotations
 from adaptmg.discrete.problem import (
     DiscreteProblem,
-    near_nullspace_of,
+    near_nullspace_at,
     remembered_of_structure,
 )
 from adaptmg.multigrid.truncated_contact import TruncatedContact, friction_slope
@@ -52,39 +51,35 @@ def null_combinations(rows: np.ndarray) -> np.ndarray:
     return (combinations[rank:] / size).T
 
 
-def _is_held_body(problem: DiscreteProblem, held: np.ndarray, fixed: np.ndarray) -> bool:
-    """Return whether the ``fixed`` components (n, dim) of held nodes leave a single body no motion;
-    False where this cannot be told without ``near_nullspace``. To avoid that on every level spares
-    4 % of a solve with 66k nodes, and 24 bytes a dof (48 in 3D)."""
-    several = problem.bodies is not None and len(problem.bodies) > 1
-    if several or problem.coupling is not None or "near_nullspace" in vars(problem):
-        return False
-    if problem.coordinates is None or problem.coordinates.shape[1] != problem.dim or not len(held):
-        return False
-    x = problem.coordinates[held]
-    turns = np.stack(rotations(x - x.mean(axis=0), np.eye(problem.dim)), axis=2)
-    translations = np.broadcast_to(np.eye(problem.dim), (len(x), problem.dim, problem.dim))
-    motions = np.concatenate([translations, turns], axis=2)
-    return not null_combinations(motions[fixed]).shape[1]
+@remembered_of_structure
+def _free_combinations(problem: DiscreteProblem) -> tuple[np.ndarray, np.ndarray]:
+    """Return the combinations (k, m) of the rigid modes that supports leave free, and the motions
+    (n_contact, dim, m) of the contact nodes by them.
+
+    The modes are computed at held and contact nodes only: at all nodes of all levels they take 4 %
+    of hierarchy and solve with 263k nodes, and 24 bytes a dof (48 in 3D)."""
+    contact_nodes = problem.contact.nodes
+    # 0.1 ms for 263k nodes, by any(axis=1) 3.3
+    held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
+    inclined = problem.inclined
+    nodes = np.concatenate([contact_nodes, held, inclined.nodes])
+    modes = near_nullspace_at(problem, nodes) if len(contact_nodes) else None
+    if modes is None:
+        return np.empty((0, 0)), np.empty((len(contact_nodes), problem.dim, 0))
+    of_contact, of_held, of_inclined = np.split(modes, np.cumsum([len(contact_nodes), len(held)]))
+    # what supports hold of the modes: fixed components, and parts along inclined directions
+    rows = of_held[problem.fixed.reshape(-1, problem.dim)[held]]
+    along = np.einsum("nij,njk->nik", inclined.spans, of_inclined)
+    combinations = null_combinations(np.concatenate([rows, along.reshape(-1, modes.shape[2])]))
+    return combinations, of_contact @ combinations
 
 
 @remembered_of_structure
 def _free_motions(problem: DiscreteProblem) -> np.ndarray:
-    """Return the m motions (n_dofs, m) that supports leave free. They are combinations of the rigid
-    modes, which, with 24 bytes a dof (48 in 3D), are not stored."""
-    fixed = problem.fixed.reshape(-1, problem.dim)
-    # 0.1 ms for 263k nodes, by any(axis=1) 3.3
-    held = np.unique(np.flatnonzero(problem.fixed) // problem.dim)
-    may_move = len(problem.contact) and not _is_held_body(problem, held, fixed[held])
-    rigid_modes = near_nullspace_of(problem) if may_move else None
-    if rigid_modes is None:
-        return np.empty((problem.n_dofs, 0))
-    modes = rigid_modes.reshape(problem.n_nodes, problem.dim, -1)
-    # what supports hold of the modes: fixed components, and parts along inclined directions
-    rows = modes[held][fixed[held]]
-    along = np.einsum("nij,njk->nik", problem.inclined.spans, modes[problem.inclined.nodes])
-    rows = np.concatenate([rows, along.reshape(-1, rows.shape[1])])
-    return rigid_modes @ null_combinations(rows)
+    """Return the m motions (n_dofs, m) that supports leave free, where there are some."""
+    modes = cast("np.ndarray", near_nullspace_at(problem))
+    combinations, _ = _free_combinations(problem)
+    return modes.reshape(problem.n_dofs, -1) @ combinations
 
 
 @dataclass(eq=False)
@@ -93,7 +88,6 @@ class RigidMotions:
 
     problem: DiscreteProblem
     load: np.ndarray  # (n_dofs,): f
-    motions: np.ndarray  # (n_dofs, m)
     at_contact: np.ndarray  # (n_contact, dim, m): their local values N_i, T_i at the contact nodes
     # the last status, and the combinations of motions that are free in it
     _last_free: tuple[bytes, np.ndarray] = (b"", np.empty(0))
@@ -109,12 +103,10 @@ class RigidMotions:
         unknown."""
         if problem.dim == 1:  # a constant, which truncation shifts
             return None
-        motions = _free_motions(problem)
-        if not motions.shape[1]:
+        _, at_contact = _free_combinations(problem)
+        if not at_contact.shape[2]:
             return None
-        cartesian = motions.reshape(problem.n_nodes, problem.dim, -1)[problem.contact.nodes]
-        at_contact = np.einsum("nij,njk->nik", contact.node_frames, cartesian)
-        return cls(problem, load, motions, at_contact)
+        return cls(problem, load, contact.node_frames @ at_contact)
 
     def settle(
         self, contact: TruncatedContact, unknowns: np.ndarray, residual: np.ndarray
@@ -144,7 +136,7 @@ class RigidMotions:
     @cached_property
     def work(self) -> np.ndarray | None:
         """Return the work (m,) of the load on the motions; None where they strain the body."""
-        motions = self.motions
+        motions = _free_motions(self.problem)
         forces = self.problem.matrix @ motions
         forces[self.problem.fixed] = 0.0
         scale = np.abs(self.problem.matrix.diagonal()).max() * np.abs(motions).max(axis=0)
@@ -156,7 +148,7 @@ class RigidMotions:
     ) -> np.ndarray:
         """Add a motion, a combination (m,), to unknowns (n_dofs,) in place; the local values of
         ``contact`` contain it already. Return the motion (n_dofs,)."""
-        step = self.motions @ change
+        step = _free_motions(self.problem) @ change
         step[self.problem.fixed] = 0.0
         unknowns += step
         # equal up to rounding; gaps and slips that vanish must do so to the bit
