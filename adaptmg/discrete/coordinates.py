@@ -270,14 +270,19 @@ class Unknowns:
     def free_part(self, vector: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) or (n_nodes, dim) without its parts along fixed dofs and along
         what inclined supports hold; flat."""
-        return self.inclined.free_part(np.where(self.fixed, 0.0, vector.reshape(-1)))
+        result = np.where(self.fixed, 0.0, vector.reshape(-1))
+        self.inclined.remove_held(result)
+        return result
 
     def from_prescribed(self, solution: np.ndarray) -> np.ndarray:
         """Return unknowns (n_dofs,) or (n_nodes, dim), m, or a solution (n_unknowns,), minus the
         prescribed values, zero along what is held; flat."""
         result = np.array(solution, dtype=np.float64).reshape(-1)
         unknowns, _ = self.parts(result)
-        unknowns[:] = self.free_part(unknowns - self.fixed_values)
+        # in place: with 263k nodes .4 ms a call, by free_part 1.2
+        unknowns -= self.fixed_values
+        np.copyto(unknowns, 0.0, where=self.fixed)
+        self.inclined.remove_held(unknowns)
         return result
 
     def with_prescribed(self, change: np.ndarray) -> np.ndarray:

@@ -547,7 +547,7 @@ def diagonal_places(matrix: sparse.bsr_array) -> np.ndarray:
 
 
 @remembered_of_structure
-def _diagonal_places(problem: DiscreteProblem) -> np.ndarray:
+def diagonal_places_of(problem: DiscreteProblem) -> np.ndarray:
     """Return the places (n_nodes,) of the diagonal blocks of the matrix, stored with the
     structure."""
     return diagonal_places(problem.matrix)
@@ -555,5 +555,5 @@ def _diagonal_places(problem: DiscreteProblem) -> np.ndarray:
 
 def nodal_blocks(problem: DiscreteProblem, nodes: np.ndarray | None = None) -> np.ndarray:
     """Return the diagonal blocks (n, dim, dim) of the matrix, of some or of all nodes."""
-    places = _diagonal_places(problem)
+    places = diagonal_places_of(problem)
     return problem.matrix.data.take(places if nodes is None else places[nodes], axis=0)

@@ -90,9 +90,13 @@ class Inclined:
     def free_part(self, vector: np.ndarray) -> np.ndarray:
         """Return a vector (n_dofs,) without its parts along the directions that are held."""
         result = vector.copy()
-        if len(self):
-            result.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
+        self.remove_held(result)
         return result
+
+    def remove_held(self, vector: np.ndarray) -> None:
+        """Remove from a vector (n_dofs,), in place, its parts along the directions that are held."""
+        if len(self):
+            vector.reshape(-1, self.spans.shape[1])[self.nodes] -= self.along(vector)
 
     def block_diagonal(self, blocks: np.ndarray, n_nodes: int) -> sparse.csr_array:
         """Return the matrix (n_dofs, n_dofs) with the blocks (k, dim, dim) of these nodes on its diagonal,
