@@ -21,7 +21,6 @@ from adaptmg.discrete.problem import DiscreteProblem
 from adaptmg.discrete.stress import StressData
 from adaptmg.discrete.supports import EnergyTerms, Held, held_components
 from adaptmg.discrete.ties import jump_of
-from adaptmg.mesh.arrays import MeshArrays, need_mesh
 from adaptmg.problem.load_path import DEFAULT
 from adaptmg.problem.loads import InitialStrain, Preload
 from adaptmg.problem.surfaces import Periodic
@@ -43,7 +42,8 @@ class LoadSteps:
         default_factory=dict
     )  # dict of str to (n_elements, 3)
     strain_loads: Mapping[str, np.ndarray] = field(default_factory=dict)  # dict of str to (n_dofs,)
-    mesh: MeshArrays | None = None
+    # Any: None without a problem, which has neither strains nor gaps that depend on supports
+    posed: Posed | Any = None
 
     def stress_data(self, factors: Mapping[str, float]) -> StressData | Any:
         """Return the stress data of a step."""
@@ -66,10 +66,16 @@ class LoadSteps:
         volumes = discrete.volumes
         if self.strains:
             data = self.stress_data(factors)
-            volumes = volumes.expanding(need_mesh(self), data.initial_strain, data.axisymmetric)
+            volumes = volumes.expanding(self.posed.mesh, data.initial_strain, data.axisymmetric)
+        fixed_values = self.fixed_values(factors)
+        gaps = None
+        if self.posed is not None:
+            change = (fixed_values - discrete.fixed_values).reshape(discrete.n_nodes, -1)
+            gaps = discrete.contact.gaps - self.posed.approached(change)
         return discrete.with_step(
             load=self.load(factors),
-            fixed_values=self.fixed_values(factors),
+            fixed_values=fixed_values,
+            gaps=gaps,
             slip_reference=slip_reference,
             accumulated_slip=accumulated_slip,
             strain_free=self.strain_free(factors),
@@ -84,7 +90,7 @@ class LoadSteps:
             (factors[name] * load for name, load in self.strain_loads.items()),
             np.zeros(self.n_dofs),
         )
-        return EnergyTerms(load, self.stress_data(factors).suppressed(need_mesh(self)))
+        return EnergyTerms(load, self.stress_data(factors).suppressed(self.posed.mesh))
 
     def load(self, factors: Mapping[str, float]) -> np.ndarray:
         """Return the nodal forces (n_dofs,) of a step, N."""
@@ -155,7 +161,7 @@ def load_steps(posed: Posed, discrete: DiscreteProblem) -> LoadSteps:
         stress=StressData.of(mesh, posed.materials, elements=problem.elements),
         strains=strains,
         strain_loads=strain_loads,
-        mesh=mesh,
+        posed=posed,
     )
 
 

@@ -1,9 +1,10 @@
 r"""Contact nodes in front of rigid obstacles, and what supports hold of them.
 
 A support that holds a part of the normal of a node leaves it the rest: with the projection P onto
-what is free, the node goes towards the obstacle along :math:`P n / |P n|`, at the gap :math:`g / |P
-n|`. Where it holds all of it there is no contact; the motion that it prescribes must end before the
-obstacle. The force of contact is that along
+what is free, and the displacement :math:`\bar u` that supports prescribe along the other
+directions, the node goes towards the obstacle along :math:`P n / |P n|`, at the gap :math:`(g - n
+\cdot \bar u) / |P n|`. Where they hold all of it there is no contact; the motion that they prescribe
+must end before the obstacle. The force of contact is that along
 :math:`P n`: the rest goes into the support, and counts as its reaction.
 """
 
@@ -56,10 +57,10 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
         taken = taken_over(surface, carries, problem.axisymmetric)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
         distances = distances + taken[:, nodes] @ gaps  # g_j + sum E_ji w_i/w_j g_i
-    directions, distances = along_free(free[movable], normals[movable], distances)
+    scaled, distances = along_free(free[movable], normals[movable], distances)
     return MortarInterface(
         nodes=nodes[movable],
-        normals=directions,
+        normals=scaled,
         weights=weights,
         gaps=distances,
         coupling=None if taken is None or not taken.nnz else -taken,
@@ -88,22 +89,16 @@ def check_held(
         )
         free = boundaries.free_part(nodes, normals)
         normal_motion = np.einsum("nd,nd->n", normals, prescribed[nodes])
-        # a part of the normal that is held must not move at all: either way the gap would change
-        in_part = _held_in_part(free, normals)
-        beyond = np.where(in_part, np.abs(normal_motion), normal_motion - gaps)
-        # where nothing of the normal is held the support cannot move the node into the obstacle
-        beyond[(free == normals).all(axis=1)] = 0.0
+        # where something of the normal is free the node gives way to the obstacle
+        held = np.linalg.norm(free, axis=1) <= checks.ALIKE
+        beyond = np.where(held, normal_motion - gaps, 0.0)
         i = int(np.argmax(beyond))
         if beyond[i] > checks.ROUNDING * (
             np.abs([normal_motion[i], gaps[i]]).max() + boundaries.mesh.sides.max()
         ):
-            node = f"node {nodes[i]} of contact boundary {contact.boundary!r}"
             raise ValueError(
-                f"a support moves {node} at an angle to its obstacle, by {beyond[i]:.6g} m along the "
-                "normal there: move it along the obstacle, or end one boundary before the other begins"
-                if in_part[i]
-                else f"a support holds {node} {beyond[i]:.6g} m inside its obstacle: move the support "
-                "less, or the obstacle"
+                f"a support holds node {nodes[i]} of contact boundary {contact.boundary!r} "
+                f"{beyond[i]:.6g} m inside its obstacle: move the support less, or the obstacle"
             )
 
 
@@ -128,18 +123,21 @@ def facing_obstacle(
 def along_free(
     free: np.ndarray, normals: np.ndarray, gaps: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return normals (n, dim) and gaps (n,) along free parts (n, dim) of the normals, unchanged
-    where these vanish."""
-    # P n / |P n| and g / |P n|
-    part = _held_in_part(free, normals)
-    length = np.where(part, np.linalg.norm(free, axis=1), 1.0)
-    return np.where(part[:, None], free / length[:, None], normals), gaps / length
+    """Return normals (n, dim) over the length of their free parts (n, dim), and gaps (n,) along
+    these; unchanged where supports hold nothing or all of a normal."""
+    # n / |P n| and g / |P n|
+    length = np.linalg.norm(free, axis=1)
+    length[(length <= checks.ALIKE) | (free == normals).all(axis=1)] = 1.0
+    return normals / length[:, None], gaps / length
 
 
-def _held_in_part(free: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return the mask (n,) of nodes of which supports hold a part of the normal, however small, and not
-    all of it."""
-    return (np.linalg.norm(free, axis=1) > checks.ALIKE) & (free != normals).any(axis=1)
+def approached(
+    boundaries: Boundaries, nodes: np.ndarray, normals: np.ndarray, prescribed: np.ndarray
+) -> np.ndarray:
+    """Return how much of the gaps (n,) of nodes displacements ``prescribed`` (n, dim) by supports
+    close along normals (n, dim), m."""
+    held = normals - boundaries.free_part(nodes, normals)
+    return np.einsum("nd,nd->n", held, prescribed)
 
 
 def free_normals(boundaries: Boundaries, k: int, normals: np.ndarray) -> np.ndarray:
@@ -206,6 +204,7 @@ def moved(
     normals = contact.normals.copy()
     gaps = contact.gaps.copy()
     reference = contact.slip_reference.copy()
+    prescribed = discrete.fixed_values.reshape(discrete.n_nodes, -1)
     for k, obstacle in now.items():
         rows = np.flatnonzero(contact.boundary == k)
         boundary = boundaries.problem.contact[k].boundary
@@ -219,9 +218,13 @@ def moved(
         taken = contact.taken_over[rows]
         taken = taken[:, nodes] if taken.nnz else sparse.csr_array((len(rows), len(nodes)))
         free_directions = boundaries.free_part(contact.nodes[rows], facing_normals[place])
-        normals[rows], gaps[rows] = along_free(
+        scaled, distances = along_free(
             free_directions, facing_normals[place], facing_gaps[place] + taken @ facing_gaps
         )
+        shift = prescribed[nodes]
+        shift = shift[place] + taken @ shift
+        gaps[rows] = distances - approached(boundaries, contact.nodes[rows], scaled, shift)
+        normals[rows] = boundaries.free_part(contact.nodes[rows], scaled)
         motion = obstacle.motion(points) - before[k].motion(points)
         reference[rows] += motion[place] + taken @ motion
     are_turned = np.abs(normals - contact.normals).max(initial=0.0) > checks.ROUNDING

@@ -11,8 +11,8 @@ column       a row holds
 nodes        the number of the node, ascending
 role         what the node does: see :class:`Role`
 owner        the number of the contact or tie that the node belongs to; -1 of none
-normals      at contact nodes the unit normal along which the gap counts
-gaps         the initial gap, m
+normals      at contact nodes the normal, scaled so that what supports leave of it has length 1
+gaps         the initial gap along that part, m, where supports prescribe no displacement
 weights      the boundary mass
 taken_over   what it takes over from nodes without a condition, over its own mass
 ===========  ==========================================================================
@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 
@@ -46,7 +46,12 @@ from adaptmg.discrete.coordinates import held_slaves
 from adaptmg.discrete.elasticity import nodes_of_pieces
 from adaptmg.discrete.moduli import body_materials
 from adaptmg.discrete.mortar import MortarInterface, curved, pair_interface, spread
-from adaptmg.discrete.obstacles import free_normals, in_front_of, may_overlap, with_motions
+from adaptmg.discrete.obstacles import (
+    approached,
+    free_normals,
+    in_front_of,
+    with_motions,
+)
 from adaptmg.discrete.sides import with_sides, young_of
 from adaptmg.discrete.supports import Boundaries, supported_nodes
 from adaptmg.discrete.ties import jump_of, tie_interfaces
@@ -78,6 +83,11 @@ class Rows:
     weights: np.ndarray  # (n,)
     taken_over: sparse.csr_array | None  # (n, n_nodes)
     follows: sparse.csr_array | None  # (n_nodes, n_nodes): weights of what slaves face
+
+    @property
+    def touching(self) -> np.ndarray:
+        """Return the mask (n,) of the rows that carry contact conditions."""
+        return (self.role == Role.OBSTACLE) | (self.role == Role.SLAVE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,25 +303,35 @@ class Posed(Boundaries):
         return pair_interface(self, contact, self.sides[k], without_multiplier)
 
     def _contact_nodes(self, rows: Rows) -> ContactNodes:
-        """Return the contact nodes of the rows that carry conditions."""
+        """Return the contact nodes of the rows that carry conditions, with supports at rest."""
         problem = self.problem
-        touching = (rows.role == Role.OBSTACLE) | (rows.role == Role.SLAVE)
+        touching = rows.touching
         nodes = rows.nodes[touching]
         owner = rows.owner[touching]
         taken = None if rows.taken_over is None else rows.taken_over[touching]
         return ContactNodes(
             nodes=nodes,
-            normals=rows.normals[touching],
+            normals=self.free_part(nodes, rows.normals[touching]),
             gaps=rows.gaps[touching],
             weights=rows.weights[touching],
             boundary=owner,
             slip_reference=with_motions(self, nodes, taken, owner),
-            allow_interference=any(map(may_overlap, problem.contact)),
+            # overlaps that are not allowed have been refused; supports may close more than a gap
+            allow_interference=True,
             names=problem.contact_boundaries,
             masters=problem.masters,
             taken_over=taken,
             **self._layers(nodes, owner, rows.weights[touching], taken),
         )
+
+    def approached(self, prescribed: np.ndarray) -> np.ndarray:
+        """Return how much of the gaps (n_contact,) a displacement (n_nodes, dim) that supports
+        prescribe closes along what they hold of the normals, m."""
+        rows = self.rows
+        shift = prescribed[rows.nodes]
+        if rows.taken_over is not None:
+            shift = shift + rows.taken_over @ prescribed
+        return approached(self, rows.nodes, rows.normals, shift)[rows.touching]
 
     def _layers(
         self,
@@ -339,8 +359,10 @@ class Posed(Boundaries):
 
     @cached_property
     def contact(self) -> ContactNodes:
-        """Return the nodes that carry contact conditions, in ascending order."""
-        return self._contact_nodes(self.rows)
+        """Return the nodes that carry contact conditions, in ascending order, with the gaps that
+        the motion of supports leaves them."""
+        contact = self._contact_nodes(self.rows)
+        return replace(contact, gaps=contact.gaps - self.approached(self.prescribed))
 
 
 def _evaluated(law: Law, points: np.ndarray, weights: np.ndarray) -> Law:

@@ -299,8 +299,13 @@ class Solved:
     def check_obstacles(self) -> None:
         """Raise ValueError unless the obstacles of the result are in the places of the problem."""
         contact = self.result.contact
+        # the discrete problem may have supports in other places than the result
+        change = unknowns - self.discrete.free_part(unknowns) - self.discrete.fixed_values
+        gaps = self.discrete.contact.gaps - self.posed.approached(
+            change.reshape(self.mesh.points.shape)
+        )
         # contact results are means, conditions of nodes that take over others sums
-        gaps = self.discrete.contact.gaps * contact.weights / contact.measures
+        gaps *= contact.weights / contact.measures
         moved = contact.gap + contact.u_n - gaps
         length = np.abs([contact.gap, contact.u_n]).max(initial=0.0)
         if np.abs(moved).max(initial=0.0) > checks.SIX_DIGITS * length:

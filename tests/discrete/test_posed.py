@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from behind import FAR, mesh_behind, problem_behind
 from bodies import rotation
-from simplex_meshes import disk
+from simplex_meshes import disk, numbered_at_random
 
 import adaptmg as am
 from adaptmg.discrete.posed import Posed, Role
@@ -63,23 +63,12 @@ def stack(turn, shift):
     return problem, replace(mesh, points=mesh.points @ turn.T + shift)
 
 
-def at_random(mesh, seed):
-    """The mesh with its nodes in another order."""
-    new = np.random.default_rng(seed).permutation(mesh.n_nodes)
-    return replace(
-        mesh,
-        points=mesh.points[np.argsort(new)],
-        elements=new[mesh.elements],
-        facets=new[mesh.facets],
-    )
-
-
 @pytest.mark.parametrize("far", [False, True])
 @pytest.mark.parametrize(("angle", "shift"), [(0.0, (0, 0)), (np.pi / 2, (3, -7)), (0.7, (-5, 2))])
 def test_rows_of_a_stack_turn_with_it(angle, shift, far):
     turn = rotation(angle)
     problem, mesh = stack(turn, np.array(shift))
-    mesh = at_random(mesh, 1)
+    mesh = numbered_at_random(mesh, 1)
     if far:
         problem = problem_behind(problem, mesh)
         mesh, _ = mesh_behind(mesh)
@@ -123,7 +112,7 @@ def test_rows_of_a_disc_turn_with_it(seed):
     size = 10.0 ** rng.uniform(-3, 1)
     shift = rng.uniform(-5, 5, 2)
     turn = rotation(rng.uniform(0, 6))
-    mesh = at_random(replace(mesh, points=size * mesh.points @ turn.T + shift), seed)
+    mesh = numbered_at_random(replace(mesh, points=size * mesh.points @ turn.T + shift), seed)
     problem = am.ContactProblem(
         material=am.PlaneStrain(young=1e9, poisson=0.3),
         contact=am.Contact("all", am.GapFunction(lambda x: 0.1 + 0.02 * (x - shift)[:, 0] / size)),

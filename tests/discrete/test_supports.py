@@ -9,6 +9,7 @@ import pytest
 from bodies import assert_balanced
 from refused import refused
 from saddle import Parts
+from simplex_meshes import numbered_at_random
 
 import adaptmg as am
 from adaptmg.solver.statics import check_statics
@@ -336,34 +337,71 @@ def test_supports_along_one_normal_that_part_in_a_path_are_refused(angle):
         am.solve_path(grids, am.LoadPath({"upper": [1.0], "lower": [0.5]}), EXACT)
 
 
-def test_moving_planes_next_to_contact_compress_uniformly():
-    """Two planes, not at right angles, push a body along its obstacle while a pressure shrinks it."""
-    turn = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))[0]
-    turn[0] *= np.linalg.det(turn)
-    shear = turn @ [[1.0, 0.6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    unit = am.Box(width=1, depth=1, height=1)
-    straight = [am.mesh.structured(unit, n) for n in (2, 4)]
-    meshes = [replace(mesh, points=mesh.points @ shear.T) for mesh in straight]
-    young, nu, pressure = 1e7, 0.3, 1e3
-    shift = turn @ [2e-4, -3e-4, 0.0]
-    normals = {name: meshes[0].surface(name).normals[0] for name in ("left", "front")}
+@pytest.mark.parametrize(("elements", "nu"), [("linear", 0.3), ("smoothed", 0.49)])
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("dim", [2, 3])
+def test_planes_that_move_at_an_angle_to_the_obstacle_compress_uniformly(dim, seed, elements, nu):
+    """A body under one pressure all around follows its guides and a plane obstacle, which move by
+    factors of their own and meet at any angle."""
+    meshes = [numbered_at_random(mesh, seed) for mesh in sheared(dim, seed)[:2]]
+    young, pressure = 1e7, 1e3
+    shrinks = pressure * (1 - 2 * nu) * (1 if dim == 3 else 1 + nu) / young
+    names = ("bottom", "left", "front")[:dim]
+    normals = np.array([meshes[0].surface(name).normals[0] for name in names])
+    size = shrinks * np.ptp(meshes[-1].points)
+    amounts = size * np.random.default_rng(seed).uniform(-1, 1, dim)
+    floor = am.Moving(
+        am.Plane([0] * dim, -normals[0]), displacement=amounts[0] * normals[0], name="bottom"
+    )
     problem = am.ContactProblem(
-        material=am.Solid(young=young, poisson=nu),
+        elements=elements,
+        material=(am.Solid if dim == 3 else am.PlaneStrain)(young=young, poisson=nu),
         law=am.Frictionless(),
-        contact=am.Contact("bottom", am.Plane((0.0, 0.0, 0.0), turn[:, 2])),
-        supports=[am.Support(name, normal=normal @ shift) for name, normal in normals.items()],
-        loads=[am.Pressure(name, pressure) for name in ("right", "back", "top")],
+        contact=am.Contact("bottom", floor),
+        loads=[am.Pressure(name, pressure) for name in ("top", "right", "back")[:dim]],
+        supports=[
+            am.Support(name, normal=amount)
+            for name, amount in zip(names[1:], amounts[1:], strict=True)
+        ],
     )
     grids = am.Hierarchy.from_meshes(problem, meshes)
-    expected = shift - pressure * (1 - 2 * nu) / young * meshes[-1].points
+    factors = np.array([[1.0, 1.0, 1.0], [0.3, -0.5, 2.0], [0.3, 2.0, -1.0]])[:, :dim]
+    path = am.LoadPath(dict(zip(names, factors.T.tolist(), strict=True)))
     corrections = am.Truncated(), am.Monotone(), am.PaperCorrection()
     cycles = [am.Multigrid(correction=each, rtol=1e-9) for each in corrections]
-    for method in (*cycles, am.SingleGrid(rtol=1e-9), EXACT):
-        result = am.solve(grids, method)
-        np.testing.assert_allclose(
-            result.displacement, expected, atol=1e-8 * np.abs(expected).max()
-        )
-        assert (result.contact.state != am.OPEN).all()
+    others = [am.SingleGrid(rtol=1e-9), am.ActiveSet(condensed=False)]
+    methods = [EXACT, am.FullMultigrid(rtol=1e-9), *cycles, *others]
+    for method in methods[: None if elements == "linear" else 3]:
+        for k, result in enumerate(am.solve_path(grids, path, method)):
+            shift = np.linalg.solve(normals, factors[k] * amounts)
+            expected = shift - shrinks * meshes[-1].points
+            np.testing.assert_allclose(result.displacement, expected, atol=3e-8 * size)
+            assert (result.contact.state != am.OPEN).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gaps_next_to_a_clamped_end_follow_the_motion_of_both(seed):
+    """A body that its supports move along its obstacle as a whole keeps its gap, also where the
+    nodes of an edge take over the part of a clamped corner."""
+    mesh = numbered_at_random(sheared(3, seed)[-1], seed)
+    normals = {name: mesh.surface(name).normals[0] for name in ("left", "front", "bottom")}
+    shift = np.cross(normals["bottom"], [1.0, -2.0, 0.5])
+    problem = am.ContactProblem(
+        material=am.Solid(young=1e7, poisson=0.3),
+        law=am.Frictionless(),
+        contact=am.Contact("bottom", am.Plane([0] * 3, -normals["bottom"])),
+        supports=[
+            am.Support("left", **dict(zip("xyz", shift, strict=True))),
+            am.Support("front", normal=normals["front"] @ shift),
+        ],
+    )
+    discrete = am.discretise(problem, mesh)
+    moved = discrete.at_contact(discrete.relative(np.tile(shift, (mesh.n_nodes, 1))))
+    contact = discrete.contact
+    assert contact.taken_over.nnz and np.ptp(contact.gaps) > 0.1
+    np.testing.assert_allclose(
+        np.einsum("nd,nd->n", contact.normals, moved), contact.gaps, atol=1e-10
+    )
 
 
 def pressed(dim, **changes):
@@ -380,11 +418,14 @@ def pressed(dim, **changes):
     return replace(problem, **changes)
 
 
-@pytest.mark.parametrize("moves", [False, True], ids=["rests", "moves"])
+@pytest.mark.parametrize(
+    ("moves", "tilt"), [(False, 0.0), (True, 0.0), (True, 0.4)], ids=["rests", "moves", "tilted"]
+)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("dim", [2, 3])
-def test_supports_along_normals_turn_with_the_body(dim, seed, moves):
-    """Also where planes move the edges along which they meet the contact boundary."""
+def test_supports_along_normals_turn_with_the_body(dim, seed, moves, tilt):
+    """Also where planes move the edges along which they meet the contact boundary, at right angles
+    or not."""
     sides = {"left": -1e-3, "front": 4e-4} if moves else {}
     guides = [am.Support(name, normal=shift) for name, shift in list(sides.items())[: dim - 1]]
     changes = {"supports": (*guides, am.Support("top", normal=-2e-3))} if moves else {}
@@ -392,11 +433,17 @@ def test_supports_along_normals_turn_with_the_body(dim, seed, moves):
     turn, shift = np.linalg.qr(rng.standard_normal((dim, dim)))[0], rng.uniform(-5, 5, dim)
     turn[0] *= np.linalg.det(turn)
     unit = am.Box(width=1, depth=1, height=1) if dim == 3 else am.Rectangle(width=1, height=1)
+    shear = np.eye(dim)
+    shear[-1, 0] = tilt
     meshes = [am.mesh.structured(unit, n) for n in (2, 4)]
-    straight = am.Hierarchy.from_meshes(pressed(dim, **changes), meshes)
-    turned = am.Hierarchy.from_meshes(
-        pressed(dim, contact=am.Contact("bottom", am.Plane(shift, turn[:, -1])), **changes),
-        [replace(one, points=one.points @ turn.T + shift) for one in meshes],
+    meshes = [replace(mesh, points=mesh.points @ shear.T) for mesh in meshes]
+    up = np.linalg.solve(shear.T, np.eye(dim)[-1])
+    straight, turned = (
+        am.Hierarchy.from_meshes(
+            pressed(dim, contact=am.Contact("bottom", am.Plane(place, matrix @ up)), **changes),
+            [replace(one, points=one.points @ matrix.T + place) for one in meshes],
+        )
+        for matrix, place in ((np.eye(dim), np.zeros(dim)), (turn, shift))
     )
     factors = {"top": [1.0, 1.0, 0.5], "right": [0.0, 1.0, 0.5]}
     path = am.LoadPath(factors | ({"left": [0.5, 0.5, 1.0]} if moves else {}))
@@ -638,16 +685,6 @@ def test_a_support_may_move_up_to_the_obstacle_and_not_beyond(seed):
         am.solve_path(grids, crossing, EXACT)
     with pytest.raises(ValueError, match=r"of contact boundary 'bottom' .* inside its obstacle"):
         am.discretise(clamped_beam(0.05, seed, sinks=-0.051)[0], meshes[-1])
-    # along what is held of a normal no motion may change the gap, this way or that
-    oblique = replace(problem, contact=am.Contact("bottom", am.Plane((0, -3), (-1, 1))))
-    for moved in (-1e-3, 1e-3):
-        with pytest.raises(
-            ValueError, match=r"moves node .* of contact boundary 'bottom' at an angle"
-        ):
-            am.discretise(
-                replace(oblique, supports=(am.Support("left", x=moved),)),
-                am.mesh.structured(am.Rectangle(width=1.0, height=0.2), 2),
-            )
 
 
 FRICTION, PRESSURE, PULL = 0.4, 1e7, 1e-3
@@ -814,9 +851,11 @@ def test_friction_is_opposite_to_all_of_the_slip(law, pull, nu):
         assert am.solve(levels, solver, reference=exact).history["true_error"][-1] <= 3e-10
 
 
+@pytest.mark.parametrize("moved", [0.0, 0.02, -0.03])
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2])
-def test_a_roller_closes_its_gap_along_the_way_it_is_free_to_go(angle):
-    """A corner on a guide along y has the height above an inclined floor as its gap."""
+def test_a_roller_closes_its_gap_along_the_way_it_is_free_to_go(angle, moved):
+    """A corner on a guide along y has the height above an inclined floor as its gap, where the
+    guide moves it."""
     floor = am.Plane(point=(0.0, -0.1), normal=(np.sin(angle), np.cos(angle)))
     problem = am.ContactProblem(
         material=am.PlaneStrain(young=E, poisson=0.3),
@@ -824,10 +863,10 @@ def test_a_roller_closes_its_gap_along_the_way_it_is_free_to_go(angle):
         contact=am.Contact("bottom", floor),
         law=am.Frictionless(),
         loads=am.Pressure("top", PRESSURE),
-        supports=am.Support("left", x=0.0),
+        supports=am.Support("left", x=moved),
     )
     mesh = am.mesh.structured(problem.domain, 2)
     contact = am.discretise(problem, mesh).contact
     corner = (mesh.points[contact.nodes] == 0.0).all(axis=1)
-    np.testing.assert_allclose(contact.gaps[corner], 0.1, rtol=1e-12)
+    np.testing.assert_allclose(contact.gaps[corner], 0.1 + moved * np.tan(angle), rtol=1e-12)
     np.testing.assert_allclose(contact.normals[corner], [[0.0, -1.0]], atol=1e-12)

@@ -1,6 +1,7 @@
 """Meshes of the unit square and cube, the disk and two boxes, made without a mesh generator."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -24,6 +25,17 @@ def mesh_of(points, elements, **options):
         facet_labels=np.zeros(len(facets)),
         boundaries=("all",),
         **options,
+    )
+
+
+def numbered_at_random(mesh, seed):
+    """The mesh with its nodes in another order."""
+    new = np.random.default_rng(seed).permutation(mesh.n_nodes)
+    return replace(
+        mesh,
+        points=mesh.points[np.argsort(new)],
+        elements=new[mesh.elements],
+        facets=new[mesh.facets],
     )
 
 

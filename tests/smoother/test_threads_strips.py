@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy import sparse
+from simplex_meshes import numbered_at_random
 from uncompiled import uncompile
 
 import adaptmg as am
@@ -204,12 +205,7 @@ def test_other_numbers_of_threads_are_refused(number):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_stiffness_of_shuffled_nodes_is_the_same_and_symmetric_on_any_threads(dim):
     case, cells = (am.cases.greco_bar(), 20) if dim == 2 else (am.cases.greco_block(), 7)
-    mesh = am.mesh.structured(case.domain, cells)
-    order = np.random.default_rng(dim).permutation(mesh.n_nodes)
-    number = np.argsort(order)
-    mesh = replace(
-        mesh, points=mesh.points[order], elements=number[mesh.elements], facets=number[mesh.facets]
-    )
+    mesh = numbered_at_random(am.mesh.structured(case.domain, cells), dim)
     matrices = []
     for count in (1, 2, 5):
         am.set_threads(count)
