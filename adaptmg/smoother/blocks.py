@@ -150,7 +150,8 @@ def times(blocks, at, v):
 
 @in_loop
 def minus_times(r, blocks, at, v):
-    """Return r minus the block at a position times v."""
+    """Return r minus the block at a position times v. In 2D each product is subtracted by itself, which
+    rounds in another way than the sum of both."""
     if len(v) == 2:
         return (
             r[0] - blocks[at] * v[0] - blocks[at + ONE] * v[1],

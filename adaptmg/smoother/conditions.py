@@ -31,7 +31,14 @@ Newton step
 
 This is the derivative itself, solved for :math:`\delta q_t`; :math:`\kappa\Pi` tends to the slip
 Hessian
-:math:`(B/|\tau|)\,\Pi`. Without the Coulomb term :math:`\mu z A_n` the matrix is symmetric and positive definite.
+:math:`(B/|\tau|)\,\Pi`. In front of a surface of compliance e a node touches at :math:`w_n = g_0 + e\,q_n`, so that
+
+.. math:: z_n = q_n + \frac{c_n}{1 + c_n e}\,(w_n - g_0 - e\,q_n),\qquad
+          (A\delta)_n + \delta_n/e = q_n - (w_n - g_0)/e,
+
+where z_n has the sign that it has in front of a rigid surface. A bound that grows by h with the
+length of the slip adds :math:`h\,z z^T` to :math:`\kappa\Pi`. Without the Coulomb term
+:math:`\mu z A_n` the matrix is symmetric and positive definite.
 """
 
 from __future__ import annotations
@@ -164,27 +171,28 @@ def linearise(
 
     unknowns, residual (b - A w), stiffness (diagonal of A): (n_contact, dim); c_n and c_t are
     ``factor`` times the stiffness."""
-    if contact.lowest is not None:
+    if contact.lowest is not None:  # a scalar problem: no tangents, and an obstacle on each side
         aim = unknowns + residual / (factor * stiffness)
         return _clamped_equations(contact, unknowns, residual, aim[:, 0])
     contact, hardening = contact.tangent(unknowns, residual)
     c_t = factor * stiffness[:, 1:].max(axis=1)
-    with np.errstate(invalid="ignore"):
-        # c_n / (1 + c_n e) in place of c_n: z_n has the sign that it has in front of a rigid surface
+    with np.errstate(invalid="ignore"):  # diverged unknowns may be infinite, as gaps may
         penetration = unknowns[:, 0] - contact.gap - contact.compliances * residual[:, 0]
         c_n = factor * stiffness[:, 0]
         augmented = residual[:, 0] + c_n / (1 + c_n * contact.compliances) * penetration
-    # z_n > 0, then B = s + mu max(0, z_n), z_t = q_t + c_t tau, and sticking where |z_t| <= B
+    # B = s + mu max(0, z_n), z_t = q_t + c_t tau
     active = augmented > 0
     tau = unknowns[:, 1:] - contact.slip_reference
     bound = np.maximum(contact.limit + contact.friction * np.maximum(augmented, 0.0), 0.0)
     trial = residual[:, 1:] + c_t[:, None] * tau
     trial_size = np.linalg.norm(trial, axis=1)
     slip = ~((trial_size <= bound) & (bound > 0))
-    slip[contact.driven] = True  # a support moves them
+    slip[contact.driven] = True  # a support moves them along a tangent
     equations = _equations(contact, unknowns, residual, active, slip, trial, trial_size, bound, c_t)
+    # h z z'
     along = equations.direction[:, :, None] * equations.direction[:, None, :]
     equations.curvature[:] += (active * hardening)[:, None, None] * along
+    # these change normal equations only; the last ones replace tangential ones, h z z' included
     compliant = np.flatnonzero(active & (contact.compliances * stiffness[:, 0] > STIFF))
     _set_springs(contact, unknowns, compliant, equations)
     return _slip_along_held(contact, tau, residual, equations)

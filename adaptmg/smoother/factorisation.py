@@ -132,21 +132,30 @@ def graph_coordinates(graph: sparse.csr_array) -> np.ndarray:
     """Return the distances in the graph (n, k) from nodes far from each other, in which
     connected parts are apart."""
     n_parts, part = connected_components(graph, directed=False)
-    # landmarks, one in each part: the first one is any node, each further one is farthest from those
-    # before it; the first, which may lie anywhere, gives no coordinate
-    landmarks = np.unique(part, return_index=True)[1]
-    distances = [dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True)]
+    # a landmark in each part: the first one is farthest from any node there, each further one from
+    # the landmarks before it
+    any_nodes = np.unique(part, return_index=True)[1]
+    to_nearest = _distances(graph, any_nodes)
+    coordinates = []
     for _ in range(_LANDMARKS):
-        nearest = np.min(distances[1:] or distances, axis=0)
-        order = np.lexsort((nearest, part))
-        ends_of_parts = np.append(np.flatnonzero(np.diff(part[order])), len(order) - 1)
-        landmarks = order[ends_of_parts]
-        distances.append(
-            dijkstra(graph, directed=False, indices=landmarks, unweighted=True, min_only=True)
-        )
-    result = np.column_stack(distances[1:])
+        landmarks = _farthest(to_nearest, part)
+        coordinates.append(_distances(graph, landmarks))
+        to_nearest = np.min(coordinates, axis=0)
+    result = np.column_stack(coordinates)
     shift = result.max(initial=0.0) + 1
     return result + shift * part[:, None] if n_parts > 1 else result
+
+
+def _distances(graph: sparse.csr_array, nodes: np.ndarray) -> np.ndarray:
+    """Return the numbers of edges (n,) from each node of a graph to the nearest of some nodes."""
+    return dijkstra(graph, directed=False, indices=nodes, unweighted=True, min_only=True)
+
+
+def _farthest(distance: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Return for each part the node with the largest distance (n,); ``part`` (n,) has its number."""
+    order = np.lexsort((distance, part))  # by part, then by distance
+    last_of_part = np.append(np.diff(part[order]) != 0, True)
+    return order[last_of_part]
 
 
 def _cut(graph: sparse.csr_array, coordinates: np.ndarray, path: np.ndarray) -> None:
@@ -267,8 +276,10 @@ class Condensed(Eliminated):
 
     @property
     def by_nodes(self) -> bool:
-        """Return whether sweeps may solve node by node: all contact nodes but one hold every
-        body."""
+        """Return whether sweeps may solve node by node: the diagonal blocks S_kk are regular. S_kk d = 0
+        for a motion d of node k that costs no energy while all other contact nodes are held: a body
+        that only contact holds turns about the one other node, say. Rounding is relative to the
+        diagonal of A."""
         n = len(self.full.system.nodes)
         dim = self.full.system.dim
         size = np.sqrt(self.shift).reshape(n, dim)
@@ -392,21 +403,21 @@ def _eliminate(
         factors = OrderedFactors.of(matrix, order)
     except RuntimeError as error:
         raise _Singular from error
-    # SuperLU postorders the elimination tree: column k of the permuted matrix became place[k], and so
-    # did row k unless a pivot was exchanged
+    # SuperLU postorders the elimination tree: the dof that is k-th in ``order`` has column place[k] of L
+    # and U, and row place[k], too, unless a pivot was exchanged
     lu = factors.lu
     place = lu.perm_c
-    row_place = lu.perm_r
     upper = lu.U
-    pivots = upper.diagonal()[place]
-    if not (
-        np.array_equal(place, row_place) and (pivots > checks.ROUNDING * factors.diagonal).all()
-    ):
+    pivots = upper.diagonal()[place]  # in ``order``, as the diagonal
+    is_regular = (pivots > checks.ROUNDING * factors.diagonal).all()
+    if not (is_regular and np.array_equal(place, lu.perm_r)):
         raise _Singular
-    inverse = np.empty_like(order)
-    inverse[order] = np.arange(len(order))
-    last = place[inverse[contact]]
-    lower_cc, upper_cc = (part[:, last].tocsr()[last].toarray() for part in (lu.L, upper))
+    place_of_dof = np.empty_like(order)
+    place_of_dof[order] = place
+    contact_places = place_of_dof[contact]
+    lower_cc, upper_cc = (
+        part[:, contact_places].tocsr()[contact_places].toarray() for part in (lu.L, upper)
+    )
     return factors, lower_cc @ upper_cc
 
 

@@ -14,6 +14,16 @@ solves with one factorisation for a predictor (:math:`\epsilon = 0`) and a corre
 SIAM J. Optim. 2, 1992, doi:10.1137/0802028). There is no status that could come back, and the
 number of steps hardly depends on the body.
 
+Linearised, with a prime for the changes in a step,
+
+.. math:: (y + e p)\,p' = p\,w_n' + \pi;\qquad
+          B v' - \tau\cdot q_t' = q_t\cdot\tau' - \mu v\,p' + \rho,\quad
+          q_t v' + v q_t' = B \tau' + \mu\tau\,p' + \sigma,
+
+with what the equations miss, :math:`\rho = \epsilon - (B v - q_t\cdot\tau)` and :math:`\sigma = B\tau -
+v q_t`, and :math:`\pi = \epsilon - p y - p\,(g_0 - w_n + e p - y)`. The corrector subtracts the products of
+the changes of the predictor.
+
 A plane problem has a second tangent that nothing moves. A state of a node is (w_n, w_1, w_2, p, y,
 v, q_1, q_2)."""
 
@@ -175,8 +185,9 @@ class _Method:
 
     ``state`` (n_contact, 8) and its ``change`` have the columns of the module's docstring. The
     eliminated unknowns add ``blocks`` (n_contact, 3, 3) to S; ``terms`` (n_contact, 4) are the
-    right-hand sides of their equations. ``pairs`` counts the products that tend to 0, whose sum is
-    ``total``; ``residual`` (m,) is f - S e - B'q. :meth:`iterate` sets both for the next step."""
+    right-hand sides of their equations. ``n_products`` is the number of the products that tend to 0,
+    whose sum is ``total``; ``residual`` (m,) is f - S e - B'q. :meth:`iterate` sets both for the next
+    step. Energies below ``least_energy`` and lengths below ``least_length`` count as these."""
 
     def __init__(
         self,
@@ -198,20 +209,25 @@ class _Method:
         self.layer = contact.layer
         reference = np.zeros((n, 2))
         reference[:, : dim - 1] = contact.slip_reference
-        #: the arrays of contact conditions that kernels read
-        self.nodes = contact.gap, reference, contact.limit, friction, compliance
+        #: the arrays of contact conditions that kernels read: g_0, the reference of slips, s, mu, e
+        self.conditions = contact.gap, reference, contact.limit, friction, compliance
         rough = (contact.limit > 0) | (friction > 0)
-        self.pairs = max(int(np.isfinite(contact.gap).sum() + rough.sum()), 1)
+        self.n_products = max(int(np.isfinite(contact.gap).sum() + rough.sum()), 1)
         self.blocks = np.zeros((n, 3, 3))
         self.terms = np.zeros((n, 4))
         self.change = np.zeros((n, 8))
-        self.blocks[:, range(dim), range(dim)] = springs
-        solve = self._factorise()
-        self.unknowns = np.zeros_like(load) if solve is None else solve(load)
-        self.least = _LEAST * float(load @ self.unknowns)
         self.state = np.zeros((n, 8))
-        self.state[:, :dim] = self.span.values(self.unknowns) + offset
-        self.width = max(_LEAST * np.abs(self.state[:, :3]).max(initial=0.0), 1e-300)
+        self._start(springs, offset)
+
+    def _start(self, springs: np.ndarray, offset: np.ndarray | float) -> None:
+        """Set the first state: the displacement under the load with springs in place of contact, then
+        the pairs at that displacement."""
+        self.blocks[:, range(self.dim), range(self.dim)] = springs
+        solve = self._factorise()
+        self.unknowns = np.zeros_like(self.load) if solve is None else solve(self.load)
+        self.state[:, : self.dim] = self.span.values(self.unknowns) + offset
+        self.least_energy = _LEAST * float(self.load @ self.unknowns)
+        self.least_length = max(_LEAST * np.abs(self.state[:, :3]).max(initial=0.0), 1e-300)
         self._start_pairs(springs[:, 0])
 
     def _start_pairs(self, spring: np.ndarray) -> None:
@@ -219,10 +235,11 @@ class _Method:
         (n_contact,), N/m, the gap that is left, and a bound above the slip. Pressures and gaps are at
         least their mean absolute values, so that every product is positive."""
         state = self.state
-        gap, reference, limit, friction, _ = self.nodes
+        gap, reference, limit, friction, _ = self.conditions
         has_obstacle = np.isfinite(gap)
         rough = (limit > 0) | (friction > 0)
-        # a spring presses by the displacement or, without loads, by the overlap at the start
+        # the springs act from the start on: their force belongs to the displacement w, over a gap, too.
+        # Where bodies overlap at the start, g_0 < 0, the overlap w - g_0 presses, with or without loads
         pressures = (spring * np.maximum(state[:, 0], state[:, 0] - gap))[has_obstacle]
         gaps = (gap - state[:, 0])[has_obstacle]
         slips = np.linalg.norm(state[rough, 1:3] - reference[rough], axis=1)
@@ -249,13 +266,13 @@ class _Method:
         self.residual = self.load - product - self.span.restricted(forces)  # f - S e - B'q
         if self.layer is not None:
             gap, compliance = self.layer.tangent(self.state[:, _PRESSURE])
-            self.nodes = gap, *self.nodes[1:4], compliance
-        self.total, gap_error, width = _measure(self.state, *self.nodes)
-        energy = max(float(self.unknowns @ product), self.least)
+            self.conditions = gap, *self.conditions[1:4], compliance
+        self.total, gap_error, length = _measure(self.state, *self.conditions)
+        energy = max(float(self.unknowns @ product), self.least_energy)
         force_size = np.abs([self.load, product]).max(initial=0.0)
         slack = max(
             self.total / energy if energy > 0 else np.inf,
-            gap_error / max(self.width, width),
+            gap_error / max(self.least_length, length),
             np.abs(self.residual).max(initial=0.0) / force_size if force_size > 0 else 0.0,
         )
         return Interior(
@@ -273,14 +290,14 @@ class _Method:
         share that the predictor would leave (Mehrotra). If the corrector allows a short step only, a
         direction without second-order terms replaces it where that allows a longer one."""
         self.blocks[:] = 0.0
-        _eliminate(self.state, *self.nodes, self.blocks)
+        _eliminate(self.state, *self.conditions, self.blocks)
         solve = self._factorise()
-        mean = self.total / self.pairs
+        mean = self.total / self.n_products
         if solve is None or not self.total > 0:
             return False
         self.change[:] = 0.0
         length = min(1.0, self._direction(solve, target=0.0, weight=0.0)[1])
-        predicted_total = _measure(self.state + length * self.change, *self.nodes)[0]
+        predicted_total = _measure(self.state + length * self.change, *self.conditions)[0]
         centring = min(max(predicted_total / self.total, 0.0), 1.0) ** 3
         second_order = 1.0 if length >= 0.5 else length * length
         step, length = self._direction(solve, target=centring * mean, weight=second_order)
@@ -307,10 +324,10 @@ class _Method:
         terms of the last change times ``weight``, and the longest step along it that keeps the state
         positive. The change of the state is left in ``change``."""
         sides = np.zeros((len(self.state), 3))
-        _right_sides(self.state, *self.nodes, self.change, target, weight, self.terms, sides)
+        _right_sides(self.state, *self.conditions, self.change, target, weight, self.terms, sides)
         step = solve(self.residual + self.span.restricted(sides[:, : self.dim]))
         self.change[:, : self.dim] = self.span.values(step)
-        return step, _complete_change(self.state, *self.nodes, self.terms, self.change)
+        return step, _complete_change(self.state, *self.conditions, self.terms, self.change)
 
 
 class Span(Protocol):
@@ -453,7 +470,8 @@ def _measure(state, gap, reference, limit, friction, compliance):
 @kernel
 def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
     """Write to ``blocks`` (n, 3, 3), zero before, the derivatives of the eliminated (p, q_1, q_2) of
-    each node with respect to (w, w_1, w_2)."""
+    each node with respect to (w, w_1, w_2): the solutions of the linearised equations (module) for a
+    change of 1 of one of these, all that the equations miss being zero."""
     for i in range(len(state)):
         _, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
         t_1 = w_1 - reference[i, 0]
@@ -465,7 +483,8 @@ def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
             blocks[i, 0, 0] = p / (y + compliance[i] * p)
         # the cones B >= |q_t| and v >= |tau|
         if limit[i] > 0 or mu > 0:
-            # columns of w_1 and w_2; then that of w, on which q depends through p
+            # columns of w_1 and w_2: q.tau' and B tau'; then that of w, on which q depends through p: the
+            # terms of p'
             for j, e, e_1, e_2 in ((1, q_1, b, 0.0), (2, q_2, 0.0, b)):
                 _, blocks[i, 1, j], blocks[i, 2, j] = _solve_cone(
                     b, v, q_1, q_2, t_1, t_2, e, e_1, e_2
@@ -479,10 +498,11 @@ def _eliminate(state, gap, reference, limit, friction, compliance, blocks):
 def _right_sides(
     state, gap, reference, limit, friction, compliance, before, target, weight, terms, sides
 ):
-    """Write the right-hand sides of the nodes to ``sides`` (n, 3), and to ``terms`` (n, 4) those of
-    the eliminated equations, which :func:`_complete_change` reads: of p, and e, e_1, e_2 of
-    :func:`_solve_cone`. Products tend to ``target``; those of the changes ``before`` (n, 8) of the
-    predictor count times ``weight``."""
+    """Write what the linearised equations (module) miss to ``terms`` (n, 4), which
+    :func:`_complete_change` reads: minus the change of p by it, then rho and sigma, named e, e_1 and
+    e_2. Minus the changes of (p, q_1, q_2) by all of these go to ``sides`` (n, 3), the right-hand sides
+    of the nodes. Products tend to ``target``; those of the changes ``before`` (n, 8) of the predictor
+    count times ``weight``."""
     for i in range(len(state)):
         w, w_1, w_2, p, y, v, q_1, q_2 = _node_state(state, i)
         _, d_1, d_2, dp, dy, dv, dq_1, dq_2 = _node_state(before, i)
@@ -490,8 +510,7 @@ def _right_sides(
         t_2 = w_2 - reference[i, 1]
         mu = friction[i]
         b = limit[i] + mu * p
-        # the pair: y dp + p dy = target - p y, where dy = gap_error + e dp - dw; p changes by this and
-        # by what dw adds
+        # the pair: y dp + p dy = target - p y, where dy = gap_error + e dp - dw
         pressure_change = 0.0
         if np.isfinite(gap[i]):
             gap_error = gap[i] - w + compliance[i] * p - y
@@ -499,7 +518,7 @@ def _right_sides(
             pressure_change = (product_error - p * gap_error) / (y + compliance[i] * p)
         sides[i, 0] = -pressure_change
         terms[i, 0] = -pressure_change
-        # the cones: B v - q_t . tau = target and v q_t - B tau = 0, linearised, and B changes by mu dp
+        # the cones; B changes by mu dp
         if limit[i] > 0 or mu > 0:
             e = (
                 target

@@ -80,11 +80,14 @@ class Layer:
         """Return the gaps (n_contact,), m, and compliances, m/N, of linear laws near these forces and
         normal displacements (n_contact,).
 
-        The law is linearised at the force. Where it is softer than the rest of the node, it is
-        linearised at the depth instead: a residual changes the force there by more than the depth. A
-        node that does not touch takes the mean force of the others; where none touches, surfaces are
-        rigid. The linear law is the tangent, or the secant where the tangent has less than half of the
-        force at the depth."""
+        The law d = e p^(1/m) is linearised at the force p. Where it is softer than the rest of the
+        node, it is linearised at the force (d/e)^m of the depth d instead: a residual changes the force
+        there by more than the depth. A node that does not touch takes the mean force of the others;
+        where none touches, surfaces are rigid.
+
+        With the compliance c = e p^(1/m - 1) / m at p the tangent is d = (m - 1) c p + c q in the force
+        q, and the secant d = m c q. The tangent is taken where its force at the depth d, d/c - (m - 1) p,
+        is at least p/2, that is d > (1 - 1/(2 m)) m c p; else the secant."""
         depth = np.maximum(normal - self.gap, 0.0)
         # 72 solves of the GRECO bar, a Hertzian cylinder and a block in 3D, exponents 2 to 8: 812 cycles; 821 at .3
         # times the stiffness, 812 at 3 times, 1211 without; tangents that leave a tenth or nine tenths 812 and 813,
@@ -93,16 +96,16 @@ class Layer:
         with np.errstate(over="ignore"):
             # the force (depth / e)^m that compresses the surface to its depth
             over_scale = np.divide(depth, self.compliance, out=np.zeros_like(depth), where=soft)
-            expected = np.where(soft, over_scale**self.exponent, force)
+            estimated = np.where(soft, over_scale**self.exponent, force)
             # with rigid surfaces in place of the mean force, sweeps of a single grid stall (a block on a dome in 3D,
             # 1e-10 m/Pa at 50 MPa, exponent 20: they converge after 1540); 60 solves by multigrid
             # take the same 580 cycles
-            touching = expected > 0
-            elsewhere = expected[touching].mean() if touching.any() else np.inf
-        point = np.clip(np.where(touching, expected, elsewhere), *_FORCES)
-        gap, compliance = self.tangent(point)
-        secant = self.exponent * compliance  # e p^(1/m) / p
-        by_tangent = depth > (1 - 0.5 / self.exponent) * secant * point
+            touching = estimated > 0
+            mean = estimated[touching].mean() if touching.any() else np.inf
+        p = np.clip(np.where(touching, estimated, mean), *_FORCES)
+        gap, compliance = self.tangent(p)
+        secant = self.exponent * compliance  # e p^(1/m) / p = m c
+        by_tangent = depth > (1 - 0.5 / self.exponent) * secant * p
         return np.where(by_tangent, gap, self.gap), np.where(by_tangent, compliance, secant)
 
 
@@ -373,12 +376,11 @@ def contact_blocks(problem: DiscreteProblem) -> np.ndarray:
     contact, frames = local_contact(problem)
     cartesian = nodal_blocks(problem, problem.contact.nodes)
     blocks = np.einsum("nij,njk,nlk->nil", frames, cartesian, frames)
-    # rows and columns of held tangents are those of the identity
-    free = np.ones((len(blocks), problem.dim))
+    # of rows and columns of held tangents the diagonal entry is left
+    free = np.ones((len(blocks), problem.dim), dtype=bool)
     free[:, 1:] = ~held_tangents(problem)
-    blocks *= free[:, :, None] * free[:, None, :] + np.einsum(
-        "ni,ij->nij", 1 - free, np.eye(problem.dim)
-    )
+    stays = (free[:, :, None] & free[:, None, :]) | np.eye(problem.dim, dtype=bool)
+    blocks *= stays
     turn_held(blocks, np.arange(len(blocks)), contact)
     return blocks
 
@@ -390,19 +392,11 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         frames, problem.fixed_values.reshape(-1, problem.dim)[problem.contact.nodes]
     )
     limit, friction = problem.law.bounds(len(problem.contact))
-    reference = to_frames(frames, problem.contact.slip_reference)[:, 1:] - prescribed[:, 1:]
     held = fixed.reshape(-1, problem.dim)[problem.contact.nodes][:, 1:]
-    reference[held] = 0.0
     first_held = None
     if problem.dim == 3 and (held[:, 0] & ~held[:, 1]).any():
-        # the unknown along such a tangent is 0, and its reference minus the prescribed slip
         first_held = held[:, 0] & ~held[:, 1]
-        u = to_frames(frames, problem.at_contact(problem.fixed_values))
-        before = to_frames(frames, problem.contact.slip_reference)
-        slip = u[:, 1] - before[:, 1]
-        # along directions that are not axes rounding is no slip
-        slip[np.abs(slip) <= checks.ROUNDING * np.abs([u, before]).max()] = 0.0
-        reference[first_held, 0] = -slip[first_held]
+    reference = _slip_reference(problem, frames, prescribed[:, 1:], held, first_held)
     gap = problem.contact.gaps
     lowest = None
     if problem.dim == 1:
@@ -420,7 +414,7 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
         )
     return NodalContact(
         gap=gap,
-        slip_reference=np.ascontiguousarray(reference),
+        slip_reference=reference,
         limit=np.array(limit, dtype=np.float64),
         friction=np.array(friction, dtype=np.float64),
         held=first_held,
@@ -431,19 +425,46 @@ def _nodal_contact(problem: DiscreteProblem, frames: np.ndarray, fixed: np.ndarr
     )
 
 
+def _slip_reference(
+    problem: DiscreteProblem,
+    frames: np.ndarray,
+    prescribed: np.ndarray,
+    held: np.ndarray,
+    first_held: np.ndarray | None,
+) -> np.ndarray:
+    """Return the values (n_contact, dim - 1) of the tangential unknowns, which count from the
+    ``prescribed`` displacements, at which the slip is zero. Unknowns along ``held`` tangents are 0: so
+    is their reference, since the support bears the friction there. At nodes ``first_held`` the friction
+    along the second tangent depends on both slips: there it is minus the prescribed slip."""
+    before = to_frames(frames, problem.contact.slip_reference)
+    reference = before[:, 1:] - prescribed
+    reference[held] = 0.0
+    if first_held is not None:
+        u = to_frames(frames, problem.at_contact(problem.fixed_values))
+        slip = u[:, 1] - before[:, 1]
+        # along directions that are not axes rounding is no slip
+        slip[np.abs(slip) <= checks.ROUNDING * np.abs([u, before]).max()] = 0.0
+        reference[first_held, 0] = -slip[first_held]
+    return np.ascontiguousarray(reference)
+
+
 def _friction_at(
     problem: DiscreteProblem, frames: np.ndarray, held: np.ndarray, first_held: np.ndarray | None
 ) -> FrictionAt | None:
     """Return the coefficients of friction as a function of forces and slips of the unknowns; None for
-    laws that do not depend on these. The function adds the prescribed slip along ``held`` tangents
-    (n_contact, dim - 1), except at nodes ``first_held``, whose unknowns contain it."""
+    laws that do not depend on these. The whole slip is
+
+        |tau| = hypot(slip of the unknowns, prescribed slip along ``held`` tangents)
+
+    (n_contact,); at nodes ``first_held`` the slip of the unknowns has both (:func:`_slip_reference`)."""
     if not hasattr(problem.law, "at_state"):  # a tenth of the time of isinstance of a protocol
         return None
-    moved = problem.at_contact(problem.fixed_values) - problem.contact.slip_reference
-    carried = np.linalg.norm(np.where(held, to_frames(frames, moved)[:, 1:], 0.0), axis=1)
+    displacement = problem.at_contact(problem.fixed_values) - problem.contact.slip_reference
+    along_held = np.where(held, to_frames(frames, displacement)[:, 1:], 0.0)
+    prescribed_slip = np.linalg.norm(along_held, axis=1)
     if first_held is not None:
-        carried[first_held] = 0.0
-    return lambda force, slip: problem.friction_at(force, np.hypot(slip, carried))
+        prescribed_slip[first_held] = 0.0
+    return lambda force, slip: problem.friction_at(force, np.hypot(slip, prescribed_slip))
 
 
 def turn_held(diagonal: np.ndarray, nodes: np.ndarray, contact: NodalContact) -> None:
