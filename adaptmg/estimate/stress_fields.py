@@ -300,6 +300,7 @@ class Solved:
         """Raise ValueError unless the obstacles of the result are in the places of the problem."""
         contact = self.result.contact
         # the discrete problem may have supports in other places than the result
+        unknowns, _ = self._moved
         change = unknowns - self.discrete.free_part(unknowns) - self.discrete.fixed_values
         gaps = self.discrete.contact.gaps - self.posed.approached(
             change.reshape(self.mesh.points.shape)
