@@ -54,7 +54,7 @@ from adaptmg.discrete.moduli import (
     moduli,
 )
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
-from adaptmg.mesh.arrays import MeshArrays, pair_keys
+from adaptmg.mesh.arrays import MeshArrays, occurrences, pair_keys
 from adaptmg.problem.laws import Elastic
 
 #: patches between a prefetch and its use: those of smoothed elements lie far apart. Their matrix of 118k nodes in space
@@ -62,6 +62,8 @@ from adaptmg.problem.laws import Elastic
 _LATER = 8
 #: the rows of all nodes
 ALL_NODES = slice(None)
+#: columns of stresses and strains: in the plane without the last two, in axisymmetry ZZ is the hoop
+_XX, _YY, _ZZ, _XY, _YZ, _XZ = range(6)
 #: corners of the edges of an element
 EDGES = {
     2: np.array([(0, 1), (0, 2), (1, 2)]),
@@ -119,9 +121,10 @@ def stiffness(
     of_nodes = patches_of_nodes(patches.start, patches.nodes, mesh.n_nodes)
     indptr, indices = pattern(of_nodes, patches.start, patches.nodes)
     data = np.empty((len(indices), dim, dim))
-    # Lame's constants of isotropic bodies, whose tensors come first; NaN of others. Their assembly
-    # takes .75 of the time of others in space (36k nodes), .80 in the plane (66k)
-    lame_constants = table[:, [0, 3], [1, 3]]
+    # lambda = C_xxyy and mu = C_xyxy of isotropic bodies, whose tensors come first. Their assembly takes
+    # .75 of the time of others in space (36k nodes), .80 in the plane (66k). NaN where the sum over all
+    # entries of C is taken: of other tensors, and with hoop strains
+    lame_constants = table[:, [_XX, _XY], [_YY, _XY]]
     lame_constants[0 if axisymmetric else len(materials) :] = np.nan
     in_parts(
         _add_patches,
@@ -223,14 +226,16 @@ def _around_edges(mesh: MeshArrays, axisymmetric: bool) -> Patches:
         hoops = np.repeat(1 / (3 * radius), corners).reshape(n, corners, 1)
         strain_rows = np.concatenate([strain_rows, hoops], axis=2)
         measures = 2 * np.pi * radius * measures
+    # k V_e B_e = sum V_T B_T: the elements (n, n_nodes) have the slopes of their corners, and the hoop
+    # strain, as blocks of one row, and so have the edges (n_edges, n_nodes)
     weighted_rows = (measures[:, None, None] * strain_rows).reshape(n * corners, 1, -1)
     of_elements = sparse.bsr_array(
         (weighted_rows, mesh.elements.reshape(-1), corners * np.arange(n + 1)),
         shape=(n, weighted_rows.shape[2] * mesh.n_nodes),
     )
     patch_sums = sparse.bsr_array(edges, blocksize=(1, 1)) @ of_elements
-    volumes = edges @ measures
-    patch_rows = patch_sums.data[:, 0]
+    volumes = edges @ measures  # k V_e
+    patch_rows = patch_sums.data[:, 0]  # (blocks, dim), with hoop strains (blocks, dim + 1)
     # in place: for 118k nodes in space this is 150 MB
     patch_rows /= np.repeat(volumes, np.diff(patch_sums.indptr))[:, None]
     return Patches(
@@ -254,22 +259,23 @@ def element_measures(mesh: MeshArrays, axisymmetric: bool) -> np.ndarray:
 
 def _sorted_edges(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of the edges of all elements, sorted by body and nodes, and the places in this
-    order at which each edge of a body begins. They are sorted by counting, by their last node and then
-    by body and first node: 30 ms for 1.2 million edges of elements in space, by unique 98."""
+    order at which each edge of a body begins."""
     begin, end = (mesh.elements[:, ends] for ends in EDGES[mesh.dim].T)
     first_key = pair_keys(mesh.element_body[:, None], np.minimum(begin, end), mesh.n_nodes).reshape(
         -1
     )
     last_node = np.maximum(begin, end).reshape(-1)
-    edge_starts = starts_of(last_node[:, None])
-    order = patches_of_nodes(edge_starts, last_node, mesh.n_nodes).indices
-    n_first = len(mesh.bodies) * mesh.n_nodes
-    order = order[patches_of_nodes(edge_starts, first_key[order], n_first).indices]
+    # sorted by the last node, then, where equal ones keep this order, by body and first node. The places
+    # of each number, one number after the other, are this order: 30 ms for 1.2 million edges of elements
+    # in space, by unique 98
+    _, order = occurrences(last_node, mesh.n_nodes)
+    _, by_first = occurrences(first_key[order], len(mesh.bodies) * mesh.n_nodes)
+    order = order[by_first]
     first_key = first_key[order]
     last_node = last_node[order]
     differs = (first_key[1:] != first_key[:-1]) | (last_node[1:] != last_node[:-1])
     starts = np.concatenate([[0], np.flatnonzero(differs) + 1, [len(last_node)]])
-    return order, starts.astype(edge_starts.dtype)
+    return order, starts.astype(order.dtype)
 
 
 def edges_of_elements(mesh: MeshArrays) -> np.ndarray:
@@ -366,9 +372,10 @@ def pattern(
     return indptr, np.concatenate(columns)
 
 
-def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
+def separate_bodies(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Return elements and points in which bodies share no points: a node that several bodies use
-    becomes a point for each of them, the first body keeps its number, further points come last."""
+    becomes a point for each of them. The first body keeps its number, the points of further bodies get
+    the numbers n_nodes, n_nodes + 1, ..."""
     n = mesh.n_nodes
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
@@ -378,7 +385,8 @@ def apart(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     further_body = np.ones(len(used_keys), dtype=bool)
     further_body[np.unique(node, return_index=True)[1]] = False
     points = np.concatenate([mesh.points, mesh.points[node[further_body]]])
-    number_of_used = np.where(further_body, n - 1 + np.cumsum(further_body), node).astype(np.int32)
+    new_number = n + np.cumsum(further_body) - 1
+    number_of_used = np.where(further_body, new_number, node).astype(np.int32)
     return read_only(number_of_used[number_of_corner.reshape(keys.shape)]), read_only(points)
 
 
@@ -486,6 +494,53 @@ def _add_isotropic(zero, i, lame, shear, p, first, last, nodes, slopes, slot, da
             data[at, 2, 2] += (z + t) * w + product
 
 
+@inner_kernel(inline="always")
+def _unit_stresses(zero, measure, tensor, p, slopes, hoops, table, stress):
+    """Write V C B_p: ``stress[c, a]`` is column c of the stress that a unit displacement of corner p along
+    a makes, times the measure V of the patch; (x, y, z) is V times the slopes of p, in axisymmetry z is V
+    times its hoop strain."""
+    x = measure * slopes[p, 0]
+    y = measure * slopes[p, 1]
+    z = measure * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
+    for c in range(2 * len(zero)):
+        xx = table[tensor, c, _XX]
+        yy = table[tensor, c, _YY]
+        zz = table[tensor, c, _ZZ]
+        xy = table[tensor, c, _XY]
+        if len(zero) == 3:
+            yz = table[tensor, c, _YZ]
+            xz = table[tensor, c, _XZ]
+            stress[c, 0] = xx * x + xy * y + xz * z
+            stress[c, 1] = xy * x + yy * y + yz * z
+            stress[c, 2] = xz * x + yz * y + zz * z
+        else:
+            stress[c, 0] = xx * x + xy * y + zz * z
+            stress[c, 1] = xy * x + yy * y
+
+
+@inner_kernel(inline="always")
+def _add_work(zero, stress, q, slopes, hoops, at, data):
+    """Add ``stress``' B_q to block ``at``; (u, v, w) are the slopes of corner q, in axisymmetry w is its
+    hoop strain."""
+    u = slopes[q, 0]
+    v = slopes[q, 1]
+    w = slopes[q, 2] if len(zero) == 3 else hoops[q] if len(hoops) else 0.0
+    for a in range(len(zero)):  # one addition each, for the sake of rounding
+        xx = stress[_XX, a]
+        yy = stress[_YY, a]
+        zz = stress[_ZZ, a]
+        xy = stress[_XY, a]
+        if len(zero) == 3:
+            yz = stress[_YZ, a]
+            xz = stress[_XZ, a]
+            data[at, a, 0] += xx * u + xy * v + xz * w
+            data[at, a, 1] += xy * u + yy * v + yz * w
+            data[at, a, 2] += xz * u + yz * v + zz * w
+        else:
+            data[at, a, 0] += xx * u + xy * v + zz * w
+            data[at, a, 1] += xy * u + yy * v
+
+
 @kernel
 def _add_patches(
     first,
@@ -506,11 +561,9 @@ def _add_patches(
     indices,
     data,
 ):
-    """Write the upper half of rows: node i is in ``patches[start[i]:start[i + 1]]``. In a patch e it is
-    corner p, with (x, y, z) the measure times its slopes; a corner q has the slopes (u, v, w), in
-    axisymmetry the last one is of the hoop strain. ``stress[c, a]`` is column c (xx, yy, zz, xy, yz,
-    xz) of the stress that a unit displacement of node i along a makes."""
-    dim = len(zero)
+    """Write the upper half of rows: the block of nodes i and j is the sum of V B_p' C B_q over the patches
+    in which i is a corner p and j a corner q. Node i is in ``patches[start[i]:start[i + 1]]``, ``slot``
+    has the places of its blocks by the nodes j."""
     one = np.uint64(1)
     stress = np.empty((2 * len(zero), len(zero)))
     slot = np.empty(len(indptr) - 1, dtype=np.int64)
@@ -519,10 +572,11 @@ def _add_patches(
             slot[indices[at]] = at
         data[slot[i] : indptr[i + 1]] = 0.0
         for k in range(start[i], start[i + 1]):
+            # ask for the nodes and the slopes of the patch that comes _LATER, by its first corner
             later = np.int64(begin[np.uint64(patches[min(k + _LATER, len(patches) - 1)])])
             prefetch(np.uintp(np.int64(nodes.ctypes.data) + nodes.itemsize * later))
             for line in range(3):
-                prefetch(np.uintp(np.int64(slopes.ctypes.data) + 8 * dim * later + 64 * line))
+                prefetch(np.uintp(np.int64(slopes.ctypes.data) + 8 * len(zero) * later + 64 * line))
             e = np.uint64(patches[k])
             p = np.uint64(begin[e])
             end = np.uint64(begin[e + one])
@@ -536,58 +590,30 @@ def _add_patches(
                 shear *= measures[e]
                 _add_isotropic(zero, i, lame, shear, p, begin[e], end, nodes, slopes, slot, data)
                 continue
-            x = measures[e] * slopes[p, 0]
-            y = measures[e] * slopes[p, 1]
-            z = measures[e] * (slopes[p, 2] if len(zero) == 3 else hoops[p] if len(hoops) else 0.0)
-            # the stress of a displacement of node i along each axis
-            for c in range(2 * dim):
-                if len(zero) == 3:
-                    stress[c, 0] = (
-                        table[tensor, c, 0] * x + table[tensor, c, 3] * y + table[tensor, c, 5] * z
-                    )
-                    stress[c, 1] = (
-                        table[tensor, c, 3] * x + table[tensor, c, 1] * y + table[tensor, c, 4] * z
-                    )
-                    stress[c, 2] = (
-                        table[tensor, c, 5] * x + table[tensor, c, 4] * y + table[tensor, c, 2] * z
-                    )
-                else:
-                    stress[c, 0] = (
-                        table[tensor, c, 0] * x + table[tensor, c, 3] * y + table[tensor, c, 2] * z
-                    )
-                    stress[c, 1] = table[tensor, c, 3] * x + table[tensor, c, 1] * y
-            # tested with the strains of the other corners
+            _unit_stresses(zero, measures[e], tensor, p, slopes, hoops, table, stress)
             for q in range(np.uint64(begin[e]), end):
                 if nodes[q] < i:
                     continue
                 at = np.uint64(slot[np.uint64(nodes[q])])
-                u = slopes[q, 0]
-                v = slopes[q, 1]
-                w = slopes[q, 2] if len(zero) == 3 else hoops[q] if len(hoops) else 0.0
-                for a in range(dim):  # one addition each, for the sake of rounding
-                    if len(zero) == 3:
-                        data[at, a, 0] += stress[0, a] * u + stress[3, a] * v + stress[5, a] * w
-                        data[at, a, 1] += stress[3, a] * u + stress[1, a] * v + stress[4, a] * w
-                        data[at, a, 2] += stress[5, a] * u + stress[4, a] * v + stress[2, a] * w
-                    else:
-                        data[at, a, 0] += stress[0, a] * u + stress[3, a] * v + stress[2, a] * w
-                        data[at, a, 1] += stress[3, a] * u + stress[1, a] * v
+                _add_work(zero, stress, q, slopes, hoops, at, data)
                 if len(spread):
-                    data[at, 0, 0] += table[tensor, 2, 2] * spread[p, q - np.uint64(begin[e])]
+                    data[at, 0, 0] += table[tensor, _ZZ, _ZZ] * spread[p, q - np.uint64(begin[e])]
 
 
 @kernel
 def _mirror(first, last, zero, indptr, indices, data):
-    """Write the lower half of rows, diagonal blocks included: the transposes of the upper one."""
-    # the next block of each row, 0 if none was read: those beyond the diagonal are read in the order of
-    # their columns
+    """Write the lower half of rows, diagonal blocks included: the transposes of the upper one.
+
+    Row i takes its block of column j < i from row j. ``next_block[j]`` is the first block of row j whose
+    column is beyond all rows written so far: rows are written in ascending order, so that it is the
+    block of the next row that has the column j. It is 0 as long as row j, before ``first``, has not
+    been needed."""
     next_block = np.zeros(last, dtype=np.int64)
     for i in range(first, last):
         at = np.uint64(indptr[i])
         while indices[at] < i:
             column = np.uint64(indices[at])
             if next_block[column] == 0:
-                # a row above this part, or the first one to be read
                 next_block[column] = indptr[column]
                 while indices[next_block[column]] < i:
                     next_block[column] += 1
@@ -600,7 +626,7 @@ def _mirror(first, last, zero, indptr, indices, data):
         for k in range(len(zero)):
             for m in range(k):
                 data[at, k, m] = data[at, m, k]
-        next_block[i] = np.int64(at) + 1
+        next_block[i] = np.int64(at) + 1  # behind the diagonal
 
 
 def rigid_motions(mesh: MeshArrays, axisymmetric: bool = False) -> np.ndarray:

@@ -205,19 +205,14 @@ def mean_initial_strain(
 def initial_strain_load(
     mesh: MeshArrays, load: InitialStrain, materials: tuple[Elastic, ...], elements: str
 ) -> np.ndarray:
-    """Return the nodal forces (n_nodes, dim) of an initial strain."""
+    """Return the nodal forces (n_nodes, dim) of an initial strain: int C eps_0 : eps(phi_i)."""
     axisymmetric = is_axisymmetric(materials)
-    elements_of_body, strain, weights, rule = _at_quadrature_points(mesh, load, axisymmetric)
-    if elements == "smoothed":
-        # one point an element, with the mean around its edges
-        volumes = element_measures(mesh, axisymmetric)
-        mean = mean_initial_strain(mesh, [load], axisymmetric=axisymmetric)
-        strain = smoothed(mesh, mean, volumes)[elements_of_body, None]
-        weights = volumes[elements_of_body, None]
-        rule = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
+    at_points = _mean_around_edges if elements == "smoothed" else _at_quadrature_points
+    elements_of_body, strain, weights, rule = at_points(mesh, load, axisymmetric)
     if isinstance(materials[mesh.bodies.index(load.body)], PlaneStress):
         # a sheet is free to become thicker
         strain[:, :, 2] = 0.0
+    # C eps_0 as columns (n, n_points, k), then as tensors (n, n_points, 3, 3)
     tensors = moduli(mesh, materials, elements)
     stress_columns = np.einsum(
         "eij,eqj->eqi", tensors.table[tensors.rows[elements_of_body], :, :3], strain
@@ -225,14 +220,13 @@ def initial_strain_load(
     stress = as_tensors(stress_columns.reshape(-1, stress_columns.shape[2])).reshape(
         *stress_columns.shape[:2], 3, 3
     )
+    # forces (n, dim + 1, dim) at the corners of elements, by the stress integrated over each element
     cells = mesh.elements[elements_of_body]
     dim = mesh.dim
-    # int C eps_0 : eps(phi_i), at the corners of elements; in axisymmetry with the hoop stress times
-    # phi_i / r
-    forces = shape_gradients(mesh)[0][elements_of_body] @ np.einsum(
-        "eq,eqij->eij", weights, stress[:, :, :dim, :dim]
-    )
+    integrated = np.einsum("eq,eqij->eij", weights, stress[:, :, :dim, :dim])
+    forces = shape_gradients(mesh)[0][elements_of_body] @ integrated
     if axisymmetric:
+        # the hoop strain of phi_i along r is phi_i / r
         radii = quadrature_points(mesh.points, cells, rule)[:, :, 0]
         forces[:, :, 0] += np.einsum("eq,qc->ec", weights * stress[:, :, 2, 2] / radii, rule)
     result = np.zeros(mesh.points.shape)
@@ -262,6 +256,19 @@ def _at_quadrature_points(
             points.shape[:2]
         )
     return elements, strain, weights, rule
+
+
+def _mean_around_edges(
+    mesh: MeshArrays, load: InitialStrain, axisymmetric: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return what :func:`_at_quadrature_points` does, for smoothed elements: one point an element, its
+    centroid, with the mean around its edges."""
+    elements = body_elements(mesh, load.body)
+    volumes = element_measures(mesh, axisymmetric)
+    mean = mean_initial_strain(mesh, [load], axisymmetric=axisymmetric)
+    strain = smoothed(mesh, mean, volumes)[elements, None]
+    centroid = np.full((1, mesh.dim + 1), 1 / (mesh.dim + 1))
+    return elements, strain, volumes[elements, None], centroid
 
 
 def foundation(spring: Spring, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -340,8 +347,10 @@ def supported_stiffness(
 def largest_nodal_stiffness(
     mesh: MeshArrays, spring: Spring | PointSpring, axisymmetric: bool
 ) -> float:
-    """Return the largest force, N/m, by which a spring resists a unit translation at one node."""
+    """Return the largest force, N/m, by which a spring resists at one node a translation of its boundary
+    by 1 along an axis."""
     cells, blocks = spring_elements(mesh, spring, axisymmetric)
+    # forces[i, a]: at node i, of a translation along a, as the blocks are symmetric
     forces = np.zeros((mesh.n_nodes, mesh.dim, mesh.dim))
     np.add.at(forces, cells, blocks.sum(axis=2))
     return float(np.linalg.norm(forces, axis=2).max())

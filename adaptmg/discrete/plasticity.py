@@ -99,6 +99,7 @@ class InelasticBodies:
             strains=_strain_matrix(patches, numbers, mesh.points.size, 2 * mesh.dim),
             measures=patches.measures[numbers],
             elastic=tensors.table[tensor_of_patch],
+            # C_xxyy is Lame's first constant: the shear moduli of both tensors are the same
             bulk=(whole_tensors.table - tensors.table)[tensor_of_patch, 0, 1],
             groups=volume_groups(mesh, posed.materials, inelastic=True)
             if smoothed
@@ -204,11 +205,10 @@ class InelasticBodies:
         # what the whole stress leaves of the strain is plastic
         plastic = strain - np.linalg.solve(stiffness, whole_stress[:, :, None])[:, :, 0]
         plastic[:, 3:] *= 0.5  # components of tensors, not angles
-        values = self._of_elements(np.column_stack([at.stress, plastic, at.state[:, -1]]))
         inelastic = inelastic_bodies(self.posed.materials)[mesh.element_body]
         stress = data.tensors(mesh, physical)
-        stress[inelastic] = as_tensors(values[inelastic, :k])
-        # groups of nodes bear the rest of the pressure, kappa b u
+        stress[inelastic] = as_tensors(self._of_elements(at.stress)[inelastic])
+        # groups of nodes bear the rest of the pressure, kappa times their mean volume strain b u
         if len(self.groups):
             pressures = self.groups.strains(physical.reshape(-1)) / self.groups.compliance
             stress[inelastic] += self.groups.of_elements(pressures)[inelastic, None, None] * np.eye(
@@ -217,8 +217,9 @@ class InelasticBodies:
         plastic_state = PlasticState(
             state=at.state,
             stress=stress,
-            strain=as_tensors(values[:, k : 2 * k]),
-            accumulated=values[:, 2 * k],
+            strain=as_tensors(self._of_elements(plastic)),
+            # the last number of a state of Plastic is the accumulated plastic strain
+            accumulated=self._of_elements(at.state[:, -1:])[:, 0],
         )
         return replace(data, plastic=plastic_state)
 

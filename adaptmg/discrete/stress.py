@@ -34,10 +34,10 @@ from scipy import sparse
 
 from adaptmg import _checks as checks
 from adaptmg.discrete.elasticity import (
-    apart,
     element_measures,
     elements_of_nodes,
     pattern,
+    separate_bodies,
     shape_gradients,
     smoothed,
     starts_of,
@@ -375,12 +375,12 @@ def cut_stiffness(mesh: MeshArrays, material: Materials, preload: Preload) -> fl
 
 
 def recovered(mesh: MeshArrays, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cells of :func:`~adaptmg.discrete.elasticity.apart`, and nodal values (n,
+    """Return the cells of :func:`~adaptmg.discrete.elasticity.separate_bodies`, and nodal values (n,
     n_values) of those (n_elements, n_values) of elements.
 
     An inner node takes the value of the fit around it. Another node takes the mean of the fits of
     its inner neighbours there, or else that of a fit to the elements of all its neighbours."""
-    cells, points = apart(mesh)
+    cells, points = separate_bodies(mesh)
     corners = cells.shape[1]
     centroids = sum(mesh.points.take(nodes, axis=0) for nodes in mesh.elements.T) / corners
     of_nodes = elements_of_nodes(cells, len(points))

@@ -158,15 +158,15 @@ class Inclined:
         forces = self.rows.T @ along.reshape(-1)  # A ubar
         held = np.zeros_like(forces)  # Z D ubar
         held.reshape(-1, along.shape[1])[self.nodes] = self.stiffness[:, None] * along
-        terms = EnergyTerms(*(parts["strain_free"] or (0.0, 0.0)))
+        load, constant = parts["strain_free"] or (0.0, 0.0)
         volumes = parts["volumes"]
         return parts | {
             # b' = (I - Z) (b - A ubar) + Z D ubar
             "load": self.free_part(parts["load"] - forces) + held,
             # u'A u = u'A'u + 2 u . (I - Z) A ubar + ubar'A ubar - ubar'D ubar
             "strain_free": EnergyTerms(
-                load=terms.load - self.free_part(forces),
-                constant=terms.constant + float(prescribed @ (forces - held)),
+                load=load - self.free_part(forces),
+                constant=constant + float(prescribed @ (forces - held)),
             ),
             "inclined": replace(self, load=parts["load"]),
             "volumes": replace(volumes, prescribed=(self.volumes @ prescribed) / volumes.areas),

@@ -32,10 +32,10 @@ from scipy import sparse
 from adaptmg import _checks as checks
 from adaptmg._numba import kernel, read_only
 from adaptmg.discrete.elasticity import (
-    apart,
     element_measures,
     elements_of_nodes,
     pattern,
+    separate_bodies,
     shape_gradients,
     starts_of,
 )
@@ -165,26 +165,15 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     lame, shear = lame_constants(materials)
     edge_lame = np.minimum(lame, edge_parts(materials) * shear)
     isotropic = np.array([elastic.anisotropy is None for elastic in materials])
-    grouped = inelastic_bodies(materials) == inelastic
-    kappa = np.where(isotropic & grouped, lame - edge_lame, 0.0)
+    chosen = inelastic_bodies(materials) == inelastic
+    kappa = np.where(isotropic & chosen, lame - edge_lame, 0.0)
     # a ratio of .4 has a kappa of rounding
     in_groups = (kappa > checks.ALIKE * shear)[mesh.element_body]
     if not in_groups.any():
         return Volumes.none(mesh.n_nodes, dim)
-    # nodes of the grouped bodies, once for each body, are numbered along a curve through space
-    cells, points = apart(mesh)
+    cells = _nodes_of_bodies(mesh, in_groups)
+    n = cells.max() + 1
     elements = mesh.elements[in_groups]
-    body = mesh.element_body[in_groups]
-    body_nodes, cells = np.unique(cells[in_groups], return_inverse=True)
-    n = len(body_nodes)
-    rank = np.empty(len(body_nodes), dtype=np.int32)
-    rank[morton_order(points[body_nodes])] = np.arange(n, dtype=np.int32)
-    cells = rank[cells.reshape(elements.shape)]
-    node_of = np.empty(n, dtype=np.int64)
-    body_of = np.empty(n, dtype=np.int64)
-    node_of[cells] = elements
-    body_of[cells] = body[:, None]
-    # groups of these nodes
     starts = starts_of(cells)
     group = np.full(n, -1, dtype=np.int32)
     n_groups = _gather(
@@ -192,7 +181,8 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
         GROUP[dim],
         group,
     )
-    # each corner has an equal part of the volume of its element; rows sum the divergence over corners
+    group_of_corner = group[cells]
+    # V_T / (d + 1) and the slopes of div_T
     slopes, corner_volumes = (every[in_groups] for every in shape_gradients(mesh))
     if is_axisymmetric(materials):
         mean_radius = mesh.points[elements, 0].mean(axis=1)
@@ -201,32 +191,45 @@ def volume_groups(mesh: MeshArrays, material: Materials, inelastic: bool = False
     corner_volumes /= dim + 1
     node_volumes = np.bincount(cells.reshape(-1), np.repeat(corner_volumes, dim + 1))
     areas = np.bincount(group, node_volumes, minlength=n_groups)
-    dofs = dim * elements[:, :, None] + np.arange(dim)
-    group_of_corner = sparse.csr_array(
-        (np.ones(cells.size), group[cells].reshape(-1), starts), shape=(len(cells), n_groups)
+    # B = A b: the elements of each group, once for each corner there, times their V_T / (d + 1) div_T
+    corners_in_groups = sparse.csr_array(
+        (np.ones(cells.size), group_of_corner.reshape(-1), starts), shape=(len(cells), n_groups)
     )
+    dofs = dim * elements[:, :, None] + np.arange(dim)
     divergences = sparse.csr_array(
         ((corner_volumes[:, None, None] * slopes).reshape(-1), dofs.reshape(-1), dim * starts),
         shape=(len(cells), dim * mesh.n_nodes),
     )
-    rows = sparse.csr_array(sparse.csr_array(group_of_corner.T) @ divergences)
+    rows = sparse.csr_array(sparse.csr_array(corners_in_groups.T) @ divergences)
     rows.sort_indices()
+    mesh_node = np.empty(n, dtype=np.int64)
+    mesh_node[cells] = elements
     means = sparse.csr_array(
-        (node_volumes / areas[group], (group, node_of)), shape=(n_groups, mesh.n_nodes)
+        (node_volumes / areas[group], (group, mesh_node)), shape=(n_groups, mesh.n_nodes)
     )
-    owner = np.empty(n_groups, dtype=np.int64)
+    body = np.empty(n_groups, dtype=np.int64)
+    body[group_of_corner] = mesh.element_body[in_groups, None]
     corners = np.full(mesh.elements.shape, -1, dtype=np.int32)
-    owner[group] = body_of
-    corners[in_groups] = group[cells]
+    corners[in_groups] = group_of_corner
     return Volumes(
         rows=rows,
         means=means,
         areas=areas,
-        compliance=1 / kappa[owner],
-        modulus=(edge_lame + shear)[owner],
-        body=owner,
+        compliance=1 / kappa[body],
+        modulus=(edge_lame + shear)[body],
+        body=body,
         corners=corners,
     )
+
+
+def _nodes_of_bodies(mesh: MeshArrays, chosen: np.ndarray) -> np.ndarray:
+    """Return the corners (n_chosen, dim + 1) of chosen elements, a mask (n_elements,), by numbers of
+    their nodes along a curve through space. A node that several bodies share has a number for each."""
+    cells, points = separate_bodies(mesh)
+    nodes, number = np.unique(cells[chosen], return_inverse=True)
+    rank = np.empty(len(nodes), dtype=np.int32)
+    rank[morton_order(points[nodes])] = np.arange(len(nodes), dtype=np.int32)
+    return rank[number.reshape(-1, mesh.dim + 1)]
 
 
 @kernel
