@@ -316,122 +316,152 @@ class _Equations:
             self.most = _MOST_VOLUMES
 
     def direction(self, residual: np.ndarray) -> tuple[_Direction, np.ndarray]:
-        """Return the preconditioned residual as a direction, and the gradient (n,) of its energy: its
-        product with the values of another direction is their energy product."""
+        """Return the preconditioned residual (z, q) as a direction, with its image (K (I + D)(K' z + B'q)
+        + K S z, A/kappa q - B z); and the gradient (K' z + S z, A/kappa q) of its energy: the product of
+        the gradient with the values of another direction is their energy product."""
         status = self.status
-        nodal, forces = self.precondition(residual[: self.n])
         shape = -1, status.projections.shape[1]
-        motion_at_contact = nodal.reshape(shape)[status.nodes]
+        z, forces = self.precondition(residual[: self.n])  # z and K' z
+        z_at_contact = z.reshape(shape)[status.nodes]
         forces_at_contact = forces.reshape(shape)[status.nodes]
-        forces.reshape(shape)[status.nodes] += np.einsum(
-            "nij,nj->ni", status.stiffening, motion_at_contact
-        )
-        values = nodal
-        energetic = forces
+        stiffening = np.einsum("nij,nj->ni", status.stiffening, z_at_contact)
+        forces.reshape(shape)[status.nodes] += stiffening
+        values = z
+        gradient = forces
         # symmetric: the values have no parts that the projection removes, and need no copy (2.5 ms
         # for 263k nodes)
         image = forces if self.symmetric else forces.copy()
-        compressed = None  # rows of the pressures in the image
+        pressure_rows = None
         if len(self.volumes):
-            soft = self.volumes.areas * self.volumes.compliance
             areas = self.volumes.areas
-            volumes = self.volumes.rows @ nodal
+            soft = areas * self.volumes.compliance  # A/kappa
+            strains = self.volumes.rows @ z  # B z
             # (rho + B z) / (A/kappa + A/(lambda_1 + mu))
-            pressures = (residual[self.n :] + volumes) / (soft + areas / self.volumes.modulus)
-            values = np.append(nodal, pressures)
-            energetic = np.append(forces, soft * pressures)
-            of_pressures = self.volumes.forces(pressures)
+            q = (residual[self.n :] + strains) / (soft + areas / self.volumes.modulus)
+            values = np.append(z, q)
+            gradient = np.append(forces, soft * q)
+            of_pressures = self.volumes.forces(q)
             image += of_pressures
             forces_at_contact += of_pressures.reshape(shape)[status.nodes]
-            compressed = soft * pressures - volumes
+            pressure_rows = soft * q - strains
         by_node = image.reshape(shape)
-        # K (I + D) A + K S
         by_node[status.nodes] += np.einsum("nij,nj->ni", status.dragged, forces_at_contact)
         status.project(by_node)
-        if compressed is not None:
-            image = np.append(image, compressed)
-        return _Direction(
-            values, image, np.stack([motion_at_contact, forces_at_contact])
-        ), energetic
+        if pressure_rows is not None:
+            image = np.append(image, pressure_rows)
+        return _Direction(values, image, np.stack([z_at_contact, forces_at_contact])), gradient
+
+
+class _GalerkinSolution:
+    """The solution in the span of directions that are orthonormal in the energy. For symmetric equations
+    (conjugate gradients) only the last direction is kept, along which alone the solution changes;
+    otherwise the equations on all of them are solved again for each new direction."""
+
+    def __init__(self, equations: _Equations, load: np.ndarray) -> None:
+        """Begin at zero; ``load`` (n,) is the right-hand side."""
+        most = equations.most
+        status = equations.status
+        self.symmetric = equations.symmetric
+        self.load = load
+        self.residual = load.copy()
+        self.energy = 0.0
+        self.directions: list[_Direction] = []
+        self.at_contact = np.zeros((2, len(status.nodes), status.projections.shape[1]))
+        # the equations on the directions, and their solution
+        self._matrix = np.empty((most, most))
+        self._loads = np.empty(most)
+        self._coefficients = np.empty(0)
+        self._changes: np.ndarray | list[float] = []
+
+    def update_residual(self) -> np.ndarray:
+        """Return the residual (n,) after the last direction. No residual follows the last step: it is
+        updated only when a step begins."""
+        for change, direction in zip(self._changes, self.directions, strict=True):
+            self.residual = linalg.blas.daxpy(direction.image, self.residual, a=-change)
+        return self.residual
+
+    def orthonormalise(
+        self, newest: _Direction, gradient: np.ndarray, least: float
+    ) -> np.ndarray | None:
+        """Make a direction orthogonal to the stored ones and of length 1 in the energy, in place. Return
+        the products (k + 1,) of the direction as it was with the k stored ones and with the new one;
+        None if the square of the last one is not above ``least``."""
+        overlaps = np.array([direction.values @ gradient for direction in self.directions])
+        length_squared = float(newest.values @ gradient - overlaps @ overlaps)
+        if not length_squared > least:
+            return None
+        for overlap, direction in zip(overlaps, self.directions, strict=True):
+            newest.add(-overlap, direction)
+        newest.scale(1 / np.sqrt(length_squared))
+        return np.append(overlaps, np.sqrt(length_squared))
+
+    def extend(self, newest: _Direction) -> bool:
+        """Solve with one direction more; return False, without a change, if the equations are
+        singular."""
+        if self.symmetric:
+            self.directions = [newest]
+            self._changes = [float(newest.values @ self.residual)]
+            self.energy += self._changes[0] ** 2
+        else:
+            directions = [*self.directions, newest]
+            k = len(directions)
+            self._matrix[:k, k - 1] = [direction.values @ newest.image for direction in directions]
+            self._matrix[k - 1, :k] = [newest.values @ direction.image for direction in directions]
+            self._loads[k - 1] = newest.values @ self.load
+            before = np.append(self._coefficients, 0.0)
+            try:
+                changes = np.linalg.solve(self._matrix[:k, :k], self._loads[:k]) - before
+            except np.linalg.LinAlgError:
+                return False
+            self.directions = directions
+            self._changes = changes
+            self._coefficients = before + changes
+            self.energy = float(self._coefficients @ self._coefficients)
+        for change, direction in zip(self._changes, self.directions, strict=True):
+            self.at_contact += change * direction.at_contact
+        return True
+
+    def correction(self, energy: float) -> HeldCorrection:
+        """Return the solution as a correction with an energy, N m."""
+        return HeldCorrection(energy, *self.at_contact)
 
 
 def _estimated(
     equations: _Equations, load: np.ndarray, negligible: float
 ) -> tuple[HeldCorrection, bool]:
-    """Return a Galerkin solution, and whether further steps would change it little.
-
-    Directions are orthonormal in the energy. For symmetric equations (conjugate gradients) only the
-    last one is kept; otherwise the equations on all of them are solved again in each step."""
-    n = equations.n
-    most_steps = equations.most
-    symmetric = equations.symmetric
-    residual = load.copy()
-    directions = list[_Direction]()
-    changes = []
-    coefficients = np.empty(0)
+    """Return a Galerkin solution, and whether further steps would change it little: with volumes where
+    the last two steps have hardly changed its energy; otherwise where the least Ritz value has settled,
+    and the energy that the residual may hold is small."""
+    solution = _GalerkinSolution(equations, load)
     energies = [0.0]
     ritz = np.inf
-    matrix = np.empty((most_steps, most_steps))
-    loads = np.empty(most_steps)
-    # R of preconditioned residuals = directions times R, each of unit length in the norm of the
-    # preconditioner: the least Ritz value is the square of its least singular value
-    triangle = np.zeros((most_steps, most_steps))
-    at_contact = np.zeros((2, len(equations.status.nodes), equations.status.projections.shape[1]))
-    for step in range(1, most_steps + 1):
-        # only now: no residual follows the last step
-        for change, direction in zip(changes, directions, strict=True):
-            residual = linalg.blas.daxpy(direction.image, residual, a=-change)
-        newest, energetic = equations.direction(residual)
-        product = float(residual[:n] @ newest.values[:n])
+    # with P the preconditioner and residuals r_k of unit length r.Pr the vectors P r_k are the
+    # directions times R, so that the energy of a combination P r c is |R c|^2: the least Ritz value
+    # is the square of the least singular value of R
+    R = np.zeros((equations.most, equations.most))
+    for step in range(1, equations.most + 1):
+        residual = solution.update_residual()
+        newest, gradient = equations.direction(residual)
+        product = float(residual[: equations.n] @ newest.values[: equations.n])  # r.Pr
         if not product > 0.0 and not len(equations.volumes):
-            return HeldCorrection(energies[-1], *at_contact), True
-        # the newest direction, orthogonal in energy to those before and of length 1
-        overlaps = np.array([direction.values @ energetic for direction in directions])
-        length_squared = float(newest.values @ energetic - overlaps @ overlaps)
-        if not length_squared > checks.SIX_DIGITS * product:
-            return HeldCorrection(float("inf"), *at_contact), False  # a motion is free
-        for overlap, direction in zip(overlaps, directions, strict=True):
-            newest.add(-overlap, direction)
-        newest.scale(1 / np.sqrt(length_squared))
-        # the Galerkin solution; of symmetric equations it changes along the newest direction alone
-        if symmetric:
-            directions = [newest]
-            changes = [float(newest.values @ residual)]
-            energy = energies[-1] + changes[0] ** 2
-        else:
-            directions.append(newest)
-            matrix[:step, step - 1] = [direction.values @ newest.image for direction in directions]
-            matrix[step - 1, :step] = [newest.values @ direction.image for direction in directions]
-            loads[step - 1] = newest.values @ load
-            try:
-                changes = np.linalg.solve(matrix[:step, :step], loads[:step]) - np.append(
-                    coefficients, 0.0
-                )
-            except np.linalg.LinAlgError:
-                return HeldCorrection(float("inf"), *at_contact), False
-            coefficients = np.append(coefficients, 0.0) + changes
-            energy = float(coefficients @ coefficients)
-        for change, direction in zip(changes, directions, strict=True):
-            at_contact += change * direction.at_contact
+            return solution.correction(solution.energy), True
+        column = solution.orthonormalise(newest, gradient, checks.SIX_DIGITS * product)
+        if column is None or not solution.extend(newest):
+            return solution.correction(float("inf")), False  # a motion is free
+        energy = solution.energy
         energies.append(energy)
-        # with volumes the steps end when the last two have hardly changed the energy
         if len(equations.volumes):
-            if (
-                step >= _LEAST
-                and max(abs(energy - before) for before in energies[-3:-1]) <= _CALM * energy
-            ):
-                return HeldCorrection(energy, *at_contact), True
+            last_changes = [abs(energy - before) for before in energies[-3:-1]]
+            if step >= _LEAST and max(last_changes) <= _CALM * energy:
+                return solution.correction(energy), True
             continue
-        triangle[step - 1 - len(overlaps) : step, step - 1] = np.append(
-            overlaps, np.sqrt(length_squared)
-        ) / np.sqrt(product)
-        # else when what the last residual may hold, product / ritz, is small and ritz has settled
+        R[step - len(column) : step, step - 1] = column / np.sqrt(product)
         ritz_before = ritz
-        ritz = np.linalg.svd(triangle[:step, :step], compute_uv=False)[-1] ** 2
-        # a residual r holds at most the energy r.Pr / lambda
+        ritz = np.linalg.svd(R[:step, :step], compute_uv=False)[-1] ** 2
+        # the residual before this step holds at most the energy r.Pr / lambda
         most_energy = max(energies[-2] + product / ritz, energy)
         missing_energy = most_energy - energy
-        if not symmetric:
+        if not equations.symmetric:
             missing_energy = max(missing_energy, abs(energy - energies[-2]))
         settled = (
             step >= _LEAST
@@ -439,29 +469,34 @@ def _estimated(
             and ritz >= _SETTLED * ritz_before
         )
         if settled or (step > 1 and most_energy <= (min(step, _LEAST) * _SURER) ** 2 * negligible):
-            return HeldCorrection(most_energy, *at_contact), True
-    return HeldCorrection(energies[-1], *at_contact), False
+            return solution.correction(most_energy), True
+    return solution.correction(solution.energy), False
 
 
 def _factorised(
     problem: DiscreteProblem, status: FrozenStatus, load: np.ndarray, rounding: float
 ) -> HeldCorrection:
-    """Return the correction by a factorisation, of a matrix that a small shift makes regular where
-    the status leaves motions free."""
+    r"""Return the correction by a factorisation of the equations
+
+    .. math:: (K (I + D) A + K S) K + d\,(I - K),
+
+    where d is the largest diagonal entry of A; with volumes there are further rows and columns. Rows of
+    displacements get a small shift of the diagonal, which makes the matrix regular where the status
+    leaves motions free. Forces that load such a motion do not balance: the energy is then infinite."""
     matrix = problem.matrix
     volumes = problem.volumes
     n = problem.n_dofs
     dim = problem.dim
     identity = sparse.eye_array(n, format="csr")
-    projection = identity + nodal_matrix(status.held, status.projections - np.eye(dim), n)
+    projection = identity + nodal_matrix(status.held, status.projections - np.eye(dim), n)  # K
+    # K (I + D)
     with_drag = projection + projection @ nodal_matrix(status.nodes, status.dragged, n)
-    # directions that may not move get a diagonal of the size of the others, all a small shift
     diagonal_size = np.abs(matrix.diagonal()).max()
     equations = (
         with_drag @ matrix + projection @ nodal_matrix(status.nodes, status.stiffening, n)
     ) @ projection + diagonal_size * (identity - projection)
-    shift = np.full(len(load), checks.ROUNDING * diagonal_size)
-    shift[n:] = 0.0
+    shift = np.zeros(len(load))
+    shift[:n] = checks.ROUNDING * diagonal_size
     if len(volumes):
         equations = sparse.block_array(
             [
@@ -477,6 +512,7 @@ def _factorised(
     solution = np.zeros(len(load))
     residual = load
     most_left = max(checks.SIX_DIGITS * np.linalg.norm(load[:n]), rounding)
+    # balanced after any refinement: further ones may add motions that are free, by rounding
     balanced = False
     for _ in range(_REFINEMENTS):
         solution += factors.solve(residual)
@@ -486,5 +522,4 @@ def _factorised(
     energy = max(float(solution[:n] @ image), 0.0) + volumes.energy(solution[n:])
     image += volumes.forces(solution[n:])
     moved, forces = (vector.reshape(-1, dim)[status.nodes] for vector in (solution[:n], image))
-    # forces that do not balance load a motion that the status leaves free
     return HeldCorrection(energy if balanced else float("inf"), moved, forces)
