@@ -269,7 +269,10 @@ class FreeBodies:
     #: for each contact boundary, then each tie, the body of the master, -1 without one, and the
     #: vector (dim,) from places on the slave to those on the master, m, where it is known
     masters: list[tuple[int, np.ndarray | None]]
-    compared: np.ndarray  # (n_bodies, k) bool
+    #: (n_bodies, k) bool: which resultants are compared, the dim forces and then the moments. The
+    #: number of a piece that is joined to another body has no nodes
+    compared: np.ndarray
+    axisymmetric: bool
     near: Elements | None  # linear elements at nodes that supports, ties or contact hold
     known: tuple[Condition, ...]  # that do not depend on the displacement
 
@@ -281,27 +284,23 @@ class FreeBodies:
             *zip(contact.names, contact.masters, strict=True),
             *((slave, master) for slave, master, *_ in discrete.ties),
         ]
-        body = np.zeros(mesh.n_nodes, dtype=np.int64)
-        for number, piece in enumerate(nodes_of_pieces(mesh)):
-            body[piece] = number
-        # pieces that one master joins are one body: what it transmits is not known piece by piece
-        for _, master in slaves_and_masters:
-            if master:
-                touched = np.unique(body[mesh.boundary_nodes(master)])
-                body[np.isin(body, touched)] = touched[0]
+        body = _joined_pieces(mesh, [master for _, master in slaves_and_masters if master])
         n_bodies = int(body.max()) + 1
         compared = np.ones((n_bodies, mesh.dim * (mesh.dim + 1) // 2), dtype=bool)
         if problem.axisymmetric:
             compared[:] = np.arange(3) == 1  # the axial force alone
-        masters = []
-        for posed, (slave, master) in zip(
+        masters: list[tuple[int, np.ndarray | None]] = []
+        for condition, (slave, master) in zip(
             (*problem.contact, *problem.ties), slaves_and_masters, strict=True
         ):
-            number = int(body[mesh.boundary_nodes(master)[0]]) if master else -1
-            shift = _shift(posed, mesh, slave, master) if master else None
+            if not master:
+                masters.append((-1, None))
+                continue
+            number = int(body[mesh.boundary_nodes(master)[0]])
+            shift = _shift(condition, mesh, slave, master)
             masters.append((number, shift))
-            if master and shift is None:
-                compared[number, mesh.dim :] = False
+            if shift is None:
+                compared[number, mesh.dim :] = False  # no moments
         springs = [
             support for support in problem.supports if isinstance(support, Spring | PointSpring)
         ]
@@ -316,6 +315,7 @@ class FreeBodies:
             springs=[_spring_blocks(mesh, spring, problem.axisymmetric) for spring in springs],
             masters=masters,
             compared=compared,
+            axisymmetric=problem.axisymmetric,
             near=_near(problem, mesh, discrete) if covered else None,
             known=(
                 *_stiffness(problem, mesh, discrete, points),
@@ -327,66 +327,92 @@ class FreeBodies:
     def __call__(self, evidence: Evidence) -> tuple[Condition, ...]:
         """Return 'stiffness', 'loads', 'measures', 'bodies' and 'stresses' of a displacement, as far
         as they cover the problem."""
-        stress_forces = np.zeros(self.points.shape)
+        spring_forces = np.zeros(self.points.shape)
         for cells, blocks in self.springs:
-            _add_at(stress_forces, cells, _spring_forces(cells, blocks, evidence.u))
-        missed = self._missed(evidence, stress_forces)
+            _add_at(spring_forces, cells, _spring_forces(cells, blocks, evidence.u))
+        missed = self._missed(evidence, spring_forces)
         scale = np.inf if evidence.idle else evidence.total  # over infinity: nothing to compare
         rounding = evidence.rounding * np.sqrt(len(self.points))
-        lines = [*self.known, _condition("bodies", missed, scale, rounding, limit=0.0)]
-        if self.near is not None:
-            discrete = evidence.problem
-            # V sigma grad phi_i of the elements, next to the forces of springs that are there
-            _add_at(stress_forces, self.near.cells, self.near.forces(evidence.u))
-            missed = discrete.inclined.imbalance(
-                evidence.residual, evidence.unknowns.reshape(-1), discrete.fixed_values
-            )
-            matrix_forces = discrete.physical_forces(discrete.whole_load - missed)
-            nodes = self.near.nodes
-            missed = stress_forces[nodes] - matrix_forces.reshape(stress_forces.shape)[nodes]
-            if not self.compared[:, 0].any():  # axisymmetry: the hoop stress varies within elements
-                missed = missed[:, 1]
-            scale = np.inf if evidence.idle else evidence.force
-            lines.append(_condition("stresses", missed, scale, evidence.rounding))
-        return tuple(lines)
+        bodies = _condition("bodies", missed, scale, rounding, limit=0.0)
+        if self.near is None:
+            return *self.known, bodies
+        missed = self._missed_stresses(evidence, spring_forces, self.near)
+        scale = np.inf if evidence.idle else evidence.force
+        return *self.known, bodies, _condition("stresses", missed, scale, evidence.rounding)
 
-    def _missed(self, evidence: Evidence, stress_forces: np.ndarray) -> np.ndarray:
-        """Return the forces and moments (n_bodies, k) that do not balance, N."""
+    def _missed_stresses(
+        self, evidence: Evidence, spring_forces: np.ndarray, near: Elements
+    ) -> np.ndarray:
+        """Return, at the nodes that are held, the forces of stresses and springs minus those of the
+        matrix, A u, which are the load minus what the equations leave."""
         discrete = evidence.problem
-        contact = discrete.contact
-        shape = self.points.shape
+        # V sigma grad phi_i of the elements
+        internal = spring_forces.copy()
+        _add_at(internal, near.cells, near.forces(evidence.u))
+        # where supports hold inclined directions the stored matrix lacks the rows along these
+        imbalance = discrete.inclined.imbalance(
+            evidence.residual, evidence.unknowns.reshape(-1), discrete.fixed_values
+        )
+        of_matrix = discrete.physical_forces(discrete.whole_load - imbalance)
+        missed = internal[near.nodes] - of_matrix.reshape(internal.shape)[near.nodes]
+        # in axisymmetry the hoop stress varies within elements
+        return missed[:, 1] if self.axisymmetric else missed
+
+    def _missed(self, evidence: Evidence, spring_forces: np.ndarray) -> np.ndarray:
+        """Return the forces and moments (n_bodies, k), N, that do not balance: on each body the load,
+        minus the forces of springs, plus those of supports, plus those of contacts and ties on its
+        slave surfaces, minus those on the slaves of its masters."""
+        discrete = evidence.problem
         inclined = discrete.inclined
-        reaction = inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
-        # what the equations leave is borne by supports. Friction along what these hold counts as
-        # theirs: on masters it acts in other places
+        shape = self.points.shape
+        # friction along what supports hold counts as theirs: on masters it acts in other places
         claimed = np.zeros(shape)
-        claimed[contact.nodes] = evidence.claimed
+        claimed[discrete.contact.nodes] = evidence.claimed
         claimed = discrete.free_part(claimed)
+        # what the equations leave, without ties and contact, is borne by supports
+        reaction = inclined.reaction(evidence.unknowns.reshape(-1), evidence.pressures)
         borne = discrete.physical_forces(-evidence.residual - evidence.tying - claimed)
         carried = (borne + reaction).reshape(shape)
-        claimed = claimed.reshape(shape)[contact.nodes]
         held = np.where(discrete.held.reshape(shape), carried, 0.0)
         held[inclined.nodes] += inclined.along(carried)
-        # the forces on the slaves, of each contact boundary, then of each tie
-        exerted = [np.zeros(shape) for _ in self.masters]
-        ties = exerted[len(contact.names) :]
-        for k, forces in enumerate(exerted[: len(contact.names)]):
-            on_boundary = contact.boundary == k
-            forces[contact.nodes[on_boundary]] = claimed[on_boundary]
-            if contact.taken_over.shape[1]:
-                forces += contact.taken_over[on_boundary].T @ claimed[on_boundary]
-        for (_, _, nodes, slave_nodes), forces in zip(discrete.ties, ties, strict=True):
-            tying = evidence.tying.reshape(shape)[nodes]
-            forces[nodes] = tying
-            rows = sparse.csr_array(cast("Coupling", discrete.coupling).weights[nodes])
-            forces[slave_nodes] -= rows[:, slave_nodes].T @ tying
-        acting = discrete.physical_forces(discrete.whole_load).reshape(shape) + held - stress_forces
-        total = self._resultants(sum(exerted, acting), self.body)
-        # the master takes the opposite forces at the same places
-        for forces, (master, shift) in zip(exerted, self.masters, strict=True):
+        on_slaves = [
+            *self._contact_forces(discrete, claimed.reshape(shape)),
+            *self._tie_forces(discrete, evidence.tying.reshape(shape)),
+        ]
+        load = discrete.physical_forces(discrete.whole_load).reshape(shape)
+        total = self._resultants(sum(on_slaves, load + held - spring_forces), self.body)
+        # a master takes the opposite forces, at the same places
+        for forces, (master, shift) in zip(on_slaves, self.masters, strict=True):
             if master >= 0:
                 total -= self._resultants(forces, np.full(len(self.body), master), shift)
         return np.where(self.compared, total, 0.0)
+
+    def _contact_forces(self, discrete: DiscreteProblem, claimed: np.ndarray) -> list[np.ndarray]:
+        """Return the forces (n_nodes, dim) on the slave of each contact boundary: ``claimed`` (n_nodes,
+        dim) at its contact nodes, with their shares at nodes of which these take over a part."""
+        contact = discrete.contact
+        result = []
+        for k in range(len(contact.names)):
+            on_boundary = contact.boundary == k
+            nodes = contact.nodes[on_boundary]
+            forces = np.zeros(claimed.shape)
+            forces[nodes] = claimed[nodes]
+            if contact.taken_over.shape[1]:
+                forces += contact.taken_over[on_boundary].T @ claimed[nodes]
+            result.append(forces)
+        return result
+
+    def _tie_forces(self, discrete: DiscreteProblem, tying: np.ndarray) -> list[np.ndarray]:
+        """Return the forces (n_nodes, dim) on the slave of each tie: ``tying`` (n_nodes, dim) at its
+        tied nodes, and -W' times these at nodes of the slave surface that tied nodes follow."""
+        result = []
+        for _, _, nodes, slave_nodes in discrete.ties:
+            weights = sparse.csr_array(cast("Coupling", discrete.coupling).weights[nodes])
+            forces = np.zeros(tying.shape)
+            forces[nodes] = tying[nodes]
+            forces[slave_nodes] -= weights[:, slave_nodes].T @ tying[nodes]
+            result.append(forces)
+        return result
 
     def _resultants(
         self, forces: np.ndarray, body: np.ndarray, shift: np.ndarray | None = None
@@ -396,6 +422,18 @@ class FreeBodies:
         loaded = np.flatnonzero(_any_component(forces))
         places = (self.points[loaded] - self.middle) + (0.0 if shift is None else shift)
         return _resultants(places, forces[loaded], self.arm, body[loaded], len(self.compared))
+
+
+def _joined_pieces(mesh: MeshArrays, masters: list[str]) -> np.ndarray:
+    """Return the number of the body of each node (n_nodes,): connected pieces of the mesh, but one body
+    of those that a master joins, since what it transmits is not known piece by piece."""
+    body = np.zeros(mesh.n_nodes, dtype=np.int64)
+    for number, piece in enumerate(nodes_of_pieces(mesh)):
+        body[piece] = number
+    for master in masters:
+        touched = np.unique(body[mesh.boundary_nodes(master)])
+        body[np.isin(body, touched)] = touched[0]
+    return body
 
 
 def _any_component(vectors: np.ndarray) -> np.ndarray:
