@@ -123,6 +123,10 @@ _BASES: tuple[type[typing.Any], ...] = (
 )
 
 
+#: kinds of objects that are pickled as they are; what containers hold is examined in turn
+_PICKLED = (dict, list, tuple, str, int, float, bool, type(None), bytes)
+
+
 @dataclass(frozen=True)
 class Fingerprint:
     """The parts that a run depends on, by name, each with a hash or a version."""
@@ -224,12 +228,15 @@ class _Parts:
     def value(self, where: str, value: object) -> None:
         """Add the part of a value that is read at ``where``, unless ``depends`` names it. Functions,
         classes and modules have parts under their own names."""
-        # the name alone: without its module before a dot, and the words after a space
+        # ``depends`` may name it alone, without its module before a dot and the words after a space;
+        # as it stands here; or as the parts of a stored fingerprint do
         bare = where.split(" ")[0].rpartition(".")[2]
-        if {bare, where, f"value of {where}"}.intersection(self._depends) or (
-            isinstance(value, _NAMED) and self.name_of(value) == f"own {where}"
-        ):
+        if {bare, where, f"value of {where}"}.intersection(self._depends):
             return
+        if isinstance(value, _NAMED):
+            name = self.name_of(value)  # which also has it examined later
+            if name == f"own {where}":
+                return
         try:
             self._parts[f"value of {where}"] = self._hash(value)
         except Exception as error:  # whatever pickling raises
@@ -279,48 +286,57 @@ class _Parts:
     def _function(self, name: str, function: FunctionType) -> None:
         """Add the parts of a function: its instructions, its defaults, and all that it reads."""
         code = function.__code__
-        namespace = function.__globals__
-        values: dict[str, tuple[str, object]] = {}
-        home = self._home(namespace.get("__name__", "__main__"))
         self._parts[f"function {name}"] = self._hash(code)
         for key in ("__defaults__", "__kwdefaults__", *vars(function)):
             if (value := getattr(function, key)) is not None:
                 self.value(f"{name}.{key}", value)
-        # the variables of enclosing functions
-        for variable, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
-            with contextlib.suppress(ValueError):  # not set
-                values[variable] = f"{variable} around {name}", cell.cell_contents
-        # variables with the attributes that are taken from them
         chains, imports = _reads(code)
+        self._read_chains(name, function, chains)
+        package = function.__globals__.get("__package__") or ""
+        for level, module, names in imports:
+            with contextlib.suppress(ImportError):  # the run will raise it
+                self._read_import(importlib.util.resolve_name("." * level + module, package), names)
+
+    def _read_chains(
+        self, name: str, function: FunctionType, chains: list[tuple[str, ...]]
+    ) -> None:
+        """Add the globals and the variables of enclosing functions that a function reads, each first in
+        a chain with the attributes that are taken from it."""
+        namespace = function.__globals__
+        home = self._home(namespace.get("__name__", "__main__"))
+        enclosing: dict[str, object] = {}
+        for variable, cell in zip(
+            function.__code__.co_freevars, function.__closure__ or (), strict=True
+        ):
+            with contextlib.suppress(ValueError):  # not set
+                enclosing[variable] = cell.cell_contents
         for first, *attributes in chains:
-            hidden = _HIDDEN.intersection(
-                (first, *attributes) if first not in namespace else attributes
-            )
-            if hidden - set(self._depends):
+            # a global of the user may have one of the hidden names
+            names = attributes if first in namespace else (first, *attributes)
+            hidden = _HIDDEN.intersection(names) - set(self._depends)
+            if hidden:
                 raise TypeError(
                     f"{name} reads {min(hidden)}, so that it cannot be seen what results depend on: name "
                     f"what stands for it: depends={{{min(hidden)!r}: ...}}"
                 )
-            if first in values or first in namespace:
-                place, part = values.get(first) or (f"{home}.{first}", namespace[first])
-                self._read(place, part, attributes)
-        # modules of the user that the function imports while it runs
-        for level, module, names in imports:
-            with contextlib.suppress(ImportError):  # the run will raise it
-                module = importlib.util.resolve_name(
-                    "." * level + module, namespace.get("__package__") or ""
-                )
-                if not self.is_own(module):
-                    continue
-                found = importlib.import_module(module)
-                for item in names or ():
-                    if not hasattr(found, item):
-                        importlib.import_module(f"{module}.{item}")
-                    self._read(self._home(module), found, [item])
-                for part in itertools.accumulate(
-                    [] if names else module.split("."), "{}.{}".format
-                ):
-                    self.value(self._home(part), sys.modules[part])
+            if first in enclosing:
+                self._read(f"{first} around {name}", enclosing[first], attributes)
+            elif first in namespace:
+                self._read(f"{home}.{first}", namespace[first], attributes)
+
+    def _read_import(self, module: str, names: tuple[str, ...] | None) -> None:
+        """Add what a function imports while it runs, if the module is the user's: the ``names`` from it,
+        or, without names, the module and the packages around it, which ``import a.b.c`` loads, too."""
+        if not self.is_own(module):
+            return
+        imported = importlib.import_module(module)
+        for item in names or ():
+            if not hasattr(imported, item):
+                importlib.import_module(f"{module}.{item}")
+            self._read(self._home(module), imported, [item])
+        if not names:
+            for part in itertools.accumulate(module.split("."), "{}.{}".format):
+                self.value(self._home(part), sys.modules[part])
 
     def _read(self, where: str, value: object, attributes: Sequence[str]) -> None:
         """Add a variable, or of a user's module the attribute that is taken from it."""
@@ -347,31 +363,53 @@ class _Pickler(pickle.Pickler):
     instances: dict[int, tuple[int, object]]
 
     def persistent_id(self, value: typing.Any) -> object:
-        """Return the value that replaces an object in the pickle; None: the object is pickled."""
-        kind = type(value)
-        found = self.found
-        if kind in _BASES[:3] or kind in (str, int, float, bool, type(None), bytes):
+        """Return the value that replaces an object in the pickle; None: the object is pickled. The first
+        of the replacements below that knows the object decides."""
+        if type(value) in _PICKLED:
             return None
+        for replacement in (self._name, self._builtin, self._compiled, self._external):
+            replaced = replacement(value)
+            if replaced is not None:
+                return replaced
+        return self._instance(value)
+
+    def _name(self, value: typing.Any) -> object:
+        """Return the name of a function, class or module."""
         if isinstance(value, _NAMED):
-            return found.name_of(value)
-        if kind is BuiltinFunctionType and isinstance(value.__self__, ModuleType):
-            return found.name_of(value.__self__), value.__name__
-        # builtin objects whose pickle depends on the order of a hash, or that have none
+            return self.found.name_of(value)
+        if type(value) is BuiltinFunctionType and isinstance(value.__self__, ModuleType):
+            return self.found.name_of(value.__self__), value.__name__
+        return None
+
+    def _builtin(self, value: typing.Any) -> object:
+        """Return the content of a builtin object whose pickle depends on the order of a hash, or that
+        has none."""
+        kind = type(value)
         if kind in (set, frozenset):
-            return kind.__name__, sorted(_pickled(item, found, self.files) for item in value)
-        if kind in (CodeType, MappingProxyType):
-            return _plain_code(value) if kind is CodeType else dict(value)
+            return kind.__name__, sorted(_pickled(item, self.found, self.files) for item in value)
+        if kind is CodeType:
+            return _plain_code(value)
+        if kind is MappingProxyType:
+            return dict(value)
         if kind in _COMPARED_BY:
             return kind.__name__, [getattr(value, name) for name in _COMPARED_BY[kind]]
-        module = kind.__module__ if isinstance(kind.__module__, str) else "builtins"
-        # what numba compiles is compared by its source
-        if module.startswith("numba.") and hasattr(value, "jit_methods"):  # of a jitclass
+        return None
+
+    def _compiled(self, value: typing.Any) -> object:
+        """Return the source of what numba compiles."""
+        if not _module_of(type(value)).startswith("numba."):
+            return None
+        if hasattr(value, "jit_methods"):  # of a jitclass
             return str(value.struct), value.jit_methods, value.jit_props, value.jit_static_methods
-        if module.startswith("numba.") and isinstance(
-            inner := getattr(value, "py_func", getattr(value, "__wrapped__", None)), FunctionType
-        ):
+        inner = getattr(value, "py_func", getattr(value, "__wrapped__", None))
+        if isinstance(inner, FunctionType):
             return "numba", inner, repr(sorted(getattr(value, "targetoptions", {}).items()))
-        # objects with a state outside of the run
+        return None
+
+    def _external(self, value: typing.Any) -> object:
+        """Return what stands for an object with a state outside of the run, or for one of a library whose
+        pickle changes; PicklingError for one that cannot be compared."""
+        kind = type(value)
         if value is _NUMPY_GENERATOR:  # its state belongs to the library
             return "numpy.random"
         if isinstance(value, _REFUSED) or isinstance(getattr(value, "__self__", None), _REFUSED):
@@ -381,7 +419,7 @@ class _Pickler(pickle.Pickler):
             )
         if self.files and isinstance(value, Path):
             return "file", _content(value)
-        if (module, kind.__name__) == ("netgen.libngpy._meshing", "Mesh"):
+        if (_module_of(kind), kind.__name__) == ("netgen.libngpy._meshing", "Mesh"):
             raise pickle.PicklingError(
                 "the pickle of a mesh of Netgen differs in each process, that of am.mesh.as_mesh(mesh) does not"
             )
@@ -389,18 +427,28 @@ class _Pickler(pickle.Pickler):
             # scipy notes there whether the indices are sorted, when it is asked
             noted = ("_has_sorted_indices", "_has_canonical_format")
             return kind, {name: part for name, part in vars(value).items() if name not in noted}
-        # instances of classes of the user, and of those that remember results in themselves
+        return None
+
+    def _instance(self, value: typing.Any) -> object:
+        """Return the contents of an instance of a class of the user, or of one whose pickle would have
+        measured seconds and cached properties, too: it is that of all attributes; None for others."""
+        kind = type(value)
         leaves_out = bool(_measured(kind)) or any(
             type(part) is cached_property for owner in kind.__mro__ for part in vars(owner).values()
         )
-        if not found.is_own(module, kind) and not (
-            leaves_out and kind.__reduce__ is object.__reduce__
-        ):
+        pickles_attributes = kind.__reduce__ is object.__reduce__
+        is_own = self.found.is_own(_module_of(kind), kind)
+        if not is_own and not (leaves_out and pickles_attributes):
             return None
         if id(value) in self.instances:
             return "again", self.instances[id(value)][0]
         self.instances[id(value)] = len(self.instances), value
-        return _contents(value, found)
+        return _contents(value, self.found)
+
+
+def _module_of(kind: type) -> str:
+    """Return the name of the module of a class; a few classes have something else in its place."""
+    return kind.__module__ if isinstance(kind.__module__, str) else "builtins"
 
 
 def _measured(kind: type) -> set[str]:
@@ -413,33 +461,30 @@ def _measured(kind: type) -> set[str]:
 
 def _contents(value: typing.Any, found: _Parts) -> tuple[object, ...]:
     """Return the class of an instance and all that it holds, except measured seconds and cached
-    properties, which follow from the rest: its own pickle may leave out more."""
+    properties, which follow from the rest: its own pickle may leave out more.
+
+    Besides slots and attributes that is what a base class holds: of a subclass of an array, say, the
+    numbers, by the ``__reduce__`` of the array; of a subclass of dict the items, as a plain dict."""
     kind = type(value)
     class_attributes = {
         name: part for owner in reversed(kind.__mro__) for name, part in vars(owner).items()
     }
     measured = _measured(kind)
-    attributes = {
+    slots = {
         name: getattr(value, name)
         for name, part in class_attributes.items()
         if type(part) is MemberDescriptorType and hasattr(value, name)
     }
-    attributes |= {
+    attributes = slots | {
         name: item
         for name, item in getattr(value, "__dict__", {}).items()
         if type(class_attributes.get(name)) is not cached_property and name not in measured
     }
-    reduce = next(
-        (
-            vars(base)["__reduce__"]
-            for base in kind.__mro__[:-1]
-            if "__reduce__" in vars(base) and not found.is_own(base.__module__)
-        ),
-        None,
-    )
-    if reduce is not None:  # that of a base class which is not the user's, such as arrays
-        return kind, attributes, reduce(value)
-    return kind, attributes, next((base(value) for base in _BASES if isinstance(value, base)), None)
+    for base in kind.__mro__[:-1]:  # the last one is object, whose __reduce__ holds no more
+        if "__reduce__" in vars(base) and not found.is_own(base.__module__):
+            return kind, attributes, vars(base)["__reduce__"](value)
+    plain = next((base(value) for base in _BASES if isinstance(value, base)), None)
+    return kind, attributes, plain
 
 
 def _pickled(value: object, found: _Parts, files: bool = False) -> bytes:

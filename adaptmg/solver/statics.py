@@ -253,6 +253,14 @@ def _check_body(body: _Body) -> None:
     limit, _ = problem.law.bounds(len(problem.contact))
     friction = sampled_friction(problem.law, len(problem.contact)).max(axis=0)
     forces = _contact_forces(body, limit / scale, friction)
+    _check_balance(body, forces, work)
+    _check_unique(body, forces, has_friction=bool(friction.any()))
+    if np.abs(work).max() <= checks.SIX_DIGITS:
+        _check_enclosed(body, forces)
+
+
+def _check_balance(body: _Body, forces: _Forces, work: np.ndarray) -> None:
+    """Raise ValueError unless contact forces balance the ``work`` (k,) of the load on free motions."""
     unbalanced, motion = forces.least_unbalanced(work)
     if unbalanced > checks.SIX_DIGITS:
         motion = _motion_to_blame(body, forces, work, motion)
@@ -260,27 +268,36 @@ def _check_body(body: _Body) -> None:
             f"nothing holds a {body.describe(motion)}: the supports leave it free, and contact cannot "
             f"balance the load on it{_required_friction(body, work)}; {body.remedy}"
         )
+
+
+def _check_unique(body: _Body, forces: _Forces, has_friction: bool) -> None:
+    """Raise ValueError if no contact force works on some free motion."""
     neutral = _null_combinations(np.hstack([forces.edges, forces.segments]).T)
-    if len(neutral):
-        motion = body.describe(_axis_motion_in_span(body, neutral))
-        # no pressure works on it: the body is round where it touches, and no node is a natural support
-        turns = motion.startswith("rotation") and forces.edges.size and not friction.any()
+    if not len(neutral):
+        return
+    motion = body.describe(_axis_motion_in_span(body, neutral))
+    remedy = body.remedy
+    if motion.startswith("rotation") and forces.edges.size and not has_friction:
+        # no pressure works on a body that is round where it touches
+        remedy += ", or model half of a round body, or give its contact a little friction"
+    raise ValueError(
+        f"the solution is not unique: a {motion} is left free by supports, contact and load; {remedy}"
+    )
+
+
+def _check_enclosed(body: _Body, forces: _Forces) -> None:
+    """Raise ValueError unless contact encloses a body without a load on its free motions, so that
+    pressures at all nodes may balance each other. If factors c >= 0 of the n edges balance their mean,
+    the factors c + 1/n > 0 do that. Tresca's friction presses nothing."""
+    mean_edge = forces.edges.mean(axis=1)
+    pressures = replace(forces, limits=np.zeros_like(forces.limits))
+    unbalanced, motion = pressures.least_unbalanced(mean_edge)
+    if unbalanced > checks.SIX_DIGITS:
+        motion = _axis_motion_or(body, pressures, mean_edge, motion)
         raise ValueError(
-            f"the solution is not unique: a {motion} is left free by supports, contact and load; {body.remedy}"
-            f"{', or model half of a round body, or give its contact a little friction' if turns else ''}"
+            f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
+            f"by supports and load; {body.remedy}, or a load"
         )
-    if np.abs(work).max() <= checks.SIX_DIGITS:
-        # no load on the free motions: only bodies that contact encloses are held, whose pressures
-        # balance each other
-        away = forces.edges.mean(axis=1)
-        forces = replace(forces, limits=np.zeros_like(forces.limits))
-        unbalanced, motion = forces.least_unbalanced(away)
-        if unbalanced > checks.SIX_DIGITS:
-            motion = _axis_motion_or(body, forces, away, motion)
-            raise ValueError(
-                f"nothing presses the body against its obstacle: a {body.describe(motion)} is left free "
-                f"by supports and load; {body.remedy}, or a load"
-            )
 
 
 def _required_friction(body: _Body, work: np.ndarray) -> str:
@@ -395,17 +412,19 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
     # a limit may be infinite, which a programme cannot take: a million loads are enough
     limit = np.minimum(limit[on_body], 1 / checks.SIX_DIGITS)
     friction = friction[on_body]
-    rubs = friction > 0
-    is_limited = limit > 0
-    corners, directions, half_length = _friction_polygon(dim)
-    # work of the friction at unit pressure, towards each corner of the polygon for the circle
-    rubbing = friction[rubs, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubs])
     k = body.motions.shape[1]
-    in_front = ~rubs & np.isfinite(contact.gaps[on_body])
-    behind = normal[np.isfinite(contact.opposite_gaps[on_body])] if dim == 1 else normal[:0]
-    # -p n + t at p = 1, t towards each corner of the circle of radius mu
+    corners, directions, half_length = _friction_polygon(dim)
+    # with friction the cone -p n + t at p = 1: an edge for each corner t of the polygon about the
+    # circle of radius mu
+    rubs = friction > 0
+    rubbing = friction[rubs, None, None] * np.einsum("ct,ntk->nck", corners, tangential[rubs])
     cones = (rubbing - normal[rubs, None]).reshape(-1, k)
-    edges = np.concatenate([-normal[in_front], behind, cones])
+    # without friction -p n, at each obstacle: scalar problems may have two, or none in front
+    has_obstacle = np.isfinite(contact.gaps[on_body])
+    behind = normal[np.isfinite(contact.opposite_gaps[on_body])] if dim == 1 else normal[:0]
+    edges = np.concatenate([-normal[~rubs & has_obstacle], behind, cones])
+    # Tresca's friction is a sum of segments, whether a node touches or not
+    is_limited = limit > 0
     segments = np.einsum("st,ntk->nsk", directions, tangential[is_limited]).reshape(-1, k)
     return _Forces(edges.T, segments.T, np.repeat(limit[is_limited] * half_length, len(directions)))
 
@@ -413,10 +432,11 @@ def _contact_forces(body: _Body, limit: np.ndarray, friction: np.ndarray) -> _Fo
 def _motion_to_blame(
     body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray
 ) -> np.ndarray:
-    """Return the free motion (k,) that a message blames for unbalanced work: if possible one along or
-    about a coordinate axis, else one that opens or tips, else one that slides."""
-    on_axis = _axis_motion_or(body, forces, work, motion)
-    if on_axis is not motion:
+    """Return the free motion (k,) that a message blames for unbalanced work, of which ``motion`` is
+    one: if possible a motion along or about a coordinate axis; else one that opens contact, which
+    friction without a bound leaves; else the part of ``motion`` that slides."""
+    on_axis = _unbalanced_axis_motion(body, forces, work)
+    if on_axis is not None:
         return on_axis
     n = len(body.problem.contact)
     stuck = _contact_forces(body, np.full(n, np.inf), np.zeros(n))
@@ -496,13 +516,18 @@ def _axis_motions(
     return np.stack([column.reshape(-1) for column in columns], axis=1), centre, size
 
 
+def _unbalanced_axis_motion(body: _Body, forces: _Forces, work: np.ndarray) -> np.ndarray | None:
+    """Return a motion (k,) along or about a coordinate axis that the forces leave unbalanced, None if
+    there is none."""
+    return next((c for c in _free_axis_motions(body) if forces.leaves_unbalanced(c, work)), None)
+
+
 def _axis_motion_or(
     body: _Body, forces: _Forces, work: np.ndarray, motion: np.ndarray
 ) -> np.ndarray:
-    """Return a motion along or about a coordinate axis that the forces leave unbalanced, or else
-    ``motion`` (k,)."""
-    unbalanced = (c for c in _free_axis_motions(body) if forces.leaves_unbalanced(c, work))
-    return next(unbalanced, motion)
+    """Return an unbalanced motion along or about a coordinate axis, or else ``motion`` (k,)."""
+    on_axis = _unbalanced_axis_motion(body, forces, work)
+    return motion if on_axis is None else on_axis
 
 
 def _axis(direction: np.ndarray) -> str:
