@@ -237,18 +237,18 @@ def _shares(surface: Surface, carries: np.ndarray, axisymmetric: bool) -> sparse
 
 
 def taken_over(
-    surface: Surface, carries: np.ndarray, axisymmetric: bool, silent: np.ndarray | None = None
+    surface: Surface, carries: np.ndarray, axisymmetric: bool, giving: np.ndarray | None = None
 ) -> sparse.csr_array:
-    """Return the measures (n_nodes, n_nodes) that nodes with multipliers, rows, take over from other
-    nodes of a surface, columns: from all without one, or from those in the mask ``silent``
-    (n_nodes,). ``carries`` is the mask of nodes with multipliers."""
-    if carries[surface.nodes].all():  # of most boundaries: half of the time that these take
+    """Return the measures E_ji w_i (n_nodes, n_nodes) that nodes j with multipliers, rows, take over
+    from nodes i without one, columns, of which each gives away its boundary measure w_i by the shares
+    E_ji. ``carries`` is the mask (n_nodes,) of nodes with multipliers; with a mask ``giving`` only
+    nodes in it give their measure away."""
+    if carries[surface.nodes].all():  # most boundaries; the rest would double their time
         return sparse.csr_array((len(carries), len(carries)))
-    # E_ji w_i
-    share = _shares(surface, carries, axisymmetric)
-    measure = surface.lumped(axisymmetric)
-    given = np.where(carries if silent is None else carries | ~silent, 0.0, measure)
-    result = sparse.csr_array(share.T @ sparse.diags_array(given, format="csr"))
+    shares = _shares(surface, carries, axisymmetric)  # E'
+    gives = ~carries if giving is None else giving & ~carries
+    measures = np.where(gives, surface.lumped(axisymmetric), 0.0)
+    result = sparse.csr_array(shares.T @ sparse.diags_array(measures, format="csr"))
     result.eliminate_zeros()
     return result
 
@@ -278,7 +278,11 @@ def _facet_heights(surface: Surface) -> np.ndarray:
 
 
 def node_to_node(surfaces: Surfaces) -> MortarInterface:
-    """Couple each node of a slave surface to the nearest node of a master surface."""
+    """Couple each node j of a slave surface to the nearest node k(j) of a master surface.
+
+    A node next to nodes i without a multiplier that have a partner takes them over: it carries the
+    condition u_j - u_k(j) + sum_i E_ji w_i/w_j (u_i - u_k(i)), and so for the gaps. Nodes without a
+    multiplier and without a partner, where the slave hangs over, give nothing away."""
     points = surfaces.points
     normals = surfaces.normals
     nodes = surfaces.slave_side.nodes
@@ -292,23 +296,21 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
     offset = np.linalg.norm(to_partner - gaps[:, None] * normal, axis=1)
     has_partner = _with_partners(surfaces, nodes, partner, offset)
     n = len(points)
-    carries = surfaces.carries
-    matched = mask_of(nodes[has_partner], n)
     weights = surfaces.slave_side.lumped(surfaces.axisymmetric)
-    taken_by_neighbours = taken_over(surfaces.slave_side, carries, surfaces.axisymmetric, matched)
-    taken_by_neighbours = (
-        sparse.diags_array(1 / np.where(weights > 0, weights, 1.0)) @ taken_by_neighbours
+    # E_ji w_i / w_j
+    taken = sparse.diags_array(1 / np.where(weights > 0, weights, 1.0)) @ taken_over(
+        surfaces.slave_side,
+        surfaces.carries,
+        surfaces.axisymmetric,
+        giving=mask_of(nodes[has_partner], n),
     )
-    distances = np.bincount(nodes, gaps, minlength=n)
     partners = sparse.csr_array((np.ones(len(nodes)), (nodes, partner)), shape=(n, n))
-    # a node next to others without a multiplier, i: u_j - u_k(j) + sum E_ji w_i/w_j (u_i - u_k(i))
-    coupling = sparse.csr_array(
-        partners + taken_by_neighbours @ (partners - sparse.eye_array(n, format="csr"))
-    )
-    carries_multiplier = carries[nodes]
-    nodes = nodes[carries_multiplier]
-    normal = normal[carries_multiplier]
-    gaps = gaps[carries_multiplier]
+    coupling = sparse.csr_array(partners + taken @ (partners - sparse.eye_array(n, format="csr")))
+    taken_gaps = taken @ np.bincount(nodes, gaps, minlength=n)
+    carries = surfaces.carries[nodes]
+    nodes = nodes[carries]
+    normal = normal[carries]
+    gaps = gaps[carries]
     weights = weights[nodes]
     if not weights.min() > 0:
         raise ValueError(
@@ -319,10 +321,10 @@ def node_to_node(surfaces: Surfaces) -> MortarInterface:
         nodes=nodes,
         normals=normal,
         weights=weights,
-        gaps=gaps + (taken_by_neighbours @ distances)[nodes],
+        gaps=gaps + taken_gaps[nodes],
         coupling=_without_rounding(sparse.csr_array(coupling[nodes])),
         closest=gaps,
-        taken_over=sparse.csr_array(taken_by_neighbours)[nodes],
+        taken_over=sparse.csr_array(taken)[nodes],
     )
 
 
@@ -358,81 +360,93 @@ def _with_partners(
 
 
 def mortar(surfaces: Surfaces, reach: float | None = None) -> MortarInterface:
-    """Couple the nodes of a slave surface to a master surface by dual mortar functions."""
-    from adaptmg.discrete.mortar_parts import covered_parts
-
-    carries = surfaces.carries[surfaces.slave]  # (n_slave, k): corners that have a multiplier
+    """Couple the nodes of a slave surface to a master surface by dual mortar functions: the matrices D
+    and M of the module, and the gaps."""
     n_nodes = len(surfaces.points)
-    covered = covered_parts(surfaces, reach)
-    parts = covered.only(covered.enough[covered.slave])
-    without_multiplier = ~np.any(carries, axis=1)
-    if without_multiplier[parts.slave].all():
-        if len(covered.slave):
-            raise ValueError(
-                "the surfaces face each other only where slave nodes are excluded, or on a sliver of each "
-                "facet; take the other surface as slave"
-            )
-        within_reach = "" if reach is None else f" within a reach of {reach:.6g} m"
-        raise ValueError(
-            f"{NEVER_FACING}{within_reach}: no ray along a normal of the slave surface meets the outer side of "
-            "the master surface. Check their positions and the orientation of their facets, or give a "
-            "larger reach"
-        )
+    carries = surfaces.carries[surfaces.slave]  # (n_slave, k): corners that have a multiplier
+    parts = _covered_enough(surfaces, reach)
     measure, shape, dual = _dual_functions(parts)
-    shape_mass = measure[:, None] * shape
-    # Corner i of a facet tests the gap with sum_j share_ij psi_j over the corners j: corners without
-    # a multiplier give their dual functions psi to the others in equal parts. Where no corner of a
-    # facet has a multiplier, each keeps its function; node_share gives it to other nodes below.
-    share = (
-        carries[:, :, None]
-        * ~carries[:, None, :]
-        / np.maximum(carries.sum(axis=1), 1)[:, None, None]
-    )
-    share = share + np.eye(carries.shape[1]) * (carries | without_multiplier[:, None])[:, :, None]
-    # quadrature weights times the test functions
-    tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", share[parts.slave], dual)
-    mass_without_multiplier = share * np.where(carries, 0.0, shape_mass)[:, None, :]
-    # sums over facets: M (``facing``), D (``diagonal`` at nodes with a multiplier, ``taken_over_rows``
-    # at the others) and the integrals of the gap
+    shape_integrals = measure[:, None] * shape  # of phi_j over the covered parts
+    shares = _shares_in_facets(carries)
+    # the test functions of corners at the points of parts, times the quadrature weights
+    tests = parts.weights[:, None] * np.einsum("pij,pqj->piq", shares[parts.slave], dual)
     slave = surfaces.slave[parts.slave]
-    products = np.einsum("piq,pqk->pik", tests, parts.shapes)
-    facing = _assembled(products, slave, surfaces.master[parts.master], n_nodes)
-    taken_over_rows = None
-    if mass_without_multiplier.any():
-        taken_over_rows = _assembled(
-            mass_without_multiplier, surfaces.slave, surfaces.slave, n_nodes
-        )
-    diagonal = np.bincount(
-        surfaces.slave.ravel(), np.where(carries, shape_mass, 0.0).ravel(), minlength=n_nodes
+    M = _assembled(
+        np.einsum("piq,pqk->pik", tests, parts.shapes),
+        slave,
+        surfaces.master[parts.master],
+        n_nodes,
     )
-    gaps = np.bincount(
+    gap_integrals = np.bincount(
         slave.ravel(), np.einsum("piq,pq->pi", tests, parts.distances).ravel(), minlength=n_nodes
     )
-    least = checks.ROUNDING * surfaces.slave_side.lumped(surfaces.axisymmetric)
-    nodes = np.flatnonzero(diagonal > least)
-    if taken_over_rows is not None and without_multiplier[parts.slave].any():
-        node_share = _shares(surfaces.slave_side, diagonal > least, surfaces.axisymmetric).T
-        facing = sparse.csr_array(node_share @ facing)
-        taken_over_rows = sparse.csr_array(node_share @ taken_over_rows)
-        gaps = node_share @ gaps
+    # D_aa at nodes a with a multiplier, and D_ab that they take over from nodes b without one
+    D = np.bincount(
+        surfaces.slave.ravel(), np.where(carries, shape_integrals, 0.0).ravel(), minlength=n_nodes
+    )
+    D_taken = None
+    taken_in_facets = shares * np.where(carries, 0.0, shape_integrals)[:, None, :]
+    if taken_in_facets.any():
+        D_taken = _assembled(taken_in_facets, surfaces.slave, surfaces.slave, n_nodes)
+    is_tested = checks.ROUNDING * surfaces.slave_side.lumped(surfaces.axisymmetric) < D
+    nodes = np.flatnonzero(is_tested)
+    if D_taken is not None and not np.any(carries, axis=1)[parts.slave].all():
+        # facets of which no corner carries a multiplier are tested by the nodes around them
+        node_shares = _shares(surfaces.slave_side, is_tested, surfaces.axisymmetric).T
+        M = sparse.csr_array(node_shares @ M)
+        D_taken = sparse.csr_array(node_shares @ D_taken)
+        gap_integrals = node_shares @ gap_integrals
+    # M_ak / D_aa, minus D_ab / D_aa
+    over_D = sparse.diags_array(1 / D[nodes], format="csr")
+    coupling = over_D @ M[nodes]
+    if D_taken is not None:
+        D_taken = sparse.csr_array(over_D @ D_taken[nodes])
+        D_taken.eliminate_zeros()
+        coupling = coupling - D_taken
     closest = np.full(n_nodes, np.inf)
     np.minimum.at(closest, slave, parts.distances.min(axis=1)[:, None])
-    # M_ak / D_aa, minus D_ab / D_aa at nodes b without a multiplier
-    over_diagonal = sparse.diags_array(1 / diagonal[nodes], format="csr")
-    coupling = over_diagonal @ facing[nodes]
-    if taken_over_rows is not None:
-        taken_over_rows = sparse.csr_array(over_diagonal @ taken_over_rows[nodes])
-        taken_over_rows.eliminate_zeros()
-        coupling = coupling - taken_over_rows
     return MortarInterface(
         nodes=nodes,
         normals=surfaces.normals[nodes],
-        weights=diagonal[nodes],
-        gaps=gaps[nodes] / diagonal[nodes],
+        weights=D[nodes],
+        gaps=gap_integrals[nodes] / D[nodes],
         coupling=_without_rounding(sparse.csr_array(coupling)),
         closest=closest[nodes],
-        taken_over=taken_over_rows,
+        taken_over=D_taken,
     )
+
+
+def _covered_enough(surfaces: Surfaces, reach: float | None) -> CoveredParts:
+    """Return the covered parts of the slave facets of which more than a sliver is covered; ValueError
+    if none of these facets has a corner with a multiplier."""
+    from adaptmg.discrete.mortar_parts import covered_parts
+
+    covered = covered_parts(surfaces, reach)
+    parts = covered.only(covered.enough[covered.slave])
+    if surfaces.carries[surfaces.slave[parts.slave]].any():
+        return parts
+    if len(covered.slave):
+        raise ValueError(
+            "the surfaces face each other only where slave nodes are excluded, or on a sliver of each "
+            "facet; take the other surface as slave"
+        )
+    within_reach = "" if reach is None else f" within a reach of {reach:.6g} m"
+    raise ValueError(
+        f"{NEVER_FACING}{within_reach}: no ray along a normal of the slave surface meets the outer side of "
+        "the master surface. Check their positions and the orientation of their facets, or give a "
+        "larger reach"
+    )
+
+
+def _shares_in_facets(carries: np.ndarray) -> np.ndarray:
+    """Return the shares (n, k, k) with which corner a of a facet, rows, tests with the dual function
+    psi_b of corner b, columns, by the mask (n, k) of corners that carry a multiplier: all of its own
+    function, and an equal part of those of corners without one. Where no corner of a facet carries
+    one, each keeps its function."""
+    of_others = carries[:, :, None] * ~carries[:, None, :]
+    n_carrying = np.maximum(carries.sum(axis=1), 1)[:, None, None]
+    keeps_own = carries | ~np.any(carries, axis=1)[:, None]
+    return of_others / n_carrying + np.eye(carries.shape[1]) * keeps_own[:, :, None]
 
 
 def _assembled(

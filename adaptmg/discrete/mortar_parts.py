@@ -252,14 +252,17 @@ def _edges_near(
     surfaces: Surfaces, backward: float, forward: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return slave and master edges (n,) that may lie opposite: boxes around the rays of slave
-    edges meet master edges, which face them."""
+    edges, by ``backward`` and ``forward`` along the unit normals, meet master edges, which face them."""
     end_normals = surfaces.normals[surfaces.slave]
     ends = surfaces.points[surfaces.slave]
     mean = end_normals.mean(axis=1)
-    shortest = np.linalg.norm(mean, axis=1)[:, None, None]  # of n(s), for unit normals at the ends
+    # n(s) between two unit normals is shortest in the middle: a distance d along the unit normal is at
+    # most d / |mean| times n(s), so that the rays lie between those at the ends with this factor
+    shortest = np.linalg.norm(mean, axis=1)[:, None, None]
     corners = np.concatenate(
         [ends - backward / shortest * end_normals, ends + forward / shortest * end_normals], axis=1
     )
+    # axes of the box of each edge by row: across the mean normal, and along it
     frames = np.stack([np.column_stack([mean[:, 1], -mean[:, 0]]), mean], axis=1) / shortest
     local = np.einsum("ead,ekd->eka", frames, corners - ends[:, :1])
     rounding = 1e-12 * surfaces.size
@@ -518,18 +521,10 @@ def _common_parts(
     master = near[has_part]
     master_corners = master_corners[has_part, ::-1]
     moments = moments[has_part]
-    area, centroid, (xx, xy, yy) = moments[:, 0], moments[:, 1:3], moments[:, 3:].T
-    # the points are the corners of an equilateral triangle times the Cholesky factor of the covariance
-    factor_xx = np.sqrt(xx)
-    factor_yx = xy / factor_xx
-    factor_yy = np.sqrt(np.maximum(yy - factor_yx**2, 0.0))
-    steps = np.stack(
-        [
-            factor_xx[:, None] * _POINTS[0],
-            factor_yx[:, None] * _POINTS[0] + factor_yy[:, None] * _POINTS[1],
-        ],
-        axis=2,
-    )
+    area = moments[:, 0]
+    centroid = moments[:, 1:3]
+    steps = _steps_to_points(*moments[:, 3:].T)
+    # shape functions are affine: their values at the centroid plus slopes times the steps
     at_centroid, master_slope = _barycentric(master_corners[..., :2], centroid)
     slave_at_centroid, slave_slope = _barycentric(local[slave, :, :2], centroid)
     shapes = at_centroid[:, None] + np.einsum("pqa,pka->pqk", steps, master_slope)
@@ -546,7 +541,7 @@ def _common_parts(
         "fd,fd->f", surfaces.slave_side.vectors, frames[:, 2]
     )
     weights = np.repeat((area * stretch[slave] / 3)[:, None], 3, axis=1)
-    # places are relative to the centroid of a part of the facet
+    # places are relative to the centroid of one part of the facet, the last: any of them will do
     origin = np.zeros((len(frames), 2))
     origin[slave] = centroid
     covered = np.bincount(slave, weights.sum(axis=1), minlength=len(frames))
@@ -560,6 +555,17 @@ def _common_parts(
         corners=local[..., :2] - origin[:, None],
         enough=covered >= checks.SIX_DIGITS * surfaces.slave_side.measures,
     )
+
+
+def _steps_to_points(xx: np.ndarray, xy: np.ndarray, yy: np.ndarray) -> np.ndarray:
+    """Return the steps (n, 3, 2) from the centroids of parts with these covariances (n,) to their three
+    points: the corners of an equilateral triangle times the Cholesky factor of the covariance."""
+    factor_xx = np.sqrt(xx)
+    factor_yx = xy / factor_xx
+    factor_yy = np.sqrt(np.maximum(yy - factor_yx**2, 0.0))
+    x = factor_xx[:, None] * _POINTS[0]
+    y = factor_yx[:, None] * _POINTS[0] + factor_yy[:, None] * _POINTS[1]
+    return np.stack([x, y], axis=2)
 
 
 def _barycentric(corners: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -597,6 +603,8 @@ def common_moments(slave, masters, start, below, above, moments):
     # overwritten by the clipping
     spare = np.empty((2, 2 * ROOM, 2))
     piece = np.empty((2, ROOM, 2))
+    # triangles of a part that wait while what is hidden is cut off: at most ROOM make the part, and each
+    # of the three edges of a master that hides it leaves three more waiting, 9 < ROOM
     stack = np.empty((ROOM * (1 + most_masters), 3, 2))
     states = np.empty((ROOM * (1 + most_masters), 2), dtype=np.int64)
     for s in range(len(slave)):
@@ -605,7 +613,7 @@ def common_moments(slave, masters, start, below, above, moments):
         n = start[s + 1] - start[s]
         n_parts = 0
         facing = masters[first : first + n]
-        # the common part with each master facet, and its gap
+        # first the whole common part with each master facet, and its gap
         for i in range(n):
             _plane(facing[i], gaps[i])
             for k in range(3):
@@ -616,26 +624,17 @@ def common_moments(slave, masters, start, below, above, moments):
             if not moments[first + i, 0] > SLIVER * area or gap > above or gap < -below:
                 moments[first + i, 0] = 0.0
                 sizes[i] = 0
-            # the box around the part: low x and y, high x and y
-            for c in range(2):
-                boxes[i, c] = np.inf
-                boxes[i, 2 + c] = -np.inf
-                for k in range(sizes[i]):
-                    boxes[i, c] = min(boxes[i, c], parts[i, k, c])
-                    boxes[i, 2 + c] = max(boxes[i, 2 + c], parts[i, k, c])
+            _write_box(parts[i], sizes[i], boxes[i])
             if sizes[i] > 0:
                 n_parts += 1
         tolerance = THIN * np.sqrt(area)
-        # without what nearer parts hide
+        # then the moments of parts that nearer ones hide in part, anew, of what is left of them
         for i in range(n if n_parts > 1 else 0):
             n_hiding = 0
             for j in range(n):
                 if (
                     j != i
-                    and boxes[j, 0] < boxes[i, 2] - tolerance
-                    and boxes[j, 2] > boxes[i, 0] + tolerance
-                    and boxes[j, 1] < boxes[i, 3] - tolerance
-                    and boxes[j, 3] > boxes[i, 1] + tolerance
+                    and _overlap(boxes[i], boxes[j], tolerance)
                     and _nearer(parts, sizes, facing, gaps, i, j, tolerance, spare) == j
                 ):
                     hiding[n_hiding] = j
@@ -655,6 +654,28 @@ def common_moments(slave, masters, start, below, above, moments):
                 )
                 if not moments[first + i, 0] > tolerance * tolerance:
                     moments[first + i, 0] = 0.0
+
+
+@inner_kernel
+def _write_box(polygon, size, box):
+    """Write the box around the first ``size`` corners of a polygon: lowest x and y, highest x and y."""
+    for c in range(2):
+        box[c] = np.inf
+        box[2 + c] = -np.inf
+        for k in range(size):
+            box[c] = min(box[c], polygon[k, c])
+            box[2 + c] = max(box[2 + c], polygon[k, c])
+
+
+@inner_kernel
+def _overlap(box, other, tolerance):
+    """Return whether two boxes overlap by more than a tolerance."""
+    return (
+        other[0] < box[2] - tolerance
+        and other[2] > box[0] + tolerance
+        and other[1] < box[3] - tolerance
+        and other[3] > box[1] + tolerance
+    )
 
 
 @kernel

@@ -54,9 +54,11 @@ def in_front_of(boundaries: Boundaries, k: int, owner: np.ndarray) -> MortarInte
     taken = None
     if not movable.all():  # on few meshes
         carries = mask_of(nodes[movable], mesh.n_nodes)
+        # u_j + sum E_ji w_i/w_j u_i and so for the gaps (adaptmg.discrete.posed): the nodes i, which
+        # carry no condition, follow as a master does, with the opposite sign
         taken = taken_over(surface, carries, problem.axisymmetric)
         taken = sparse.csr_array(sparse.diags_array(1 / weights) @ taken[nodes[movable]])
-        distances = distances + taken[:, nodes] @ gaps  # g_j + sum E_ji w_i/w_j g_i
+        distances = distances + taken[:, nodes] @ gaps
     scaled, distances = along_free(free[movable], normals[movable], distances)
     return MortarInterface(
         nodes=nodes[movable],

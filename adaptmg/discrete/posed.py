@@ -341,9 +341,12 @@ class Posed(Boundaries):
         taken: sparse.csr_array | None,
     ) -> dict[str, np.ndarray]:
         """Return the compliances (n,) of the surfaces at contact nodes, in metre/N^(1/m), and the
-        exponents m (n,): a surface yields by c (F/w)^(1/m) under the force F of a node of the
-        boundary measure w. The gap of a node that takes over the part of others (``taken``) is the
-        sum of theirs and its own, each of which yields alike."""
+        exponents m (n,).
+
+        A surface with the compliance c yields by d = c p^(1/m) under the pressure p = F/w, with the
+        force F and the boundary measure w of a node: by c w^(-1/m) F^(1/m). The gap of a node j that
+        takes over nodes i (``taken``) is g_j + sum_i taken_ji g_i; under one pressure each of these
+        gaps yields by d, the sum by (1 + sum_i taken_ji) d."""
         compliance = np.zeros(len(nodes))
         exponent = np.ones(len(nodes))
         summed_gaps = np.ones(len(nodes)) if taken is None else 1 + taken.sum(axis=1)
@@ -351,9 +354,9 @@ class Posed(Boundaries):
             layer = contact_part.compliance
             if layer is not None:
                 on_boundary = owner == k
-                per_area = layer.at_points(self.mesh.points[nodes[on_boundary]])
-                per_force = per_area / weights[on_boundary] ** (1 / layer.exponent)
-                compliance[on_boundary] = per_force * summed_gaps[on_boundary]
+                of_pressure = layer.at_points(self.mesh.points[nodes[on_boundary]])
+                of_force = of_pressure / weights[on_boundary] ** (1 / layer.exponent)
+                compliance[on_boundary] = of_force * summed_gaps[on_boundary]
                 exponent[on_boundary] = layer.exponent
         return {"compliance": compliance, "exponent": exponent}
 
