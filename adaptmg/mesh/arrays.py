@@ -652,6 +652,29 @@ def mask_of(indices: np.ndarray, shape: int | tuple[int, ...]) -> np.ndarray:
     return mask
 
 
+def by_first_occurrence(
+    values: np.ndarray, axis: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Number the distinct values, or with ``axis`` 0 rows, in the order in which they occur first. Return
+    the place at which each occurs first, ascending, and the number (n,) of each value."""
+    _, first, number = np.unique(values, axis=axis, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.argsort(order)  # the inverse of the order
+    return first[order], rank[number.reshape(-1)]
+
+
+def doubled(sets: np.ndarray, nodes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return new numbers for the ``nodes`` (m,), below n, of corners of elements, so that corners in
+    different ``sets`` (m,) share no node: the lowest set at a node keeps its number, further ones have
+    n, n + 1, ...; and the nodes that these stand for."""
+    pairs, pair_of_corner = np.unique(pair_keys(sets, nodes, n), return_inverse=True)
+    node = pairs % n
+    is_further = np.ones(len(pairs), dtype=bool)
+    is_further[np.unique(node, return_index=True)[1]] = False
+    number = np.where(is_further, n - 1 + np.cumsum(is_further), node)
+    return number[pair_of_corner], node[is_further]
+
+
 def places_of(nodes: np.ndarray, n: int, dtype: DTypeLike = np.int64) -> np.ndarray:
     """Return for each of n nodes its place among some distinct ``nodes``, -1 for the others."""
     places = np.full(n, -1, dtype=dtype)
@@ -683,14 +706,16 @@ def facet_table(elements: np.ndarray, n_nodes: int) -> FacetTable:
     keys = keys[order]
     start = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
     counts = np.diff(np.r_[start, len(keys)])
-    second = np.full(len(start), -1, dtype=np.int64)
     shared = counts > 1
-    other = order[start[shared] + 1]
-    second[shared] = other // (dim + 1)
-    first = facets.take(order[start], axis=0)
+    # rows of ``facets``, dim + 1 for each element
+    row = order[start]
+    other_row = order[start[shared] + 1]
+    second = np.full(len(start), -1, dtype=np.int64)
+    second[shared] = other_row // (dim + 1)
+    distinct = facets.take(row, axis=0)
     folded = np.zeros(len(start), dtype=bool)
-    folded[shared] = same_orientation(first[shared], facets.take(other, axis=0))
-    return FacetTable(keys[start], counts, order[start] // (dim + 1), second, first, folded)
+    folded[shared] = same_orientation(distinct[shared], facets.take(other_row, axis=0))
+    return FacetTable(keys[start], counts, row // (dim + 1), second, distinct, folded)
 
 
 def same_orientation(facets: np.ndarray, others: np.ndarray) -> np.ndarray:

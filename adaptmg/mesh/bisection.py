@@ -34,6 +34,7 @@ import numpy as np
 from adaptmg import _checks as checks
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.mesh.arrays import (
+    OPPOSITE,
     MeshArrays,
     Refinement,
     element_facets,
@@ -207,14 +208,15 @@ class Refined:
 
 def refined(mesh: MeshArrays, marked: np.ndarray, passes: int | None = None) -> Refined:
     """Bisect the marked elements (n_elements,) until all their edges are halved; with ``passes``,
-    bisect them and the elements made from them until these are that number of generations younger."""
+    until each element made from them is at least that number of generations younger."""
     if passes is None:
         return _once(mesh, marked, True)
     result = _once(mesh, marked, False)
     generation = _generations(mesh)
+    # conformity may have bisected some elements of a pass several times
     for _ in range(passes - 1):
-        late = _generations(result.mesh) - generation[result.origin] < passes
-        rest = marked[result.origin] & late
+        is_older = _generations(result.mesh) - generation[result.origin] < passes
+        rest = marked[result.origin] & is_older
         if not rest.any():
             break
         following = _once(result.mesh, rest, False)
@@ -329,28 +331,25 @@ def _mesh_of(
 ) -> MeshArrays:
     """Return the mesh that rows of bisection hold (module docstring), with the boundaries and
     bodies of the mesh they come from."""
-    corners = before.dim + 1
-    marks = 2 * corners
-    opposite = element_facets(np.arange(corners)[None])[0]
-    # columns from ``corners`` to ``marks``: the facet of the mesh before that a side is a part of;
-    # new facets in the order of these
-    row, side = np.nonzero(cells[:, corners:marks] >= 0)
-    origin = cells[row, corners + side]
-    order = np.argsort(origin, kind="stable")
-    facets = cells[row[:, None], opposite[side]][order]
-    origin = origin[order]
+    k = before.dim + 1
+    elements, old_facets, marks, generation, origin = np.split(
+        cells, [k, 2 * k, 2 * k + 1, 2 * k + 2], axis=1
+    )
+    # a facet for each side that is a part of a facet of the mesh before, in the order of these
+    row, side = np.nonzero(old_facets >= 0)
+    old_facet = old_facets[row, side]
+    order = np.argsort(old_facet, kind="stable")
+    facets = elements[row[order, None], OPPOSITE[before.dim][side[order]]]
     mesh = MeshArrays(
         points,
-        cells[:, :corners],
+        elements,
         facets,
-        before.facet_labels[origin],
+        before.facet_labels[old_facet[order]],
         before.boundaries,
-        before.element_body[cells[:, -1]],
+        before.element_body[origin[:, 0]],
         before.bodies,
     )
-    history = Refinement(
-        parents, cells[:, marks].astype(np.int8), cells[:, marks + 1].astype(np.int16)
-    )
+    history = Refinement(parents, marks[:, 0].astype(np.int8), generation[:, 0].astype(np.int16))
     return with_refinement(sound_by_construction(mesh), history)
 
 
@@ -436,7 +435,9 @@ def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, order
     # first halve the edge of corners 0 and 1 of marked elements, or all their edges
     most = corners if every_edge else 2
     for e in range(n_cells):
-        for i in range(1, most if marked[e] else 0):
+        if not marked[e]:
+            continue
+        for i in range(1, most):
             for j in range(i):
                 if n_nodes == len(nodes):
                     return -1, -1
@@ -447,7 +448,9 @@ def _bisected(cells, n_cells, corners, nodes, n_nodes, marked, every_edge, order
     while n_nodes > before:
         before = n_nodes
         e = 0
-        while e < n_cells:  # children come last, and their closure is finite
+        # child 0 stays in row e, which is bisected until it has no halved edge; child 1 goes to the
+        # last row, and has its turn later
+        while e < n_cells:
             while _has_halved_edge(cells, e, corners, nodes):  # each bisection takes up a row
                 if n_cells == len(cells) or n_nodes == len(nodes):
                     return -1, -1

@@ -19,6 +19,7 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import (
     FacetTable,
     MeshArrays,
+    by_first_occurrence,
     components,
     facet_keys,
     facet_table,
@@ -182,13 +183,12 @@ def _turned_over(points: np.ndarray, cells: np.ndarray, owner: np.ndarray, n: in
 def _pieces(
     n: int, table: FacetTable, sets: dict[str, np.ndarray], bodies: Sequence[str] | None
 ) -> np.ndarray:
-    """Return the number of the piece of each element, in the order of their first elements."""
+    """Return the number of the piece of each element, in the order of their first elements. Sets of
+    cells that are bodies separate pieces; an element of several belongs to the last one."""
     label = np.zeros(n, dtype=np.int64)
     for k, name in enumerate(name for name in sets if bodies is None or name in bodies):
         label[sets[name]] = k + 1
-    part = components(table, label)
-    first = np.unique(part, return_index=True)[1]
-    return np.argsort(np.argsort(first))[part]
+    return by_first_occurrence(components(table, label))[1]
 
 
 def _names(

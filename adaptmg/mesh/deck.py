@@ -129,16 +129,18 @@ class _Deck:
             raise ValueError(f"it includes more than {_MOST_FILES} files")
         file_size("INPUT", path)  # called for its check that the file exists
         block = None
+        unfinished = False  # whether the next line may have more parameters of the block
         for number, line in enumerate(read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
             line = line.strip()
             if not line or line.startswith("**"):
                 self.of_gmsh |= line.startswith(_OF_GMSH)
                 continue
             if line.startswith("*"):
-                self._read(block, path, place)
-                block = _Block(" ".join(line[1:].split(",")[0].upper().split()), {}, number)
-                self._parameters(block, line.split(",")[1:])
-                unfinished = line.endswith(",")  # more parameters in the next line
+                self._read(block, path, place)  # the block before is complete
+                keyword, *parameters = line[1:].split(",")
+                block = _Block(" ".join(keyword.upper().split()), {}, number)
+                self._parameters(block, parameters)
+                unfinished = line.endswith(",")
             elif block is None:
                 raise _InLine(
                     f"{place}line {number}: data before the first keyword; a deck begins with a line *KEYWORD"
@@ -297,8 +299,11 @@ class _Deck:
         return self.spelling.get(name, name)
 
     def _groups(self) -> dict[str, np.ndarray]:
-        """Return the elements of each set; of Gmsh's entities only those that have elements in no
-        physical group."""
+        """Return the elements of each set.
+
+        Gmsh writes the elements by the entities of its geometry, say "Volume1", and then its physical
+        groups, say "steel", as sets of the same elements. Of entities only those count that have an
+        element in no physical group, which would else be in no set."""
         groups = {name: np.concatenate(parts) for name, parts in self.sets["ELSET"].items()}
         entities = {entity for *_, entity in self.elements if entity} if self.of_gmsh else set()
         physical = [members for name, members in groups.items() if name not in entities]

@@ -103,9 +103,10 @@ def _inside(
     keys = np.stack([pair_keys(begins, ends, n_nodes), pair_keys(ends, begins, n_nodes)])
     edges = pair_keys(tails, heads, n_nodes)
     order = np.argsort(edges)
-    row = order[np.minimum(np.searchsorted(edges, keys, sorter=order), len(edges) - 1)]
-    along, against = edges[row] == keys
-    present = mask_of(row[0, along], len(edges))
+    # for each side of a triangle, in both directions, the number of this edge of the boundary
+    edge = order[np.minimum(np.searchsorted(edges, keys, sorter=order), len(edges) - 1)]
+    along, against = edges[edge] == keys
+    present = mask_of(edge[0][along], len(edges))
     # triangles that are joined without crossing the boundary are all inside, or all outside
     across = np.where(along | against, -1, across)
     joined = across >= 0
@@ -114,8 +115,8 @@ def _inside(
         (np.ones(starts[-1]), across[joined], starts), shape=(len(elements), len(elements))
     )
     n_parts, part = connected_components(graph, directed=False)
-    inside = mask_of(part[along.any(axis=1)], n_parts)
-    inside = inside[part]
+    part_is_inside = mask_of(part[along.any(axis=1)], n_parts)
+    inside = part_is_inside[part]
     number = np.append(np.cumsum(inside) - 1, -1).astype(np.int32)
     return elements[inside], number[across[inside]], present
 

@@ -38,7 +38,14 @@ from dataclasses import replace
 import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
-from adaptmg.mesh.arrays import MeshArrays, edge_lengths, facet_keys, occurrences, trusted
+from adaptmg.mesh.arrays import (
+    MeshArrays,
+    by_first_occurrence,
+    edge_lengths,
+    facet_keys,
+    occurrences,
+    trusted,
+)
 from adaptmg.mesh.bisection import refined
 from adaptmg.mesh.delaunay import swap_all
 from adaptmg.mesh.sizes import (
@@ -135,20 +142,16 @@ def halved(mesh: MeshArrays) -> MeshArrays:
     """Return the mesh of tetrahedra with every edge cut in two."""
     n = mesh.n_nodes
     # number the distinct edges: each gets a node at its middle
-    every = facet_keys(mesh.elements[:, _EDGES].reshape(-1, 2), n)
-    keys, first, number = np.unique(every, return_index=True, return_inverse=True)
-    # new nodes are numbered in the order in which elements name their edges first; ``middles`` has the
-    # node of each of the sorted keys
-    order = np.argsort(first)
-    middles = n + np.argsort(order)  # the inverse of the order
-    low, high = np.divmod(keys[order], n)
+    edges = [mesh.elements[:, _EDGES].reshape(-1, 2), mesh.facets[:, _SIDES].reshape(-1, 2)]
+    keys = facet_keys(np.concatenate(edges), n)
+    first, number = by_first_occurrence(keys)
+    low, high = np.divmod(keys[first], n)
     points = np.concatenate([mesh.points, 0.5 * (mesh.points[low] + mesh.points[high])])
-    nodes = np.concatenate([mesh.elements, middles[number].reshape(-1, 6)], axis=1)
+    middles, middles_of_sides = np.split(n + number, [len(edges[0])])
+    nodes = np.concatenate([mesh.elements, middles.reshape(-1, 6)], axis=1)
     # eight children: four at the corners, four in the octahedron between them
     elements = np.concatenate([nodes[:, _CORNERS], _inside(points, nodes)], axis=1)
-    side_keys = facet_keys(mesh.facets[:, _SIDES].reshape(-1, 2), n)
-    middles_of_sides = middles[np.searchsorted(keys, side_keys)].reshape(-1, 3)
-    facets = np.concatenate([mesh.facets, middles_of_sides], axis=1)[:, _FACES]
+    facets = np.concatenate([mesh.facets, middles_of_sides.reshape(-1, 3)], axis=1)[:, _FACES]
     return trusted(
         replace(
             mesh,
@@ -224,7 +227,8 @@ def _spokes(zero, points, cells, item, x, spokes):
     e = item // k
     corner = item % k
     for j in range(k - 1):
-        # even permutations, so that the measure stays positive
+        # the other corners in an even permutation, so that the measure stays positive: of a tetrahedron
+        # corner ^ 1, 2, 3 are (1, 2, 3) of corner 0, (0, 3, 2) of 1, (3, 0, 1) of 2, (2, 1, 0) of 3
         other = cells[e, (corner + 1 + j) % 3 if k == 3 else corner ^ (j + 1)]
         for c in range(k - 1):
             spokes[j, c] = points[other, c] - x[c]

@@ -130,9 +130,10 @@ def _lattice(domain: Rectangle | Box, counts: tuple[int, ...]) -> MeshArrays:
     elements = _moved(simplices, cells)
     facets, labels = _boundary(domain.boundaries, counts, simplices)
     points = np.empty((math.prod(n + 1 for n in counts), dim))
-    for k, side in enumerate(sides):
-        # x fastest: the last axis goes first in the lattice
-        points.reshape(*(n + 1 for n in counts[::-1]), dim)[..., k] = side.reshape(-1, *[1] * k)
+    # x runs fastest: the last axis goes first in the lattice
+    lattice = points.reshape(*(n + 1 for n in counts[::-1]), dim)
+    for k, coordinates in enumerate(np.meshgrid(*sides[::-1], indexing="ij", sparse=True)[::-1]):
+        lattice[..., k] = coordinates
     for array in (points, elements):
         array.flags.writeable = False
     return sound_by_construction(

@@ -222,16 +222,15 @@ def _core(kind: str) -> tuple[tuple[Corners, ...], Corners]:
     inner = tuple(range(n_corners, n))
     if DIMENSIONS[shape] == 2:
         return FACETS[shape], inner
-    # a face where each corner was cut off, and one in each facet, whose second half of nodes are
-    # middle nodes
+    # a face where each corner was cut off, and one in each facet, between its middle nodes
     faces = [_around(kind, corner) for corner in range(n_corners)]
-    faces += [local[len(local) // 2 :] for _, local in facets_of(kind)]
+    faces += [tuple(node for node in local if node >= n_corners) for _, local in facets_of(kind)]
     return tuple(tuple(node - n_corners for node in face) for face in faces), inner
 
 
 def _around(kind: str, corner: int) -> Corners:
     """Return the middle nodes of the edges at a corner, one after the other as the clock runs, seen
-    from the corner."""
+    from the corner; in the plane two."""
     shape = KINDS[kind][0]
     # each face at the corner leads from the middle of one of its edges to that of the other
     steps = {}
@@ -241,6 +240,7 @@ def _around(kind: str, corner: int) -> Corners:
             steps[_middle(kind, corner, face[(at + 1) % len(face)])] = _middle(
                 kind, corner, face[at - 1]
             )
+    # in the plane the only step, in space steps that close a ring, which begins with its lowest node
     ring = [min(steps)]
     while steps.get(ring[-1], ring[0]) != ring[0]:
         ring.append(steps[ring[-1]])

@@ -20,10 +20,10 @@ from adaptmg import _checks as checks
 from adaptmg.mesh.arrays import (
     MeshArrays,
     Surface,
+    doubled,
     facet_keys,
     facet_table,
     mask_of,
-    pair_keys,
     positive,
     same_orientation,
     sound_by_construction,
@@ -60,21 +60,16 @@ def opened(
         np.concatenate([corners(cell[joined], nodes) for nodes in table.facets[joined].T])
         for cell in (table.first, table.second)
     )
-    part = connected_components(
+    corner_set = connected_components(
         sparse.coo_array((np.ones(len(a), dtype=bool), (a, b)), shape=(cells.size, cells.size))
     )[1]
-    # a connected set of corners at a slit is one node: the first keeps the number, others are new
+    # each connected set of corners at a node of a slit gets a node; elsewhere all corners stay together
     node = cells.ravel()
-    pairs, number = np.unique(
-        pair_keys(np.where(at_slit[node], part, cells.size), node, n_nodes), return_inverse=True
-    )
-    origin = pairs % n_nodes
-    again = np.ones(len(pairs), dtype=bool)
-    again[np.unique(origin, return_index=True)[1]] = False
-    new = np.where(again, n_nodes + np.cumsum(again) - 1, origin)[number].reshape(cells.shape)
+    corner_set = np.where(at_slit[node], corner_set, cells.size)
+    new, doubled_nodes = doubled(corner_set, node, n_nodes)
     result = np.array(elements)
     sides = np.array(facets)
-    result[near] = new
+    result[near] = new.reshape(cells.shape)
     # facets take the nodes of the element on their inner side
     touched = np.flatnonzero(at_slit[facets].any(axis=1))
     row = table.find(keys[touched])
@@ -82,9 +77,9 @@ def opened(
         same_orientation(facets[touched], table.facets[row]), table.first[row], table.second[row]
     )
     sides[touched] = np.stack(
-        [new.ravel()[corners(sides_elements, nodes)] for nodes in facets[touched].T], axis=1
+        [new[corners(sides_elements, nodes)] for nodes in facets[touched].T], axis=1
     )
-    origin = np.concatenate([np.arange(n_nodes), origin[again]])
+    origin = np.concatenate([np.arange(n_nodes), doubled_nodes])
     # a facet that still stands twice did not open
     closed, counts = np.unique(facet_keys(sides, len(origin)), return_counts=True)
     return result, sides, ~np.isin(facet_keys(sides, len(origin)), closed[counts > 1]), origin
@@ -144,32 +139,28 @@ def _cut_middles(
     elements on both sides in dim parts; a facet stays closed if one before it shares its element."""
     table = facet_table(elements, len(points))
     row = table.find(facet_keys(faces[closed], len(points)))
-    # the two elements at each facet; each element may be cut once
+    # the two elements (n, 2) at each facet; an element is cut by the first facet that names it
     cells = np.stack([table.first[row], table.second[row]], axis=1)
-    cuttable = (
-        mask_of(np.unique(cells, return_index=True)[1], cells.size).reshape(cells.shape).all(axis=1)
-    )
+    is_first_place = mask_of(np.unique(cells, return_index=True)[1], cells.size)
+    cuttable = is_first_place.reshape(cells.shape).all(axis=1)
     closed = closed[cuttable]
-    cells = cells[cuttable]
+    old = cells[cuttable].ravel()
     corners = faces[closed]
     middle = len(points) + np.arange(len(closed))[:, None]
-    # part k has the new node in place of corner k of the facet
-    parts = [
-        np.where(elements[cells] == corners[:, k, None, None], middle[:, None], elements[cells])
-        for k in range(corners.shape[1])
-    ]
-    pieces = [
-        np.where(corners == corners[:, k, None], middle, corners) for k in range(corners.shape[1])
-    ]
-    old = cells.ravel()
+    # in part k of a facet (dim,), and of both elements there (dim + 1,), the new node stands for corner k
+    new_faces = [np.delete(faces, closed, axis=0)]
+    new_elements = [np.delete(elements, old, axis=0)]
+    for corner in corners.T[:, :, None]:
+        new_faces.append(np.where(corners == corner, middle, corners))
+        in_both = elements[old] == np.repeat(corner, 2, axis=0)
+        new_elements.append(np.where(in_both, np.repeat(middle, 2, axis=0), elements[old]))
+    n_parts = corners.shape[1]
     return (
         np.concatenate([points, points[corners].mean(axis=1)]),
-        np.concatenate(
-            [np.delete(elements, old, axis=0), *(part.reshape(len(old), -1) for part in parts)]
-        ),
-        np.concatenate([np.delete(faces, closed, axis=0), *pieces]),
-        np.concatenate([np.delete(labels, closed), *[labels[closed]] * len(pieces)]),
-        np.concatenate([np.delete(body, old), *[body[old]] * len(parts)]),
+        np.concatenate(new_elements),
+        np.concatenate(new_faces),
+        np.concatenate([np.delete(labels, closed), *[labels[closed]] * n_parts]),
+        np.concatenate([np.delete(body, old), *[body[old]] * n_parts]),
     )
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adaptmg import _checks as checks
-from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of, pair_keys, trusted
+from adaptmg.mesh.arrays import MeshArrays, Surface, mask_of, trusted
 from adaptmg.mesh.soundness import least_angle
 from adaptmg.problem.plane_edges import Arc, Segment
 
@@ -347,9 +347,10 @@ def onto_surfaces(
     if not len(row):
         return mesh
     # the lowest and the highest label at each new node: its surfaces, twice the same of only one
-    pairs = np.unique(pair_keys(mesh.facets[row, corner], mesh.facet_labels[row], len(surfaces)))
-    nodes, first, count = np.unique(pairs // len(surfaces), return_index=True, return_counts=True)
-    labels = (pairs % len(surfaces))[np.stack([first, first + count - 1], axis=1)]
+    nodes, number = np.unique(mesh.facets[row, corner], return_inverse=True)
+    labels = np.full((len(nodes), 2), [len(surfaces), -1])
+    np.minimum.at(labels[:, 0], number, mesh.facet_labels[row])
+    np.maximum.at(labels[:, 1], number, mesh.facet_labels[row])
     places, missed = settled(surfaces, mesh.points[nodes], labels, checks.ROUNDING)
     if len(missed):
         raise Misplaced(f"{len(missed)} nodes do not reach the surfaces of their faces")

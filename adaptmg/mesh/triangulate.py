@@ -20,7 +20,15 @@ import numpy as np
 
 from adaptmg._numba import inner_kernel, kernel
 from adaptmg.geometry.predicates import turn
-from adaptmg.mesh.arrays import MeshArrays, centroids, places_of, signed_measures, sweep, trusted
+from adaptmg.mesh.arrays import (
+    MeshArrays,
+    by_first_occurrence,
+    centroids,
+    places_of,
+    signed_measures,
+    sweep,
+    trusted,
+)
 from adaptmg.mesh.delaunay import BATCH, Untriangulated, insert, of_boundary, walk
 from adaptmg.mesh.improve import improve_triangles
 from adaptmg.mesh.sizes import (
@@ -168,9 +176,8 @@ def _laid(
 def _joined(places: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the places without those that come again, as on the faces of cracks, in their order,
     and facets between them."""
-    first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)[1:]
-    rank = np.argsort(np.argsort(first))
-    return places[np.sort(first)], rank[number.reshape(-1)[facets]]
+    first, number = by_first_occurrence(places, axis=0)
+    return places[first], number[facets]
 
 
 def _thin_parts(
