@@ -141,6 +141,17 @@ def _opposite(elements, e, a, b):
 
 
 @inner_kernel
+def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
+    """Write a triangle and its neighbours."""
+    elements[e, 0] = a
+    elements[e, 1] = b
+    elements[e, 2] = c
+    across[e, 0] = over_a
+    across[e, 1] = over_b
+    across[e, 2] = over_c
+
+
+@inner_kernel
 def _swap_edge(points, elements, across, e, k):
     """Swap the edge opposite corner k of an element, which has a neighbour there, unless it is
     Delaunay; returns whether. An edge that is not Delaunay is the diagonal of a convex
@@ -179,18 +190,8 @@ def _swap(elements, across, e, k):
     over_b = across[f, (m + 1) % 3]
     over_c = across[f, (m + 2) % 3]
     # neighbours beyond a b (beside_b), c a (beside_c), b d (over_b), d c (over_c), as f = (d, c, b)
-    elements[e, 0] = a
-    elements[e, 1] = b
-    elements[e, 2] = d
-    elements[f, 0] = a
-    elements[f, 1] = d
-    elements[f, 2] = c
-    across[e, 0] = over_b
-    across[e, 1] = f
-    across[e, 2] = beside_b
-    across[f, 0] = over_c
-    across[f, 1] = beside_c
-    across[f, 2] = e
+    _place(elements, across, e, a, b, d, over_b, f, beside_b)
+    _place(elements, across, f, a, d, c, over_c, beside_c, e)
     _replace_neighbour(across, over_b, f, e)
     _replace_neighbour(across, beside_c, e, f)
 
@@ -239,17 +240,6 @@ def walk(points, elements, across, e, p):
             return np.int64(-1)
         e = np.int64(across[e, side])
     return np.int64(-1)
-
-
-@inner_kernel
-def _place(elements, across, e, a, b, c, over_a, over_b, over_c):
-    """Write a triangle and its neighbours."""
-    elements[e, 0] = a
-    elements[e, 1] = b
-    elements[e, 2] = c
-    across[e, 0] = over_a
-    across[e, 1] = over_b
-    across[e, 2] = over_c
 
 
 @inner_kernel
