@@ -54,7 +54,7 @@ from adaptmg.discrete.moduli import (
     moduli,
 )
 from adaptmg.geometry.quadrature import AXISYMMETRIC_DEGREE, quadrature_rule
-from adaptmg.mesh.arrays import MeshArrays, occurrences, pair_keys
+from adaptmg.mesh.arrays import MeshArrays, doubled, occurrences, pair_keys
 from adaptmg.problem.laws import Elastic
 
 #: patches between a prefetch and its use: those of smoothed elements lie far apart. Their matrix of 118k nodes in space
@@ -379,15 +379,11 @@ def separate_bodies(mesh: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     n = mesh.n_nodes
     if len(mesh.bodies) == 1:
         return mesh.elements, mesh.points
-    keys = pair_keys(mesh.element_body[:, None], mesh.elements, n)
-    used_keys, number_of_corner = np.unique(keys, return_inverse=True)  # by body, then node
-    node = used_keys % n
-    further_body = np.ones(len(used_keys), dtype=bool)
-    further_body[np.unique(node, return_index=True)[1]] = False
-    points = np.concatenate([mesh.points, mesh.points[node[further_body]]])
-    new_number = n + np.cumsum(further_body) - 1
-    number_of_used = np.where(further_body, new_number, node).astype(np.int32)
-    return read_only(number_of_used[number_of_corner.reshape(keys.shape)]), read_only(points)
+    body_of_corner = np.repeat(mesh.element_body, mesh.elements.shape[1])
+    numbers, doubled_nodes = doubled(body_of_corner, mesh.elements.reshape(-1), n)
+    points = np.concatenate([mesh.points, mesh.points[doubled_nodes]])
+    elements = numbers.astype(np.int32).reshape(mesh.elements.shape)
+    return read_only(elements), read_only(points)
 
 
 @kernel
